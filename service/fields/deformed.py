@@ -1,4 +1,4 @@
-"""The deformed surface of a component under any wrench, from the fields that its rows have."""
+"""The deformed surface of a component under any wrench, from the stored fields of its rows."""
 
 from __future__ import annotations
 
@@ -32,43 +32,44 @@ from wrenchbook.surrogate.table.rows import NEAR, Rows, why_beyond
 
 Floats = NDArray[np.float64]
 
-# Rows that a field is interpolated of: with slopes as good as all, and a factor of 0.02 s.
+# Rows of one interpolation: with their slopes as accurate as all rows; a factorisation of 0.02 s.
 MAX_ROWS = 60
 BLEND_BYTES = 128 << 20  # of one component's interpolation; larger surfaces take fewer rows
-MIN_LEFT_OUT = 4  # rows with a surface below which they show nothing of an error's size
-MIN_ROWS = 8  # however large their fields are: fewer give neither an answer nor an error
+MIN_LEFT_OUT = 4  # rows with a surface; fewer do not show the size of the error
+MIN_ROWS = 8  # of an interpolation, whatever the size of their fields
 MAX_BLENDS = 2  # components whose interpolation is in memory at once
 THREADS = 2  # surfaces at once: each may take a processor
 # Half ranges beyond an end of the load range: further out rows do not determine a surface.
 FARTHEST = 2.0
 # Of the largest displacement of any row: a vertex's error bar allowed without a tolerance.
 WITHOUT_TOLERANCE = 0.01
+_ARRAYS = 7  # of a row: its fields, and their slopes by each of six loads
+_FLOAT_BYTES = 8
 
 
 class NoFieldsError(Exception):
-    """No row of the component has a deformed surface; the message has the remedy."""
+    """No row gives a deformed surface: none has fields, or those stored are `unusable`."""
 
-    def __init__(self, component: Component, why: str) -> None:
+    def __init__(self, component: Component, why: str, *, unusable: bool = False) -> None:
         name = component.name
-        text = (
-            f"{name!r} has no deformed surface yet: {why}. The embedded solver makes surfaces: "
-            f"POST this wrench to /v1/components/{name}/solve, or several to .../fill. To give a "
-            "row a surface, DELETE it first."
-        )
-        if not component.has_fea:
-            text = (
-                f"{name!r} is a table without a finite-element setup, so it has no surface. Add "
-                "the component as a bundle with a mesh."
-            )
+        solve = f"Solve wrenches that have no row: POST /v1/components/{name}/solve"
+        if unusable:
+            text = f"the stored surfaces of {name!r} cannot be used: {why}. {solve}"
+        elif component.has_fea:
+            text = f"{name!r} has no deformed surface yet: {why}. {solve} or .../fill. For the "
+            text += f"surface of a row, DELETE /v1/components/{name}/table/ROW first"
+        else:
+            text = f"{name!r} is a table without a finite-element setup, so it has no surface. Add "
+            text += "the component as a bundle with a mesh"
         super().__init__(text)
 
 
 class TooFarError(ValueError):
-    """The wrench is so far beyond the load range that nothing is known there."""
+    """The wrench is over `FARTHEST` half ranges beyond the load range."""
 
 
 class DeformedSurfaces:
-    """Answers deformed surfaces, and keeps what the last ones were made of.
+    """Deformed surfaces of a data directory; caches the interpolations of `MAX_BLENDS` components.
 
     `threads` is for callers that must not block: `answer` may take a second.
     """
@@ -80,7 +81,7 @@ class DeformedSurfaces:
         self.threads = ThreadPoolExecutor(THREADS, thread_name_prefix="deformed")
 
     def close(self) -> None:
-        """Let go of the threads; questions that have not begun are dropped."""
+        """Shut the threads down; requests that have not begun are cancelled."""
         self.threads.shutdown(cancel_futures=True)
 
     def answer(
@@ -94,17 +95,21 @@ class DeformedSurfaces:
     ) -> Deformed:
         """Return the deformed surface under a wrench (6,), N and N·m, from all rows of the table.
 
-        It reads files and may take a second: nothing for an event loop. Without the solver's error,
-        and its error bars at the interface under that wrench (`SolverError.parts`), error bars are
-        the interpolation error alone, see `Deformed.parts`. Raises `NoFieldsError` if no row has
-        fields, `TooFarError` if a load is over `FARTHEST` of the range beyond it.
+        It reads files and may take a second: not for an event loop. `solver` is the solver's error,
+        `at_interface` its error bars at the interface under that wrench (`SolverError.parts`);
+        without them error bars are the interpolation error alone, see `Deformed.parts`. Raises
+        `NoFieldsError` if no row has usable fields, `TooFarError` if a load is over `FARTHEST`
+        half ranges beyond the load range.
         """
         acting = component.acting(np.asarray(wrench, dtype=float))
         loads = component.load_range
         room, beyond = FARTHEST * loads.scale, why_beyond(loads, acting)
         low, high = np.minimum(loads.low, 0.0) - room, np.maximum(loads.high, 0.0) + room
-        if ((acting < low) | (acting > high)).any():
-            raise TooFarError(f"{beyond}, too far away for a surface; ask nearer to the range")
+        too_far = (acting < low) | (acting > high)
+        if too_far.any():
+            load = int(too_far.argmax())
+            ends = f"{component.space.input_names[load]} {low[load]:.6g} to {high[load]:.6g}"
+            raise TooFarError(f"{beyond}, too far away for a surface; ask for {ends}")
         if component.linear:
             shape = self._linear(component, rows, acting)
         else:
@@ -123,13 +128,14 @@ class DeformedSurfaces:
         return shape
 
     def _linear(self, component: Component, rows: Rows, wrench: Floats) -> Deformed:
+        """Return the surface of a linear component: its unit fields times the wrench (6,)."""
         try:
             row = self._store.linear(component.name, component.fingerprint)
             if row is None:
-                raise NoFieldsError(component, "no solve has stored fields of unit loads; run one")
+                raise NoFieldsError(component, "no solve has stored fields of unit loads")
             geometry = self._geometry(component, row)
         except DamagedFieldsError as error:
-            raise NoFieldsError(component, str(error)) from error
+            raise NoFieldsError(component, str(error), unusable=True) from error
         moved, stresses = row.displacement_slopes @ wrench, row.stress_slopes @ wrench
         if row.meta.get("weight"):
             solved = np.array(row.meta["wrench"])
@@ -137,7 +143,7 @@ class DeformedSurfaces:
             if len(stresses):
                 stresses += row.stress - row.stress_slopes @ solved
         stress = largest_stress(component, geometry, stresses, 0.0)
-        # It is the same of each row; NaN without any.
+        # All rows of a linear component have the same compliance; NaN if no row has one.
         compliances = rows.compliance[rows.fingerprint == component.fingerprint]
         known = compliances[np.isfinite(compliances).all(axis=(1, 2))]
         compliance = known[0] if len(known) else np.full((6, 6), np.nan)
@@ -162,7 +168,7 @@ class DeformedSurfaces:
                     geometry = self._geometry(component, row)
                 except DamagedFieldsError:
                     return None
-                # The row's fields, led by their slopes over the step from its wrench.
+                # The row's fields, extrapolated by their slopes from its wrench to this one.
                 step = wrench - np.array(row.meta["wrench"])
                 moved = row.displacement_slopes @ step
                 stress = stress_of_row(component, row)
@@ -193,13 +199,14 @@ class DeformedSurfaces:
     ) -> Deformed:
         """Return the interpolation of the rows that have fields, one for each wrench in range."""
         if not len(rows):
-            raise NoFieldsError(component, "its table has no rows; fill it")
+            raise NoFieldsError(component, "its table has no rows")
         inside = component.load_range.holds(rows.wrench)
         solved = np.flatnonzero((rows.fingerprint == component.fingerprint) & inside)
         wrenches = rows.wrench[solved]
         having = self._store.has(component.name, component.fingerprint, wrenches.tolist())
         if not having:
-            why = f"none of its {len(rows)} rows has fields; solve some wrenches anew"
+            why = f"none of its {len(rows)} rows has fields"
+            why += f" ({len(solved)} are solves of its present setup within the load range)"
             raise NoFieldsError(component, why)
         cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
@@ -245,12 +252,13 @@ class DeformedSurfaces:
         wrench: Floats,
         hyperparameters: Hyperparameters | None,
     ) -> Blend:
-        """Return the interpolation of the rows nearest to a wrench; the last one if it is that."""
+        """Return the interpolation of the rows nearest to a wrench, cached if they are the same."""
         first = next(self._readable(component, rows.wrench), None)
         if first is None:
-            raise NoFieldsError(component, "all files of rows are damaged; see wrenchbook doctor")
-        size = 7 * 8 * (first.displacement.size + first.stress.size)
-        limit = min(MAX_ROWS, max(MIN_ROWS, BLEND_BYTES // max(size, 1)))
+            why = f"the files of all {len(rows)} solved rows with fields are damaged"
+            raise NoFieldsError(component, why, unusable=True)
+        row_bytes = _ARRAYS * _FLOAT_BYTES * (first.displacement.size + first.stress.size)
+        limit = min(MAX_ROWS, max(MIN_ROWS, BLEND_BYTES // max(row_bytes, 1)))
         near = rows.take(nearest_rows(rows.wrench, wrench, component.load_range, limit))
         lengths = None if hyperparameters is None else hyperparameters.logarithms.tobytes()
         key = component.fingerprint, near.seq.tobytes(), lengths
@@ -258,30 +266,30 @@ class DeformedSurfaces:
         if cached is not None and cached[0] == key:
             self._blends.move_to_end(component.name)
             return cached[1]
-        self._blends.pop(component.name, None)  # before its like takes as much memory again
+        self._blends.pop(component.name, None)  # freed before the next takes as much memory
         read: list[tuple[int, RowFields]] = []
         for place, row_wrench in enumerate(near.wrench):
             read += [(place, row) for row in self._readable(component, row_wrench[None])]
         if not read:
-            raise NoFieldsError(
-                component, "files of rows nearby are damaged; see wrenchbook doctor"
-            )
+            why = f"the files of the {len(near)} rows nearest to this wrench are damaged"
+            raise NoFieldsError(component, why, unusable=True)
         digest = read[-1][1].meta["geometry"]  # a mesher of another version makes another mesh
-        like = [(place, row) for place, row in read if row.meta["geometry"] == digest]
-        used = near.take([place for place, _ in like])
+        same_mesh = [(place, row) for place, row in read if row.meta["geometry"] == digest]
+        used = near.take([place for place, _ in same_mesh])
         try:
-            geometry = self._geometry(component, like[0][1])
+            geometry = self._geometry(component, same_mesh[0][1])
             weights = FieldWeights.of(used.wrench, component.load_range, hyperparameters)
         except (DamagedFieldsError, SingularCovarianceError) as error:
-            raise NoFieldsError(component, str(error)) from error
-        blend = Blend.of(geometry, weights, [row for _, row in like], tuple(used.seq.tolist()))
+            raise NoFieldsError(component, str(error), unusable=True) from error
+        numbers = tuple(used.seq.tolist())
+        blend = Blend.of(geometry, weights, [row for _, row in same_mesh], numbers)
         self._blends[component.name] = key, blend
         while len(self._blends) > MAX_BLENDS:
             self._blends.popitem(last=False)
         return blend
 
     def _readable(self, component: Component, wrenches: Floats) -> Iterator[RowFields]:
-        """Yield the fields of rows; those whose file is gone or damaged have none."""
+        """Yield the fields of the rows of wrenches (n, 6) whose files can be read."""
         for wrench in wrenches.tolist():
             try:
                 yield self._store.row(component.name, component.fingerprint, wrench)
@@ -293,7 +301,7 @@ class DeformedSurfaces:
 
 
 class BlendedFields(NamedTuple):
-    """Fields at one wrench."""
+    """Interpolated fields at one wrench."""
 
     displacement: Floats  # (v, 3), m
     error: Floats | None  # (v,), m; None where too few rows give it
@@ -303,10 +311,10 @@ class BlendedFields(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Blend:
-    """An interpolation of complete fields.
+    """An interpolation of the fields of k rows, linear in them.
 
-    `values`, shape (k, 7, d), are of each row its fields, then their slopes by each load;
-    displacements first, then stresses.
+    `values`, shape (k, 7, d): of each row its fields, then their slopes by each of six loads. The d
+    columns are the displacements, 3 of each vertex, then the stresses, 6 of each point.
     """
 
     geometry: SurfaceGeometry
@@ -327,7 +335,7 @@ class Blend:
         numbers: tuple[int, ...],
     ) -> Blend:
         """Return the interpolation of rows that share a geometry."""
-        values = np.stack([_columns(row) for row in rows])
+        values = np.stack([_stacked_fields(row) for row in rows])
         moved = 3 * len(geometry.vertices)
         largest = float(np.abs(values[:, 0, :moved]).max(initial=0.0))
         blank = cls(geometry, weights, values, numbers, largest, None, 0.0, None)
@@ -361,10 +369,9 @@ class Blend:
         return BlendedFields(displacement, error, stress, stress_error)
 
     def nearest(self, wrench: Floats) -> tuple[int, Floats]:
-        """Return the row nearest to a wrench (6,), N and N·m, and its slopes.
+        """Return the number of the row nearest to a wrench (6,), N and N·m, and its slopes.
 
-        Its number, and the change of its vertices with the wrench: shape (v, 3, 6), m/N and
-        m/(N·m).
+        These are the change of its vertices with the wrench: shape (v, 3, 6), m/N and m/(N·m).
         """
         apart = (self.weights.wrenches - wrench) / self.weights.load_range.scale
         place = int(np.linalg.norm(apart, axis=1).argmin())
@@ -372,8 +379,12 @@ class Blend:
         return self.rows[place], np.moveaxis(moved.reshape(6, -1, 3), 0, -1)
 
 
-def _columns(row: RowFields) -> Floats:
-    """Return a row's fields and slopes, shape (7, d)."""
-    fields = (row.displacement, row.displacement_slopes), (row.stress, row.stress_slopes)
-    columns = (np.concatenate((field[..., None], slopes), axis=-1) for field, slopes in fields)
-    return np.concatenate([np.moveaxis(of, -1, 0).reshape(7, -1) for of in columns], axis=1)
+def _stacked_fields(row: RowFields) -> Floats:
+    """Return a row's fields and their slopes, shape (7, d), as in `Blend.values`."""
+
+    def stacked(field: Floats, slopes: Floats) -> Floats:
+        with_slopes = np.concatenate((field[..., None], slopes), axis=-1)
+        return np.moveaxis(with_slopes, -1, 0).reshape(_ARRAYS, -1)
+
+    displacements = stacked(row.displacement, row.displacement_slopes)
+    return np.hstack((displacements, stacked(row.stress, row.stress_slopes)))

@@ -1,9 +1,9 @@
 """The stored fields of one solve: files of arrays, exact or rounded, with a digest.
 
 A solver leaves two files in the attempt's folder: the geometry, which all rows of a component
-share, and the row's fields. The displacement is kept to 2^-44 of its largest number, stresses to
-2^-24 and slopes to 2^-20, as they serve interpolation only; a linear component's slopes are its
-complete answer and kept to 2^-44.
+share, and the row's fields. Displacements are rounded to 2^-44 of their largest number, stresses to
+2^-24 and slopes to 2^-20, which suffice for interpolation; a linear component's slopes are its
+complete answer and rounded to 2^-44.
 
 A file is `MAGIC`, the length of a JSON header (four bytes, little-endian), the header and the
 compressed columns one after the other. The header has each column's shape and steps and a digest
@@ -33,9 +33,10 @@ from wrenchbook.service.files.durable import write_atomically
 GEOMETRY, ROW = "geometry.fields", "row.fields"  # as the solver names them
 FINE, STRESS, SLOPES = 44, 24, 20  # bits
 MAGIC = b"wrenchbook fields 1\n"
-EXACT = 0  # bits of a column that is stored as it is
+EXACT = 0  # bits of a column that is stored without rounding
 MAX_BYTES = 1 << 28  # of one column unpacked: no header may ask for all memory
 _MAX_BITS = 50  # differences of multiples must fit 64 bits, and multiples a float64
+_MAX_BITS_32 = 30  # of multiples whose differences, which take one bit more, fit 32 bits
 _MIN_EXPONENT = -1074  # of a float64
 
 Array = NDArray[Any]
@@ -46,7 +47,7 @@ class DamagedFieldsError(Exception):
 
 
 class Column(NamedTuple):
-    """An array, shape (n, ...), SI or indices, and to how many bits of its largest it is kept."""
+    """An array, shape (n, ...), SI or indices, and the bits that are stored of its numbers."""
 
     values: Array
     bits: int = EXACT
@@ -88,16 +89,19 @@ def unpack(content: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
 
 
 def _header(content: bytes) -> tuple[dict[str, Any], int]:
+    """Return a file's header, and the offset of its columns; raises `DamagedFieldsError`."""
     start = len(MAGIC) + 4
     if content[: len(MAGIC)] != MAGIC:
-        raise DamagedFieldsError("it is not a file of fields")
+        begins = f"begins with {content[:20]!r}" if content else "is empty"
+        raise DamagedFieldsError(f"it {begins}, so it is not a file of fields")
     length = int.from_bytes(content[len(MAGIC) : start], "little")
     try:
         header = json.loads(content[start : start + length])
-        if not isinstance(header["meta"], dict) or not isinstance(header["columns"], list):
-            raise ValueError("its header is of another form")
-    except (ValueError, KeyError, TypeError) as error:
-        raise DamagedFieldsError(f"its header cannot be read: {error}") from error
+    except ValueError as error:
+        raise DamagedFieldsError(f"its header of {length} bytes is damaged: {error}") from error
+    parts = header if isinstance(header, dict) else {}
+    if not isinstance(parts.get("meta"), dict) or not isinstance(parts.get("columns"), list):
+        raise DamagedFieldsError("its header is damaged: it lacks the members meta or columns")
     return header, start + length
 
 
@@ -107,9 +111,11 @@ def _digest(header: Mapping[str, Any], body: bytes) -> str:
 
 
 def _packed(name: str, column: Column) -> tuple[dict[str, Any], bytes]:
+    """Return a column's entry in the header, and its compressed bytes."""
     values, bits = column
     if not np.isfinite(values).all():
-        raise ValueError(f"{name} has numbers that are not finite")
+        count = int((~np.isfinite(values)).sum())
+        raise ValueError(f"{count} of the {values.size} numbers of {name} are not finite")
     entry: dict[str, Any] = {"name": name, "shape": list(values.shape)}
     if bits == EXACT:
         kind = "i4" if values.dtype.kind in "iu" else "f8"
@@ -122,11 +128,11 @@ def _packed(name: str, column: Column) -> tuple[dict[str, Any], bytes]:
         steps = np.where(size > 0, np.ldexp(1.0, np.maximum(exponent, _MIN_EXPONENT)), 1.0)
         multiples = np.rint(values / steps).astype("<i8")
         numbers = np.diff(multiples, axis=0, prepend=np.zeros_like(multiples[:1]))
-        if bits <= 30:  # a difference of two takes one bit more
+        if bits <= _MAX_BITS_32:
             numbers = numbers.astype("<i4")
         entry |= {"kind": f"i{numbers.itemsize}", "steps": np.ravel(steps).tolist()}
-    # All first bytes, then all second ones, ...: like bytes stand together. Huffman's code alone:
-    # of such bytes no longer words come twice.
+    # All first bytes, then all second ones, and so on: similar bytes are neighbours. Huffman's code
+    # alone is as small as with a search for repeated strings, which are rare here.
     planes = np.ascontiguousarray(numbers).view(np.uint8).reshape(-1, numbers.itemsize).T
     packer = zlib.compressobj(1, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_HUFFMAN_ONLY)
     payload = packer.compress(np.ascontiguousarray(planes).tobytes()) + packer.flush()
@@ -134,16 +140,17 @@ def _packed(name: str, column: Column) -> tuple[dict[str, Any], bytes]:
 
 
 def _unpacked(entry: Mapping[str, Any], payload: bytes) -> Array:
-    shape, kind = tuple(entry["shape"]), np.dtype(f"<{entry['kind']}")
+    """Return the array of a column from its header entry and compressed bytes."""
+    name, shape, kind = entry["name"], tuple(entry["shape"]), np.dtype(f"<{entry['kind']}")
     size = int(np.prod(shape, dtype=object)) * kind.itemsize
     if not 0 <= size <= MAX_BYTES:
-        raise DamagedFieldsError(f"its column {entry['name']} claims {size} bytes")
+        raise DamagedFieldsError(f"its column {name} claims {size} bytes, more than {MAX_BYTES}")
     try:
         raw = zlib.decompressobj().decompress(payload, size) if size else b""
     except zlib.error as error:
-        raise DamagedFieldsError(f"its column {entry['name']} cannot be unpacked") from error
+        raise DamagedFieldsError(f"its column {name} cannot be unpacked: {error}") from error
     if len(raw) != size:
-        raise DamagedFieldsError(f"its column {entry['name']} is cut off")
+        raise DamagedFieldsError(f"its column {name} is cut off: {len(raw)} of {size} bytes")
     planes = np.frombuffer(raw, np.uint8).reshape(kind.itemsize, -1).T
     numbers = np.ascontiguousarray(planes).view(kind).reshape(shape)
     if "steps" not in entry:

@@ -25,12 +25,12 @@ from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 from wrenchbook.surrogate.table.rows import ROUNDING
 
-# Of the largest discretisation error on the surface, a free vertex's error besides: cells deform
-# wrongly on their own too, by clamps and edges. On six parts 9 of 10 vertices are 3 to 18 % of the
-# largest off what follows the interface; without this 77 to 99 % of vertices are covered, with it
-# 97 % and more (`make bench NAME=surface_error`).
+# Added to a free vertex's error, of the largest discretisation error on the surface: near clamps
+# and edges cells have errors of their own. On six parts 9 of 10 vertices deviate by 3 to 18 % of
+# the largest error from the motion of the interface; without this term 77 to 99 % of vertices are
+# covered, with it 97 % and more (`make bench NAME=surface_error`).
 LOCAL = 0.1
-# Of the scaled compliance's largest singular value: below it are locked freedoms and roundoff.
+# Of the scaled compliance's largest singular value: smaller ones are locked freedoms and roundoff.
 _SINGULAR = 1e-9
 
 Floats = NDArray[np.float64]
@@ -71,7 +71,7 @@ class ErrorParts(NamedTuple):
 
 
 def vertex_modes(slopes: Floats, compliance: Floats) -> Floats | None:
-    """Return how the vertices follow the interface, shape (v, 3, 6), m/m and m/rad.
+    """Return the motion of the vertices per motion of the interface, (v, 3, 6), m/m and m/rad.
 
     `slopes`, shape (v, 3, 6), m/N and m/(N·m), are the change of the vertices with the wrench,
     `compliance`, shape (6, 6), SI, that of the interface. None where the latter is not known.
@@ -191,7 +191,7 @@ def stress_of_row(component: Component, row: RowFields) -> LargestStress:
 def _with_yield_strength(
     component: Component, largest: float, error: float | None, at: tuple[float, ...], region: str
 ) -> LargestStress:
-    """Hold a stress against its region's yield strength."""
+    """Return a stress with its region's yield strength, and whether it exceeds that."""
     strength = component.yield_strengths.get(region)
     yields = None
     if strength is not None and error is not None and abs(largest - strength) > error:

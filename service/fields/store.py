@@ -30,7 +30,7 @@ from wrenchbook.service.fields.record import (
 )
 from wrenchbook.service.files.durable import sync
 
-# Of one component, some thousand rows of 1,000 vertices; later rows have no fields.
+# Of one component: some thousand rows of 1,000 vertices. Later rows have no fields.
 MOST_BYTES = 1 << 30
 _LINEAR = "linear"
 _HEADER_BYTES = 1 << 20  # read for a file's header, which is far shorter
@@ -39,7 +39,7 @@ _log = logging.getLogger(__name__)
 
 
 class FieldStore:
-    """The kept fields of all components of a data directory, at most `most_bytes` of one component.
+    """The stored fields of all components of a data directory, up to `most_bytes` of a component.
 
     Several processes may use it: files appear complete and are never changed.
     """
@@ -51,10 +51,9 @@ class FieldStore:
     def take(
         self, attempt: Path, component: str, fingerprint: str, wrench: Sequence[float]
     ) -> bool:
-        """Move what a solver left in an attempt's folder here; return whether it is kept.
+        """Move a solver's files from an attempt's folder into the store; return whether it could.
 
-        A solver that left nothing, a full disk or a full share costs a row its fields and nothing
-        else: this never raises.
+        Never raises: without files, on a full disk or beyond `most_bytes` the row has no fields.
         """
         row, geometry = attempt / ROW, attempt / GEOMETRY
         try:
@@ -83,7 +82,7 @@ class FieldStore:
     def has(
         self, component: str, fingerprint: str, wrenches: Sequence[Sequence[float]]
     ) -> list[int]:
-        """Return which of the wrenches, each six numbers, N and N·m, have fields here."""
+        """Return the indices of those wrenches, each six numbers, N and N·m, that have fields."""
         try:
             names = {path.name for path in self._place(component, fingerprint).iterdir()}
         except FileNotFoundError:
@@ -98,7 +97,10 @@ class FieldStore:
         key = key_of(wrench)
         row = self._read(self._place(component, fingerprint) / f"{key}.fields")
         if key_of(row.meta["wrench"]) != key:
-            raise DamagedFieldsError(f"{key}.fields holds another wrench")
+            held = row.meta["wrench"]
+            raise DamagedFieldsError(
+                f"{key}.fields holds another wrench, {held}, not {list(wrench)}"
+            )
         return row
 
     def linear(self, component: str, fingerprint: str) -> RowFields | None:
@@ -114,10 +116,11 @@ class FieldStore:
         path = self._place(component, fingerprint) / f"{digest}.geometry"
         geometry = read_geometry(_content(path))
         if geometry.digest != digest:
-            raise DamagedFieldsError(f"{path.name} holds another geometry")
+            raise DamagedFieldsError(f"{path.name} holds another geometry, {geometry.digest}")
         return geometry
 
     def _read(self, path: Path) -> RowFields:
+        """Return the fields in a file; the error of a damaged one names it."""
         try:
             return read_row(_content(path))
         except DamagedFieldsError as error:
@@ -127,6 +130,7 @@ class FieldStore:
         return self._folder / component / fingerprint
 
     def _bytes_of(self, component: str) -> int:
+        """Return the size of a component's files of all setups."""
         size = 0
         for path in self._folder.joinpath(component).glob("*/*"):
             with contextlib.suppress(OSError):
@@ -144,4 +148,6 @@ def _content(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise DamagedFieldsError(f"{path.name} cannot be read: {error}") from error
+        raise DamagedFieldsError(
+            f"{path.name} cannot be read: {error.strerror or error}"
+        ) from error

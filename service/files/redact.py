@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-# What is no folder of the machine but a path of the service's own.
+# First parts of the service's own paths, which are no folders of the machine.
 _OURS: Final = frozenset({"v1", "health", "metrics", "umbridge", "docs", "openapi.json"})
 # Of files that the service and its solvers read and write.
 _SUFFIXES: Final = (

@@ -52,16 +52,21 @@ _FORMULA = re.compile(r"'*\s*[=+\-@\t\r\n|%＝＋－＠]")
 _GUARDED = re.compile(r"''*\s*[=+\-@\t\r\n|%＝＋－＠]")
 # 1.234 is 1.234 with a decimal point and 1234 with a point between thousands.
 EITHER_MARK = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}")
+# A number with a mark between thousands: 1,234.5 and 1 234 567.
 _GROUPED = re.compile(
     r"[+-]?[1-9]\d{0,2}(?P<gap>[.,'\u2019 \u00a0\u2009\u202f])\d{3}(?P<more>(?P=gap)\d{3})*"
     r"(?:(?!(?P=gap))(?P<mark>[.,])\d*)?"
 )
 _DECIMAL_MARK = re.compile(r"[+-]?\d*([.,])\d*(?:[eE][+-]?\d+)?")
-"""A number with a mark between thousands: 1,234.5 and 1 234 567."""
+_ROUNDING = 3e-16  # of a number: what its 15 digits may differ by, under three roundings
 
 
 def number_text(cell: str, comma: bool, declared: bool = False) -> str | None:
-    """Return a number's text for `float`, or None; with a declared point 1,234 is 1234."""
+    """Return a cell's number as `float` reads it, None if it is none with this decimal mark.
+
+    `comma`: the decimal mark is a comma. `declared`: the sender says which it is, so that with a
+    point 1,234 is 1234.
+    """
     grouped, mark = _GROUPED.fullmatch(cell), "," if comma else "."
     # 915.009 has the form of thousands, and the point is the decimal mark.
     if grouped and grouped["gap"] == mark and not (grouped["mark"] or grouped["more"]):
@@ -120,10 +125,10 @@ def number_problem(cell: str, comma: bool) -> str:
     if number_text(cell, comma) is not None:
         return f"{quoted(cell)} is too large for a float; correct it or leave the row out"
     if "," in cell or (comma and "." in cell):
-        mark, name = (",", "comma") if comma else (".", "point")
+        mark, other, name = (",", ".", "comma") if comma else (".", ",", "point")
         text = number_text(cell, comma, declared=True)
-        if text is None and (text := number_text(cell, not comma)) is not None:
-            mark = "." if comma else ","
+        if text is None:
+            mark, text = other, number_text(cell, not comma)
         meant = f", or set decimal={mark} (--decimal {mark}) for {text}" if text is not None else ""
         return f"{quoted(cell)} does not fit the decimal {name}; write no other mark{meant}"
     if number_text(cell.split()[0], comma) is not None:
@@ -168,15 +173,16 @@ def text_problem(text: str) -> str | None:
     return None
 
 
-def cell_text(value: Any) -> str:
-    """Return a stored value as the text of a cell, empty for none."""
+def cell_text(value: Any, label: str) -> str:
+    """Return a stored value of a column as the text of a cell, empty for none; ContentError."""
     if value is None or value != value:
         return ""
     if isinstance(value, Decimal):
         return Digits(value)
     text = value.isoformat() if hasattr(value, "isoformat") else str(value)
     if len(text) > MAX_TEXT:
-        raise ContentError(f"a text is longer than {MAX_TEXT:,} characters; shorten it")
+        problem = f"a text in the column {quoted(label)} has {len(text):,} characters"
+        raise ContentError(f"{problem}, at most {MAX_TEXT:,} are read; shorten it")
     return text
 
 
@@ -334,7 +340,7 @@ def _registry() -> Any:
 
 
 def scaled(values: np.ndarray, factor: float) -> np.ndarray:
-    """Return numbers, shape (n,), times a factor, in one rounding if it is 1 over an integer."""
+    """Return numbers (n,) times a factor; divided, and so rounded once, if it is 1/integer."""
     inverse = float(round(1.0 / factor))
     return values / inverse if inverse and 1.0 / inverse == factor else values * factor
 
@@ -346,9 +352,9 @@ def in_unit(value: float, factor: float) -> str:
     inverse = float(round(1.0 / factor))
     number = value * inverse if inverse and 1.0 / inverse == factor else value / factor
     short = f"{number:.15g}"
-    return short if abs(float(short) - number) <= 3e-16 * abs(number) else repr(number)
+    return short if abs(float(short) - number) <= _ROUNDING * abs(number) else repr(number)
 
 
 def vanished(text: str) -> bool:
-    """Return whether a text that reads as zero is none: 1e-400."""
+    """Return whether a text that `float` reads as zero is a smaller number, such as 1e-400."""
     return any(mark in "123456789" for mark in text.lower().partition("e")[0])

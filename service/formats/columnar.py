@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,10 @@ from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_colum
 from wrenchbook.service.formats.xlsx import chosen_sheet
 from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table, matlab_object
 from wrenchbook.surrogate.table.rows import unknown_column
+from wrenchbook.surrogate.table.space import Space
 
-MAX_UNPACKED = 1024 * 1024 * 1024
+MAX_UNPACKED = 1024 * 1024 * 1024  # bytes: 10 million rows of 12 numbers
+_MAX_NAMED = 8  # variables or channels in a message
 
 
 def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
@@ -38,22 +41,23 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
                 f"it has {metadata.num_rows} rows and {len(schema)} columns; send at most "
                 f"{MAX_ROWS:,} rows and {options.columns.most} columns"
             )
-        if sum(metadata.row_group(at).total_byte_size for at in groups) > MAX_UNPACKED:
-            raise ContentError(f"it unpacks to over {MAX_UNPACKED >> 20} MiB; send parts")
+        _check_unpacked(sum(metadata.row_group(at).total_byte_size for at in groups))
+        # The index of a pandas data frame is no column of the table.
         index = tuple(name for name in schema.names if name.startswith("__index_level_"))
-        ignore = (*options.ignore, *index)  # of a data frame
-        strings = arrow.types.is_string, arrow.types.is_large_string
-        texts = [field.name for field in schema if any(is_(field.type) for is_ in strings)]
-        labels = []
-        for field in schema:  # its unit may stand in the metadata
+        options = replace(options, ignore=(*options.ignore, *index))
+        texts, labels = [], []
+        for field in schema:
+            if arrow.types.is_string(field.type) or arrow.types.is_large_string(field.type):
+                texts.append(field.name)
             tags = field.metadata or {}
             unit = tags.get(b"unit") or tags.get(b"units") or b""
             labels.append(with_unit(field.name, unit.decode(errors="replace"), options.columns))
         # Equal texts of a batch are in memory once.
         with parquet.ParquetFile(path, read_dictionary=texts, pre_buffer=False) as file:
             batches = file.iter_batches(batch_size=PIECE, use_threads=False)
-            pieces = ((labels, [_values(column) for column in batch.columns]) for batch in batches)
-            options = replace(options, ignore=ignore)
+            pieces = (
+                (labels, list(map(_values, schema.names, batch.columns))) for batch in batches
+            )
             if metadata.num_rows == 0:
                 pieces = iter([(labels, [()] * len(labels))])
             yield from read_columns(pieces, options, report)
@@ -86,8 +90,15 @@ def write_parquet(
             writer.write_table(arrow.Table.from_arrays(columns, schema=schema))
 
 
-def _values(column: Any) -> Array | list[Any]:
-    """Return numbers of an Arrow column as an array, NaN for null, or its values."""
+def _check_unpacked(size: int) -> None:
+    """Refuse a file of more than `MAX_UNPACKED` bytes in memory; raises ContentError."""
+    if size > MAX_UNPACKED:
+        most = f"over the limit of {MAX_UNPACKED >> 20:,} MiB"
+        raise ContentError(f"it unpacks to {size >> 20:,} MiB, {most}; send it in parts")
+
+
+def _values(name: str, column: Any) -> Array | list[Any]:
+    """Return numbers of an Arrow column as an array (n,), NaN for null, or its values."""
     from pyarrow import types
 
     kind = column.type
@@ -95,7 +106,8 @@ def _values(column: Any) -> Array | list[Any]:
         texts = column.dictionary.to_pylist()
         return [None if at is None else texts[at] for at in column.indices.to_pylist()]
     if types.is_nested(kind):
-        raise ContentError(f"a column holds {kind}; write each of its parts as a column of its own")
+        remedy = "write each of its parts as a column of its own"
+        raise ContentError(f"the column {name!r} holds {str(kind)[:100]}; {remedy}")
     if types.is_floating(kind) or types.is_integer(kind):
         return column.to_numpy(zero_copy_only=False)
     return column.to_pylist()
@@ -119,8 +131,7 @@ def _stored_pieces(path: Path, columns: Columns) -> Iterator[Piece]:
     read = 0
     for rows, notes in foreign_tables(path):
         if rows.space != columns.space:
-            names = ", ".join((*columns.wrench, *columns.displacement))
-            raise ContentError(f"has inputs, outputs or units of another component; write {names}")
+            raise ContentError(_space_problem(rows.space, columns.space))
         n, cells = len(rows), []
         for key in ARRAYS:
             block, width = getattr(rows, key), len(getattr(columns, key))
@@ -131,6 +142,17 @@ def _stored_pieces(path: Path, columns: Columns) -> Iterator[Piece]:
             n,
         )
         read += n
+
+
+def _space_problem(sent: Space, own: Space) -> str:
+    """Return the first difference of a file's inputs and outputs from the component's `own`."""
+    pairs = zip_longest((*sent.inputs, *sent.outputs), (*own.inputs, *own.outputs))
+    items = next((pair for pair in pairs if pair[0] != pair[1]), (None, None))
+    has, needs = (f"{item.name} [{item.unit}]" if item else "none" for item in items)
+    return (
+        f"is of another component: it has {has} where this one has {needs}; export the rows as CSV "
+        "and name the columns for this component"
+    )
 
 
 def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
@@ -152,22 +174,23 @@ def _mat_variables(path: Path) -> dict[str, Any]:
         except TypeError:  # an object of MATLAB has no shape and no name
             name, _, kind, _ = loadmat(path, variable_names=["None"])["None"].item()
             raise ContentError(matlab_object(name.decode(), kind.decode())) from None
-        if size > MAX_UNPACKED:
-            raise ContentError(f"it unpacks to over {MAX_UNPACKED >> 20} MiB; send parts")
+        _check_unpacked(size)
         values = loadmat(path, squeeze_me=True)
     except ContentError:
         raise
     except Exception as error:  # scipy raises many classes on damaged files
-        raise ContentError(f"cannot be read as a MATLAB file: {error}") from error
+        raise ContentError(
+            f"cannot be read as a MATLAB file: {error}; save it again with save('t.mat', '-v7')"
+        ) from error
     return {name: value for name, value in values.items() if not name.startswith("__")}
 
 
 def _vectors(values: dict[str, Any]) -> dict[str, Array]:
     """Return variables, or a single struct's fields, as vectors of one length; ContentError."""
-    only = next(iter(values.values()), None) if len(values) == 1 else None
-    if isinstance(only, np.ndarray) and only.dtype.names:
-        values = {name: only[name].tolist() for name in only.dtype.names}
-        for name, column in values.items() if only.ndim else ():  # an array of records
+    struct = next(iter(values.values()), None) if len(values) == 1 else None
+    if isinstance(struct, np.ndarray) and struct.dtype.names:
+        values = {name: struct[name].tolist() for name in struct.dtype.names}
+        for name, column in values.items() if struct.ndim else ():  # an array of records
             several = any(np.size(value) > 1 for value in column)
             numbers = [value if np.size(value) else np.nan for value in column]
             values[name] = np.array(numbers, dtype=object if several else None)
@@ -175,15 +198,18 @@ def _vectors(values: dict[str, Any]) -> dict[str, Array]:
     if not columns:  # a single row, or none
         scalars = {n: v for n, v in values.items() if isinstance(v, int | float)}
         columns = {name: np.array([value]) for name, value in scalars.items()}
-    wrong = [name for name, c in columns.items() if c.ndim != 1 or c.dtype.kind not in "iufb"]
-    lengths = {len(column) for column in columns.values()}
-    if wrong or len(lengths) != 1:
-        each = "save each column as a variable of its own, such as fx_N = A(:, 1)"
-        no_vector = f"{wrong[0]} is not a numeric vector; {each}" if wrong else ""
-        listed = ", ".join(f"{name} {len(column)}" for name, column in list(columns.items())[:9])
-        why = no_vector or f"their lengths are {listed or 'unknown'}"
-        form = "needs numeric vectors of one length, one a column"
-        raise ContentError(f"{form}: {why}")
+    form = "needs numeric vectors of one length, one a column"
+    each = "save each column as a variable of its own, such as fx_N = A(:, 1)"
+    if not columns:
+        raise ContentError(f"{form}: it has no numbers; {each}")
+    for name, column in columns.items():
+        if column.ndim != 1 or column.dtype.kind not in "iufb":
+            kind = f"shape {column.shape}, type {column.dtype}"
+            raise ContentError(f"{form}: {name} is not a numeric vector ({kind}); {each}")
+    if len({len(column) for column in columns.values()}) > 1:
+        lengths = ", ".join([f"{n} {len(c)}" for n, c in columns.items()][:_MAX_NAMED])
+        only = "save those of the table alone: save('t.mat', 'fx_N', 'ux_mm')"
+        raise ContentError(f"{form}: their lengths are {lengths}; {only}")
     return columns
 
 
@@ -210,7 +236,8 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
     except Exception as error:  # nptdms raises many classes on damaged files
-        report.mistakes.ruin(0, "file", f"cannot be read as TDMS: {error}")
+        message = f"cannot be read as TDMS: {error}; export it again, or as CSV"
+        report.mistakes.ruin(0, "file", message)
 
 
 def _tdms_pieces(
@@ -218,20 +245,25 @@ def _tdms_pieces(
 ) -> Iterator[tuple[list[str], list[np.ndarray]]]:
     """Yield labels and channels, some rows at a time, with a time if only waveforms have one."""
     lengths, columns = {len(channel) for channel in channels}, options.columns
-    if len(lengths) != 1 or len(channels) > columns.most:
-        sizes = ", ".join(f"{c.name}: {len(c)}" for c in channels[:8])
-        message = f"it must have at most {columns.most} channels of one length, not {sizes}"
-        raise ContentError(f"{message}; resample them to one length")
+    if len(channels) > columns.most:
+        most = f"at most {columns.most} are read; leave some out"
+        raise ContentError(f"its group has {len(channels)} channels, but {most}")
+    if len(lengths) != 1:
+        sizes = ", ".join(f"{c.name} {len(c)}" for c in channels[:_MAX_NAMED])
+        raise ContentError(f"the lengths of its channels differ: {sizes}; resample them to one")
     labels = [with_unit(c.name, c.properties.get("unit_string", ""), columns) for c in channels]
+    waveform = ("start_time", "start_offset", "increment")
     times = {
-        tuple(c.properties.get(f"wf_{key}") for key in ("start_time", "start_offset", "increment"))
+        tuple(c.properties.get(f"wf_{key}") for key in waveform): c.name
         for c in channels
         if c.properties.get("wf_increment")
     }
     if len(times) > 1:
-        raise ContentError(
-            "the channels' waveforms have different times; resample them to one time"
-        )
+        (one, name), (other, other_name) = list(times.items())[:2]
+        trios = zip(waveform, one, other, strict=True)
+        differing = ", ".join(f"wf_{key} {a} and {b}" for key, a, b in trios if a != b)
+        problem = f"the waveforms of {name} and {other_name} have different times ({differing})"
+        raise ContentError(f"{problem}; resample them to one time")
     names = [name for label in labels for name, _, _ in readings_of(label, columns)]
     named = any(name.startswith("time") for name in (*names, *options.mapping.values()))
     _, start, step = next(iter(times), (None, None, 0.0))

@@ -83,7 +83,7 @@ def split(label: str) -> tuple[str, str]:
 
 
 class Columns:
-    """Return the columns of numbers of a table, by the names of its space.
+    """The columns of numbers of a table, by the names of its space.
 
     `wrench` are all inputs: `loads` and `further` ones. Of each of `displacement` there is a 95 %
     half width in `uncertainty` and over each input a tangent in `compliance`. `curvature` has third
@@ -112,8 +112,9 @@ class Columns:
         self._exact = {name.lower(): name for name in single}
         self._quantities = {name: further_quantity(name, unit) for name, unit in scalars.items()}
         self._quantities[TIME_COLUMN] = TIME
-        fronts = sorted(filter(None, space.interfaces), key=len, reverse=True)
-        self._fronts = [(re.compile(re.escape(item) + _GAP.pattern, re.I), item) for item in fronts]
+        # Patterns of the interfaces' names before a column's, the longest first.
+        names = sorted(filter(None, space.interfaces), key=len, reverse=True)
+        self._prefixes = {name: re.compile(re.escape(name) + _GAP.pattern, re.I) for name in names}
 
     def quantity(self, name: str) -> Quantity:
         """Return the quantity of an input, displacement or uncertainty column."""
@@ -134,23 +135,24 @@ class Columns:
         for item in self.further:
             if joined in self.quantity(item).spellings:
                 yield item, unit, 1.0
-        front = next((item for item in self._fronts if item[0].match(name)), (None, ""))
-        bare = front[0].sub("", name, 1) if front[0] else name
+        prefixes = self._prefixes.items()
+        interface = next((item for item, prefix in prefixes if prefix.match(name)), "")
+        bare = self._prefixes[interface].sub("", name, 1) if interface else name
         for column, written, factor in _readings(bare, unit):
-            if not self._fronts or (column == TIME_COLUMN and not front[1]):
+            if not prefixes or (column == TIME_COLUMN and not interface):
                 yield column, written, factor
-            elif front[1] and column != TIME_COLUMN:
-                yield f"{front[1]}.{column}", written, factor
+            elif interface and column != TIME_COLUMN:
+                yield f"{interface}.{column}", written, factor
 
     def interface_problem(self, name: str) -> str:
         """Return the mistake in the interface of a load's or output's name, if there is one."""
-        if not self._fronts or len(name) > MAX_LABEL:
+        if not self._prefixes or len(name) > MAX_LABEL:
             return ""
-        front, _, rest = name.rpartition(".")
+        interface, _, rest = name.rpartition(".")
         column = next((item for item, _, _ in _readings(rest, "") if item != TIME_COLUMN), "")
         if not column:
             return ""
-        which = f"names an unknown interface {front!r}" if front else "names no interface"
+        which = f"names an unknown interface {interface!r}" if interface else "names no interface"
         there = self.space.interfaces
         example = f"{there[0]}.{column}"
         return f"{which}; choose one of {', '.join(there)}, for example {example}"
@@ -271,7 +273,7 @@ class NumberColumn:
 
 @dataclass(frozen=True)
 class Layout:
-    """Return the columns of an export: numbers, then texts."""
+    """The columns of an export: numbers, then texts."""
 
     numbers: tuple[NumberColumn, ...]
     texts: tuple[str, ...]

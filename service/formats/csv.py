@@ -85,8 +85,9 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     def records(content: BinaryIO) -> Iterator[Record]:
         every = records_of(lines_of(content, encoding), 1, delimiter, width)
         for line, cells in islice(every, 1):  # spreadsheets put a line sep=; first
-            split_up = cells[0].lower() in ("sep=", '"sep=') and not any(cells[1:])
-            if not (_SEPARATOR_LINE.fullmatch(delimiter.join(cells)) or (split_up and cells[1:])):
+            is_whole = _SEPARATOR_LINE.fullmatch(delimiter.join(cells))
+            is_split = cells[0].lower() in ("sep=", '"sep=') and cells[1:] and not any(cells[1:])
+            if not (is_whole or is_split):
                 yield line, cells
         yield from every
 
@@ -271,6 +272,7 @@ def encoding_of(path: Path) -> str:
         if head.startswith(b"PK\x03\x04"):
             raise ContentError("this is a spreadsheet or zip file; save it as CSV first")
         utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
+        other = "UTF-16, as its mark says" if utf16 else "Windows-1252"
         for encoding in ("utf-16",) if utf16 else ("utf-8-sig", "cp1252"):
             content.seek(0)
             decoder = codecs.getincrementaldecoder(encoding)()
@@ -283,7 +285,8 @@ def encoding_of(path: Path) -> str:
             except UnicodeDecodeError:
                 continue
             return encoding
-    raise ContentError("has an unknown text encoding; save the file as UTF-8")
+    problem = f"it is neither UTF-8 nor {other}"
+    raise ContentError(f"has an unknown text encoding: {problem}; save the file as UTF-8")
 
 
 def lines_of(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:

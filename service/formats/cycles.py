@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from wrenchbook.service.formats.options import (
 )
 from wrenchbook.surrogate.findings.cycles import TURN, Passes, passes_of
 from wrenchbook.surrogate.table.rows import joined
+from wrenchbook.surrogate.table.space import Space
 
 MAX_CYCLE_ROWS = 1_000_000  # all in memory: 0.4 GB of the child's 1 GB with their intermediates
 _BLOCK = 65_536  # rows of a piece, as of a file
@@ -66,8 +67,13 @@ def _joined(parts: list[ParsedTable]) -> ParsedTable:
 
 def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
     """Return the rows that the cycle options leave; `report` counts the others."""
-    if any(rows.compliance.strides) or ((rows.source == FEA) | (rows.fingerprint != "")).any():
-        message = "has solves or slopes, but cycles need measured rows; leave the cycle options out"
+    solved = (rows.source == FEA) | (rows.fingerprint != "")
+    if any(rows.compliance.strides) or solved.any():
+        problem = "has tangents"
+        if solved.any():
+            problem = f"has solves, the first in row {rows.seq[solved][0]}"
+        names = "skip_cycles, branch, thin and mean_cycles"
+        message = f"{problem}, but {names} need measured rows; leave these options out"
         raise _CycleError("file", message)
     loads, span = len(options.columns.loads), options.load_range
     size = np.abs(rows.wrench).max(axis=0) if span is None else largest_loads(span) / LOAD_LIMIT
@@ -90,9 +96,11 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
     if options.thin is not None:
         rows, passes = _thinned(rows, passes, options.thin * size)
     if options.mean_cycles:
-        if passes.number[-1] - passes.number[0] < 2:
-            message = "needs two or more cycles, but the file has one; leave mean_cycles out"
-            raise _CycleError("mean_cycles", message)
+        count = int(passes.number[-1] - passes.number[0]) // 2 + 1
+        if count < 2:
+            left = f" after skip_cycles={options.skip_cycles}" if options.skip_cycles else ""
+            message = f"needs two or more cycles of {name}, but there is only one{left}"
+            raise _CycleError("mean_cycles", f"{message}; leave mean_cycles out")
         branches = [_branch_mean(rows, passes, loading, main, size) for loading in (True, False)]
         measured = [branch for branch in branches if len(branch)]
         rows = _joined(sorted(measured, key=lambda branch: branch.seq[0]))
@@ -104,7 +112,7 @@ def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> N
     """Return the mask, (n,), of the rows after the first `count` cycles of the main load, (n,)."""
     complete = int(passes.number[-1]) // 2
     if complete < count:
-        message = f"only {complete} cycles of the main load {name} can be skipped"
+        message = f"is {count}, but the main load {name} has {complete} complete cycles"
         raise _CycleError("skip_cycles", f"{message}; give at most {complete}")
     retained = passes.number >= 2 * count
     first, margin = load[0], TURN * np.ptp(load)
@@ -113,7 +121,7 @@ def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> N
         direction = np.sign(load[passes.number == 0][-1] - first)
         retained &= (passes.number > 2 * count) | (direction * (load - first) >= 0)
         if not retained.any():
-            message = f"the test has {complete} cycles of load {name}; give at most {count - 1}"
+            message = f"no row is left after {count} cycles of {name}; give at most {count - 1}"
             raise _CycleError("skip_cycles", message)
     return retained
 
@@ -155,7 +163,7 @@ def _branch_mean(
     values[[at is widest for at in by_pass]] = columns[widest]
     counts = np.isfinite(values).sum(axis=0)
     mean = np.nansum(values, axis=0) / np.where(counts > 0, counts, np.nan)
-    _require_same_loads(values[:, :, :inputs], size, rows.space.input_names)
+    _require_same_loads(values[:, :, :inputs], size, rows.space)
     freedom = np.maximum(counts - 1, 0).sum(axis=0)[inputs:]
     squares = np.nansum((values - mean) ** 2, axis=(0, 1))[inputs:]
     scatter = np.sqrt(squares / np.where(freedom > 0, freedom, np.nan))
@@ -179,15 +187,16 @@ def _interpolated(columns: Array, at: Array, main: int) -> Array:
     return values
 
 
-def _require_same_loads(wrenches: Array, size: Array, names: Sequence[str]) -> None:
+def _require_same_loads(wrenches: Array, size: Array, space: Space) -> None:
     """Raise an error if the passes, (passes, n, inputs), differ in a load besides the main one."""
     spread = np.nanmax(wrenches, axis=0) - np.nanmin(wrenches, axis=0)
     differing = (spread > _REPEATED * size).mean(axis=0)
     if (differing > _FEW).any():
         other = int(differing.argmax())
+        load = space.inputs[other]
         message = (
-            f"the cycles differ: {names[other]} changes by up to "
-            f"{spread[:, other].max():.4g} between them at the same main load. Leave mean_cycles "
-            "out, or send the test of each load as a file of its own"
+            f"the cycles differ: {load.name} changes by up to {spread[:, other].max():.4g} "
+            f"{load.unit} between them at the same main load. Leave mean_cycles out, or send the "
+            "test of each load as a file of its own"
         )
         raise _CycleError("mean_cycles", message)

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, islice
 
-from wrenchbook.service.formats.cells import UnitError, is_number
+from wrenchbook.service.formats.cells import UnitError, is_number, quoted
 from wrenchbook.service.formats.columns import (
     ARRAYS,
     MAX_LABEL,
@@ -34,6 +34,7 @@ from wrenchbook.service.formats.options import FileMistake, Options
 
 MAX_TITLES = 30  # lines: a page of a report above its table
 _SEVERAL = 2  # one word of a title may be the name of a column ("Fx test, 3 mm")
+_MAX_LISTED = 200  # characters of the file's labels in a message
 _SURE_DELIMITERS, _OTHER_DELIMITERS = ";\t", ",|"  # no label holds one of the former
 _ENTRY = re.compile(
     r"(?P<key>start time|rdt sample rate|sample rate|force units?|torque units?"
@@ -102,11 +103,11 @@ class Preamble:
             key, value = match["key"].lower(), match["value"].strip().strip(":, ")
             quantity = "torque" if "torque" in key else "force"
             if key.startswith("counts"):
-                self.counts[quantity] = _positive(value)
+                self.counts[quantity] = _positive(match["key"], value)
             elif "unit" in key:
                 self.units[quantity] = _UNITS.get(value.lower(), value)
             elif "rate" in key:
-                self.rate = _positive(value)
+                self.rate = _positive(match["key"], value)
         return True
 
     def unit_of(self, name: str) -> tuple[str, float] | None:
@@ -118,13 +119,14 @@ class Preamble:
         return self.units[quantity], self.counts.get(quantity, 1.0)
 
 
-def _positive(value: str) -> float:
+def _positive(key: str, value: str) -> float:
+    """Return the number of a line of the preamble; ValueError unless it is above 0."""
     try:
         number = float(value)
     except ValueError:
         number = math.nan
     if not 0.0 < number < math.inf:
-        raise ValueError(f"'{value[:40]}' above the header must be a number above 0")
+        raise ValueError(f"{key} is '{value[:40]}', but must be a number above 0; correct it")
     return number
 
 
@@ -261,12 +263,14 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
         break
     else:
         message = (
-            "there is no header; write one" if preamble else "the file is empty; export it again"
+            "there is no header below the logger's lines; write the names of the columns there"
+            if preamble
+            else "the file is empty; export it again"
         )
         return _no_header(0, "file", message), records
     titles, (line, cells), records = _split_titles((line, cells), records, options.mapping, columns)
     if any(cell.strip() for cell in cells[columns.most :]):
-        message = f"names {len(cells):,} columns, but at most {columns.most} may be; remove some"
+        message = f"names {len(cells):,} columns, at most {columns.most} are read; remove some"
         return _no_header(line, "header", message), records
     positions = [int(key) for key in options.mapping if POSITION.fullmatch(key)]
     # Files that were joined have the mark of UTF-8 before a later label too.
@@ -301,12 +305,12 @@ def _is_units_row(labels: list[str], cells: list[str], options: Options) -> bool
     if any(is_number(cell) for cell in cells if cell.strip()):
         return False
     targets = _meanings(labels, options.mapping)
-    return any(
-        not (_parts(label)[1] if target else unit) and name not in TEXTS
-        for label, target, cell in zip(labels, targets, cells, strict=False)
-        if cell.strip()
-        for name, unit, _ in readings_of((target or label).removeprefix("-"), options.columns)
-    )
+    for label, target, cell in zip(labels, targets, cells, strict=False):
+        meanings = readings_of((target or label).removeprefix("-"), options.columns)
+        for name, unit, _ in meanings if cell.strip() else ():
+            if name not in TEXTS and not (_parts(label)[1] if target else unit):
+                return True
+    return False
 
 
 def _meanings(labels: Sequence[str], mapping: Mapping[str, str]) -> list[str]:
@@ -362,9 +366,12 @@ def _read_labels(
                 header.mistakes.append(FileMistake(line, column.label, str(error)))
     if options.role == "table":
         there = _keys(labels).union(str(at) for at in range(1, len(labels) + 1))
-        message = "is in ignore or mapping (--ignore or --column), but the file has no such column"
-        for name in (*options.ignore, *options.mapping):
+        known = f"it has {len(labels)}: {', '.join(filter(None, labels))[:_MAX_LISTED]}"
+        option_of = dict.fromkeys(options.mapping, "mapping (--column)")
+        option_of |= dict.fromkeys(options.ignore, "ignore (--ignore)")
+        for name, option in option_of.items():
             if _key(name) not in there and name not in options.optional:
+                message = f"is in {option}, but the file has no such column; {known}"
                 header.mistakes.append(FileMistake(line, name, message))
     for message in _missing_columns(header, labels, options):
         header.mistakes.append(FileMistake(line, "header", message))
@@ -394,7 +401,8 @@ def _add_column(
     if sign < 0 and name not in (*columns.loads, *columns.displacement):
         raise UnitError(f"{name} may have no minus sign, as loads have; write {text}")
     if name in header.columns:
-        message = f"{name} is there twice; keep one"
+        first = quoted(header.columns[name].label)
+        message = f"{name} is there twice, also as {first}; leave one out with ignore (--ignore)"
         header.mistakes.append(FileMistake(line, bare.label, message))
     zero = columns.zero(name, unit)
     header.columns[name] = HeaderColumn(bare.index, bare.label, name, factor * sign, unit, zero)
@@ -425,9 +433,9 @@ def _reading(
     if len(fits) == 1:
         return next(iter(fits.values()))
     if len(fits) > 1:
-        raise UnitError(
-            f"can mean {' or '.join(sorted(fits))}; name one by mapping (--column 'LABEL=fz [N]')"
-        )
+        names = sorted(fits)
+        example = f"--column '{label}={names[0]} [{fits[names[0]][1]}]'"
+        raise UnitError(f"can mean {' or '.join(names)}; name one by mapping, such as {example}")
     # With brackets, or as a bare name, the label names a column and its unit is the mistake.
     if problem and (split(label)[1] or any(not unit for _, unit, _ in meanings)):
         raise problem
@@ -461,8 +469,8 @@ def _unknown(name: str, columns: Columns) -> str:
     near = difflib.get_close_matches(name, (*columns.numbers, *TEXTS), n=1, cutoff=0.6)
     hint = f"; did you mean {near[0]}? Write units in brackets: fx [N]" if near else ""
     return (
-        f"is not a known column{hint}. Rename it, map it with mapping (--column 'LABEL=fz [N]'), "
-        f"or skip it with ignore (--ignore LABEL). Known are {' '.join(columns.wrench)} "
+        f"is not a known column{hint}. Rename it, map it with mapping (--column '{name}=fz [N]'), "
+        f"or skip it with ignore (--ignore '{name}'). Known are {' '.join(columns.wrench)} "
         f"{' '.join(columns.displacement)}"
     )
 

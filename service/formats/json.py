@@ -47,13 +47,14 @@ def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     try:
         if path.stat().st_size > MAX_BYTES:
             raise JsonError(
-                f"is JSON of more than {MAX_BYTES >> 20} MiB; send it in parts, or as CSV, "
-                "Parquet or HDF5"
+                f"is JSON of {path.stat().st_size >> 20} MiB, more than {MAX_BYTES >> 20} MiB; "
+                "send it in parts, or as CSV, Parquet or HDF5"
             )
         try:
             text = path.read_bytes().decode("utf-8-sig")
         except UnicodeDecodeError as error:
-            raise JsonError(f"is not JSON: {error.reason}; save it as UTF-8") from error
+            problem = f"is not JSON: its byte {error.start:,} is not UTF-8"
+            raise JsonError(f"{problem}; save it as UTF-8") from error
         if _ROW.match(text):
             text = f'{{"rows": [{text}]}}'
         if _RECORDS.match(text):
@@ -85,20 +86,20 @@ def _values(text: str, number: Callable[[str], Any]) -> Iterator[Any]:
             value, at = decoder.raw_decode(text, at)
         except RecursionError as error:
             raise JsonError("is nested too deeply for a table; write one object a row") from error
-        except ValueError as error:
-            broken = isinstance(error, json.JSONDecodeError)
-            reason, place = (error.msg, error.pos) if broken else (str(error), at)
-            raise JsonError(f"is not JSON at character {place:,}: {reason}") from error
+        except json.JSONDecodeError as error:
+            place = f"line {error.lineno}, column {error.colno}"
+            raise JsonError(f"is not JSON at {place}: {error.msg}; correct it there") from error
         yield value
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return an object; ValueError if a key stands twice."""
+    """Return the members of an object; JsonError if a key is there twice."""
     members = dict(pairs)
     if len(members) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"the key {quoted(twice)} is twice in one object; keep one")
+        values = " and ".join(quoted(str(value)) for key, value in pairs if key == twice)
+        raise JsonError(f"has the key {quoted(twice)} twice in one object, as {values}; keep one")
     return members
 
 
@@ -109,14 +110,14 @@ def _records(values: Iterator[Any]) -> Iterator[Record]:
     for number, row in enumerate(rows, start=1):
         if not isinstance(row, dict) or any(isinstance(cell, dict) for cell in row.values()):
             raise JsonError(
-                f"row {number} must be an object of named columns; write pandas data frames with "
-                "to_json(orient='records')"
+                f"row {number} must be an object of named columns, not {quoted(str(row))}; write "
+                "pandas data frames with to_json(orient='records')"
             )
         if number == 1:
             names = list(row)
             yield 0, names
         if not row.keys() <= set(names):
-            more = ", ".join(row.keys() - set(names))
+            more = ", ".join(name for name in row if name not in names)
             raise JsonError(f"row {number} has columns that row 1 lacks: {more}; add them to row 1")
         for name, cell in row.items():
             if not (cell is None or isinstance(cell, str)):
@@ -185,7 +186,8 @@ def _key_problem(key: str, value: Any, columns: Columns) -> str:
     if key == "rows":
         return "" if isinstance(value, list) else _no_table(columns)
     if key == "units" and value != "SI":
-        return 'must be "SI"; convert the numbers, or send a CSV with units'
+        sent = quoted(str(value))
+        return f'must be "SI", not {sent}; convert the numbers, or send a CSV with units'
     if key in _SPACE_KEYS:
         names = columns.wrench if key == "inputs" else columns.displacement
         return "" if value == list(names) else f"must be those of the component: {', '.join(names)}"
@@ -211,7 +213,7 @@ def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, s
         lines: Any = values if key == "compliance" else [values]
         are_lists = isinstance(lines, list) and all(isinstance(line, list) for line in lines)
         if not are_lists or [*map(len, lines)] != [width] * (len(names) // width):
-            problems.append((key, _form(key, names, width, is_missing=values is None)))
+            problems.append((key, _form(key, names, width, values)))
             continue
         for at, line in enumerate(lines):
             cells += line
@@ -226,18 +228,21 @@ def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, s
     return cells, problems
 
 
-def _form(key: str, names: Sequence[str], width: int, *, is_missing: bool) -> str:
-    """Return the mistake of a key's value, and the correction."""
+def _form(key: str, names: Sequence[str], width: int, values: Any) -> str:
+    """Return the mistake of a key's values, None if they are missing, and the correction."""
     lines, numbers = (
         "six" if count == PER_INTERFACE else str(count) for count in (len(names) // width, width)
     )
     if key == "compliance":
         rule = f"write all {len(names)} tangents or none"
-        return f"must be {lines} lists of {numbers} numbers; {rule}"
+        return f"must be {lines} lists of {numbers} numbers, not {quoted(str(values))}; {rule}"
     remedy = {"uncertainty": "; null if unknown", "curvature": "; write all or none"}.get(
         key, f"; write [{', '.join(names)}] in SI"
     )
-    return ("is missing" if is_missing else f"must be a list of {numbers} numbers") + remedy
+    if values is None:
+        return f"is missing{remedy}"
+    sent = f"{len(values)}" if isinstance(values, list) else quoted(str(values))
+    return f"must be a list of {numbers} numbers, not {sent}{remedy}"
 
 
 def _number_cells(key: str, line: list[Any], problems: list[tuple[str, str]]) -> list[Any]:
@@ -247,9 +252,9 @@ def _number_cells(key: str, line: list[Any], problems: list[tuple[str, str]]) ->
         problem = ""
         is_null = value is None and key in ("displacement", "uncertainty")
         if type(value) is Digits and not math.isfinite(float(value)):
-            problem = "is not finite; correct it or leave the row out"
+            problem = f"{quoted(value)} is not finite; correct it or leave the row out"
         elif type(value) is Digits and float(value) == 0.0 and vanished(value):
-            problem = "is too small for a float and would become 0; write 0"
+            problem = f"{quoted(value)} is too small for a float and would become 0; write 0"
         elif not (is_null or type(value) in (Digits, float)):
             problem = f"{json.dumps(value)[:40]} must be a number"
         if problem:

@@ -106,8 +106,9 @@ def _segment(
         """Return the value of each channel, which stands in its column."""
         texts = {at: cell.strip() for at, cell in enumerate(tags.get(tag, [])) if at}
         texts = {at: value for at, value in texts.items() if value}
-        if not texts.keys() <= channels:
-            raise ValueError(f"{tag} has a value outside channels {', '.join(names)}; remove it")
+        for at in sorted(texts.keys() - channels):
+            problem = f"{tag} has the value {texts[at]!r} in column {at + 1}, which is none of the"
+            raise ValueError(f"{problem} channels {', '.join(filter(None, names))}; remove it")
         return texts
 
     units, kind = values("Y_Unit_Label"), set(values("X_Dimension").values())
@@ -118,8 +119,16 @@ def _segment(
     labels[0] = f"{_X} [{next(iter(values('X_Unit_Label').values()), 's')}]"
     clocks = set(zip(values("X0").values(), values("Delta_X").values(), strict=False))
     if len(clocks) > 1:
-        raise ValueError("X0 and Delta_X differ between its channels; resample them to one time")
+        pairs = " and ".join(f"{x0}, {step}" for x0, step in sorted(clocks)[:2])
+        problem = f"X0 and Delta_X differ between its channels: {pairs}"
+        raise ValueError(f"{problem}; resample them to one time")
     if not (clocks or has_x):
         raise ValueError("it has no X column, nor X0 and Delta_X; export it with one X column")
-    start, step = (float(text.replace(",", ".")) for text in next(iter(clocks), ("0", "0")))
-    return labels, None if has_x else (start, step)
+    if has_x:
+        return labels, None
+    ((x0, delta_x),) = clocks
+    try:
+        return labels, (float(x0.replace(",", ".")), float(delta_x.replace(",", ".")))
+    except ValueError:
+        problem = f"X0 is {x0!r} and Delta_X is {delta_x!r}, but both must be numbers"
+        raise ValueError(f"{problem}; correct them") from None

@@ -151,7 +151,7 @@ class FileMistake:
 
 
 class Mistakes:
-    """The mistakes of a file; `of_file`: one concerns the file, and no row is loaded."""
+    """The mistakes of a file; `of_file`: one of them concerns all of it, so no row is loaded."""
 
     def __init__(self) -> None:
         self._first: list[FileMistake] = []

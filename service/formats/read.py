@@ -220,9 +220,11 @@ def read_logs(
     loads: Path, displacements: Path, options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
     """Yield the rows of two logs joined by time; parameters as `read_table_file`."""
-    if any(map(POSITION.fullmatch, options.mapping)):  # of which log?
-        message = "a position (--column 3=fz) is ambiguous with two logs; use the names"
-        report.mistakes.ruin(0, "mapping", message)
+    position = next(filter(POSITION.fullmatch, options.mapping), None)
+    if position is not None:
+        meaning = options.mapping[position]
+        message = f"a position (--column '{position}={meaning}') is ambiguous with two logs"
+        report.mistakes.ruin(0, "mapping", f"{message}; name the column by its label")
         return
     log = _columns(loads, replace(options, role="loads", zero_rows=0), report)
     loads_log = joined_loads(log, report)
@@ -264,7 +266,7 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
             path = plain
         content, named = _format_of(path), options.format
         if named not in (None, content) and not {named, content} <= _TEXT_FORMATS:
-            raise ContentError(f"contains {content}, not {named}; leave the format out")
+            raise ContentError(f"contains {content}, not {named}; leave the option format out")
         report.format = named or content
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
@@ -283,8 +285,9 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     try:
         yield from _READERS[report.format](path, options, report)
     except ModuleNotFoundError:
-        message = f"is {report.format}; on the server run pip install 'wrenchbook[rig]'"
-        report.mistakes.ruin(0, "file", f"{message}; or send XLSX or CSV")
+        message = f"is {report.format}, which needs another package: on the server run "
+        message += "pip install 'wrenchbook[rig]', or send XLSX or CSV"
+        report.mistakes.ruin(0, "file", message)
 
 
 def _is_gzip(path: Path) -> bool:

@@ -38,9 +38,10 @@ _CLOCK = 1e6  # s: clock times count from 1900 or 1970, elapsed ones from the be
 MAX_RIG = 8000  # characters of a TOML: it is sent in a URL, whose head has 64 KiB at most
 _MAX_NAME = 100  # characters
 _SKEW = 1e-3  # axes written as 0.707 are perpendicular unit vectors to 2e-4
+_ROUNDOFF = 1e-12  # of the nearest rotation, by a singular value decomposition
 _FARTHEST = 100.0  # m: a point given in mm is refused
 _KEYS = ("name", "frame", "load_point", "displacement_point", "load_cell")
-_OWN = "import"  # the table of the options of one import, which win
+_OWN = "import"  # the table of one import's options, which replace those of the profile
 OPTIONS = (
     *("columns", "ignore", "ignore_extra", "decimal", "missing_loads", "tare", "lag", "sheet"),
     *("skip_cycles", "branch", "thin", "mean_cycles"),
@@ -58,11 +59,11 @@ _DONE = (
     "is already in the interface frame, as a solve, a tangent or an earlier import with a rig; "
     "load such rows without frame, load_point, displacement_point, load_cell and rig"
 )
-_LOOSE = (
+_ROTATIONS_MISSING = (
     "is not measured, but a displacement_point needs all three rotations; measure them, or measure "
     "at the interface's point and leave displacement_point out"
 )
-_LOST = (
+_TRANSLATIONS_MISSING = (
     "is not measured, but in this frame all three are needed; measure them, or leave the frame out "
     "and name the columns by the interface's axes"
 )
@@ -107,15 +108,21 @@ class Rig:
         try:
             values = tomllib.loads(text)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
-            raise RigError(f"the rig is not TOML ({error}); correct it") from None
+            raise RigError(f"the rig is not TOML ({error}); correct it there") from None
         table = values.pop(_OWN, {})
         values |= table if isinstance(table, dict) else {_OWN: table}
         known = *_KEYS, *OPTIONS
         if unknown := [key for key in values if key not in known]:
             raise RigError(f"the rig has no key {unknown[0][:100]!r}; use {', '.join(known)}")
         name = values.get("name", cls.digest(text))
-        if not isinstance(name, str) or len(name) > _MAX_NAME or text_problem(name):
-            raise RigError(f"name: must be a text of at most {_MAX_NAME} characters")
+        if not isinstance(name, str):
+            raise RigError(
+                f"name: must be a text, not {str(name)[:100]}; put it in quotation marks"
+            )
+        if len(name) > _MAX_NAME:
+            raise RigError(f"name: has {len(name)} characters, at most {_MAX_NAME}; shorten it")
+        if problem := text_problem(name):
+            raise RigError(f"name: {problem}")
         cell = values.get("load_cell", "")
         if cell not in ("", *_LOAD_CELLS):
             raise RigError(f"load_cell: must be moving or fixed, not {str(cell)[:100]!r}")
@@ -287,9 +294,9 @@ def _problems(
         if done[at]:
             yield at, "source", _DONE
         elif loose[at]:
-            yield at, names[3 + int(missing[at, 3:].argmax())], _LOOSE
+            yield at, names[3 + int(missing[at, 3:].argmax())], _ROTATIONS_MISSING
         elif lost[at]:
-            yield at, names[int(missing[at].argmax())], _LOST
+            yield at, names[int(missing[at].argmax())], _TRANSLATIONS_MISSING
         else:
             first = int(np.isnan(shift[at]).argmax()) // PER_INTERFACE * PER_INTERFACE
             yield at, names[first + int(np.isnan(moved[at, first:]).argmax())], _NO_SHIFT
@@ -322,12 +329,15 @@ def _axes(value: Any) -> Array:
         axes = _numbers("frame", value, 9).reshape(3, 3)
     left, _, right = np.linalg.svd(axes)
     nearest = left @ right
-    if np.abs(axes - nearest).max() > _SKEW:
+    if (skew := np.abs(axes - nearest).max()) > _SKEW:
         raise RigError(
-            "frame: the rig's axes must be three perpendicular unit vectors; write x=-y,y=x,z=z, "
-            "or nine numbers: the rig's x, y and z axes in the interface's frame"
+            "frame: the rig's axes must be three perpendicular unit vectors, but a component is "
+            f"off by {skew:.2g} (at most {_SKEW:g}); write x=-y,y=x,z=z, or nine numbers: the "
+            "rig's x, y and z axes in the interface's frame"
         )
-    return axes if (axes == axes.round()).all() else np.where(np.abs(nearest) < 1e-12, 0.0, nearest)
+    if (axes == axes.round()).all():
+        return axes
+    return np.where(np.abs(nearest) < _ROUNDOFF, 0.0, nearest)
 
 
 def _numbers(name: str, value: Any, count: int) -> Array:
@@ -337,10 +347,16 @@ def _numbers(name: str, value: Any, count: int) -> Array:
         numbers = np.array(values, dtype=float).ravel()
     except (ValueError, TypeError, OverflowError):
         numbers = np.empty(0)
-    if len(numbers) != count or not (np.abs(numbers) <= _FARTHEST).all():
-        example = "0,0,0.05" if count == 3 else "x=-y,y=x,z=z, or the rig's three axes"
-        given = f"{str(value)[:60]!r} is not {count} numbers up to {_FARTHEST:g} (m)"
-        raise RigError(f"{name}: {given}; write {example}")
+    example = "0,0,0.05" if count == 3 else "x=-y,y=x,z=z, or the rig's three axes"
+    if len(numbers) != count:
+        raise RigError(f"{name}: {str(value)[:60]!r} is not {count} numbers; write {example}")
+    if not np.isfinite(numbers).all():
+        raise RigError(f"{name}: {str(value)[:60]!r} has a number that is not finite; correct it")
+    if (np.abs(numbers) > _FARTHEST).any():
+        limit = (
+            f"{_FARTHEST:g} m; write metres" if count == 3 else f"{_FARTHEST:g}; write {example}"
+        )
+        raise RigError(f"{name}: {str(value)[:60]!r} has a number beyond {limit}")
     return numbers
 
 
@@ -455,11 +471,13 @@ def with_loads(
     """Yield the displacements between two loads, with the interpolated wrench."""
     longest = options.max_gap_s or GAP_FACTOR * float(np.median(np.diff(time)))
     lag = _applied_lag(pieces, time, wrench, options, report)
+    in_gaps = 0  # rows between two loads that are further apart than `longest`
     for piece in () if lag is None else pieces:
         assert piece.time is not None
         if len(piece) and (abs(piece.time[0]) > _CLOCK) != (abs(time[0]) > _CLOCK):
             message = (
-                "one log has clock times, the other seconds from its start; convert one of them"
+                f"this log begins at {piece.time[0]:.10g} s, the loads' at {time[0]:.10g} s: one "
+                "has clock times, the other seconds from its start; convert one of them"
             )
             report.mistakes.ruin(int(piece.seq[0]), "time", message)
             return
@@ -467,13 +485,19 @@ def with_loads(
         after = np.clip(np.searchsorted(time, when, side="right"), 1, len(time) - 1)
         start, end = time[after - 1], time[after]
         on_a_sample = (when == start) | (when == end)
-        good = (when >= start) & (when <= end) & ((end - start <= longest) | on_a_sample)
+        within = (when >= start) & (when <= end)
+        good = within & ((end - start <= longest) | on_a_sample)
+        in_gaps += int((within & ~good).sum())
         report.unmatched += int((~good).sum())
         yield replace(piece, wrench=loads_between(time, wrench, when, after), time=None).take(good)
     if report.read and report.unmatched == report.read and not report.mistakes:
+        seconds = np.concatenate([piece.time for piece in pieces if piece.time is not None])
         message = (
-            f"no displacement lies within the times of the loads, {time[0]:g} to {time[-1]:g} s. "
-            "If the clocks differ, give --lag SECONDS (time_offset_s), which is added to the "
-            "displacements' times"
+            f"no displacement lies within the times of the loads, {time[0]:g} to {time[-1]:g} s; "
+            f"the displacements' are {seconds.min():g} to {seconds.max():g} s. If the clocks "
+            "differ, give --lag SECONDS (lag), which is added to the displacements' times"
         )
+        if in_gaps:
+            message = f"no displacement has a load near it: {in_gaps} lie between two loads more "
+            message += f"than {longest:g} s apart; send a denser log, or set max_gap_s"
         report.mistakes.ruin(0, "time", message)

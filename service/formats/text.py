@@ -111,7 +111,7 @@ def read_columns(
     typed: Iterable[tuple[Sequence[str], Sequence[Any]]], options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
     """Yield the good rows of columns with labels: arrays of numbers, all else as text."""
-    pieces = ((labels, [_cells(column) for column in columns]) for labels, columns in typed)
+    pieces = ((labels, list(map(_cells, labels, columns))) for labels, columns in typed)
     labels, first = next(pieces, ((), ()))
     columns = [column for column in first if len(column)]
     row = [Digits(c[0]) if isinstance(c, np.ndarray) else c[0] for c in columns]
@@ -129,11 +129,12 @@ def read_columns(
     yield from read_pieces(header, numbered() if row else iter(()), options, report)
 
 
-def _cells(column: Any) -> Cells:
+def _cells(label: str, column: Any) -> Cells:
+    """Return a column as float64 (n,) if it is an array of numbers, else as texts."""
     if isinstance(column, np.ndarray) and column.dtype.kind in "iuf":
         return column.astype(np.float64)
     values = column.tolist() if isinstance(column, np.ndarray) else column
-    return [cell_text(value) for value in values]
+    return [cell_text(value, label) for value in values]
 
 
 def read_pieces(

@@ -32,6 +32,7 @@ MAX_SHEET_ROWS = 1_048_575  # below the header (ECMA-376)
 ABOUT_SHEET = "about"  # of an export; it has no rows
 _BLOCK = 1 << 20
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_ENCRYPTED = 1  # the flag of an encrypted member (APPNOTE.TXT, 4.4.4)
 # ST_Xstring (ECMA-376, 22.9.2.19): characters that XML 1.0 lacks, and texts that look like escapes.
 _UNFIT = re.compile("[\x00-\x08\x0b-\x0d\x0e-\x1f\ufffe\uffff]|_(?=x[0-9A-Fa-f]{4}_)")
 _ESCAPE = re.compile(r"_x([0-9A-Fa-f]{4})_")
@@ -46,7 +47,8 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     try:
         for entry, size in entry_sizes(path, MAX_UNPACKED).items():
             if size > MAX_IN_MEMORY and not entry.startswith("xl/worksheets/"):
-                raise ContentError(f"has over {MAX_IN_MEMORY >> 20} MiB in {entry}; send parts")
+                most = f"over the limit of {MAX_IN_MEMORY >> 20} MiB"
+                raise ContentError(f"has {size >> 20} MiB in {entry}, {most}; send it in parts")
         # Opened here, because openpyxl checks the ending of a name.
         with path.open("rb") as values, path.open("rb") as formulas, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and extensions
@@ -62,7 +64,8 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
     except Exception as error:  # openpyxl raises many classes on damaged files
-        report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}")
+        message = f"is no readable XLSX workbook: {error}; save it again"
+        report.mistakes.ruin(0, "file", message)
 
 
 def write_xlsx(
@@ -190,11 +193,12 @@ def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Rec
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > MAX_SHEET_ROWS + 1:
             raise ContentError(
-                f"a sheet has more than {MAX_SHEET_ROWS + 1:,} rows; send it in parts"
+                f"the sheet {sheet.title} has over {MAX_SHEET_ROWS + 1:,} rows; send it in parts"
             )
         width = max((at for at, value in enumerate(row, start=1) if value is not None), default=0)
         if width > most:
-            raise ContentError(f"row {number} has {width} columns, at most {most} fit; remove some")
+            place = f"row {number} of the sheet {sheet.title}"
+            raise ContentError(f"{place} has {width} columns, at most {most} fit; remove some")
         cells = [_text(value) for value in row[:most]]
         if not any(cells):
             continue
@@ -229,20 +233,29 @@ def unescape(text: str) -> str:
     return _ESCAPE.sub(lambda match: chr(int(match[1], 16)), text)
 
 
+def _check_entries(entries: Sequence[zipfile.ZipInfo]) -> None:
+    """Refuse a zip file that is no workbook of a spreadsheet program; raises ContentError."""
+    if len(entries) > MAX_MEMBERS:
+        raise ContentError(f"has {len(entries)} members, over {MAX_MEMBERS}; save it again")
+    names: set[str] = set()
+    for entry in entries:
+        name, method = entry.filename, entry.compress_type
+        if name in names:
+            raise ContentError(f"has two members of the name {name}; save it again")
+        names.add(name)
+        if entry.flag_bits & _ENCRYPTED:
+            raise ContentError(f"is encrypted ({name}); save it without a password")
+        if method not in _METHODS:
+            raise ContentError(f"has the unknown compression {method} in {name}; save it again")
+
+
 def entry_sizes(path: Path, most: int) -> dict[str, int]:
     """Return the bytes of each member, unpacked once since directories lie; ContentError."""
     too_large = f"unpacks to more than {most >> 20} MiB; send the table in parts"
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
-            if len(entries) > MAX_MEMBERS:
-                raise ContentError(f"has {len(entries)} members, over {MAX_MEMBERS}; resave it")
-            if len({entry.filename for entry in entries}) < len(entries):
-                raise ContentError("has two members of one name; save it again")
-            if any(entry.compress_type not in _METHODS or entry.flag_bits & 1 for entry in entries):
-                raise ContentError(
-                    "is encrypted or has an unknown compression; save it without a password"
-                )
+            _check_entries(entries)
             if sum(entry.file_size for entry in entries) > most:
                 raise ContentError(too_large)
             sizes: dict[str, int] = {}

@@ -34,12 +34,16 @@ _log = logging.getLogger(__name__)
 USE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
-_READ_ONLY = "its disk is read-only: remount it writable (dmesg tells why the kernel changed it)"
 _REMEDIES = {
     **dict.fromkeys(_FULL, "make room on its disk"),
-    errno.EROFS: _READ_ONLY,
-    errno.EACCES: "make its folder and files writable for the user of the server",
-    errno.EPERM: "make its folder and files writable for the user of the server",
+    **dict.fromkeys(
+        (errno.EACCES, errno.EPERM),
+        "make its folder and files writable for the user of the server",
+    ),
+    errno.EROFS: "its disk is read-only: remount it writable (dmesg tells why the kernel changed "
+    "it), or make the file writable for the user of the server",
+    errno.EBUSY: "another program holds its lock: end that program (fuser FILE names it)",
+    errno.EISDIR: "move the folder away, or name another data directory",
     errno.EIO: "its disk fails: read dmesg, and make a backup on another disk",
     errno.ENOLCK: "its file system has no locks left: start the lock service of the file server "
     "(NFS), or move the data directory to a local disk",
@@ -52,7 +56,7 @@ LOG_BYTES = 16 * 1024 * 1024
 
 
 class Connection(sqlite3.Connection):
-    """SQLite's, with what its transaction has changed, for listeners of the ledger."""
+    """A connection of SQLite with the changes of its transaction, for the ledger's listeners."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -62,9 +66,9 @@ class Connection(sqlite3.Connection):
 
 
 def can_be_read_frozen(path: Path) -> bool:
-    """Return whether a ledger that cannot be opened for writing can be read as it is.
+    """Return whether a ledger that cannot be opened for writing can be read without its log.
 
-    SQLite then makes no files next to it, as a full disk requires, and ignores a WAL file.
+    SQLite then writes no files beside it, as a full disk requires; so the log must be empty.
     """
     wal = path.with_name(f"{path.name}-wal")
     try:
@@ -118,8 +122,8 @@ def _key_hash(key: object) -> int:
     return int(key_hashes(key)[0])
 
 
-def begin(connection: Connection) -> None:
-    """Begin a writing transaction as soon as no other process writes.
+def begin(connection: Connection, statement: str = "BEGIN IMMEDIATE") -> None:
+    """Begin a writing transaction, or execute another statement, once no other process writes.
 
     SQLite itself retries after up to 100 ms; the next transaction of an import begins earlier.
     """
@@ -128,7 +132,7 @@ def begin(connection: Connection) -> None:
     try:
         while True:
             try:
-                connection.execute("BEGIN IMMEDIATE")
+                connection.execute(statement)
                 return
             except sqlite3.OperationalError as error:
                 busy = error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY
@@ -147,6 +151,8 @@ def open_file(path: Path) -> Connection:
     log = path.with_name(f"{path.name}-wal")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         lost = not path.exists() or path.stat().st_size == 0
         if lost and log.exists() and log.stat().st_size:
             # SQLite would delete the log, and with it what it holds.
@@ -173,10 +179,9 @@ def open_file(path: Path) -> Connection:
             connection.close()
             raise
     except (sqlite3.OperationalError, OSError) as error:
-        raise LedgerFileError(
-            f"the ledger {path} cannot be opened: {error}. Check that its folder is writable, its "
-            "disk has space and no program keeps it locked"
-        ) from error
+        default = "check that its folder is writable and its disk has space"
+        remedy = _REMEDIES.get(_errno_of(error), default)
+        raise LedgerFileError(f"the ledger {path} cannot be opened: {error}; {remedy}") from error
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         raise damaged_file(path, str(error)) from error
     sync(path.parent)
@@ -192,13 +197,13 @@ def _check_schema(connection: Connection, path: Path) -> int:
     tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
     if tables and owner != APPLICATION_ID:
         raise LedgerFileError(
-            f"{path} is a SQLite file of another program, not a ledger; "
-            "name another data directory, or move the file away"
+            f"{path} is a SQLite file of another program, not a ledger; name another data "
+            "directory (--data), or move the file away"
         )
     if version > VERSION:
         raise LedgerFileError(
             f"{path} was written by a newer wrenchbook (schema {version}; this program reads up to "
-            f"{VERSION}); install that version or name another data directory"
+            f"{VERSION}); install that version or name another data directory (--data)"
         )
     if tables and version != VERSION and version not in STEPS:
         raise LedgerFileError(
@@ -236,34 +241,39 @@ def check_integrity(connection: Connection, path: Path) -> None:
             _log.error("%s: keys of rows are damaged; they are written anew from the rows", path)
             _write_keys(connection)
             connection.execute("COMMIT")
-    except (TypeError, ValueError) as error:  # numbers that are none
-        raise damaged_file(path, f"rows: {error}") from error
+    except (TypeError, ValueError) as error:  # arithmetic with a text
+        raise damaged_file(path, "the number, count or key of a row is not a number") from error
     finally:
         if connection.in_transaction:
             connection.execute("ROLLBACK")
 
 
 def _keys_fit(connection: Connection) -> bool:
-    """Whether `row_keys` has the keys of the rows, by sums: a row not found would come twice."""
+    """Return whether `row_keys` has the keys of all rows, by sums.
+
+    A row whose key is missing would be inserted again.
+    """
     # Rows of an import that has not ended have no entries yet.
     hidden = "SELECT 1 FROM import_parts WHERE hidden = 1"
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version != VERSION or connection.execute(hidden).fetchone():
         return True
-    sums = "count(*), sum(hash >> 32), sum(hash & 4294967295), sum(seq)"
+    # The halves of a hash apart: sums of 64-bit numbers would overflow.
+    low = 0xFFFF_FFFF
+    sums = f"count(*), sum(hash >> 32), sum(hash & {low}), sum(seq)"
     entered = connection.execute(f"SELECT {sums} FROM row_keys").fetchone()
     present = [0, 0, 0, 0]
     for hashes, seqs in _entries(connection):
-        of_hashes = (int(part.sum()) for part in (hashes >> 32, hashes & 4294967295))
-        parts = len(hashes), *of_hashes, int(seqs.sum())
+        halves = int((hashes >> 32).sum()), int((hashes & low).sum())
+        parts = len(hashes), *halves, int(seqs.sum())
         present = [total + part for total, part in zip(present, parts, strict=True)]
     return [number or 0 for number in entered] == present
 
 
 def _entries(connection: Connection) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield what `row_keys` should have, some records at a time: hashes and numbers.
+    """Yield the entries that `row_keys` should have, hashes (n,) and numbers (n,), in pieces.
 
-    Nothing of a record whose keys are not as many as its rows.
+    Without those of records that have more or fewer keys than rows.
     """
     records = connection.execute("SELECT seq, count, key FROM rows")
     while some := records.fetchmany(1000):
@@ -314,19 +324,25 @@ def is_damage(error: Exception) -> bool:
     )
 
 
-def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
-    """Return the error of the ledger for one of SQLite or the disk: its cause and remedy.
-
-    The one place that maps ENOSPC, EROFS, EIO, ENOLCK and their kin.
-    """
+def _errno_of(error: Exception) -> int:
+    """Return the number of a disk's error; of SQLite's errors the one with the same remedy."""
     code = getattr(error, "sqlite_errorcode", 0)
-    number = getattr(error, "errno", None) or 0
-    if code & 0xFF == sqlite3.SQLITE_FULL or code == sqlite3.SQLITE_IOERR_WRITE:
-        number = errno.ENOSPC
-    elif code & 0xFF == sqlite3.SQLITE_READONLY:
-        number = errno.EROFS
-    elif code & 0xFF == sqlite3.SQLITE_IOERR:
-        number = errno.EIO
+    if code == sqlite3.SQLITE_IOERR_WRITE:
+        return errno.ENOSPC
+    numbers = {
+        sqlite3.SQLITE_FULL: errno.ENOSPC,
+        sqlite3.SQLITE_READONLY: errno.EROFS,
+        sqlite3.SQLITE_IOERR: errno.EIO,
+        sqlite3.SQLITE_BUSY: errno.EBUSY,
+        sqlite3.SQLITE_CANTOPEN: errno.EACCES,
+    }
+    # The low byte is the error; the other bits tell where it was noticed.
+    return numbers.get(code & 0xFF, getattr(error, "errno", None) or 0)
+
+
+def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
+    """Return the error of the ledger for one of SQLite or the disk: its cause and remedy."""
+    number = _errno_of(error)
     remedy = _REMEDIES.get(number, "check that its disk has space and is writable")
     kind = LedgerFullError if number in _FULL else LedgerUnavailableError
     return kind(
@@ -337,15 +353,7 @@ def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
 
 def _use_wal(connection: Connection) -> None:
     # SQLite does not wait by itself when two processes switch the journal at the same time.
-    deadline = time.monotonic() + BUSY_SECONDS
-    while True:
-        try:
-            connection.execute("PRAGMA journal_mode = WAL")
-            return
-        except sqlite3.OperationalError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.01)
+    begin(connection, "PRAGMA journal_mode = WAL")
 
 
 def _upgrade(connection: Connection) -> None:

@@ -102,7 +102,8 @@ def import_rows(
     while (lock := _take_lock(ledger)) is None:  # one import of this ledger, of all processes
         if time.monotonic() > deadline:
             raise ImportRunningError(
-                "another large table is being imported; nothing was loaded. Send this one later"
+                "another large table is still being imported after "
+                f"{_PATIENCE_SECONDS:.0f} s; nothing was loaded. Send this one later"
             )
     try:
         _drop_hidden(ledger)  # of a killed process
@@ -141,15 +142,15 @@ def _insert_hidden(
             positions = [at for at in positions if keys[at] not in import_keys]
         import_keys.update(keys)
         for begin in range(0, len(positions), ROWS_AT_ONCE):
-            some = positions[begin : begin + ROWS_AT_ONCE]
-            lot, named = rows.rows_at(block, some), [keys[at] for at in some]
+            chosen = positions[begin : begin + ROWS_AT_ONCE]
+            part, part_keys = rows.rows_at(block, chosen), [keys[at] for at in chosen]
             with ledger.writing(durable=False) as db:
                 if number is None:
                     number = db.execute(_INSERT, values).lastrowid
-                first = rows.number(db, component, lot, named, now)
-                span = first, first + len(named) - 1, number, component
+                first = rows.number(db, component, part, part_keys, now)
+                span = first, first + len(part_keys) - 1, number, component
                 db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 1)", span)
-            parts.append((first, b"".join(named)))
+            parts.append((first, b"".join(part_keys)))
             ledger.sync()  # else the next durable commit waits until all is synced
     return number, count, parts
 
@@ -199,13 +200,13 @@ def append_rows(
     values = {"component": component, "created": now, "rows": 0, **asdict(origin)}
     if rig != origin.rig:
         raise AppendError(
-            f"import {number}, {origin.filename!r}, has readings of another rig, frame or point; "
-            "append under another name"
+            f"import {number} of {component!r}, {origin.filename!r}, has readings of another rig, "
+            "frame or point; send the same ones, or append under another name: append=NAME"
         )
     if number and not _chosen(db, component, number, (), withdrawn=False, most=1):
         raise AppendError(
-            f"import {number}, {origin.filename!r}, is withdrawn; restore it, or append under "
-            "another name"
+            f"import {number}, {origin.filename!r}, is withdrawn. Restore it with: wrenchbook "
+            f"withdraw {component} {number} --restore; or append under another name: append=NAME"
         )
     total = known = 0
     for block in blocks:
@@ -382,7 +383,10 @@ def _chosen(
     withdrawn: bool,
     most: int | None = None,
 ) -> list[int]:
-    """Return the rows with some keys, in their order, or all of an import, that are withdrawn."""
+    """Return the rows with these keys, in their order, or all of an import without keys.
+
+    Only withdrawn ones, or only others, and at most `most`.
+    """
     gone = rows.withdrawn(db, component)
     if keys:
         wanted = list(dict.fromkeys(map(bytes.fromhex, keys)))

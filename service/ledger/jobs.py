@@ -4,7 +4,6 @@ import json
 import secrets
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import fields, replace
 from typing import Any
 
@@ -15,7 +14,6 @@ from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.job_statistics import charged
 from wrenchbook.service.ledger.packing import pack_vector, unpack_vector
 from wrenchbook.service.ledger.records import (
-    FINAL,
     Heartbeat,
     InvalidTransitionError,
     JobRecord,
@@ -31,6 +29,7 @@ from wrenchbook.service.ledger.records import (
 # Seconds a job waits after its solver's first, second and third death; the fourth ends it.
 # The cause of deaths, such as a lack of memory, has often passed a minute or two later.
 BACKOFF_SECONDS = (1.0, 10.0, 100.0)
+_TASK_BYTES = 6  # random ones of a task key: of a million keys two are equal with 1 in 500
 FORGOTTEN_SECONDS = 24 * 3600.0  # leases of owners that were killed without a job are deleted then
 
 # The state machine: the status after an event. A done job is reopened if its row is withdrawn.
@@ -81,11 +80,11 @@ def accept(
 ) -> tuple[JobRecord, bool]:
     """Return the job for this wrench (packed, or N and N·m), and whether it is new.
 
-    There is one job for one (component, fingerprint, wrench), whatever its status: a waiting,
+    There is one job for one (component, fingerprint, wrench), whatever its status. A waiting,
     running, done or failed one is returned as it is (a waiting one with the higher of both
-    priorities), a cancelled one goes back to waiting, and so does a done one whose row was
-    withdrawn or is damaged. What waits anew is the caller's. Raises ValueError if the wrench is not
-    six or more finite numbers, and QuotaError.
+    priorities). A cancelled one waits again (unless `reopen_cancelled` is false), and so does a
+    done one whose row was withdrawn or is damaged; it is then the caller's. Raises ValueError if
+    the wrench is not six or more finite numbers, and QuotaError.
     """
     key = wrench if isinstance(wrench, bytes) else pack_vector(wrench)
     where = "WHERE component = ? AND fingerprint = ? AND wrench = ?"
@@ -104,8 +103,8 @@ def accept(
         return job, True
     job = known[0]
     if _lacks_its_row(db, job) or (job.status == "cancelled" and reopen_cancelled):
-        more = {"row": None, "asked_by": asked_by, "actor": charged(db, component, quota)}
-        job = _by_caller(db, job, "reopen", **more, **_FRESH)
+        caller = {"asked_by": asked_by, "actor": charged(db, component, quota)}
+        job = _by_caller(db, job, "reopen", row=None, **caller, **_FRESH)
     if job.status == "waiting" and priority > job.priority:
         before, after = {"priority": job.priority}, {"priority": priority}
         note(db, "job.priority", job.id, component, before=before, after=after)
@@ -136,10 +135,13 @@ def accept_chosen(
     Choosing and accepting are one transaction, so a limit on open jobs holds however many
     processes accept at once. Those beyond the actor's quota are left out.
     """
-    accepted = list[JobRecord]()
-    with suppress(QuotaError):
-        for wrench in choose(open_jobs(db, component, fingerprint)):
-            accepted.append(accept(db, component, fingerprint, wrench, **options)[0])
+    accepted: list[JobRecord] = []
+    for wrench in choose(open_jobs(db, component, fingerprint)):
+        try:
+            job, _ = accept(db, component, fingerprint, wrench, **options)
+        except QuotaError:
+            break
+        accepted.append(job)
     return accepted
 
 
@@ -147,10 +149,10 @@ def accept_chosen(
 
 
 def next_waiting(db: Connection, most: int) -> list[JobRecord]:
-    """Return the waiting jobs that start next, at most `most`.
+    """Return the waiting jobs that start next, at most `most`, in the order of their start.
 
-    Those of the highest priority, of each actor in turn: next is the actor whose last start is the
-    longest ago, and its oldest job.
+    The highest priority goes first. Of equal ones it is each actor's turn: next is the oldest job
+    of the actor whose last start is the longest ago.
     """
     due = (
         "WHERE status = 'waiting' AND actor = ? AND coalesce(not_before, 0) <= ?"
@@ -158,7 +160,9 @@ def next_waiting(db: Connection, most: int) -> list[JobRecord]:
     )
     other = "SELECT min(actor) FROM jobs WHERE status = 'waiting' AND actor {} ?"
     last = "SELECT coalesce(max(started), 0) FROM jobs WHERE actor = ?"
-    queues: dict[str, list[JobRecord]] = {}
+    queues: dict[str, list[JobRecord]] = {}  # by actor: the next job is the last
+    # By actor: the place of its last job picked here, 0 without one, and the time of its last
+    # start before. The actor with the smaller pair is next.
     turns: dict[str, tuple[int, float]] = {}
     actor = db.execute(other.format(">="), ("",)).fetchone()[0]
     while actor is not None:
@@ -183,14 +187,16 @@ def claim(db: Connection, owner: str, engine: str, most: int) -> list[JobRecord]
     Each gets a task key; it is submitted, not running, until `send_heartbeat` reports its begin.
     The claim counts as a heartbeat of the owner.
     """
-    claimed = []
     new = {"owner": owner, "engine": engine, "started": time.time(), "began": None}
     new |= {"finished": None, "not_before": None}
-    for job in next_waiting(db, most):
+
+    def start(job: JobRecord) -> JobRecord:
         attempt = job.attempt + 1
         # Engines may serve many data directories, whose jobs have the same numbers.
-        task = f"{job.id}-{attempt}-{secrets.token_hex(6)}"
-        claimed.append(_moved(db, job, "claim", attempt=attempt, task=task, **new))
+        task = f"{job.id}-{attempt}-{secrets.token_hex(_TASK_BYTES)}"
+        return _moved(db, job, "claim", attempt=attempt, task=task, **new)
+
+    claimed = list(map(start, next_waiting(db, most)))
     if claimed:
         _write_heartbeat(db, owner, engine)
     return claimed
@@ -207,10 +213,10 @@ def adopt(db: Connection, job_id: int, attempt: int, previous: str, owner: str) 
 def send_heartbeat(
     db: Connection, owner: str, engine: str, began: Mapping[tuple[int, int], float] | None = None
 ) -> list[JobRecord]:
-    """Write a heartbeat of `owner`, and return the jobs that are running rather than submitted now.
+    """Write a heartbeat of `owner`, and return its submitted jobs that now run.
 
-    `began` has, by job and attempt, the time in seconds since the epoch at which a solver was seen
-    at it; attempts that have ended, or have another owner now, are ignored.
+    `began` has, by job and attempt, the time at which its solver began, in seconds since the epoch;
+    attempts that have ended, or have another owner now, are ignored.
     """
     _write_heartbeat(db, owner, engine)
     begun = []
@@ -274,9 +280,9 @@ def lose(db: Connection, job_id: int, attempt: int, cause: str = "") -> JobRecor
 
 
 def release(db: Connection, job_id: int, attempt: int, *, delay: float = 0.0) -> JobRecord:
-    """Give an attempt back that did not die by itself; it does not count as lost.
+    """Let the job of an attempt that the dispatcher ends wait again; it does not count as lost.
 
-    The next one starts after `delay` seconds.
+    The next attempt starts after `delay` seconds.
     """
     job = _check_attempt(get(db, job_id), attempt)
     later = time.time() + delay if delay else None
@@ -284,9 +290,9 @@ def release(db: Connection, job_id: int, attempt: int, *, delay: float = 0.0) ->
 
 
 def renew(db: Connection, job_id: int, attempt: int, fingerprint: str) -> JobRecord:
-    """Have a claimed job of an earlier setup wait again, for the setup with this fingerprint.
+    """Let a claimed job of an earlier setup wait again, for the setup with this fingerprint.
 
-    If that has a job of this wrench, it is accepted in its place, and this one is cancelled.
+    If the new setup has a job of this wrench already, that one is accepted and this one cancelled.
     """
     job = _check_attempt(get(db, job_id), attempt)
     key = job.component, fingerprint, pack_vector(job.wrench)
@@ -390,11 +396,11 @@ def open_jobs(db: Connection, component: str, fingerprint: str) -> list[OpenJob]
 def jobs_for(
     db: Connection, component: str, fingerprint: str, wrenches: Iterable[bytes]
 ) -> dict[bytes, JobRecord]:
-    """Return, by packed wrench, the jobs there are for any of these wrenches.
+    """Return the existing jobs for any of these packed wrenches, by wrench.
 
     Without those whose row is withdrawn or damaged: they can be accepted again.
     """
-    jobs = {}
+    jobs: dict[bytes, JobRecord] = {}
     for marks, part in rows.in_parts(wrenches):
         tail = f"WHERE component = ? AND fingerprint = ? AND wrench IN ({marks})"
         same = _select(db, tail, (component, fingerprint, *part))
@@ -415,17 +421,12 @@ def unfinished(db: Connection, after: int | None = None) -> list[JobRecord]:
 
 
 def attempts(db: Connection, job_ids: Iterable[int]) -> dict[int, tuple[Status, int, float | None]]:
-    """Return status, newest attempt and time of the end of those of some jobs that exist."""
-    ends = {}
+    """Return status, newest attempt and end (s since the epoch) of those jobs that exist."""
+    states: dict[int, tuple[Status, int, float | None]] = {}
     for marks, part in rows.in_parts(job_ids):
         select = f"SELECT id, status, attempt, finished FROM jobs WHERE id IN ({marks})"
-        ends |= {job: tuple(rest) for job, *rest in db.execute(select, part)}
-    return ends
-
-
-def ended(db: Connection, job_ids: Iterable[int]) -> set[int]:
-    """Return those of some jobs that neither wait nor run."""
-    return {job for job, (status, *_) in attempts(db, job_ids).items() if status in FINAL}
+        states |= {job: tuple(state) for job, *state in db.execute(select, part)}
+    return states
 
 
 def attempts_of(db: Connection, owner: str) -> set[tuple[int, int]]:
@@ -449,7 +450,8 @@ def _moved(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRec
         calls = [name for name in ("cancel", "retry") if (job.status, name) in TRANSITIONS]
         possible = f"possible now: {', '.join(calls)}"
         if job.status == "done":
-            possible = "withdraw its row to solve again"
+            row = f"DELETE /v1/components/{job.component}/table/{job.row}"
+            possible = f"withdraw its row to solve again: {row}"
         raise InvalidTransitionError(f"job {job.id} is {job.status}: cannot {event} it; {possible}")
     return _save(db, replace(job, status=status, **changes))
 
@@ -480,12 +482,15 @@ def _check_attempt(job: JobRecord, attempt: int) -> JobRecord:
 
 
 def _end(job: JobRecord, now: float, seconds: float | None) -> dict[str, Any]:
+    """Return the columns of a job that ends now, whose solver took `seconds` if that is known."""
     return {"finished": now, "began": job.began if seconds is None else now - seconds}
 
 
 def _lacks_its_row(db: Connection, job: JobRecord) -> bool:
-    """Return whether the row that a done job gave is withdrawn or damaged."""
-    return job.row is not None and not rows.is_usable(db, job.row)
+    """Return whether the row of a done job is withdrawn or damaged."""
+    if job.row is None:
+        return False
+    return not rows.numbered(db, [job.row]) or rows.is_withdrawn(db, job.row)
 
 
 def _write_heartbeat(db: Connection, owner: str, engine: str) -> None:
@@ -498,7 +503,8 @@ def _write_heartbeat(db: Connection, owner: str, engine: str) -> None:
 
 
 def _select(db: Connection, tail: str, values: Iterable[object]) -> list[JobRecord]:
-    jobs = []
+    """Return the jobs of a SELECT's WHERE, ORDER BY and LIMIT."""
+    jobs: list[JobRecord] = []
     for record in db.execute(f"SELECT {_COLUMNS} FROM jobs {tail}", tuple(values)):
         columns: dict[str, Any] = dict(zip(_NAMES, record, strict=True))
         columns["wrench"] = unpack_vector(columns["wrench"])

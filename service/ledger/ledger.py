@@ -142,7 +142,6 @@ class Ledger:
     jobs_for = _reads(job_sql.jobs_for)
     running = _reads(job_sql.running)
     unfinished = _reads(job_sql.unfinished)
-    ended = _reads(job_sql.ended)
     attempts = _reads(job_sql.attempts)
     attempts_of = _reads(job_sql.attempts_of)
     leases = _reads(job_sql.leases)
@@ -203,8 +202,12 @@ class Ledger:
         known. New rows get a seq above `above`. Raises ValueError if a solve lacks an output or a
         tangent is infinite.
         """
-        if np.isnan(rows.displacement[rows.source == "fea"]).any():
-            raise ValueError("the displacement of a solve must be finite, not NaN; solve it again")
+        unsolved = (rows.source == "fea") & np.isnan(rows.displacement).any(axis=1)
+        if unsolved.any():
+            at = int(unsolved.argmax())
+            displacement = rows.displacement[at].tolist()
+            problem = f"row {at + 1} of {len(rows)} is a solve of the displacement {displacement}"
+            raise ValueError(f"{problem}, but all outputs must be finite; solve it again")
         notes = [note] * len(rows) if isinstance(note, str) else note
         block = NotedRows(rows, notes)
         # Before the lock is taken: other writers wait for the insertion alone.
@@ -452,7 +455,7 @@ class Ledger:
 
     def _check_open(self) -> None:
         if self._closed:
-            raise LedgerError("the ledger is closed")
+            raise LedgerError(f"the ledger {self.path} is closed: the server is stopping")
 
 
 def _numbers(connection: Connection) -> Numbers:

@@ -181,8 +181,10 @@ def row_keys(component: str, block: NotedRows) -> list[bytes]:
     still the same table.
     """
     rows = block.rows
-    if any(rows.compliance.strides) and np.isinf(rows.compliance).any():
-        raise ValueError("the compliance must be finite, or NaN where it is unknown")
+    if any(rows.compliance.strides) and (infinite := np.isinf(rows.compliance)).any():
+        at, output, load = np.argwhere(infinite)[0].tolist()
+        place = f"compliance[{output}][{load}] of row {at + 1} of {len(rows)}"
+        raise ValueError(f"{place} is infinite; write NaN where it is unknown")
     texts = list(zip(rows.fingerprint.tolist(), rows.source.tolist(), strict=True))
     numbers = _plain(rows.wrench).tobytes(), _plain(rows.displacement).tobytes()
     return _keys(component, texts, *numbers, _known(rows.uncertainty, np.any))
@@ -280,8 +282,10 @@ def noted_rows(
         )
         if (loads, moves) != (inputs, outputs):
             raise ValueError(
-                f"row {record.seq} has {loads} loads and {moves} "
-                f"displacements; the component has {inputs} and {outputs}"
+                f"row {record.seq} of {record.component!r} has {loads} loads and {moves} "
+                f"displacements, but the component now has {inputs} and {outputs}. Put the "
+                f"component's earlier files back, or DELETE /v1/components/{record.component}"
+                f"/table/{record.seq}"
             )
 
     def numbers(name: str, width: int) -> np.ndarray:
@@ -326,10 +330,8 @@ def _keys(
     """Return the key of each row: of component, fingerprint and source, and its numbers."""
     if not texts:
         return []
-    name, width, size = (
-        _part(component.encode()),
-        *(len(numbers) // len(texts) for numbers in (wrenches, displacements)),
-    )
+    name = _part(component.encode())
+    width, size = len(wrenches) // len(texts), len(displacements) // len(texts)  # bytes a row
     middle, unknown = _length(size), _part(b"")
     hashers = {
         pair: blake2b(

@@ -180,7 +180,7 @@ def row_entries(record: Record) -> Iterator[tuple[int, int]]:
 
 
 def yield_to_others(db: Connection, component: str, after: int) -> None:
-    """Delete the hidden rows that others have brought too since a seq."""
+    """Delete the hidden rows that another import or solve has inserted since a seq."""
     where = f"component = ? AND seq > ? AND {SHOWN}"
     for record in list(_records(db, where, (component, after))):
         for seq in stored(db, record.keys(), hidden=True).values():
@@ -223,9 +223,12 @@ def add_solved(
     for name, value in {"displacement": displacement, **columns}.items():
         finite = np.isfinite(np.asarray(value, dtype=float))
         if not (finite.any() if name == "uncertainty" else finite.all()):
-            raise ValueError(f"{name} must be finite, not {value}")
+            place = tuple(np.argwhere(~finite)[0].tolist())
+            wrong = f"{np.asarray(value)[place]} at {place}"
+            raise ValueError(f"{name} of job {job.id} must be finite, not {wrong}")
     if len(displacement) < MIN_NUMBERS:
-        raise ValueError(f"a displacement needs 6 or more numbers, not {len(displacement)}")
+        needs = f"needs {MIN_NUMBERS} or more numbers, not {len(displacement)}"
+        raise ValueError(f"the displacement of job {job.id} {needs}")
     inputs = (Input("", "", "scalar"),) * len(job.wrench)  # of the space only the counts matter
     space = Space(inputs, (Output("", ""),) * len(displacement))
     columns |= {"source": source, "fingerprint": job.fingerprint}
@@ -251,7 +254,9 @@ def withdraw(db: Connection, component: str, seq: int, *, withdrawn: bool = True
     Raises UnknownRowError if the component has no such row, RowStatusError if it is so already.
     """
     if not any(record.component == component for _, record in containing(db, [seq])):
-        raise UnknownRowError(f"the table of {component!r} has no row {seq}; see its export")
+        raise UnknownRowError(
+            f"the table of {component!r} has no row {seq}; see GET /v1/components/{component}/table"
+        )
     if is_withdrawn(db, seq) == withdrawn:
         state = "withdrawn" if withdrawn else "in the table"
         raise RowStatusError(f"row {seq} of {component!r} is already {state}; nothing was changed")
@@ -368,7 +373,7 @@ def get(db: Connection, seq: int) -> LedgerRow:
     if rows:
         return rows[seq]
     if not list(containing(db, [seq])):
-        raise UnknownRowError(f"there is no row {seq}; see the exports of the tables")
+        raise UnknownRowError(f"there is no row {seq}; see GET /v1/components/NAME/table")
     raise DamagedRowError(
         f"row {seq} is damaged on the disk and is not used; restore the ledger from a backup, or "
         "ask for its wrench again to have it solved anew"
@@ -402,11 +407,6 @@ def is_withdrawn(db: Connection, seq: int) -> bool:
     newest = "SELECT withdrawn FROM edits WHERE row = ? ORDER BY seq DESC LIMIT 1"
     edited = db.execute(newest, (seq,)).fetchone()
     return bool(edited and edited[0])
-
-
-def is_usable(db: Connection, seq: int) -> bool:
-    """Return whether a row is undamaged, shown and not withdrawn."""
-    return bool(numbered(db, [seq])) and not is_withdrawn(db, seq)
 
 
 def first_hidden(db: Connection, component: str | None) -> int | None:
@@ -518,7 +518,7 @@ def _records(db: Connection, where: str, values: Any) -> Iterator[Record]:
 def containing(
     db: Connection, seqs: Iterable[int], condition: str = SHOWN
 ) -> Iterator[tuple[int, Record]]:
-    """Yield those of some rows that are there and shown, by number, each with its record."""
+    """Yield those of these rows that meet the condition, by number, each with its record."""
     record = None
     where = f"seq > ? AND seq <= ? AND {condition} ORDER BY seq DESC LIMIT 1"
     for seq in sorted(seqs):
@@ -543,9 +543,10 @@ def _read(
     space: Space,
     fingerprint: str | None,
 ) -> tuple[NotedRows, int | None]:
-    """Return the first `most` rows of the numbers `after` + 1 to `until`; see `noted_rows`.
+    """Return the first `most` rows of the numbers `after` + 1 to `until`, and the number to go on.
 
-    And the number of the last, None if there are no more.
+    Without the rows `gone`, damaged ones and those of another setup (see `noted_rows`). The second
+    value is the number of the last row read, None if there are no further ones.
     """
     values = {"component": component, "after": after, "until": until}
     records, count = [], 0

@@ -134,7 +134,10 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
         archive = zipfile.ZipFile(source)
     except FileNotFoundError:
         raise BackupError(f"there is no file {source}; name a backup") from None
-    except (*_UNREADABLE, OSError) as error:
+    except OSError as error:
+        problem = f"{source} cannot be read: {error.strerror or error}"
+        raise BackupError(f"{problem}; name a backup that this user may read") from error
+    except _UNREADABLE as error:
         raise BackupError(
             f"{source} is not a complete backup ({error}), because its writing or copying was cut "
             "off. Use another backup; nothing was changed"
@@ -167,13 +170,26 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
     return manifest
 
 
+def reason_of(error: Exception) -> str:
+    """Return why a manifest of JSON cannot be read, in words of no Python error."""
+    if isinstance(error, KeyError):
+        return f"the member {error} is missing"
+    if isinstance(error, ValueError) and not isinstance(error, UnicodeDecodeError):
+        return f"a value is invalid: {error}"
+    return "a value is of another type or size"
+
+
 def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
     try:
         fields: dict[str, Any] = json.loads(archive.read(MANIFEST))
         kind, schema = fields["format"], int(fields["schema"])
     except _UNREADABLE as error:
-        raise BackupError(f"{source} is a zip, but no backup ({error!r}); name a backup") from error
-    if kind != FORMAT or schema > SCHEMA:
+        there = MANIFEST in archive.namelist()
+        problem = f"in its {MANIFEST} {reason_of(error)}" if there else f"it has no {MANIFEST}"
+        raise BackupError(f"{source} is a zip, but no backup: {problem}; name a backup") from error
+    if kind != FORMAT:
+        raise BackupError(f"{source} is a {str(kind)[:60]!r}, not a {FORMAT!r}; name a backup")
+    if schema > SCHEMA:
         raise BackupError(
             f"{source} was written by a newer wrenchbook ({fields.get('program')}, form {schema}; "
             f"this one reads up to {SCHEMA}). Install that version to restore it"
@@ -182,7 +198,8 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         files = {str(name): (int(n), str(digest)) for name, (n, digest) in fields["files"].items()}
         created, ledger_schema = float(fields["created"]), int(fields["ledger_schema"])
     except _UNREADABLE as error:
-        raise BackupError(f"{source} is damaged ({error!r}); use another backup") from error
+        problem = f"in its {MANIFEST} {reason_of(error)}"
+        raise BackupError(f"{source} is damaged: {problem}; use another backup") from error
     held = {name: digest for name, digest in files.items() if HELD.fullmatch(name)}
     skipped = tuple(files.keys() - held.keys())
     outside = [name for name in skipped if name.startswith("/") or ".." in name.split("/")]

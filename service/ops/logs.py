@@ -16,8 +16,8 @@ ABOUT: Final = ("job", "attempt", "component", "request_id", "actor")
 REQUEST_ID: ContextVar[str | None] = ContextVar("request_id", default=None)
 """The id of the HTTP request that this context answers; None outside of requests."""
 REPEAT_S = 60.0  # a fault that lasts, such as a full disk, is one line a minute
-_MOST_REPEATS = 10_000  # texts remembered, 1 MB: a request's has its id, and repeats nowhere else
-_MOST_CHARACTERS = 20_000  # of a message or a traceback: log collectors limit lines
+_MAX_REPEATS = 10_000  # texts remembered, 1 MB; that of a request has its id and never repeats
+_MAX_CHARACTERS = 20_000  # of a message or a traceback: log collectors limit lines
 
 
 class JsonLines(logging.Formatter):
@@ -34,13 +34,13 @@ class JsonLines(logging.Formatter):
             "time": f"{seconds}.{int(record.msecs):03d}Z",
             "level": record.levelname.lower(),
             "logger": record.name,
-            "message": record.getMessage()[:_MOST_CHARACTERS],
+            "message": record.getMessage()[:_MAX_CHARACTERS],
         }
         fields |= {
             name: value for name in ABOUT if (value := getattr(record, name, None)) is not None
         }
         if record.exc_info:
-            fields["exception"] = self.formatException(record.exc_info)[-_MOST_CHARACTERS:]
+            fields["exception"] = self.formatException(record.exc_info)[-_MAX_CHARACTERS:]
         return json.dumps(fields, default=str)
 
 
@@ -87,7 +87,7 @@ class Repeats(logging.Filter):
                 self._logged.popitem(last=False)
             is_new = text not in self._logged
             self._logged.setdefault(text, now)
-            if len(self._logged) > _MOST_REPEATS:
+            if len(self._logged) > _MAX_REPEATS:
                 self._logged.popitem(last=False)
             return is_new
 

@@ -37,7 +37,9 @@ LATEST, MANIFESTS, BLOCKS = "latest.json", "manifests/", "blocks/"
 ORIGIN, COPY, STATUS = "replica-id", ".replica.sqlite", "copies.json"
 PACKED = re.compile(rf"{backup.TABLES}/(?!\.)[^/]+\.wbt")  # mapped by read-only servers
 FILES_PART = 0.25  # of the interval, for files apart from the ledger in one round
-COLLECT_S = 600.0  # between removals of what no manifest needs
+COLLECT_S = 600.0  # between removals of blocks that no manifest needs
+_MAX_NUMBER = 1e11  # of a valid manifest: s since the epoch, bytes of a ledger
+_INSTEAD = "restore an earlier time with --at, or use a backup"
 # Manifests that stay, by age and s apart: all of the last ten minutes, one an hour for a day, one a
 # day for a week.
 KEEP_S = ((600.0, 0.0), (86_400.0, 3600.0), (7 * 86_400.0, 86_400.0))
@@ -117,21 +119,23 @@ class Replica:
             content = self.place[name]
             fields: dict[str, Any] = json.loads(content)
             if name != _name(fields["number"], content):
-                raise ValueError("it was changed after it was written")
-            if fields["format"] != FORMAT or fields["ledger_schema"] > VERSION:
+                raise ValueError("its digest is not that of its name")
+            if fields["format"] != FORMAT:
+                problem = f"{name} of {self.url} is a {str(fields['format'])[:60]!r}"
+                raise BackupError(f"{problem}, not a {FORMAT!r}; install the version that wrote it")
+            if fields["ledger_schema"] > VERSION:
                 raise BackupError(
                     f"{self.url} has ledger format {fields['ledger_schema']}, but this wrenchbook "
                     f"reads up to {VERSION}; install the version that wrote it"
                 )
             numbers = fields["interval"], fields["created"], fields["ledger"][0]
-            if not all(0.0 < number < 1e11 for number in numbers):
-                raise ValueError("its interval, its time or its ledger is invalid")
+            if not all(0.0 < number < _MAX_NUMBER for number in numbers):
+                raise ValueError(f"interval, created and the ledger's length are {numbers}")
             fields.update(_entries({name: fields[name] for name in ("ledger", "files")}))
             return Manifest(**fields)
         except _UNREADABLE as error:
-            raise ReplicaError(
-                f"{name} of {self.url} is damaged ({error!r}); use a backup"
-            ) from error
+            problem = f"{name} of {self.url} is damaged: {backup.reason_of(error)}"
+            raise ReplicaError(f"{problem}; {_INSTEAD}") from error
 
     def newest(self, until: float = float("inf")) -> Manifest:
         """Return the newest complete manifest that was created `until` then; raises BackupError."""
@@ -151,10 +155,12 @@ class Replica:
         try:
             files = _entries(json.loads(b"".join(map(self.block, manifest.files[1]))))
         except _UNREADABLE as error:
-            raise ReplicaError(f"{self.url} is damaged ({error!r}); use a backup") from error
+            problem = f"the file list of manifest {manifest.number} of {self.url} is damaged"
+            raise ReplicaError(f"{problem}: {backup.reason_of(error)}; {_INSTEAD}") from error
         for name in files:
             if not is_held(name):
-                raise ReplicaError(f"{self.url} must not hold {name!r}; remove it")
+                problem = f"{self.url} must not hold {name!r}, so it was changed"
+                raise ReplicaError(f"{problem}; {_INSTEAD}")
         return {**files, LEDGER: manifest.ledger}
 
     def block(self, digest: str) -> bytes:
@@ -271,7 +277,8 @@ class Shipper:
     def _check(self) -> None:
         """Raise ReplicaError unless the place is as it was left: blocks may be missing now."""
         if self._replica.place.get(LATEST, b"") != self._pointer:
-            raise ReplicaError(f"another program changed {self._replica.url}; stop that program")
+            place = f"{LATEST} in {self._replica.url}"
+            raise ReplicaError(f"another program changed {place}; stop it: one server ships there")
 
     def collect(self) -> None:
         """Remove the manifests that need not stay, and the blocks that no manifest needs."""
@@ -384,8 +391,10 @@ def is_held(name: str) -> bool:
 
 def _entries(fields: Mapping[str, Any]) -> dict[str, Entry]:
     for length, blocks in fields.values():
-        if -(-length // BLOCK) != len(blocks) or not all(map(_DIGEST.fullmatch, blocks)):
-            raise ValueError("a length or a digest is invalid")
+        if -(-length // BLOCK) != len(blocks):
+            raise ValueError(f"{len(blocks)} blocks for a file of {length} bytes")
+        if not all(map(_DIGEST.fullmatch, blocks)):
+            raise ValueError("the digest of a block has not 40 hexadecimal digits")
     return {name: (length, tuple(blocks)) for name, (length, blocks) in fields.items()}
 
 

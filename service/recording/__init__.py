@@ -1,1 +1,1 @@
-"""Recordings (LM_direct), envelopes (LM_max), and the solves of what they hold (LM_start)."""
+"""Recordings (LM_direct), envelopes (LM_max), and the solves of their wrenches (LM_start)."""

@@ -26,8 +26,8 @@ class StartedSolves:
     """The jobs that wait or run for these wrenches, and counts of the others.
 
     `solved` are rows of the table already, `covered` are covered by it, `failed` have failed
-    before, `beyond_range` lie outside the load range, `left` exceed the budget. `reason` says why
-    not all are queued, or why none is; it is empty if all are.
+    before, `beyond_range` lie outside the load range, `left` exceed the budget. `reason` is empty
+    if all wrenches are queued, else it says why some or all are not.
     """
 
     jobs: list[JobRecord]
@@ -44,8 +44,8 @@ def start_recording(
 ) -> StartedSolves:
     """Queue the solves of recorded wrenches that the table does not cover.
 
-    The wrench farthest from all that is solved or queued comes first, so that a budget is spent
-    where it gains most. The recording stays as it is. Raises UnknownComponentError, NoSetupError if
+    The wrench farthest from all solved and queued ones comes first, so that a budget is spent
+    where it gains most. The recording is not changed. Raises UnknownComponentError, NoSetupError if
     nothing can be solved for it, TableBehindError if the table does not hold all rows yet.
     """
     component = _solvable(workspace, name)
@@ -83,12 +83,13 @@ def start_resolving(
 
 
 def _solvable(workspace: Workspace, name: str) -> Component:
+    """Return a component that wrenches can be solved for; raises NoSetupError."""
     component = workspace.library[name]
     if not component.has_fea:
         raise NoSetupError(
             f"{name!r} is a table of measured rows without a finite-element setup, so nothing was "
-            "queued. The recorded wrenches stay; GET them, measure or solve them, and load the "
-            f"rows: POST /v1/components/{name}/table."
+            f"queued. The recorded wrenches stay: GET /v1/components/{name}/recording (or "
+            f"/envelope), measure or solve them, and POST the rows to /v1/components/{name}/table."
         )
     return component
 
@@ -108,7 +109,7 @@ def _start(
         holds = load_range.holds(wrenches)
     if component.linear:
         return _start_linear(workspace, component, holds)
-    # First queued wrenches, then known rows: see `Workspace.fill`.
+    # Queued wrenches are read before the rows: a job that ends in between is then in both.
     pending = workspace.submission.pending_wrenches(name)
     table = workspace.tables.caught_up(name, CATCH_UP_S)
     rows = set(packed(component.acting(table.rows.wrench)))

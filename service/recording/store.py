@@ -36,8 +36,8 @@ BLOCKS = 100_000  # keys kept in all, 10 MB: the newest
 MAX_SUBSETS = 32  # recordings whose subsets are in memory, some 2 MB each: those written to last
 
 EXACT: Final = (
-    "bound: of a linear table, max over the box of |u(0) + C w|, at the corner that the signs of "
-    "C choose for each output, plus the error bar"
+    "bound: of a linear table, |u(0)| plus the largest |C w| of the box, at the corner that the "
+    "signs of C choose for each output, plus the largest error bar"
 )
 ESTIMATE: Final = (
     "estimate: the largest |answer| + error bar of the table at {} corners of the box, its "
@@ -74,8 +74,8 @@ class Tally:
 class BlockResult:
     """The counts after a block.
 
-    `known` is whether it was there before (then nothing has changed), `outside` how many of its
-    wrenches are outside the load range.
+    `known` is whether the block was recorded before (then nothing has changed), `outside` how many
+    of its wrenches are outside the load range.
     """
 
     tally: Tally
@@ -138,7 +138,7 @@ class RecordingStore:
         outside = int((~inside).sum())
         with self._ledger.writing() as db:
             before = _tally(db, name, "recording")
-            if block is not None and _was_recorded(db, name, "recording", block, wrenches):
+            if block is not None and not _claim_block(db, name, "recording", block, wrenches):
                 return BlockResult(before, True, outside)
             within, beyond = (
                 take(subset, points[indices], [keys[place] for place in indices.tolist()])
@@ -186,7 +186,7 @@ class RecordingStore:
         outside = int((~component.load_range.holds(acting)).sum()) if keys else 0
         with self._ledger.writing() as db:
             before = _tally(db, name, "envelope")
-            if block is not None and _was_recorded(db, name, "envelope", block, wrenches):
+            if block is not None and not _claim_block(db, name, "envelope", block, wrenches):
                 return BlockResult(before, True, outside)
             after = replace(
                 before,
@@ -221,9 +221,9 @@ class RecordingStore:
         return EnvelopeState(tally, unpacked(lowest, count), unpacked(highest, count))
 
     def clear(self, name: str, kind: Kind) -> Tally:
-        """Empty a component's recording or envelope; its counts before.
+        """Empty a component's recording or envelope, and return its counts before.
 
-        A block that was in it is not taken in again when it is sent once more.
+        A block that was in it is not recorded again when it is sent once more.
         """
         component = self._library[name].name
         with self._ledger.writing() as db:
@@ -243,7 +243,7 @@ class RecordingStore:
         same = tally.scale is None or tally.scale == _packed_scale(scale)
         if cached is not None and cached[0] == tally.revision and same:
             return cached[1]
-        stretched = 1.0
+        stretched = 1.0  # largest old scale of a load over the new one
         if tally.scale is not None and len(tally.scale) == scale.nbytes and not same:
             # The load range was edited since: distances have another scale.
             stretched = max(1.0, float((unpacked([tally.scale], len(scale))[0] / scale).max()))
@@ -274,10 +274,10 @@ def _save(db: Connection, component: str, kind: Kind, tally: Tally) -> None:
     )
 
 
-def _was_recorded(
+def _claim_block(
     db: Connection, component: str, kind: Kind, block: BlockKey, wrenches: Floats
 ) -> bool:
-    """Whether a block was recorded before; a new block's key is written, keys too old forgotten.
+    """Write the key of a new block and delete old keys; False if the block was recorded before.
 
     Raises BlockKeyError if the key was used for other wrenches, or is too old to be known.
     """
@@ -294,7 +294,7 @@ def _was_recorded(
                 f"block {sequence} of client {client!r} was already recorded with other wrenches; "
                 "give each block its own number, or use another client name"
             )
-        return True
+        return False
     last = db.execute(f"SELECT max(sequence) FROM blocks WHERE {key}", of_client).fetchone()[0]
     if last is not None and sequence <= last - BLOCKS_OF_A_CLIENT:
         raise BlockKeyError(
@@ -312,7 +312,7 @@ def _was_recorded(
         (*of_client, sequence - BLOCKS_OF_A_CLIENT),
     )
     db.execute("DELETE FROM blocks WHERE id <= ?", (added.lastrowid - BLOCKS,))
-    return False
+    return True
 
 
 def _recorded(db: Connection, component: str, inputs: int) -> list[bytes]:
@@ -321,7 +321,7 @@ def _recorded(db: Connection, component: str, inputs: int) -> list[bytes]:
 
 
 def _extremes(db: Connection, component: str) -> dict[int, bytes]:
-    """Packed extremes by place: of n inputs 0 to n - 1 for the least, n to 2n - 1 the largest."""
+    """Return packed extremes by place: of n inputs 0 to n - 1 are the least, then the largest."""
     where = "SELECT place, wrench FROM extremes WHERE component = ? ORDER BY place"
     return dict(db.execute(where, (component,)).fetchall())
 
@@ -343,7 +343,7 @@ def _wider(
 
 
 def _of_width(keys: Iterable[bytes], inputs: int) -> list[bytes]:
-    """Packed wrenches without those of an earlier setup with other inputs."""
+    """Return packed wrenches without those of an earlier setup with another number of inputs."""
     return [key for key in keys if len(key) == 8 * inputs]
 
 
@@ -355,9 +355,9 @@ def _packed_scale(scale: Floats) -> bytes:
 class Bound:
     """The largest displacement over an envelope's box, shape (m,), m and rad; NaN if unknown.
 
-    `kind` is ``bound``, ``estimate`` or ``unknown``, `coverage` the worst of the answers it is
-    computed from, `negligible` whether it is within the tolerance (None if that is not known),
-    `reason` why that is not known, or the basis.
+    `kind` is ``bound``, ``estimate`` or ``unknown``, `formula` how `displacement` was computed and
+    `coverage` the worst of the answers in it. `negligible` is whether `displacement` is within the
+    tolerance (None if that is not known), `reason` why that is not known, or the basis.
     """
 
     displacement: Floats
@@ -369,7 +369,7 @@ class Bound:
 
 
 def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance | None) -> Bound:
-    """How far an envelope's wrenches can move the component, by its table."""
+    """Return the largest displacement that an envelope's wrenches can cause, by the table."""
     low, high = envelope.box
     space = table.load_range.space
     if np.isnan(low).any():
@@ -387,14 +387,18 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
     coverage = int(answers.coverage.max(initial=COVERED))
     exact = table.linear and table.fit.complete
     if exact:
-        ends = np.stack([table.fit.matrix * low, table.fit.matrix * high])
-        over_box = np.abs([ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)]).max(axis=0)
-        largest = over_box + answers.errors.max(axis=0)
+        ends = np.stack([table.fit.matrix * low, table.fit.matrix * high])  # (2, outputs, inputs)
+        most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
+        largest = np.abs([most, least]).max(axis=0) + answers.errors.max(axis=0)
         largest = largest + np.abs(table.packed.batch(np.zeros((1, len(low)))).outputs[0])
+        kind, formula = "bound", EXACT
     else:
         # NaN stays: with an unknown value at one point the largest is unknown.
         largest = (np.abs(answers.outputs) + answers.errors).max(axis=0)
-    kind = "unknown" if np.isnan(largest).any() else "bound" if exact else "estimate"
+        number = f"the {len(corners)}" if len(corners) < MAX_CORNERS else len(corners)
+        kind, formula = "estimate", ESTIMATE.format(number)
+    if np.isnan(largest).any():
+        kind = "unknown"
     negligible, reason = True, "" if kind == "bound" else "an estimate by the table, see formula"
     if tolerance is None:
         negligible = None
@@ -407,6 +411,4 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
     elif coverage == OUTSIDE and kind != "bound":
         negligible = None
         reason = "part of the box is outside the table, so fill it for an estimate there"
-    number = f"the {len(corners)}" if len(corners) < MAX_CORNERS else len(corners)
-    formula = EXACT if exact else ESTIMATE.format(number)
     return Bound(largest, kind, formula, COVERAGE[coverage], negligible, reason)

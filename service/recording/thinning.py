@@ -20,8 +20,12 @@ Floats = NDArray[np.float64]
 
 MAX_INSIDE = 10_000  # wrenches of a recording within the load range
 MAX_OUTSIDE = 1_000  # beyond the range: impacts, counted apart from the others
-# Thinning goes down to this share, so that it happens once in 2,000 new wrenches, not with each.
+# Part of the limit that thinning keeps: it then happens once in 2,000 new wrenches, not with each.
 TARGET = 0.8
+# Quantile of the distances to the nearest neighbour, which becomes the next radius: most of the
+# three of ten points with a neighbour within it are dropped.
+DROPPED = 0.3
+MIN_GROWTH = 1.1  # of the radius in a step: it ends although many points are equally far apart
 CHUNK = 2_048  # wrenches at once: each chunk takes a tree of its own and one of the subset
 LARGEST = 1e300  # scaled loads beyond this count as this: all differences stay finite numbers
 _EDGE = 1 + 1e-12  # KDTree's bound is exclusive; a wrench at just the radius counts as near
@@ -44,7 +48,7 @@ class Subset:
 
 @dataclass(frozen=True)
 class Step:
-    """The subset after a block, keys added and dropped, counts of merged and thinned."""
+    """The subset after a block: keys added and dropped, and how many were merged and thinned."""
 
     subset: Subset
     added: list[bytes]
@@ -54,10 +58,10 @@ class Step:
 
 
 def scaled_loads(wrenches: Floats, scale: Floats) -> Floats:
-    """Wrenches (n, m), N and N·m, as points (n, m), dimensionless: by their scale (m,).
+    """Return wrenches (n, m), N and N·m, over their scale (m,) as points (n, m), dimensionless.
 
-    Beyond the scale a load s counts as 1 + ln s, so that it is near what differs from it by a
-    share of itself: a few impacts a million times too hard would else be all that thinning sees.
+    Beyond the scale a load of s scales counts as 1 + ln s, so that distances are relative there:
+    otherwise a few impacts a million times too hard would determine the radius.
     """
     with np.errstate(over="ignore"):
         points = np.clip(wrenches / scale, -LARGEST, LARGEST)
@@ -100,9 +104,9 @@ def take(subset: Subset, points: Floats, keys: list[bytes]) -> Step:
 
 
 def spaced(points: Floats, radius: float) -> NDArray[np.bool_]:
-    """Which points, shape (n, m), dimensionless, are kept, first come first, shape (n,).
+    """Return which points (n, m), dimensionless, are kept, earlier ones first: a mask (n,).
 
-    No two of these are within `radius` of each other, and all others are of one of them.
+    No two kept points are within `radius` of each other, and every other is within it of one.
     """
     keep = np.ones(len(points), dtype=bool)
     if len(points) < 2:
@@ -117,10 +121,10 @@ def spaced(points: Floats, radius: float) -> NDArray[np.bool_]:
 
 
 def farthest_first(points: Floats, known: Floats, count: int) -> list[int]:
-    """Places of at most `count` points, each the farthest from the known and those before.
+    """Return the indices of at most `count` points, each farthest from the known and earlier ones.
 
-    Both are scaled loads, shapes (n, m) and (k, m), dimensionless (Gonzalez 1985: no choice of as
-    many covers the others twice as well).
+    `points` (n, m) and `known` (k, m) are scaled loads, dimensionless. Gonzalez 1985: no choice of
+    as many points has less than half the distance to the others.
     """
     if not len(points):
         return []
@@ -137,12 +141,11 @@ def farthest_first(points: Floats, known: Floats, count: int) -> list[int]:
 
 
 def _coarser(subset: Subset) -> Subset:
-    """Return a subset of a larger radius with at most `TARGET` of the most points."""
+    """Return a subset of a larger radius with at most `TARGET` of the limit's points."""
     points, keys, radius, within = subset.points, subset.keys, subset.radius, subset.within
     while len(keys) > TARGET * subset.limit:
         nearest = _tree(points).query(points, k=2, p=np.inf)[0][:, 1]
-        # Three of ten points have a neighbour within this radius: most of these are dropped.
-        radius = max(1.1 * radius, float(np.quantile(nearest, 0.3)))
+        radius = max(MIN_GROWTH * radius, float(np.quantile(nearest, DROPPED)))
         keep = spaced(points, radius)
         if not keep.all():
             points, within = points[keep], within + radius

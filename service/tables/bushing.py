@@ -12,10 +12,13 @@ from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.answer import NAMES
 from wrenchbook.surrogate.findings.find import loop_of
 from wrenchbook.surrogate.kernel.replies import InverseError
+from wrenchbook.surrogate.table.rows import why_beyond
 
 Others = Literal["displacement", "load"]
 HALVINGS = 40  # of the way to the end of a curve: to 1e-12 of it
 SHORT = 1e-3  # of the load range: a shorter curve is none
+_ROUNDING = 1e-9  # of the load range: rows at an end of a curve count as on it
+_TIGHT = 1e-15  # of the load range: to the last digit of the load of a displacement
 _OUTSIDE, _COVERED = NAMES.index("outside"), NAMES.index("covered")
 _HEAD = "axis,displacement [m or rad],load [N or N*m],bar [N or N*m],loop [N or N*m],coverage\n"
 
@@ -41,7 +44,8 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
     """
     if not table.load_range.space.is_default:
         raise BushingError(
-            "a bushing needs one interface and no further inputs; use an FMU or the C library"
+            "a bushing needs one interface and no further inputs, but the table has the inputs "
+            f"{', '.join(table.load_range.space.input_names)}; use an FMU or the C library"
         )
     loop, hidden = loop_of(table.rows, table.load_range)
     lines, why = [_HEAD], ""
@@ -53,7 +57,8 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
             low, high = curve.end(-1), curve.end(1)
             loads = curve.at(high).load - curve.at(low).load
             if not abs(loads) > SHORT * (curve.high - curve.low):
-                raise BushingError("the rows cover only zero load; add rows under load")
+                span = f"{SHORT:.1%} of its load range {curve.low:g} to {curve.high:g}"
+                raise BushingError(f"the rows cover less than {span}; add rows under load")
         except (InverseError, BushingError) as error:
             why = why or f"{OUTPUTS[axis]}: {error}"
             continue
@@ -75,15 +80,19 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
 
 
 class _Curve:
-    """The load of one axis over its displacement."""
+    """The load of one axis over its displacement; raises BushingError if there is none.
+
+    `rows` are the least and the largest load of the table's rows, `rest` the displacement at zero
+    load, m or rad.
+    """
 
     def __init__(self, table: ServedTable, axis: int, others: Others) -> None:
         self.table, self.axis, self.others = table, axis, others
         self.unit = np.eye(len(LOADS))[axis]
         self.low, self.high = table.load_range.low[axis], table.load_range.high[axis]
         if not self.low < self.high:
-            raise BushingError("its load has no range; widen the load range")
-        loads, rounding = table.rows.wrench[:, axis], 1e-9 * (self.high - self.low)
+            raise BushingError(f"its load range is {self.low:g} to {self.high:g}; widen it")
+        loads, rounding = table.rows.wrench[:, axis], _ROUNDING * (self.high - self.low)
         self.rows = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
         self.rest = 0.0 if others == "displacement" else self._moved(0.0)
         self.at(self.rest)
@@ -120,9 +129,10 @@ class _Curve:
         else:
             low, high = (self._moved(load) - d for load in (self.low, self.high))
             if not low * high <= 0:
-                raise BushingError("no load of the range has this displacement; widen the range")
+                span = f"{self.low:g} to {self.high:g}"
+                raise BushingError(f"no load in its range {span} displaces it by {d:.4g}; widen it")
             span = self.low, self.high
-            tight = 1e-15 * (self.high - self.low)
+            tight = _TIGHT * (self.high - self.low)
             load = root_scalar(lambda f: self._moved(f) - d, bracket=span, xtol=tight).root
             wrench = load * self.unit + 0.0
             slope = packed.derivatives(wrench[None], without_rows=True)[0, axis, axis]
@@ -130,8 +140,13 @@ class _Curve:
         reply = packed.batch(wrench[None], without_rows=True)
         coverage, errors = int(reply.coverage[0]), reply.errors[0]
         # Beyond its rows a thin table guesses, and a linear one answers.
-        beyond = coverage != _COVERED and not self.rows[0] <= wrench[axis] <= self.rows[1]
-        if beyond or not self.table.load_range.holds(wrench[None])[0] or coverage == _OUTSIDE:
-            raise BushingError("the load there is outside the range or the rows; fill the table")
+        load, loads = wrench[axis], self.table.load_range
+        if not loads.holds(wrench[None])[0]:
+            raise BushingError(f"{why_beyond(loads, wrench)}; widen the load range")
+        if coverage != _COVERED and not self.rows[0] <= load <= self.rows[1]:
+            ends = f"{self.rows[0]:.4g} to {self.rows[1]:.4g}"
+            raise BushingError(f"its load {load:.4g} is beyond the rows, {ends}; fill the table")
+        if coverage == _OUTSIDE:
+            raise BushingError(f"no rows surround its wrench at {d:.4g}; fill the table")
         bar = float(np.abs(row) @ np.where(row == 0, 0.0, errors))
         return _Point(wrench[axis], bar, abs(row[axis]), errors[axis], coverage)

@@ -110,12 +110,12 @@ def _selection(
 ) -> _Selection:
     """Return the rows of a comparison; raises UncomparableError: parameters as of `comparison`."""
     of_import, measured = _imports(rows.seq, spans), rows.source != SOLVED
-    for each in (number, against):
-        if each is not None and not (measured & (of_import == each)).any():
+    for wanted in (number, against):
+        if wanted is not None and not (measured & (of_import == wanted)).any():
             listed = np.unique(of_import[measured & (of_import > 0)])[-10:].tolist()
             known = ", ".join(map(str, listed))
             raise UncomparableError(
-                f"the table has no measured rows of import {each}; "
+                f"the table has no measured rows of import {wanted}; "
                 + (f"its last are {known}" if known else "import a file of measured rows first")
             )
     if number is not None and number == against:
@@ -142,21 +142,21 @@ class _Answers(NamedTuple):
 
 
 def _answers(
-    component: Component, some: Rows, reference: Rows, error: SolverError | None, *, solved: bool
+    component: Component, rows: Rows, reference: Rows, error: SolverError | None, *, solved: bool
 ) -> _Answers:
-    """Return the answers of a table of the reference at some rows; unknown ones if either is empty.
+    """Return the answers of a table of the reference at rows; unknown ones if either is empty.
 
-    `solved`: whether the reference are the solves, with the `error` of their solver.
+    `solved`: whether the reference is the solves, with the `error` of their solver.
     """
-    if not len(some) or not len(reference):
-        unknown, none = np.full(some.displacement.shape, np.nan), np.full(len(some), _OUTSIDE)
-        return _Answers("none", none, unknown, unknown, np.full(some.displacement.shape[1], np.nan))
-    of_rig = replace(component, linear=False)  # nothing makes a rig linear
-    noise = build_table(of_rig, some, 0).observation_noise
+    if not len(rows) or not len(reference):
+        unknown, none = np.full(rows.displacement.shape, np.nan), np.full(len(rows), _OUTSIDE)
+        return _Answers("none", none, unknown, unknown, np.full(rows.displacement.shape[1], np.nan))
+    of_rig = replace(component, linear=False)  # measured rows need not be linear
+    noise = build_table(of_rig, rows, 0).observation_noise
     model = component if solved else of_rig
     packed = packed_of(build_table(model, reference, 0, error if solved else None))
-    # A reading at the same wrench is no answer: its noise would be the reference's.
-    replies = packed.batch(some.wrench, without_rows=not solved)
+    # Between measured rows, since a reading at the same wrench has noise of its own.
+    replies = packed.batch(rows.wrench, without_rows=not solved)
     answered = (replies.coverage != _OUTSIDE)[:, None]
     if not solved or error is not None:
         # Far from its rows a kriging extrapolates and has no bar.

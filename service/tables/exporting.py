@@ -71,9 +71,10 @@ def export_table(
 
 def check_units(request: ExportRequest) -> None:
     """Raise UnitError for an unknown unit, and for any but SI in formats that programs read."""
-    chosen = chosen_units(request.units)
-    if request.format in IN_SI and any(unit != of.si for of, (unit, _) in chosen.items()):
-        raise UnitError(f"{request.format} is always in SI; leave the units out, or use CSV")
+    for quantity, (unit, _) in chosen_units(request.units).items():
+        if request.format in IN_SI and unit != quantity.si:
+            remedy = "leave the units out, or use CSV"
+            raise UnitError(f"{request.format} is always in SI, not in {unit}; {remedy}")
 
 
 def _write_columns(

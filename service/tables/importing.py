@@ -21,14 +21,15 @@ from wrenchbook.surrogate.findings.find import MAX_ROWS
 from wrenchbook.surrogate.findings.response import RigFinding
 from wrenchbook.surrogate.table.compliance import fit_compliance
 
-SAME = 1e-12  # of a number: what an export in other units and its import may lose
+SAME = 1e-12  # of a number: the rounding of an export in other units and of its import
 TWICE = (
     "import {0.id} already has the rows of this file ({0.filename}), read with other options, so "
     "each test counts twice. Unless the rows differ, withdraw one of the two imports: "
     "wrenchbook withdraw {0.component} {0.id}"
 )
-_MAX_TRIED = 16  # stored rows of nearly one sum that a row is compared with; others hardly occur
-_DISPLACEMENT_WEIGHT = 1e6  # they are of 1e-6 to 1e-3 m and rad, loads of 1 to 1000 N and N·m
+_MAX_TRIED = 16  # stored rows of nearly the same sum that a row is compared with
+# In the sums: displacements are of 1e-6 to 1e-3 m and rad, loads of 1 to 1000 N and N·m.
+_DISPLACEMENT_WEIGHT = 1e6
 
 # By component: its setup and the numbers of its solves, and their compliance.
 _solved: dict[str, tuple[tuple[str, bytes], list[list[float]]]] = {}
@@ -69,7 +70,8 @@ def import_files(
     report.pop("converted")
 
     def pieces() -> Iterator[ParsedTable]:
-        # A block that is sent again has its numbers; with each row there are more to compare.
+        # A block is in SI, so that a repeated one has the stored bits; and comparing each block
+        # with all stored rows takes longer with each block.
         return read.pieces() if append else _with_stored_numbers(ledger, component, read)
 
     if table is not None and not refused:
@@ -88,7 +90,7 @@ def import_files(
         blocks = (NotedRows(piece, piece.note) for piece in pieces())
         load = ledger.append_rows if append else ledger.import_rows
         inserted, existing, number = load(component.name, blocks, origin)
-    if not inserted:  # all rows were there already, and none counts twice
+    if not inserted:  # all rows were stored before, so none counts twice
         report["findings"] = [
             finding for finding in report["findings"] if finding["cause"] != "twice"
         ]
@@ -127,7 +129,7 @@ def _findings_by_key(
     findings: Sequence[Mapping[str, Any]],
     pieces: Callable[[], Iterator[ParsedTable]],
 ) -> str:
-    """Return findings as JSON that names rows by hexadecimal keys, not by places in the file."""
+    """Return findings as JSON whose rows are hexadecimal keys instead of places in the file."""
     rows = [row for finding in findings for row in finding["rows"]]
     key_of: dict[int, str] = {}
     for piece in pieces() if rows else ():
@@ -144,9 +146,9 @@ def _findings_by_key(
 def _compared(
     read: ReadResult, table: ServedTable, known: Sequence[dict[str, Any]]
 ) -> list[dict[str, Any]]:
-    """Return the finding that the file's measured rows differ from a table's; none if it is known.
+    """Return the finding that the file's measured rows differ from a table's answers, if they do.
 
-    A wrong unit, sign or clock is another error of the same rows.
+    None if `known` has a wrong unit, sign or clock, which causes the difference.
     """
     good = read.report["rows"]["good"]
     wrong = any(item["cause"] in ("unit", "sign", "clock") for item in known)
@@ -169,7 +171,7 @@ def solved_compliance(component: Component, table: ServedTable) -> list[list[flo
     """Return the compliance (outputs, inputs), SI, of a component's solves, zero where unknown."""
     if not component.has_fea or not table.sources.get("fea"):
         return None
-    # Appended rows come often, solves do not: these are known by their numbers in the packed table.
+    # Rows are appended often, solves seldom: the compliance is cached by the numbers of the solves.
     packed = table.packed
     fea = [number for number, names in enumerate(packed.meta["sources"]) if "fea" in names]
     solves = packed.arrays["g0/row/seq"][np.isin(packed.arrays["g0/row/source"], fea)]
@@ -201,7 +203,7 @@ def _with_stored_numbers(
     for piece in read.pieces():
         numbers = np.hstack((piece.wrench, piece.displacement, piece.uncertainty))
         total, size = _sums(numbers, inputs)
-        # Rows with stored rows of nearly the same sum are open until they agree with one of these.
+        # `open_`: rows with further stored rows of nearly the same sum, none of which was equal.
         first = np.searchsorted(sums, total - 2.0 * SAME * size)
         end = np.searchsorted(sums, total + 2.0 * SAME * size, side="right")
         open_ = np.flatnonzero(first < end)
@@ -219,8 +221,8 @@ def _with_stored_numbers(
 def _sums(numbers: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
     """Return a weighted sum of numbers (n, k), SI, and the same sum of their sizes, (n,) each.
 
-    Two rows of one sum are the same but by chance: the random weights tell loads of both signs
-    apart, and the weight of displacements tells repeated values of a wrench apart.
+    Different rows hardly have the same sum: random weights separate loads of opposite signs, and
+    the weight of displacements separates different readings at one wrench.
     """
     columns = np.arange(numbers.shape[1])
     weights = np.random.default_rng(0).uniform(1.0, 2.0, len(columns))

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from wrenchbook.service.ledger import LedgerUnavailableError
+from wrenchbook.service.ledger.connection import with_remedy
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
@@ -340,7 +341,7 @@ class MappedTables:
                 try:
                     next((file for file in files if self._map(component, file)), None)
                 except Exception as error:  # the other tables are mapped all the same
-                    self._unread[name], failed = repr(error), error
+                    self._unread[name], failed = with_remedy(error), error
                     continue
                 if not any(self._refused.get(file.path) == (file, component) for file in files):
                     self._unread.pop(name, None)

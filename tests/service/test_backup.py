@@ -174,6 +174,9 @@ LARGE = (MANIFEST, "fields/rig/1.fields")
 REFUSED = [
     *((partial(cut, kept=kept), None) for kept in (0, 1, 100, -5000, -30, -1)),
     (partial(planted, schema=99, program="9.9"), r"newer wrenchbook.*9\.9"),
+    (partial(planted, format="another"), "is a 'another', not a 'wrenchbook backup'"),
+    (partial(planted, text='{"schema": 2}'), "in its backup.json the member 'format' is missing"),
+    (lambda backup: backup.parent, "cannot be read: Is a directory; name a backup"),
     (partial(planted, files={}), r"has no ledger\.sqlite"),
     *((partial(planted, name=name), "which no backup contains") for name in (*OUT, *FOREIGN)),
     *((partial(planted, name=name, schema=1), "which no backup contains") for name in OUT),

@@ -176,7 +176,7 @@ def test_zeros_and_nothing_at_all_have_their_shape(shape, bits):
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])
 def test_what_is_not_finite_is_not_kept(number):
-    with pytest.raises(ValueError, match="not finite"):
+    with pytest.raises(ValueError, match="1 of the 2 numbers of a are not finite"):
         pack({}, {"a": Column(np.array([[1.0, number]]), 24)})
 
 
@@ -206,6 +206,16 @@ def test_a_header_with_a_number_that_is_not_finite_is_damaged(number):
 def test_no_byte_may_be_missing(part):
     with pytest.raises(DamagedFieldsError):
         unpack(example()[:part])
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [("[1]", "lacks the members meta"), ('{"meta": {}}', "or columns"), ("{", "of 1 bytes")],
+)
+def test_a_header_that_is_damaged_says_of_what_it_lacks(header, words):
+    content = header.encode()
+    with pytest.raises(DamagedFieldsError, match=words):
+        unpack(MAGIC + len(content).to_bytes(4, "little") + content)
 
 
 def test_a_field_takes_less_room_than_its_numbers():

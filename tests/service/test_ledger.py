@@ -70,7 +70,9 @@ def test_a_commit_writes_row_and_status_together(ledger):
 def test_a_commit_of_an_answer_that_is_not_finite_leaves_the_job_running(ledger):
     job = accept(ledger)
     ledger.claim("me")
-    with pytest.raises(ValueError, match="displacement must be finite"):
+    with pytest.raises(
+        ValueError, match=r"displacement of job 1 must be finite, not nan at \(0,\)"
+    ):
         ledger.commit(job.id, 1, (float("nan"), 0, 0, 0, 0, 0))
     assert ledger.job(job.id).status == "running"
     assert stored(ledger, "plate") == []

@@ -249,7 +249,7 @@ def database(path, *statements):
             lambda path: [Ledger(path).close(), database(path, "PRAGMA user_version = 99")],
             "newer w",
         ),
-        (lambda path: path.mkdir(), "cannot be opened"),
+        (lambda path: path.mkdir(), "Is a directory.*move the folder away"),
     ],
     ids=["of another program", "no database", "of a newer version", "a folder"],
 )
@@ -429,6 +429,21 @@ def test_a_server_with_a_damaged_ledger_says_so_and_answers_from_its_table_file(
         asked = {"force": [0.5, 0, 0], "moment": [0, 0, 0], "on_thin": "estimate"}
         result = http.post("/v1/components/rig/displacement", json=asked).json()
         assert result["translation"][0] == pytest.approx(5e-7)
+
+
+@pytest.mark.parametrize(
+    ("code", "remedy"),
+    [
+        (sqlite3.SQLITE_BUSY, "another program holds its lock: end that program"),
+        (sqlite3.SQLITE_CANTOPEN, "make its folder and files writable"),
+        (sqlite3.SQLITE_IOERR_WRITE, "make room on its disk"),
+        (sqlite3.SQLITE_MISMATCH, "check that its disk has space"),
+    ],
+)
+def test_an_error_of_sqlite_has_the_remedy_of_its_cause(tmp_path, code, remedy):
+    error = sqlite3.OperationalError("as SQLite says")
+    error.sqlite_errorcode = code
+    assert remedy in str(connection.unavailable(tmp_path / "ledger.sqlite", error))
 
 
 @pytest.mark.parametrize(

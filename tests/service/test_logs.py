@@ -76,7 +76,7 @@ def test_a_fault_that_lasts_is_logged_once_a_minute(monkeypatch):
 
 
 def test_many_different_faults_are_all_logged_and_few_are_remembered(monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.ops.logs._MOST_REPEATS", 10)
+    monkeypatch.setattr("wrenchbook.service.ops.logs._MAX_REPEATS", 10)
     repeats = Repeats()
     faults = [logging.LogRecord("a", logging.ERROR, "", 0, f"{k}", (), None) for k in range(100)]
     assert all(map(repeats.filter, faults))

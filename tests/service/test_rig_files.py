@@ -91,6 +91,19 @@ def test_a_labview_log_and_a_tdms_log_join_by_their_clocks(tmp_path):
     assert "is ambiguous with two logs" in report.mistakes.listed()[0].message
 
 
+def test_displacements_in_gaps_of_the_loads_are_told_from_those_outside(tmp_path):
+    loads, moves = tmp_path / "loads", tmp_path / "moves"
+    loads.write_text("time [s],fz [N]\n0,0\n1,10\n2,20\n")
+    for times, words in (
+        ((0.5, 1.5), "2 lie between two loads more than 0.1 s apart"),
+        ((7.0, 8.0), "0 to 2 s; the displacements' are 7 to 8 s"),
+    ):
+        moves.write_text("time [s],uz [mm]\n" + "".join(f"{t},0.1\n" for t in times))
+        report = ReadReport()
+        assert not any(map(len, read_logs(loads, moves, replace(ZERO, max_gap_s=0.1), report)))
+        assert words in report.mistakes.listed()[0].message
+
+
 def test_of_two_tdms_groups_with_columns_the_sender_names_one():
     content = tdms(first={"Kraft": ([0.0], KN), "Weg": ([0.0], MM)}, second=RUN)
     assert read(content, NAMED)[1].sheet == "first"
@@ -104,9 +117,12 @@ def test_of_two_tdms_groups_with_columns_the_sender_names_one():
     [
         (
             (PATH[:5], MM),
-            "at most 256 channels of one length, not Kraft: 25, Weg: 5; resample them",
+            "the lengths of its channels differ: Kraft 25, Weg 5; resample them to one",
         ),
-        ((PATH, MM | WAVE | {"wf_increment": 0.1}), "different times; resample them"),
+        (
+            (PATH, MM | WAVE | {"wf_increment": 0.1}),
+            "Kraft and Weg have different times (wf_increment 0.25 and 0.1)",
+        ),
     ],
 )
 def test_tdms_channels_of_two_clocks_are_refused_and_load_resampled(weg, says):
@@ -258,7 +274,7 @@ def test_records_of_matlab_are_rows_and_an_empty_field_is_unknown():
     assert [(error.row, error.field) for error in report.mistakes.listed()] == [(5, "Weg")]
     assert len(table) == 4
     said = message(mat(S=records((1.0, 2.0), (1.0, np.ones(3)))), IN_UNITS)
-    assert "Weg is not a numeric vector; save each column" in said
+    assert "Weg is not a numeric vector (shape (2,), type object); save each column" in said
 
 
 @pytest.mark.parametrize("level", ["5", "7.3"])

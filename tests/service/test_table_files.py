@@ -276,6 +276,13 @@ def error_of(content: bytes, options: Options = ZERO) -> str:
     return error.message
 
 
+def test_a_nested_column_of_parquet_is_named():
+    file = io.BytesIO()
+    columns = {"fz [N]": [1.0], "ux [mm]": [1.0], "samples": [[1.0, 2.0]]}
+    write_table(arrow.table(columns), file)
+    assert "the column 'samples' holds list<" in error_of(file.getvalue())
+
+
 def test_a_spreadsheet_s_own_numbers_and_empty_cells_are_read_from_the_first_sheet_with_rows():
     rows = [["Fz", "uz", "note", None], ["N", "mm"], [100, 0.25, "a"], [], [200, None, "b"]]
     table, report = read(workbook([], [*rows, [300, 0.75]]))
@@ -538,7 +545,7 @@ def test_a_label_of_100_000_letters_neither_keeps_a_reader_busy_nor_comes_back_w
 
 def test_a_sheet_of_more_rows_than_a_sheet_can_have_is_refused(monkeypatch):
     monkeypatch.setattr(xlsx_table, "MAX_SHEET_ROWS", 10)
-    assert "more than 11 rows" in error_of(sheet_xml("<row/>" * 12))
+    assert "the sheet Sheet has over 11 rows" in error_of(sheet_xml("<row/>" * 12))
 
 
 @pytest.mark.parametrize("begin", ["", f"{HEADER}\n"])
