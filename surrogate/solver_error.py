@@ -104,14 +104,18 @@ class SolverError:
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Floats:
     array = _shaped(value, shape, name)
     if not (array >= 0).all():
-        raise ValueError(f"{name} of a solver's error must be 0 or more, not {array.min():g}")
+        index = [int(k) for k in np.unravel_index(array.argmin(), shape)]
+        raise ValueError(f"solver error: {name}{index} must be 0 or more, not {array.min():g}")
     return array
 
 
 def _shaped(value: Any, shape: tuple[int, ...], name: str) -> Floats:
     array = np.array(value, dtype=float)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{name} of a solver's error must be finite numbers of shape {shape}")
+    if array.shape != shape:
+        raise ValueError(f"solver error: {name} must have the shape {shape}, not {array.shape}")
+    if not np.isfinite(array).all():
+        index = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise ValueError(f"solver error: {name}{index} must be finite, not {array[tuple(index)]}")
     return array
 
 

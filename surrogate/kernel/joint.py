@@ -86,7 +86,10 @@ class JointSteps:
         self.inputs, self.interfaces = np.zeros(table.inputs), sizes[0]
         k = self.interfaces
         if not 1 <= k <= MAX_INTERFACES:
-            raise ValueError(f"a joint must move at 1 to {MAX_INTERFACES} interfaces, not at {k}")
+            raise ValueError(
+                f"the table has {k} interfaces that move, those with a freedom that is not locked; "
+                f"a joint needs 1 to {MAX_INTERFACES}. Change `locked` in component.toml"
+            )
         self.poses, self.velocities = (np.zeros((count, *shape_of(k, m))) for m in (7, FREEDOMS))
         self.poses[..., 3] = 1.0
         self.inverse_masses = np.zeros((count, FREEDOMS * k, FREEDOMS * k))
