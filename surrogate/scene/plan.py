@@ -124,11 +124,12 @@ def need_of(
         entry = limits.space.inputs[load]
         least, most = min(limits.low[load], entry.zero), max(limits.high[load], entry.zero)
         if low > high:
-            message = f"the low end of {entry.name}, {low:g}, must be below the high, {high:g}"
+            ends_given = f"{low:g} {entry.unit}, must not be above the high end, {high:g}"
+            message = f"the low end of {entry.name}, {ends_given}; swap the two"
             mistakes.append((load, message))
         elif load not in idle and (low < least - slack[load] or high > most + slack[load]):
             within = f"{least:g} to {most:g} {entry.unit}, the load range"
-            message = f"{entry.name} must lie within {within}"
+            message = f"{entry.name} must lie within {within}, not {low:g} to {high:g}"
             mistakes.append((load, message))
     if mistakes:
         raise NeedError(mistakes)

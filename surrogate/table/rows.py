@@ -62,10 +62,15 @@ class LoadRange:
         for name in ("low", "high"):
             bound = np.array(getattr(self, name), dtype=float)
             count = len(self.space.inputs)
-            if bound.shape != (count,) or not np.isfinite(bound).all():
+            if bound.shape != (count,):
                 raise RowError(
-                    f"load range: {name} needs {count} finite numbers, not {str(bound)[:99]}"
+                    f"load range: {name} needs {count} numbers, one for each input, not an array "
+                    f"of shape {bound.shape}"
                 )
+            if not np.isfinite(bound).all():
+                at = int(np.argmin(np.isfinite(bound)))
+                load = self.space.input_names[at]
+                raise RowError(f"load range: {name} of {load} must be finite, not {bound[at]}")
             object.__setattr__(self, name, bound)
         if (self.low > self.high).any():
             at = int(np.argmax(self.low > self.high))
@@ -136,9 +141,12 @@ class Tolerance:
     rotation: float  # rad
 
     def __post_init__(self) -> None:
-        if not (self.translation > 0 and self.rotation > 0):
-            values = f"{self.translation} m and {self.rotation} rad"
-            raise RowError(f"tolerance: translation and rotation must be above zero, not {values}")
+        for name, limit, unit in (
+            ("translation", self.translation, "m"),
+            ("rotation", self.rotation, "rad"),
+        ):
+            if not limit > 0:
+                raise RowError(f"tolerance: {name} must be above 0 {unit}, not {limit:g}")
 
 
 @dataclass(frozen=True)
@@ -194,9 +202,11 @@ class Rows:
                 )
         broken = ~np.isfinite(self.curvature).all(axis=1) & ~absent.all(axis=1)
         if broken.any():
+            row = int(np.argmax(broken))
+            finite = int(np.isfinite(self.curvature[row]).sum())
             raise RowError(
-                f"row {self.seq[np.argmax(broken)]}: curvature must be {absent.shape[1]} finite "
-                "numbers, or all NaN"
+                f"row {self.seq[row]}: curvature must be {absent.shape[1]} finite numbers, or all "
+                f"NaN; {finite} of them are finite"
             )
         unmeasured = np.isnan(self.displacement)
         self._refuse(~np.isfinite(self.wrench), self.wrench, self.space.input_names)
@@ -209,7 +219,10 @@ class Rows:
         if wrong.any():
             row, column = np.argwhere(wrong)[0]
             value = values[row, column]
-            raise RowError(f"row {self.seq[row]}: {names[column]} must be finite, not {value}")
+            raise RowError(
+                f"row {self.seq[row]}: {names[column]} must be finite, not {value}; correct it, or "
+                "leave the row out"
+            )
 
     @property
     def partial(self) -> bool:
