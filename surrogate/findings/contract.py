@@ -295,7 +295,7 @@ def _skew(matrix: Floats, load_range: LoadRange) -> Floats:
 
 def clearance_findings(slopes: Slopes, response: RobustFit) -> list[RigFinding]:
     """Return a finding where outputs jump as their own load changes its sign."""
-    least = np.hypot(CONFIDENT * slopes.deviation, REMARKABLE * response.range)
+    least = np.hypot(CONFIDENT * slopes.jump_deviation, REMARKABLE * response.range)
     at = np.flatnonzero(slopes.jump > least)
     if not len(at):
         return []

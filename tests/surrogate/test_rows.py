@@ -100,7 +100,7 @@ def test_third_derivatives_of_another_number_are_refused() -> None:
 def test_an_infinite_or_missing_third_derivative_is_refused_by_row(wrong: float) -> None:
     thirds = THIRDS.copy()
     thirds[1, 7] = wrong
-    with pytest.raises(RowError, match="row 2: curvature must be 56 finite .*; 55 of them"):
+    with pytest.raises(RowError, match=r"row 2: curvature must be 56 finite .*; 55 of them"):
         Rows.of(np.eye(6)[:2], np.eye(6)[:2], curvature=thirds)
 
 
