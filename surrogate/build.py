@@ -38,8 +38,7 @@ from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import RowIndex, merge, row_conflicts
 from .table.rows import Floats, LoadRange, Rows, Tolerance
 
-SOLVED = "fea"  # the source of rows that a solver gave
-STEEPER = 2.0  # than in proportion: of a response that bends, at the rows there are
+STEEPER = 2.0  # slope of a row without a tangent, at most, over that of a proportional response
 
 
 class Group:
@@ -311,7 +310,7 @@ def _between_sources(rows: Rows, load_range: LoadRange, groups: Sequence[Group])
     those of neither.
     """
     source, largest = np.zeros(len(rows), dtype=np.intp), np.zeros(rows.displacement.shape[1])
-    measured = rows.source != SOLVED
+    measured = ~rows.is_solved
     source[measured] = 1 + sessions_of(rows.take(np.flatnonzero(measured)))
     sources = np.unique(source)
     for group in groups if len(sources) > 1 else ():

@@ -268,7 +268,7 @@ class _Refinement:
         # axis are worth as much as multi-axis ones.
         start = 1 + CANDIDATES + len(self.surrogate.rows)
         parts = [self.indefinite, spread_wrenches(self.span, CANDIDATES, start)]
-        has_tangents = np.isfinite(self.surrogate.used.compliance).all(axis=(1, 2)).any()
+        has_tangents = self.surrogate.used.has_tangent.any()
         if self.surrogate.has_axes and not has_tangents:
             zero_load = np.clip(self.span.space.zero, self.span.low, self.span.high)
             single = spread_wrenches(self.span, AXIS_CANDIDATES, start)

@@ -95,7 +95,7 @@ def dead_channels(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
     may fill others with zeros: there the own load rests, but for its sensor's noise.
     """
     moved = rows.displacement
-    if len(rows) < MIN_CHANNEL_ROWS or not rows.space.is_default or (rows.source == "fea").any():
+    if len(rows) < MIN_CHANNEL_ROWS or not rows.space.is_default or rows.is_solved.any():
         return np.zeros(moved.shape[1], dtype=bool)
     low, high = np.fmin.reduce(moved), np.fmax.reduce(moved)
     is_equal = high - low <= ROUNDING * np.fmax(np.abs(low), np.abs(high))

@@ -98,7 +98,7 @@ def measured_stiffness(
     positive and negative loads. ``other_loads`` has the other loads that vary in these rows, and
     their range, N and N·m.
     """
-    rows = rows.take((rows.source != "fea") & np.isfinite(rows.displacement[:, output]))
+    rows = rows.take(~rows.is_solved & np.isfinite(rows.displacement[:, output]))
     load, moved, session = rows.wrench[:, axis], rows.displacement[:, output], sessions_of(rows)
     loading, sure = np.zeros((2, len(rows)), dtype=bool)
     for number in np.unique(session):

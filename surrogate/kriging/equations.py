@@ -164,8 +164,7 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
 
 def _with_slopes(rows: Rows) -> Mask:
     """Return which rows bring a full finite compliance and all outputs, shape (n,)."""
-    finite = np.isfinite(rows.compliance).all(axis=(1, 2))
-    return np.logical_and(finite, np.isfinite(rows.displacement).all(axis=1))
+    return rows.has_tangent & np.isfinite(rows.displacement).all(axis=1)
 
 
 def equations_of(

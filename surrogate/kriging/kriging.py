@@ -92,17 +92,10 @@ class Kriging:
     ) -> Kriging:
         """Return the kriging of a table's rows inside the load range.
 
-        Parameters
-        ----------
-        observations : Observations, optional
-            Behind each row, of rows of distinct wrenches; else rows at one wrench are merged.
-
-        Raises
-        ------
-        TooFewRowsError
-            If too few rows lie in the load range.
-        SingularCovarianceError
-            If rows contradict each other so that no nugget makes the covariance regular.
+        `observations`: behind each row, of rows of distinct wrenches; without them rows at one
+        wrench are merged first.
+        Raises TooFewRowsError if too few rows lie in the load range, SingularCovarianceError if
+        rows contradict each other so that no nugget makes the covariance regular.
         """
         if observations is None:
             rows, _, observations = merge(rows, load_range).usable()
@@ -316,7 +309,7 @@ class _TrainingData(NamedTuple):
     def mean_tangent(self) -> Floats:
         """Return the mean tangent of the rows, (6, 6), SI: see `Kriging.tangent`."""
         compliance = self.rows.compliance
-        tangents = compliance[np.isfinite(compliance).all(axis=(1, 2))]
+        tangents = compliance[self.rows.has_tangent]
         if len(tangents):
             return tangents.mean(axis=0)
         is_varied = np.ptp(self.equations.x, axis=0) > NEAR

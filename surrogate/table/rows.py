@@ -21,6 +21,7 @@ from .space import DEFAULT, Floats, Space
 ZERO_LOAD = 1e-9  # a smaller load counts as none, and as little beyond an end as on it (rounding)
 NEAR = 1e-6  # wrenches closer than this are the same
 ROUNDING = 1e-12  # of a number's size: what its computation loses; no error bar is smaller
+SOLVED = "fea"  # the source of a row that a solver gave
 SMALLEST = 1e-30  # m and rad: an error bar where nothing moves at all; its square is a number
 
 # Limits of every displacement: what no row of a table may exceed, and no estimate is given beyond.
@@ -78,6 +79,11 @@ class LoadRange:
             load = self.space.input_names[at]
             raise RowError(f"load range: the low end of {load} must not be above {ends}")
 
+    @property
+    def largest(self) -> Floats:
+        """The size of each load at its larger end, shape (n,), N and N·m."""
+        return np.maximum(np.abs(self.low), np.abs(self.high))
+
     @cached_property
     def scale(self) -> Floats:
         """Half the width of each load's range, shape (6,), N and N·m.
@@ -86,9 +92,8 @@ class LoadRange:
         zero.
         """
         half = (self.high - self.low) / 2
-        size = np.maximum(np.abs(self.low), np.abs(self.high))
         # Read-only, since it is cached and returned again.
-        array = np.where(half > 0, half, np.where(size > 0, size, 1.0))
+        array = np.where(half > 0, half, np.where(self.largest > 0, self.largest, 1.0))
         array.flags.writeable = False
         return array
 
@@ -223,6 +228,16 @@ class Rows:
                 f"row {self.seq[row]}: {names[column]} must be finite, not {value}; correct it, or "
                 "leave the row out"
             )
+
+    @property
+    def has_tangent(self) -> NDArray[np.bool_]:
+        """Which rows have a complete tangent, shape (n,)."""
+        return np.isfinite(self.compliance).all(axis=(1, 2))
+
+    @property
+    def is_solved(self) -> NDArray[np.bool_]:
+        """Which rows are solves, whose displacements repeat exactly, shape (n,)."""
+        return np.asarray(self.source == SOLVED)
 
     @property
     def partial(self) -> bool:
