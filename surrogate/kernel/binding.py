@@ -38,7 +38,7 @@ from .replies import (
     mistake,
 )
 
-_WHY = 512  # bytes of a reason why a table cannot be opened
+_WHY = 512  # bytes of the message of a table that cannot be opened; longer ones are cut
 
 
 class Kernel(NamedTuple):
@@ -92,7 +92,7 @@ class _Options(ctypes.Structure):
 class _Work:
     """The buffers of one answer: inputs, options, reply and scratch.
 
-    `at`: addresses of inputs, reply and scratch.
+    `at`: the addresses of inputs, reply and scratch.
     """
 
     def __init__(self, inputs: int, outputs: int, scratch: int) -> None:
@@ -154,13 +154,13 @@ class PackedTable:
     `locked` (n,): whether each load acts on a locked freedom.
     `tolerance`: the component's, of a translation, m, and of a rotation, rad; None without.
     `bars_are_complete`: whether the error bars have all their parts.
-    `method`: what answers where no method is asked for; the table's default if None.
+    `method`: the method of queries that name none; the table's default if None.
     """
 
     method: str | None = None
 
     def __init__(self, handle: int, packed: Packed, source: Floats | Path, size: int) -> None:
-        """Take an open handle, the file's views, and its buffer or path, and its bytes."""
+        """Take an open handle, the views of the file, its buffer or path, and its size in bytes."""
         self._handle, self._packed, self._source, self.size = handle, packed, source, size
         self.arrays, self.meta = packed.arrays, packed.meta
         arrays = packed.arrays
@@ -272,9 +272,9 @@ class PackedTable:
         return reply
 
     def answers_by(self, method: str | None = None) -> str:
-        """Return the method that answers a query of a method or None, but for rows.
+        """Return the method that answers a query with this method, or None, where no row does.
 
-        Without a kriging the table's default method answers.
+        In place of a missing kriging the table's default method answers.
         """
         default = self.meta["summary"]["method"]
         name = method or self.method or default
@@ -331,9 +331,8 @@ class PackedTable:
     ) -> Floats:
         """Return du/dw (k, m, n), SI, of the answers to wrenches (k, n).
 
-        That of the method's interpolant, or the tangent of the row that answers. With
-        `without_rows` the method's also where a row answers. Other parameters and errors are those
-        of `batch`.
+        It is the derivative of the method's interpolant, or the tangent of the row that answers;
+        with `without_rows` always the method's. Other parameters and errors are those of `batch`.
         """
         queries = self._many(wrenches)
         derivatives = np.empty((len(queries), self.outputs, self.inputs))
