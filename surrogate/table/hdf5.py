@@ -48,6 +48,7 @@ MAX_CHUNK_BYTES = 64 * MIB  # a chunk is unpacked in full, however little is rea
 MAX_STRING_BYTES = 1024  # of a source or a fingerprint; each takes as much as the longest
 FOREIGN_PIECE = 20_000  # rows read at once
 MAX_LISTED = 8  # names in a message: more hide its remedy
+MAX_SHOWN = 100  # characters of a value in a message
 
 KEY_DIGITS = 32  # of a row's content key, 16 bytes
 
@@ -517,7 +518,8 @@ def _texts(dataset: h5py.Group | h5py.Dataset, *keys: str) -> list[str]:
     ]
 
 
-_PACKING = ("scale_factor", "add_offset", "_FillValue", "missing_value")
+_SCALING = ("scale_factor", "add_offset")
+_BLANK = ("_FillValue", "missing_value")
 _VALID = ("valid_min", "valid_max", "valid_range")
 
 
@@ -532,34 +534,34 @@ def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndar
     integers are packed and their valid range is no integers.
     """
     stored_type = dataset.dtype[part] if isinstance(part, str) else dataset.dtype
-    keys = [key for key in (*_PACKING, *_VALID, "_Unsigned") if key in dataset.attrs]
+    keys = [key for key in (*_SCALING, *_BLANK, *_VALID, "_Unsigned") if key in dataset.attrs]
     attributes: dict[str, np.ndarray] = {
         key: np.ravel(np.asarray(dataset.attrs[key])) for key in keys
     }
-    packed = stored_type.kind in "iu" and not attributes.keys().isdisjoint(_PACKING[:2])
+    packed = stored_type.kind in "iu" and not attributes.keys().isdisjoint(_SCALING)
     for key, values in attributes.items():
         count = {"missing_value": len(values) or 1, "valid_range": 2}.get(key, 1)
-        numeric = values.dtype.kind in "iuf" and len(values) == count
-        if not numeric or (key in _PACKING[:2] and not np.isfinite(values).all()):
+        is_numeric = values.dtype.kind in "iuf" and len(values) == count
+        if not is_numeric or (key in _SCALING and not np.isfinite(values).all()):
             raise TableFileError(
-                f"holds {name} with the attribute {key} = {str(values.tolist())[:100]}, not "
+                f"holds {name} with the attribute {key} = {str(values.tolist())[:MAX_SHOWN]}, not "
                 f"{'two numbers' if count == 2 else 'one number'}; unpack the values and remove "
                 f"{key}"
             )
         # The netCDF guide reads such limits as unpacked values, netCDF4 for Python as packed ones.
         if key in _VALID and packed and values.dtype.kind == "f":
             raise TableFileError(
-                f"has packed integers {name} with {key} = {str(values.tolist())[:100]}, which is "
-                f"ambiguous; write {key} as a packed integer, or remove it"
+                f"has packed integers {name} with {key} = {str(values.tolist())[:MAX_SHOWN]}, "
+                f"which is ambiguous; write {key} as a packed integer, or remove it"
             )
     if not attributes:
         return lambda piece: piece[part]
-    factor, offset = (
-        float(attributes.get(k, [v])[0]) for k, v in zip(_PACKING[:2], (1, 0), strict=True)
-    )
-    blanks = [value for key in _PACKING[2:] for value in attributes.get(key, ())]
-    valid = attributes.get("valid_range", [-np.inf, np.inf])
-    low, high = attributes.get("valid_min", valid)[0], attributes.get("valid_max", valid[::-1])[0]
+    factor = float(attributes.get("scale_factor", [1])[0])
+    offset = float(attributes.get("add_offset", [0])[0])
+    blanks = [*attributes.get("_FillValue", ()), *attributes.get("missing_value", ())]
+    valid_low, valid_high = attributes.get("valid_range", [-np.inf, np.inf])
+    low = attributes.get("valid_min", [valid_low])[0]
+    high = attributes.get("valid_max", [valid_high])[0]
     if stored_type.kind == "f":  # 0.1 of 32 bits is larger than 0.1 of 64 bits
         low, high = stored_type.type(low), stored_type.type(high)
 

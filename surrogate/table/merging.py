@@ -19,13 +19,14 @@ from scipy.spatial import KDTree
 
 from .rows import NEAR, SOLVED, ZERO_LOAD, Floats, LoadRange, Rows
 
-DIRECTIONS = 3  # each leaves about a tenth of 30,000 rows
-ALONG = 1 + 1e-6  # of a distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
+DIRECTIONS = 3  # along each, nine tenths of 30,000 rows have no other row near
+ALONG = 1 + 1e-6  # factor on a distance along a direction: rounding, 2e-16 over a distance of 1e-6
 EQUAL = 12  # decimals of scaled loads: rows that are equal to them are one, without a distance
 MAX_PAIRS = 10_000_000  # of rows near each other, each counted twice: 80 MB
-# Wrenches that are near each other are so along any direction; of others few are. The parts
-# are roots of primes, of which no two loads' steps cancel, and their sum is 1, so that what is
-# within `NEAR` in each load is so along it.
+# The key of a wrench is its position along a direction. Wrenches that are near each other are near
+# along any direction; of others few are. The direction's parts are roots of primes, so that the
+# steps of no two loads cancel; their sum is 1, so that wrenches within `NEAR` in each load are
+# within it along the direction.
 _PRIMES = [k for k in range(2, 90) if all(k % part for part in range(2, k))]
 WINDOW = NEAR * ALONG
 
@@ -135,7 +136,6 @@ class RowIndex:
 
     def __init__(self, wrenches: Floats, scale: Floats) -> None:
         self._wrenches, self._scale = wrenches, scale
-        # A direction whose parts have no common measure, shape (n,).
         roots = np.sqrt(np.array(_PRIMES[: len(scale)], dtype=float))
         self.rates = (roots / roots.sum()) / scale
         keys = wrenches @ self.rates
