@@ -220,9 +220,10 @@ class PackedTable:
         try:
             return cls(handle, packed, source, size)
         except (LookupError, TypeError, ValueError) as error:
+            entry = f" (no {error.args[0]})" if isinstance(error, KeyError) else ""
             raise PackedTableError(
-                "the table's description is not that of this version of wrenchbook "
-                f"({type(error).__name__}: {error}); download the table again"
+                f"another version of wrenchbook wrote the table, whose contents differ{entry}; "
+                "download it again"
             ) from error
 
     def __reduce__(self) -> tuple[Any, ...]:

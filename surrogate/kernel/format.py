@@ -189,10 +189,7 @@ def _check(head: bytes, size: int, following: Iterable[bytes | memoryview]) -> N
             f"the table has format {header['format']}; this program reads {FORMAT}: {remedy}"
         )
     if header["size"] != size:
-        raise PackedTableError(
-            f"the file has {size} of {header['size']} bytes, as after a transfer that was cut off; "
-            "download it again"
-        )
+        raise PackedTableError(f"the file has {size} of {header['size']} bytes; download it again")
     if _checksum(head, following) != header["checksum"]:
         raise PackedTableError("the table is damaged: its checksum is wrong; download it again")
 
@@ -215,6 +212,5 @@ def _views(buffer: memoryview) -> Packed:
         return Packed(arrays, meta, buffer)
     except (LookupError, TypeError, ValueError) as error:
         raise PackedTableError(
-            f"the table's list of arrays cannot be read ({type(error).__name__}: {error}); "
-            "download it again"
+            "the table's list of arrays is damaged, though its checksum is right; build it again"
         ) from error

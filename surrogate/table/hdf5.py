@@ -205,7 +205,7 @@ def _read_meta(file: h5py.File) -> TableMeta:
     off_axis = str(attributes.get("off_axis", "correct"))
     if off_axis not in get_args(OffAxis):
         choices = ", ".join(get_args(OffAxis))
-        raise TableFileError(f"has the attribute off_axis = {off_axis!r}, not one of {choices}")
+        raise ValueError(f"its attribute off_axis is {off_axis!r}, not one of {choices}")
     tolerance = attributes.get("tolerance")  # files of 0.1 say nothing of these three
     return TableMeta(
         component=str(attributes["component"]),
@@ -460,7 +460,9 @@ def _named_columns(file: h5py.File) -> list[NamedColumn]:
             group, inside = inside[0], list(inside[0].values())
     if inside and all(isinstance(member, h5py.Group) for member in inside):
         groups = ", ".join(list(group)[:MAX_LISTED])
-        raise TableFileError(f"has columns in several groups ({groups}); send one as a file")
+        raise TableFileError(
+            f"has columns in several groups ({groups}); send each as a file of its own"
+        )
     columns: list[NamedColumn] = []
     room = MAX_FOREIGN_BYTES
     for name, dataset in group.items():

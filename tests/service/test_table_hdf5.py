@@ -300,7 +300,7 @@ def test_columns_in_several_groups_are_named(tmp_path: Path):
     with h5py.File(path, "a") as file:
         file["rig/run 4/uz"] = [1.0]
     assert read_columns(path)[1] == [
-        "has columns in several groups (run 3, run 4); send one as a file"
+        "has columns in several groups (run 3, run 4); send each as a file of its own"
     ]
 
 
