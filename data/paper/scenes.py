@@ -79,13 +79,7 @@ def press(source: Any, component: str, loads: Any, lever: float = 0.0, **options
 
 
 def move_arm(source: Any, component: str, seconds: float, **options: Any) -> LoopRun:
-    """Move the arm past its waypoints on a component; parameters as of `press`.
-
-    Parameters
-    ----------
-    seconds : float
-        That the whole trajectory takes, s.
-    """
+    """Move the arm past its waypoints in `seconds` on a component; others as of `press`."""
     model = engine.MjModel.from_xml_path(str(ARM))
     data = engine.MjData(model)
     data.qpos[:], data.ctrl[:] = WAYPOINTS[0], WAYPOINTS[0]

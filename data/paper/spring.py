@@ -48,13 +48,14 @@ def line_through(x: ArrayLike, y: ArrayLike) -> Line:
     """
     across, up = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     if across.shape != up.shape or across.ndim != 1 or len(across) < 3:
-        raise ValueError("a line with a standard error needs three points (x, y) or more")
+        shapes = f"{across.shape} and {up.shape}"
+        raise ValueError(f"a line needs three points (x, y) or more, not x and y of shape {shapes}")
     if not (np.isfinite(across).all() and np.isfinite(up).all()):
         raise ValueError("the points of a line must be finite")
     centred = across - across.mean()
     spread = float(centred @ centred)
     if spread == 0.0:
-        raise ValueError("all points of the line have the same x")
+        raise ValueError(f"all points of the line have the same x, {across[0]:g}")
     slope = float(centred @ (up - up.mean())) / spread
     intercept = float(up.mean() - slope * across.mean())
     residual = up - slope * across - intercept
