@@ -165,9 +165,9 @@ def mistake(
     """
     space = packed.meta["space"]
     if code == NOT_FINITE:
-        is_input = displacement is None or not np.isfinite(inputs).all()
-        names = space["inputs" if is_input else "outputs"]
-        values = inputs if is_input else np.atleast_2d(displacement)
+        names, values = space["inputs"], inputs
+        if displacement is not None and np.isfinite(inputs).all():
+            names, values = space["outputs"], displacement[None]
         row, column = np.argwhere(~np.isfinite(values))[0]
         where = f"wrench {row}: " if len(values) > 1 else ""
         name, value = names[column]["name"], values[row, column]

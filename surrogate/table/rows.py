@@ -232,7 +232,7 @@ class Rows:
     @property
     def has_tangent(self) -> NDArray[np.bool_]:
         """Which rows have a complete tangent, shape (n,)."""
-        return np.isfinite(self.compliance).all(axis=(1, 2))
+        return np.asarray(np.isfinite(self.compliance).all(axis=(1, 2)))
 
     @property
     def is_solved(self) -> NDArray[np.bool_]:
