@@ -97,6 +97,7 @@ def rotation_too_large(degrees: float, limit: float, load_factor: float = 1.0) -
     under = f" under {load_factor:.3g} of this wrench already" if load_factor < 1.0 else ""
     return SolveFailed(
         "rotation_too_large",
-        f"The interface turns by {degrees:.1f} degrees{under}; a table holds at most {limit:.0f}.",
+        f"The interface turns by {degrees:.1f} degrees{under}; a table holds at most {limit:.0f} "
+        "degrees.",
         "Lower the load range, or stiffen the part; wrenchbook is for small deformations only.",
     )

@@ -39,7 +39,12 @@ from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checke
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath, at_rest, hang
 from wrenchbook.fea.solver.newton import Equilibrium
-from wrenchbook.fea.solver.third_derivatives import MAX_CURVATURE_INPUTS, packed, third_derivatives
+from wrenchbook.fea.solver.third_derivatives import (
+    MAX_CURVATURE_INPUTS,
+    packed,
+    second_derivatives_at_rest,
+    third_derivatives,
+)
 from wrenchbook.fea.solver.vibration import (
     CraigBampton,
     Riding,
@@ -150,6 +155,17 @@ class Solver:
         Raises SolveFailed: ``mechanism`` or ``ill_conditioned``.
         """
         return linear_response(self._system)
+
+    @cached_property
+    def second_derivatives(self) -> Array | None:
+        """The second derivatives of nonlinear displacements at no load, shape (6 i, k, k), SI.
+
+        None of more inputs than `MAX_CURVATURE_INPUTS`, and of a part whose weight or bolts move
+        it at no load. Raises SolveFailed as `linear` does.
+        """
+        if self._hangs or self._system.inputs > MAX_CURVATURE_INPUTS:
+            return None
+        return second_derivatives_at_rest(self._system)
 
     @property
     def _tightening(self) -> System:

@@ -38,7 +38,10 @@ class SolverError:
     ``mesh`` (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), None if unknown: |dC|, error over load.
     ``mesh_stiffness`` (6, 6), N/m and so on, absent in estimates of older versions: D.
     ``linearity`` (6,), m and rad, of a linear component alone, None if unknown: the error at the
-    largest loads; it grows with their square.
+    largest loads. It grows with the square of the largest load over its range. With
+    ``second_derivatives`` (6, 6, 6), m and rad over the units of two inputs, symmetric in these, it
+    is half of their product with the wrench twice, and ``linearity_remainder`` (6,), m and rad,
+    which grows with the cube.
     Raises ValueError if it is not of that form.
     """
 
@@ -51,6 +54,13 @@ class SolverError:
         self.zero = _shaped(values.get("zero", [0.0] * n), (n,), "zero")
         linearity = values.get("linearity")
         self.linearity = None if linearity is None else _numbers(linearity, (m,), "linearity")
+        self.second, self._remainder = None, self.linearity
+        if self.linearity is not None and "second_derivatives" in values:
+            of = values["second_derivatives"]
+            self.second = _shaped(of, (m, n, n), "second_derivatives")
+            self._remainder = _numbers(
+                values.get("linearity_remainder"), (m,), "linearity_remainder"
+            )
         self.stiffness = None
         if self.mesh is not None and "mesh_stiffness" in values:
             self.stiffness = _shaped(values["mesh_stiffness"], (n, m), "mesh_stiffness")
@@ -72,10 +82,11 @@ class SolverError:
         arrays = {
             "mesh": mesh,
             "stiffness": np.zeros((n, m)) if self.stiffness is None else self.stiffness,
-            "linearity": np.zeros(m) if self.linearity is None else self.linearity,
+            "linearity": np.zeros(m) if self._remainder is None else self._remainder,
             "one_over": np.divide(1.0, self._loads, out=np.zeros(n), where=self._loads > 0),
         }
-        return arrays | ({"zero": self.zero} if self.zero.any() else {})
+        optional = {} if self.second is None else {"second": self.second}
+        return arrays | optional | ({"zero": self.zero} if self.zero.any() else {})
 
     @classmethod
     def read(cls, values: Mapping[str, Any] | None) -> SolverError | None:
@@ -87,17 +98,26 @@ class SolverError:
 
         ``mesh`` is without a tangent; a linear component has ``linearity`` too. None if unknown.
         """
-        sizes = np.abs(np.array(wrench, dtype=float) - self.zero)
+        acting = np.array(wrench, dtype=float) - self.zero
+        sizes = np.abs(acting)
         components = {"mesh": None if self.mesh is None else (self.mesh @ sizes).tolist()}
         if "linearity" in self.values:
-            part_of_range = np.max(sizes * self.packed["one_over"], initial=0.0)
-            error = None if self.linearity is None else self.linearity * part_of_range**2
-            components["linearity"] = None if error is None else error.tolist()
+            components["linearity"] = None
+        if self._remainder is not None:
+            most = np.max(sizes * self.packed["one_over"], initial=0.0)
+            if self.second is None:
+                linearity = self._remainder * most**2
+            else:
+                linearity = 0.5 * np.abs(self.second @ acting @ acting) + self._remainder * most**3
+            components["linearity"] = linearity.tolist()
         return components
 
     def at_full_range(self) -> dict[str, list[float] | None]:
-        """Return `parts` at the largest loads of the range, all at once."""
-        return self.parts(self.zero + self._loads)
+        """Return `parts` at the worst signs of the largest loads of the range, all at once."""
+        at_largest = self.parts(self.zero + self._loads)
+        if self.linearity is not None:
+            at_largest["linearity"] = self.linearity.tolist()
+        return at_largest
 
 
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Floats:

@@ -41,6 +41,7 @@ PAGES = [
 ]
 RUN = [
     ROOT / "README.md",
+    DOCS / "concepts/coupling.md",
     *sorted(DOCS.glob("tutorials/*.md")),
     *sorted(DOCS.glob("notebooks/*.ipynb")),
 ]

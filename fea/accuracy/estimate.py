@@ -1,10 +1,15 @@
 """Estimate of the solver's error, as stored with a table: discretisation and linearity.
 
-A linear component's error is that of nonlinear solves at a corner of its range. The answers of a
-linear component are the first term of a series in the wrench; what is left out begins with the
-square. So its size at the corner where the interface turns most, taken from a nonlinear solve,
-gives it elsewhere: bar(w) = bar(corner) s(w)^2 with s the largest load over its range. The wrench
-opposite is solved too, since what pulls stiffens and what pushes buckles.
+The answers of a linear component are the first term of a series in the wrench. The second term is
+known by its derivatives, which need no further solve. Nonlinear solves show the size of all later
+terms, which begin with the cube: at the corner of the range where the interface turns most, and at
+its opposite, since what pulls stiffens and what pushes buckles. So
+
+    error bar(w) = |w H w| / 2 + remainder(corner) s(w)^3
+
+with the second derivatives H, and s the largest load over its range. A part that its weight or
+bolts move at no load, or that has more than eight inputs, has no H. The remainder is then all of
+it, and begins with the square.
 """
 
 from __future__ import annotations
@@ -22,7 +27,6 @@ from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.facets import EDGES
 from wrenchbook.fea.solve import Solver
-from wrenchbook.fea.solver.linear import LinearResponse
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, DeclaredRange
 
@@ -35,16 +39,16 @@ _STEEP = 1.25
 """Buckling factor below which the corner itself is not tried: half the buckling load is."""
 
 _SAFETY = 1.5
-"""On the largest of two corners, for the 62 others: measured on boxes, brackets and the bar."""
+"""On the larger remainder of two corners, for all other wrenches (`make bench NAME=linearity`)."""
 
 
 @dataclass(frozen=True, eq=False)
 class BeyondLinear:
     """How far a linear component's answers are from nonlinear ones."""
 
-    # Shape (6 i,), m and rad: at a load as large as its range, growing with the load's square; NaN
-    # where no nonlinear solve gave an answer.
-    deviation: Array
+    # Shape (6 i,), m and rad: at a load as large as its range, growing with the load's cube, or
+    # square without second derivatives; NaN where no nonlinear solve gave an answer.
+    remainder: Array
     # The part of a corner's wrench at which the component buckles or snaps through, at or below 10;
     # None beyond that. It is that of linear buckling (`fea.solver.vibration`), or where a nonlinear
     # solve ended if that is less.
@@ -68,7 +72,7 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     other.component = replace(
         solver.component, analysis=replace(solver.component.analysis, nonlinear=True)
     )
-    deviation, why = np.full(len(compliance), np.nan), ""
+    remainder, why = np.full(len(compliance), np.nan), ""
     # The corner that turns, or else moves, the interface most, and its opposite.
     corners = loads.corners()
     moved = (corners @ compliance.T).reshape(len(corners), -1, PER_INTERFACE)
@@ -81,37 +85,41 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     if not np.allclose(corners[1], -corners[0]):
         factors[1] = solver.buckling(corners[1] + zero)[0]
     for corner, factor in zip(corners, tuple(factors), strict=True):
-        at_corner, ends, reason = _at_corner(other, solver.linear, corner, factor)
-        deviation = np.fmax(deviation, at_corner)
+        at_corner, ends, reason = _at_corner(other, corner, factor)
+        remainder = np.fmax(remainder, at_corner)
         factors += ends
         why = why or reason
     lowest = float(min(factors))
-    return BeyondLinear(_SAFETY * deviation, lowest if lowest <= _MAX_REPORTED else None, why)
+    return BeyondLinear(_SAFETY * remainder, lowest if lowest <= _MAX_REPORTED else None, why)
 
 
-def _at_corner(
-    solver: Solver, linear: LinearResponse, wrench: Array, buckling: float
-) -> tuple[Array, list[float], str]:
-    """Return deviation, factors and reason of `BeyondLinear` at one corner, or at a part of it.
+def _at_corner(solver: Solver, wrench: Array, buckling: float) -> tuple[Array, list[float], str]:
+    """Return remainder, factors and reason of `BeyondLinear` at one corner, or at a part of it.
 
     The factors are parts of the wrench at which solves ended.
     """
     ends: list[float] = []
     limit, why = 1.0, ""
+    second = solver.second_derivatives
     if buckling < _STEEP:
         limit, why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
     for part in (limit * part for part in _PARTS):
+        acting = part * wrench
         try:
-            solution = solver.solve(part * wrench + solver.component.at_rest)
+            solution = solver.solve(acting + solver.component.at_rest)
         except SolveFailed as failure:
             why = why or failure.message
             if failure.load_factor is not None:
                 ends.append(part * failure.load_factor)
             continue
-        expected = linear.compliance @ (part * wrench) + solver.at_rest[0]
-        missed = np.abs(solution.displacement - expected) / part**2
-        return np.repeat(missed.reshape(-1, 3).max(axis=1), 3), ends, why
-    return np.full(len(linear.compliance), np.nan), ends, why
+        expected = solver.linear.compliance @ acting + solver.at_rest[0]
+        order = 2
+        if second is not None:
+            expected += 0.5 * second @ acting @ acting
+            order = 3
+        remainder = np.abs(solution.displacement - expected) / part**order
+        return np.repeat(remainder.reshape(-1, 3).max(axis=1), 3), ends, why
+    return np.full(len(solver.linear.compliance), np.nan), ends, why
 
 
 _MARGIN = 1.25
@@ -150,8 +158,9 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     with straight edges across round surfaces: their part of ``mesh`` (``mesh``), its largest
     fraction of a compliance (``share``) and ``basis``, text. ``cell_size``: the median length of
     edges, m. ``loads``: the largest of the range, k numbers, SI, 0 on locked freedoms. Of a linear
-    component also ``linearity`` (six numbers, m and rad, or None) and ``buckling`` (or None): see
-    the module; ``linearity_basis``.
+    component also ``linearity`` (6 i numbers, m and rad, at the worst corner of the range, or None)
+    and ``buckling`` (or None): see the module; ``linearity_basis``. Where they are known,
+    ``second_derivatives`` (6 i, k, k), and beside them ``linearity_remainder`` (6 i,), m and rad.
     Raises SolveFailed if the component cannot be solved for small loads.
     """
     bundle = solver.component.bundle
@@ -168,15 +177,31 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     result["cell_size"] = float(np.median(np.concatenate(lengths)))
     if bundle is None or solver.component.analysis.nonlinear:
         return result
-    beyond = beyond_linear(second or solver, bundle.acting)
-    known = bool(np.isfinite(beyond.deviation).all())
+    return result | linearity_of(solver, second or solver, bundle.acting)
+
+
+def linearity_of(solver: Solver, coarse: Solver, loads: DeclaredRange) -> dict[str, Any]:
+    """Return what a linear analysis neglects, as `accuracy_of` does.
+
+    coarse: of a coarser mesh, or `solver` again: the nonlinear solves are of it.
+    loads: as of `beyond_linear`.
+    """
+    beyond, second = beyond_linear(coarse, loads), solver.second_derivatives
     basis = "nonlinear solves at two opposite corners of the load range"
     if beyond.why:
         basis += f", a part of them since {beyond.why}"
+    result = {"linearity": None, "linearity_basis": basis, "buckling": beyond.buckling}
+    if not np.isfinite(beyond.remainder).all():
+        return result
+    if second is None:
+        return result | {"linearity": beyond.remainder.tolist()}
+    corners = loads.corners()
+    at_corners = 0.5 * np.einsum("jkl,ck,cl->cj", second, corners, corners, optimize=True)
     return result | {
-        "linearity": beyond.deviation.tolist() if known else None,
-        "linearity_basis": basis,
-        "buckling": beyond.buckling,
+        "linearity": (np.abs(at_corners).max(axis=0) + beyond.remainder).tolist(),
+        "linearity_remainder": beyond.remainder.tolist(),
+        "second_derivatives": second.tolist(),
+        "linearity_basis": f"second derivatives at no load, and {basis}",
     }
 
 

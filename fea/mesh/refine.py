@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
+from annotated_types import Ge
 
 from wrenchbook.fea.mesh.element_order import SECOND
 from wrenchbook.fea.mesh.facets import FaceFinder
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, tabulate
+from wrenchbook.fea.spec.keys import keys_of
 from wrenchbook.fea.spec.mesh_source import Generator, GeometryFile
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import Bundle
@@ -49,10 +51,16 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
     if not isinstance(mesh, Generator):
         return None
     counts = {
-        name: max(1, math.floor(mesh.parameters[name] * factor + 0.5))
+        name: max(_fewest(mesh, name), math.floor(mesh.parameters[name] * factor + 0.5))
         for name in _COUNTS[mesh.generator]
     }
     return replace(bundle, mesh=replace(mesh, **counts))
+
+
+def _fewest(mesh: Generator, name: str) -> int:
+    """Return the least number of cells that a generator's parameter may have."""
+    bounds = keys_of(type(mesh))[name].metadata
+    return next(cast("int", bound.ge) for bound in bounds if isinstance(bound, Ge))
 
 
 # The cell, or facet, of first order with the same corners as one of second order.

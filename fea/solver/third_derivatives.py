@@ -16,7 +16,7 @@ from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling import Coupling
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE, from_origin
 from wrenchbook.fea.element.cell_state import CellState, symmetrised
-from wrenchbook.fea.tensors import spin_per_vector, spin_slope
+from wrenchbook.fea.tensors import skew, spin_per_vector, spin_slope
 
 Array = np.ndarray
 
@@ -115,3 +115,26 @@ def third_derivatives(
         body_part += thermal
     tensor[np.ix_(active, active, active)] = -body_part
     return tensor
+
+
+def second_derivatives_at_rest(system: System) -> Array:
+    """Return the second derivatives of the displacements by the inputs, undeformed and unloaded.
+
+    At no load they are those of the complementary energy but for what mu = M - r x M / 2 + ...
+    adds: a moment M and the rotation r of another input.
+
+    Result: shape (6 i, k, k), m and rad over the units of two inputs; symmetric in these.
+    """
+    tensor = third_derivatives(system, system.balance_at_rest, system.undeformed)
+    compliance = system.undeformed.compliance
+    second = tensor[: len(compliance)]
+    for first in range(PER_INTERFACE // 2, len(compliance), PER_INTERFACE):
+        moments = slice(first, first + PER_INTERFACE // 2)
+        acting = np.isin(np.arange(moments.start, moments.stop), system.coupling.active)
+        # d2 mu / dw_k dM_l, shape (3, k, 3).
+        bend = -0.5 * skew(compliance[moments].T).transpose(1, 0, 2) * acting
+        change = compliance[:, moments] @ bend.reshape(len(bend), -1)
+        change = change.reshape(len(compliance), *bend.shape[1:])
+        second[:, :, moments] += change
+        second[:, moments] += change.swapaxes(1, 2)
+    return second

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -72,19 +72,22 @@ def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Clie
 
 def further_inputs(options: list[str] | None) -> dict[str, float] | None:
     """Return the further inputs of ``--input NAME=NUMBER``; None without."""
-    return {name: number(text) for name, text in by_name("--input", options)} if options else None
+    if not options:
+        return None
+    pairs = by_name("--input", "NAME=NUMBER", options)
+    return {name: number(f"--input {name}", text) for name, text in pairs}
 
 
-def by_name(option: str, values: list[str] | None) -> list[tuple[str, str]]:
-    """Return the name and the rest of each value NAME=... of an option.
+def by_name(option: str, form: str, values: list[str] | None) -> list[tuple[str, str]]:
+    """Return the name and the rest of each value of an option, of a form such as NAME=NUMBER.
 
-    Raises InvalidArgument if one has no name or no ``=``, or a name is repeated.
+    Raises InvalidArgument if a value has no name or no ``=``, or a name is repeated.
     """
     pairs: dict[str, str] = {}
     for text in values or ():
         name, equals, rest = text.partition("=")
         if not (name and equals):
-            raise InvalidArgument(f"{option} {text!r} must have the form NAME=NUMBERS")
+            raise InvalidArgument(f"{option} {text!r} must have the form {option} {form}")
         if name in pairs:
             raise InvalidArgument(f"{option} {name} is given twice; keep one")
         pairs[name] = rest
@@ -98,9 +101,16 @@ def in_folder(file: Path | None) -> Path | None:
     return file
 
 
-def number(text: str) -> float:
-    """Return a number; InvalidArgument if it is none."""
+def number(option: str, text: str) -> float:
+    """Return a number of an option; InvalidArgument if it is none."""
     try:
         return float(text)
     except ValueError:
-        raise InvalidArgument(f"{text!r} must be a number, such as -12.5") from None
+        raise InvalidArgument(f"{option}: {text!r} must be a number, such as -12.5") from None
+
+
+def refuse_alone(needed: str, options: Mapping[str, object]) -> None:
+    """Refuse those of some options by name that have a value: another one, `needed`, has none."""
+    names = ", ".join(name for name, value in options.items() if value)
+    if names:
+        raise typer.BadParameter(f"{names} needs {needed}; add it, or leave {names} out")

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -22,11 +22,20 @@ from wrenchbook.service.client import Client, Displacement, Job
 
 COMPONENT = "plate_thin"
 SOLVERS = 2
-BUDGET = 120
-CHECKED = 50
+BUDGET = 120  # solves of the fill
+CHECKED = 50  # random wrenches compared with solves
 FINER = 2  # times as many cells a side: the solver's own error is an eighth on smooth parts
 SEED = 20170726
+OTHER = 0.9  # times the force: a wrench near WRENCH that no solve was made for
 WRENCH = ((150.0, -100.0, -900.0), (20.0, 30.0, 5.0))
+
+
+class Compared(NamedTuple):
+    """One wrench's answers from the table, by its own method and by griddata, and its solve."""
+
+    answer: Displacement
+    plain: Displacement
+    job: Job
 
 
 def run(out: Console, keep: Path | None = None) -> dict[str, Any]:
@@ -84,7 +93,7 @@ def _fill(out: Console, client: Client) -> str | None:
 
 def _refine(out: Console, client: Client) -> str | None:
     """Ask a wrench that no solve was made for, and solve it on a finer mesh."""
-    force, moment = [0.9 * load for load in WRENCH[0]], WRENCH[1]
+    force, moment = [OTHER * load for load in WRENCH[0]], WRENCH[1]
     answer = client.displacement(COMPONENT, force, moment)
     out.print(answer_shown(answer))
     if answer.coverage != "covered":
@@ -128,7 +137,7 @@ def _compare(out: Console, client: Client) -> str | None:
     jobs = progress.follow(out, client, [job for job in queued if job])
     by_id = {job.id: job for job in jobs}
     compared = [
-        (answer, plain_answer, by_id[job.id])
+        Compared(answer, plain_answer, by_id[job.id])
         for answer, plain_answer, job in zip(answers, plain, queued, strict=True)
         if job
         and by_id[job.id].status == "done"
@@ -154,8 +163,8 @@ def _compare(out: Console, client: Client) -> str | None:
     out.print(table)
     within = sum(answer.within_tolerance is True for answer in answers)
     bars = [answer.error_vector[2] for answer in answers if answer.error_vector is not None]
-    solved = np.array([job.raw["translation"][2] for *_, job in compared])
-    answered = np.array([answer.vector for answer, *_ in compared], dtype=float)[:, 2]
+    solved = np.array([row.job.raw["translation"][2] for row in compared])
+    answered = np.array([row.answer.vector for row in compared], dtype=float)[:, 2]
     error = np.abs(answered - solved)
     rows, limit = client.component(COMPONENT)["rows"], component["tolerance"]
     out.print(
@@ -169,13 +178,14 @@ def _compare(out: Console, client: Client) -> str | None:
     return None if within == CHECKED else "all answers should be within the tolerance"
 
 
-def _error_table(compared: Sequence[tuple[Displacement, Displacement, Job]]) -> Table:
+def _error_table(compared: Sequence[Compared]) -> Table:
     """Lay out the table's errors against FEA per output, and griddata's next to them."""
-    true = np.array([[*job.raw["translation"], *job.raw["rotation"]] for *_, job in compared])
-    error = np.abs(np.array([answer.vector for answer, _, _ in compared]) - true)
-    other = np.abs(np.array([answer.vector for _, answer, _ in compared]) - true)
-    bars = np.array([answer.error_vector for answer, _, _ in compared])
-    span, method = np.ptp(true, axis=0), compared[0][0].method
+    raw = [row.job.raw for row in compared]
+    true = np.array([[*job["translation"], *job["rotation"]] for job in raw])
+    error = np.abs(np.array([row.answer.vector for row in compared]) - true)
+    other = np.abs(np.array([row.plain.vector for row in compared]) - true)
+    bars = np.array([row.answer.error_vector for row in compared])
+    span, method = np.ptp(true, axis=0), compared[0].answer.method
     table = Table(title=f"{method} against FEA, {len(compared)} full wrenches not in the table")
     for heading in ("", "range", "RMS error", "largest", "RMS/range", "in bar", "griddata"):
         table.add_column(heading, justify="right" if heading else "left")

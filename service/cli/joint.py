@@ -19,6 +19,7 @@ from wrenchbook.service.cli.connect import (
     connected,
     further_inputs,
     in_folder,
+    refuse_alone,
 )
 from wrenchbook.service.cli.render import matrix_table, print_json, show, stiffness_lines
 from wrenchbook.service.client.joint import LinearPart
@@ -67,11 +68,10 @@ def joint(
     data: Data = None,
 ) -> None:
     """Write a MuJoCo scene in which a component can bend between two bodies, for MujocoJoint."""
-    if not linear and (damping != DAMPING or (*force, *moment) != 2 * ZERO or further):
-        raise typer.BadParameter(
-            "--damping, --force, --moment and --input need --linear; without it, MujocoJoint takes "
-            "damping and inputs"
-        )
+    if not linear:  # MujocoJoint takes damping and inputs
+        springs_only = {"--damping": damping != DAMPING, "--input": further}
+        loads = {"--force": force != ZERO, "--moment": moment != ZERO}
+        refuse_alone("--linear", springs_only | loads)
     from wrenchbook.service.client.joint.mujoco_model import scene_with_joint, scene_with_springs
 
     with connected(server, data) as client:
@@ -87,8 +87,8 @@ def joint(
         sys.stderr.write(f"{springs.error}\n")
     if mass is not None:
         total, moving = facts["vibration"]["mass"], sum(mass[k][k] for k in range(3)) / 3
-        shares = f"{moving:.4g} kg of the part's {total:.4g} kg move with {tip!r}"
-        sys.stderr.write(f"{shares}. Add the mass that moves with no tip to the base's body\n")
+        masses = f"{moving:.4g} kg of the part's {total:.4g} kg move with {tip!r}"
+        sys.stderr.write(f"{masses}. Add the mass that moves with no tip to the base's body\n")
     elif not massless:
         sys.stderr.write(f"{name} has no known mass; give its materials a density\n")
     if out is not None:
@@ -102,17 +102,23 @@ def joint(
 
 
 def _moving(name: str, facts: dict[str, Any], interface: str | None = None) -> tuple[Any, Any]:
-    """Return the facts of an interface that moves, and its condensed mass, (6, 6) or None."""
+    """Return the facts of an interface that moves, and its condensed mass.
+
+    The mass is (6, 6), kg to kg·m^2, or None where it is not known. BadParameter if the interface
+    does not move, or several do and none is named.
+    """
     parts = facts.get("interfaces") or {"": facts.get("interface") or {}}
     moving = [end for end, part in parts.items() if not part.get("held")]
     at = moving[0] if interface is None and len(moving) == 1 else interface
+    if interface is not None and moving == [""]:
+        raise typer.BadParameter(
+            f"{name} has one interface, without a name; leave out --interface {interface}"
+        )
     if at is None or at not in moving:
-        if not any(moving):
-            raise typer.BadParameter(
-                f"{name} has one interface without a name; leave out --interface"
-            )
-        ends = ", ".join(moving)
-        raise typer.BadParameter(f"{name} moves at {ends}; name the one of the tip: --interface")
+        has = f"{name} has no interface {at!r} that moves; it" if interface else name
+        raise typer.BadParameter(
+            f"{has} moves at {', '.join(moving)}; name the one of the tip: --interface {moving[0]}"
+        )
     of = slice(first := FREEDOMS * [*parts].index(at), first + FREEDOMS)
     matrix = (facts.get("vibration") or {}).get("condensed_mass") or []
     return parts[at], [row[of] for row in matrix[of]] or None
@@ -143,8 +149,8 @@ def stiffness(
 
     With --between: that of its measured rows.
     """
-    if between is None and (axis or of or number):
-        raise typer.BadParameter("--axis, --of and --import need --between LOW HIGH; add it")
+    if between is None:
+        refuse_alone("--between LOW HIGH", {"--axis": axis, "--of": of, "--import": number})
     with connected(server, data) as client:
         if between is not None:
             body = client.stiffness(name, between, axis, of, number)

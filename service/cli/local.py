@@ -215,9 +215,9 @@ def restore(
 
     source = file if "://" in file else Path(file)
     if isinstance(source, Path) and not source.is_file():
-        raise typer.BadParameter(f"there is no file {file}; name a backup")
+        raise typer.BadParameter(f"there is no file {file}; name a backup, or a replica's URL")
     if isinstance(source, Path) and at:
-        raise typer.BadParameter(f"--at needs a replica, but {file} has one state; leave it out")
+        raise typer.BadParameter(f"--at needs a replica's URL, but {file} is a file; leave it out")
     until = at.replace(tzinfo=UTC).timestamp() if at else float("inf")
     manifest, former = restored(source, data, overwrite=overwrite, until=until)
     skipped, state, option = manifest.skipped, manifest.state, _data_option(data)
@@ -359,7 +359,7 @@ def _noted(data: Path, action: str, name: str, after: Any = None) -> Iterator[No
     from wrenchbook.service.ledger import Ledger, noted
 
     if action != "key.add" and not (data / KEYS).exists():  # a ledger would be made there
-        raise KeysError(f"{data} has no keys; name the data directory that has with --data")
+        raise KeysError(f"{data} has no {KEYS}; name the server's data directory with --data")
     with (
         closing(Ledger(data / "ledger.sqlite")) as ledger,
         noted(ledger, action, name, after=after),

@@ -25,6 +25,7 @@ from wrenchbook.service.cli.connect import (
     further_inputs,
     in_folder,
     number,
+    refuse_alone,
 )
 from wrenchbook.service.cli.jobs import audit, jobs
 from wrenchbook.service.cli.joint import joint, stiffness
@@ -255,8 +256,10 @@ def fill(
 ) -> None:
     """Solve the wrenches where the table's error bar is largest, in rounds of 24."""
     tolerance = _tolerance(tolerance_translation or translation, tolerance_rotation or rotation)
-    if (force_range is None) != (moment_range is None):
-        raise typer.BadParameter("give --force-range and --moment-range together")
+    if moment_range is None:
+        refuse_alone("--moment-range MX MX MY MY MZ MZ", {"--force-range": force_range})
+    if force_range is None:
+        refuse_alone("--force-range FX FX FY FY FZ FZ", {"--moment-range": moment_range})
     span = None
     if force_range and moment_range:
         ends = {"force": force_range, "moment": moment_range}
@@ -344,9 +347,12 @@ def main() -> None:
             plain(out, f"  {mistake_line(cause)}")
         sys.exit(1)
     except (ServerUnreachable, ImportError, OSError, RuntimeError, ValueError) as error:
+        detail = str(error)
+        if isinstance(error, OSError) and error.filename is not None:
+            detail = f"{error.filename}: {error.strerror}"  # without the number of the error
         if "--json" in sys.argv:
-            print_json({"error": {"title": type(error).__name__, "detail": str(error)}})
-        plain(Screen(stderr=True), str(error), style="red")
+            print_json({"error": {"title": type(error).__name__, "detail": detail}})
+        plain(Screen(stderr=True), detail, style="red")
         sys.exit(1)
 
 
@@ -355,7 +361,8 @@ def _tolerance(translation: float | None, rotation: float | None) -> dict[str, f
     if translation is None and rotation is None:
         return None
     if translation is None or rotation is None:
-        raise typer.BadParameter("give --tolerance-translation and --tolerance-rotation together")
+        missing = "--tolerance-translation M" if translation is None else "--tolerance-rotation RAD"
+        raise typer.BadParameter(f"a tolerance has two numbers; add {missing}")
     return {"translation": translation, "rotation": rotation}
 
 
@@ -366,10 +373,13 @@ def _loads(
     if load is None and further is None and force is None:
         force = ZERO
     loads: dict[str, list[float]] = {}
-    for name, text in by_name("--load", load):
-        numbers = [number(part) for part in text.split(",")]
+    for name, text in by_name("--load", "NAME=FX,FY,FZ[,MX,MY,MZ]", load):
+        numbers = [number(f"--load {name}", part) for part in text.split(",")]
         if len(numbers) not in (3, 6):
-            raise InvalidArgument(f"--load {name} needs 3 or 6 numbers with commas, not {text!r}")
+            raise InvalidArgument(
+                f"--load {name} needs 3 numbers (a force) or 6 (force and moment) with commas, not "
+                f"the {len(numbers)} of {text!r}"
+            )
         loads[name] = numbers + [0.0] * (6 - len(numbers))
     inputs = further_inputs(further)
     return {"force": force, "moment": moment, "loads": loads or None, "inputs": inputs}

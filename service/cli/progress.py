@@ -33,8 +33,12 @@ class Pace:
         if solves < 1 or seconds <= 0:
             return ""
         remaining = max(0.0, self._budget - solves) * seconds / solves
-        text = f"{remaining / 60:.0f} min" if remaining < 5400 else f"{remaining / 3600:.1f} h"
-        text = f"{remaining:.0f} s" if remaining < 90 else text
+        if remaining < 90.0:
+            text = f"{remaining:.0f} s"
+        elif remaining < 90.0 * 60.0:
+            text = f"{remaining / 60:.0f} min"
+        else:
+            text = f"{remaining / 3600:.1f} h"
         return f"{60 * solves / seconds:.0f} solves/min, at most {text} left"
 
 
@@ -92,8 +96,9 @@ def follow(
                     break
             if time.monotonic() > deadline:
                 raise RuntimeError(
-                    f"{len(jobs) - len(done)} solves have not ended after {seconds:g} s and "
-                    "continue on the server. See: wrenchbook jobs"
+                    f"{len(jobs) - len(done)} of {len(jobs)} solves have not ended after "
+                    f"{seconds:g} s; they continue while a server is up. See: wrenchbook jobs "
+                    f"--component {jobs[0].component}"
                 )
     return list(done.values())
 
@@ -107,7 +112,10 @@ def follow_report(out: Console, client: Client, name: str) -> None:
             state = client.report_state(name)
             progress.update(task, completed=state["fraction"], note=state["message"])
             if state["state"] == "failed":
-                raise RuntimeError(f"the report could not be made: {state['message']}")
+                raise RuntimeError(
+                    f"the report of {name} could not be made: {state['message']}. Correct this, "
+                    f"and run again: wrenchbook report {name}"
+                )
             if state["state"] != "running":
                 return
             time.sleep(POLL_S)
@@ -144,8 +152,10 @@ def fill(
         for job in failed:
             plain(out, f"job {job.id} failed: {job_state(job)}", style="red")
         if len(failed) == len(ended):
-            message = "every solve of this round failed; see: wrenchbook jobs --status failed"
-            raise RuntimeError(message)
+            raise RuntimeError(
+                f"all {len(failed)} solves of this round failed, with the causes above; to list "
+                f"them: wrenchbook jobs --component {name} --status failed"
+            )
     now = client.component(name)
     out.print(f"{spent} solves; {name} has {now['rows']} rows.")
     for warning in now.get("warnings", ()):

@@ -104,13 +104,13 @@ def print_answer(answer: Displacement, as_json: bool, data: Path | None) -> None
 
 def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
     """Lay out the factors of a comparison, of all rows and of each import."""
-    of = reply["reference"]
-    rows = f"{of['rows']} of {of['of']} rows"
-    named = "the solves" if of["import"] is None else f"import {of['import']}"
+    reference = reply["reference"]
+    rows = f"{reference['rows']} of {reference['of']} rows"
+    named = "the solves" if reference["import"] is None else f"import {reference['import']}"
     counts = ", ".join(f"{number} {name}" for name, number in reply["coverages"].items() if number)
     yield (
         f"{reply['compared']} of {reply['measured']} measured rows beside {named} ({rows}, method "
-        f"{of['method']}); by the reference's rows: {counts or 'none'}."
+        f"{reference['method']}); by the reference's rows: {counts or 'none'}."
     )
     if beyond := reply["beyond_range"]:
         yield f"{beyond} measured rows are outside the load range and are not compared."
@@ -119,7 +119,7 @@ def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
     if reply["reason"]:
         yield f"Nothing is compared: {reply['reason']}."
         return
-    if not of["bars_are_complete"]:
+    if not reference["bars_are_complete"]:
         yield "The reference's bars are not known, since the solver's own error is not."
     table = Table()
     columns = "import", "", "factor", "± 95 %", "of it bars", "mean residual", "rms"
@@ -205,10 +205,10 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
         spans = component["range"].get("loads") or {"": component["range"]}
         force, moment = (
             "; ".join(
-                " ".join(filter(None, (name, *(f"{max(map(abs, ends)):g}" for ends in span[word]))))
+                _after_name(name, [max(map(abs, ends)) for ends in span[kind]])
                 for name, span in spans.items()
             )
-            for word in ("force", "moment")
+            for kind in ("force", "moment")
         )
         rows, others = str(component["rows"]), component.get("another_setup", {}).get("rows")
         if others:
@@ -225,16 +225,17 @@ def job_table(jobs: Sequence[Job]) -> Table:
     table = Table("id", "component", "actor", "status", "attempt", "wrench, N and N·m", "")
     for job in jobs:
         loads = job.raw.get("loads") or {"": job.raw}
-        inputs = [
-            " ".join(filter(None, (name, *(f"{load:g}" for load in wrench_of(wrench)))))
-            for name, wrench in loads.items()
-        ]
-        inputs += [f"{name} {value:g}" for name, value in job.raw.get("inputs", {}).items()]
+        inputs = [_after_name(name, wrench_of(wrench)) for name, wrench in loads.items()]
+        inputs += [_after_name(name, [value]) for name, value in job.raw.get("inputs", {}).items()]
         attempt, state = str(job.raw["attempt"]), escape(job_state(job))
-        actor = escape(job.raw.get("actor") or "")
-        loads = ", ".join(inputs)
-        table.add_row(str(job.id), job.component, actor, job.status, attempt, loads, state)
+        actor, wrench = escape(job.raw.get("actor") or ""), ", ".join(inputs)
+        table.add_row(str(job.id), job.component, actor, job.status, attempt, wrench, state)
     return table
+
+
+def _after_name(name: str, numbers: Iterable[float]) -> str:
+    """Return numbers after a name: of an interface, or empty for the only one."""
+    return " ".join(filter(None, (name, *(f"{number:g}" for number in numbers))))
 
 
 def job_state(job: Job) -> str:

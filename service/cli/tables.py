@@ -20,12 +20,16 @@ from wrenchbook.service.cli.connect import (
     Server,
     connected,
     in_folder,
+    refuse_alone,
 )
 from wrenchbook.service.cli.render import Screen, comparison_shown, plain, print_json, show
 from wrenchbook.service.client.errors import mistake_line
 from wrenchbook.service.client.library import RIG_NAME, check_readable, table_format
 from wrenchbook.service.files.durable import write_atomically
 
+COMPILED = (".fmu", ".zip")  # made here from a packed table, not by the server
+WAIT_S = 10.0  # the server's default
+MAX_ROWS_SHOWN = 10  # of a finding
 _Unit = Annotated[str | None, typer.Option(help="unit in a CSV or XLSX file; SI by default")]
 _Point = Annotated[
     str | None, typer.Option(metavar="X,Y,Z", help="of the readings, from the interface's point, m")
@@ -125,7 +129,7 @@ def import_table(
     note: Annotated[str | None, typer.Option(help="a note to store with the import")] = None,
     wait_s: Annotated[
         float, typer.Option(help="seconds to wait until answers come from the rows", min=0, max=600)
-    ] = 10.0,
+    ] = WAIT_S,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
@@ -136,7 +140,7 @@ def import_table(
         "missing_loads": "zero" if missing_loads_zero else None,
         "sheet": sheet,
         "note": note,
-        "wait_s": None if wait_s == 10.0 else wait_s,  # the server's default
+        "wait_s": None if wait_s == WAIT_S else wait_s,
         "time_offset_s": lag,
         "displacements": displacements,
         "load_cell": load_cell,
@@ -166,7 +170,10 @@ def _mapping(columns: Sequence[str], units: Sequence[str]) -> dict[str, str]:
     for text in columns:
         label, mark, meaning = text.rpartition("=")
         if not mark:
-            raise typer.BadParameter(f"'{text}' must have the form 'column in the file=fz [N]'")
+            raise typer.BadParameter(
+                f"--column '{text}' has no =; write the file's column, =, and its meaning: "
+                f"--column '{text}=fz [N]'"
+            )
         mapping[label.strip()] = meaning.strip()
     bare = [label for label, meaning in mapping.items() if "[" not in meaning]
     if units and len(units) != len(bare):
@@ -219,17 +226,20 @@ def export_table(
 
     A .zip holds the C library that answers from the table: sources, example and CMakeLists.txt.
     """
-    printed, ending = str(file) == "-", file.suffix.lower()
-    if ending != ".fmu" and (method is not None or platforms is not None):
-        raise typer.BadParameter("--method and --platforms are for .fmu files only; leave them out")
-    format_ = "csv" if printed else "packed" if ending in (".fmu", ".zip") else table_format(file)
+    to_stdout, ending = str(file) == "-", file.suffix.lower()
+    if ending != ".fmu":
+        refuse_alone("a file that ends in .fmu", {"--method": method, "--platforms": platforms})
+    format_ = "csv" if to_stdout else "packed" if ending in COMPILED else table_format(file)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     units = {quantity: unit for quantity, unit in units.items() if unit is not None}
     curves = {"others": bushing} if bushing else {}
-    if curves and (format_ != "csv" or units or table_version is not None):
-        raise typer.BadParameter("--bushing writes a .csv of the newest table in SI only")
+    if curves and format_ != "csv":
+        raise typer.BadParameter(f"--bushing writes CSV; name a file that ends in .csv, not {file}")
+    if curves and (units or table_version is not None):
+        others = ", ".join(f"--{option}" for option in units) or "--table-version"
+        raise typer.BadParameter(f"--bushing is of the newest table, in SI; leave out {others}")
     format_ = "bushing" if curves else format_
-    if printed and as_json:
+    if to_stdout and as_json:
         raise typer.BadParameter("--json describes a written file; name a file instead of -")
     if platforms is not None:  # checked before a server is called or started
         from wrenchbook.service.fmu.export import platforms_of
@@ -239,12 +249,12 @@ def export_table(
         targets = ()
     with connected(server, data) as client:
         content = client.export_table(name, format_, units, table_version, **curves)
-    if printed:
+    if to_stdout:
         sys.stdout.write(content)
         return
     content = content.encode() if isinstance(content, str) else content
     message = f"{file} written."
-    if ending in (".fmu", ".zip"):
+    if ending in COMPILED:
         content, message = _compiled(file, name, content, method, targets)
     write_atomically(file, content)
     show({"file": file, "bytes": len(content), "message": message}, as_json, message)
@@ -344,9 +354,13 @@ def rig(
     path = "/v1/rigs" if action == "list" else f"/v1/rigs/{quote(name, safe='')}"
     verb = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}[action]
     if (action == "list") == bool(name) or (action == "add") != (file is not None):
-        raise typer.BadParameter("write list, show NAME, add NAME FILE.toml or remove NAME")
+        form = {"list": "list", "add": "add NAME FILE.toml"}.get(action, f"{action} NAME")
+        raise typer.BadParameter(f"other arguments are needed: wrenchbook rig {form}")
     if name and not RIG_NAME.fullmatch(name):
-        raise typer.BadParameter(f"{name!r} must be at most 64 letters, digits and .-_")
+        raise typer.BadParameter(
+            f"the name {name!r} must begin with a letter or digit, and have at most 64 letters, "
+            "digits and .-_"
+        )
     content = None if file is None else file.read_bytes()
     with connected(server, data) as client:
         reply = client.call(verb, path, content, kind="application/toml")
@@ -360,6 +374,14 @@ def rig(
     show(body, as_json, text.rstrip() if name else lambda: [table])
 
 
+NOT_LOADED = {  # by the states of an import's rows
+    "refused": "have mistakes",
+    "tare": "are the tare",
+    "unmatched": "have no load",
+    "skipped": "are of skipped cycles",
+    "branch": "are off the branch",
+    "averaged": "are in the mean of others",
+}
 TABLE_COMMANDS = {
     "import": import_table,
     "export": export_table,
@@ -404,18 +426,15 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
     for finding in reply["findings"]:
         _print_finding(name, finding, reply["import"])
         if finding["rows"]:
-            shown = ", ".join(map(str, finding["rows"][:10]))
-            more = " and others" if finding["count"] > 10 else ""
+            shown = ", ".join(map(str, finding["rows"][:MAX_ROWS_SHOWN]))
+            more = " and others" if finding["count"] > MAX_ROWS_SHOWN else ""
             plain(Screen(), f"  rows {shown}{more} of the file")
     if (clock := reply["clock"]) and clock["lag_s"] is not None:
         lag = f"{clock['lag_s']:.4g} +- {clock['uncertainty_s']:.1g}"
         applied = f"{clock['applied_s']:.4g} s is applied"
         plain(Screen(), f"Lag of the displacements: {lag} s; {applied}.")
     rows = reply["rows"]
-    others = {"refused": "have mistakes", "tare": "are the tare", "unmatched": "have no load"}
-    others |= {"skipped": "are of skipped cycles", "branch": "are off the branch"}
-    others["averaged"] = "are in the mean of others"
-    parts = [f"{rows[state]} {subject}" for state, subject in others.items() if rows.get(state)]
+    parts = [f"{rows[state]} {text}" for state, text in NOT_LOADED.items() if rows.get(state)]
     if parts:
         plain(Screen(), f"Of {rows['read']} rows read {', '.join(parts)}.")
     if not (reply["dry_run"] or reply["errors"] or reply["in_use"]):

@@ -6,18 +6,19 @@ The kernel answers on the host, whatever the device: the numbers are those of `T
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..contract import COVERAGE
 from .errors import InvalidArgument, required
 from .joint.joint import Joint, shape_of
 from .joint.joints import status_of
 from .table import Table
-from .wrenches import Tolerance
+from .wrenches import Tolerance, floats_of
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Array: TypeAlias = Any  # of JAX or PyTorch, neither of which need be installed
 Shapes = list[tuple[tuple[int, ...], Array]]  # shape and type of each result
-OUTSIDE = 2
+OUTSIDE = COVERAGE.index("outside")
 
 
 class Answers(NamedTuple):
@@ -55,18 +56,18 @@ class Host:
 
     def answers(self, wrenches: Array) -> tuple[Floats, Floats, NDArray[np.int32]]:
         """Return displacements and errors (..., m), m and rad, and coverage (...)."""
-        rows, strange, shape = self._rows(wrenches)
+        rows, not_finite, shape = self._rows(wrenches)
         moved, error, coverage = self.packed.batch(rows, *self.options, self.threads)
-        moved[strange] = error[strange] = np.nan
-        coverage[strange] = OUTSIDE
+        moved[not_finite] = error[not_finite] = np.nan
+        coverage[not_finite] = OUTSIDE
         moved, error = moved.reshape(*shape, -1), error.reshape(*shape, -1)
         return moved, error, coverage.astype(np.int32).reshape(shape)
 
     def slopes(self, wrenches: Array) -> Floats:
         """Return du/dw (..., m, n), SI."""
-        rows, strange, shape = self._rows(wrenches)
+        rows, not_finite, shape = self._rows(wrenches)
         slopes = self.packed.derivatives(rows, *self.options, self.threads)
-        slopes[strange] = np.nan
+        slopes[not_finite] = np.nan
         return slopes.reshape(*shape, *slopes.shape[1:])
 
     def inverse(self, moved: Array, start: Array) -> tuple[Floats, Floats]:
@@ -85,12 +86,15 @@ class Host:
         return wrenches.reshape(*shape, n), stiffness.reshape(*shape, n, m)
 
     def _rows(self, wrenches: Array) -> tuple[Floats, NDArray[np.intp], tuple[int, ...]]:
-        """Return wrenches (k, n), zero where a wrench is not finite, which of them, and (...)."""
+        """Return wrenches (..., n) as rows (k, n), which of them are not finite, and (...).
+
+        Rows that are not finite are set to zero.
+        """
         array = np.asarray(wrenches, dtype=float)
         rows = array.reshape(-1, self.packed.inputs) + 0.0  # no negative zeros; a copy
-        strange = np.flatnonzero(~np.isfinite(rows).all(axis=1))
-        rows[strange] = 0.0
-        return rows, strange, array.shape[:-1]
+        not_finite = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+        rows[not_finite] = 0.0
+        return rows, not_finite, array.shape[:-1]
 
 
 class Framework(NamedTuple):
@@ -254,7 +258,14 @@ REPLIED = "wrench", "displacement", "wrench_error", "force", "rate", "coverage"
 
 
 def jax_joint(
-    table: Table, dt: float, damping: float = 0.02, *, axes: Array = None, **options: Any
+    table: Table,
+    dt: float,
+    damping: float = 0.02,
+    *,
+    axes: Array = None,
+    interface: str | None = None,
+    method: str | None = None,
+    inputs: Mapping[str, float] | None = None,
 ) -> tuple[Callable[[Array, Array, Array, Array], JointAnswers], int]:
     """Return a step of joints on arrays of JAX, and k, the numbers that a joint keeps.
 
@@ -262,16 +273,15 @@ def jax_joint(
     zeros, and those of `Joints.step` for a step of `dt`, s. `jit`, `vmap` (one call of the kernel)
     and `lax.scan` work on it; it has no derivative. `axes` (3, 3), columns, are the interface
     frame's axes in the tip's own if quaternions, spins and moments of force and rate have those,
-    as MuJoCo's ball has; (k, 3, 3) of k interfaces. Options and errors are those of `Joint`.
+    as MuJoCo's ball has; (k, 3, 3) of k interfaces. Other parameters and errors: see `Joint`.
     """
     package = required("jax", "arrays.jax_joint", "'wrenchbook[jax]'")
-    joint, turned = Joint(table, damping, **options), None if axes is None else np.array(axes) + 0.0
+    joint = Joint(table, damping, interface=interface, method=method, inputs=inputs)
     first = joint.new_steps(1, None)
     square = shape_of(first.interfaces, 3, 3)
+    turned = None if axes is None else floats_of("axes", axes, square)
     if not 0.0 < dt < np.inf:
         raise InvalidArgument(f"dt must be a finite number above 0 s, not {dt}")
-    if turned is not None and turned.shape != square:
-        raise InvalidArgument(f"axes must have the shape {square}, not {turned.shape}")
     size, shapes = first.memory.shape[1], {n: first.replies[n].shape[1:] for n in REPLIED}
     buffers = first.memory, first.poses, first.velocities, first.inverse_masses
     entered = [place.shape[1:] for place in buffers]
@@ -279,9 +289,9 @@ def jax_joint(
     def on_host(*arrays: Array) -> list[Array]:
         lead = arrays[0].shape[:-1]
         steps = joint.new_steps(int(np.prod(lead)), turned)
-        inputs = steps.memory, steps.poses, steps.velocities, steps.inverse_masses
-        for place, array in zip(inputs, arrays, strict=True):
-            place[:] = np.asarray(array).reshape(place.shape)
+        buffers = steps.memory, steps.poses, steps.velocities, steps.inverse_masses
+        for buffer, array in zip(buffers, arrays, strict=True):
+            buffer[:] = np.asarray(array).reshape(buffer.shape)
         steps.step(dt, damping, os.cpu_count() or 1)
         codes, coverage = status_of(joint, steps), steps.replies["coverage"]
         floats = [steps.replies[name] for name in REPLIED[:-1]]
@@ -289,18 +299,18 @@ def jax_joint(
         return [array.reshape((*lead, *array.shape[1:])) for array in results]
 
     def step(memory: Array, poses: Array, velocities: Array, inverse_masses: Array) -> JointAnswers:
-        inputs = [package.numpy.asarray(a) for a in (memory, poses, velocities, inverse_masses)]
-        lead, kind = inputs[0].shape[:-1], inputs[1].dtype
+        arrays = [package.numpy.asarray(a) for a in (memory, poses, velocities, inverse_masses)]
+        lead, kind = arrays[0].shape[:-1], arrays[1].dtype
         expected = [(*lead, *shape) for shape in entered]
-        if [array.shape for array in inputs] != expected:
+        if [array.shape for array in arrays] != expected:
             raise InvalidArgument(
                 f"memory, poses, velocities and inverse_masses must have the shapes {expected}, "
-                f"not {[array.shape for array in inputs]}"
+                f"not {[array.shape for array in arrays]}"
             )
         results = [((*lead, *shapes[name]), kind) for name in REPLIED[:-1]]
         results += [((*lead, *shapes["coverage"]), np.int32), (lead, np.int32)]
         results += [((*lead, size), kind)]
-        return JointAnswers(*_jax_on_host(package, on_host, results, *inputs))
+        return JointAnswers(*_jax_on_host(package, on_host, results, *arrays))
 
     return step, size
 

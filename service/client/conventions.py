@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -30,6 +29,7 @@ from .wrenches import Vector, single_wrench
 
 Message: TypeAlias = Any  # an object of another program
 Side = Literal["parent", "child"]
+SINGLE_PRECISION = 1e-6  # of rotation matrices of other programs, which often are float32
 
 
 def moved(
@@ -59,7 +59,7 @@ def moved(
     if rotation is not None:
         axes = np.asarray(rotation, dtype=float)
         is_square = axes.shape == (3, 3)
-        is_rotation = is_square and np.allclose(axes @ axes.T, np.eye(3), atol=1e-6)
+        is_rotation = is_square and np.allclose(axes @ axes.T, np.eye(3), atol=SINGLE_PRECISION)
         if not is_rotation or np.linalg.det(axes) < 0.0:  # a mirror turns the sign of moments
             raise InvalidArgument(
                 "rotation must be a right-handed rotation matrix of shape (3, 3), not "
@@ -93,12 +93,11 @@ def from_ros(message: Message) -> Vector:
     ValueError
         If a member is missing or no finite number.
     """
-    inner = _field(message, "wrench", None)
+    inner = _field(message, "wrench")
     message = message if inner is None else inner
-    parts = [
-        float(_field(_field(message, name), axis)) for name in ("force", "torque") for axis in "xyz"
-    ]
-    return single_wrench(parts)
+    return single_wrench(
+        [_number(message, name, axis) for name in ("force", "torque") for axis in "xyz"]
+    )
 
 
 def to_ros(wrench: ArrayLike) -> dict[str, dict[str, float]]:
@@ -223,15 +222,21 @@ def _on(component: Side, parent_to_child: Vector) -> Vector:
     return (-parent_to_child if component == "parent" else parent_to_child) + 0.0
 
 
-_REQUIRED: Message = object()
+def _field(message: Message, name: str) -> Message:
+    """Return a message's member, be it an attribute or a key; None without it."""
+    return message.get(name) if isinstance(message, Mapping) else getattr(message, name, None)
 
 
-def _field(message: Message, name: str, default: Message = _REQUIRED) -> Message:
-    """Return a message's member, be it an attribute or a key."""
-    get = message.get if isinstance(message, Mapping) else partial(getattr, message)
-    member = get(name, default)
-    if member is _REQUIRED:
+def _number(message: Message, name: str, axis: str) -> float:
+    """Return a component of a message's force or torque; InvalidArgument if it is no number."""
+    vector = _field(message, name)
+    member = None if vector is None else _field(vector, axis)
+    if member is None:
+        missing = name if vector is None else f"{name}.{axis}"
         raise InvalidArgument(
-            f"the message has no {name!r}; give force and torque, each with x, y, z"
+            f"the message has no {missing!r}; give force and torque, each with x, y, z"
         )
-    return member
+    try:
+        return float(member)
+    except (TypeError, ValueError):
+        raise InvalidArgument(f"{name}.{axis} must be a number, not {member!r}") from None

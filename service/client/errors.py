@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 Json: TypeAlias = Any  # a value of a JSON document
 Document = dict[str, Json]
 
-_SHOWN = 5
+_SHOWN = 5  # mistakes that the text of a ProblemError lists
 _FOLDER = str(Path(__file__).parent)
 
 
@@ -163,7 +163,7 @@ def required(module: str, user: str, install: str) -> Any:
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        name = module.partition(".")[0]
+        name = (error.name or module).partition(".")[0]  # the module, or one that it imports
         raise MissingPackage(
             f"{user} needs the package {name!r}, not installed here; run: pip install {install}",
             name=name,

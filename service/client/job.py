@@ -15,8 +15,9 @@ from .transport import Connection, component_path
 from .wrenches import Tolerance, Vector, options
 
 ENDED = ("done", "failed", "cancelled")
-LONGEST_POLL_S = 20.0
-ROUND = 24
+LONGEST_POLL_S = 20.0  # proxies end calls that take longer
+SHORTEST_POLL_S = 0.05  # some servers answer at once instead of waiting: 20 requests a second
+ROUND = 24  # solves of a round of `fill_until`, if not given
 
 
 class Job(JobLink):
@@ -143,12 +144,11 @@ class JobCalls(Connection):
                 return now
             if time.monotonic() >= deadline:
                 raise ServerTimeout(
-                    f"job {now.id} is still {now.status} after {timeout:g} s and continues on the "
-                    "server; wait again"
+                    f"job {now.id} of {now.component} is still {now.status} after {timeout:g} s "
+                    f"and continues on the server; wait again: client.wait({now.id}, {timeout:g})"
                 )
-            # Some servers answer at once instead of waiting: 20 requests a second at most.
-            if time.monotonic() - began < 0.05:
-                time.sleep(0.05)
+            if time.monotonic() - began < SHORTEST_POLL_S:
+                time.sleep(SHORTEST_POLL_S)
 
     def jobs(
         self,
@@ -300,11 +300,16 @@ class JobCalls(Connection):
 
 
 def _path(job: Job | int | Answer) -> str:
+    """Return the path of a job, by itself, its number, or an answer that has it."""
     number: Any = job if isinstance(job, Job) else getattr(job, "job", job)
+    if number is None:
+        raise InvalidArgument(
+            "this answer has no job: it is complete, or no solve was queued (its `reason` says "
+            "why); there is nothing to wait for"
+        )
     try:
         return f"/v1/jobs/{number.id if isinstance(number, Job) else int(number)}"
     except (TypeError, ValueError):
-        why = ", which is complete or has queued nothing" if number is None else ""
         raise InvalidArgument(
-            f"a job must be a Job, its number, or an answer with a job, not {job!r}{why}"
+            f"a job must be a Job, its number, or an answer with a job, not {job!r}"
         ) from None

@@ -124,7 +124,7 @@ class LibraryCalls(Connection):
         if not bundle.is_dir():
             archive = bundle.read_bytes()
         elif not (bundle / "component.toml").is_file():
-            raise FileNotFoundError(f"{bundle} has no component.toml; name a component bundle")
+            raise FileNotFoundError(f"{bundle} has no component.toml; name the folder that has it")
         else:
             buffer = io.BytesIO()
             with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as packed:

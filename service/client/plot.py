@@ -44,8 +44,9 @@ if TYPE_CHECKING:
     from . import Client
 
 Axes: TypeAlias = Any  # of matplotlib, which need not be installed
-COLOURS = ("#4c9f70", "#f0c05a", "#c9594c")  # of COVERAGE
-LARGEST = 0.1  # drawn displacement over the part's size, if no scale is given
+COLOURS = ("#4c9f70", "#f0c05a", "#c9594c")  # of COVERAGE: green, yellow, red
+DRAWN_SIZE = 0.1  # largest drawn displacement over the part's size, if no scale is given
+BAND_ALPHA = 0.25  # opacity of the error band: the grid and the line show through
 
 
 def response(
@@ -69,13 +70,15 @@ def response(
     matplotlib.axes.Axes
         N or N·m over m or rad. Answers that are not covered are dashed.
     """
-    along, out = _index(load, LOADS), _index(output, OUTPUTS)
+    along, out = _index("load", load, LOADS), _index("output", output, OUTPUTS)
     low, high = _load_range(source, component)
     loads = np.linspace(low[along], high[along], count)
     answers = _answers(source, component, wrench, method, {along: loads})
     value, error = answers.displacements[:, out], answers.errors[:, out]
     axes = _pyplot().figure().add_subplot() if axes is None else axes
-    axes.fill_between(loads, value - error, value + error, alpha=0.25, label="95 % error band")
+    axes.fill_between(
+        loads, value - error, value + error, alpha=BAND_ALPHA, label="95 % error band"
+    )
     covered = answers.covered
     for chosen, line, label in ((covered, "-", "covered"), (~covered, "--", "not covered")):
         if chosen.any():
@@ -107,7 +110,7 @@ def coverage(
     matplotlib.axes.Axes
         The plane, N or N·m, in the colours of ``covered``, ``thin`` and ``outside``.
     """
-    across, up = _index(first, LOADS), _index(second, LOADS)
+    across, up = _index("first", first, LOADS), _index("second", second, LOADS)
     if across == up:
         raise InvalidArgument(f"coverage needs two different loads, but both are {first!r}")
     low, high = _load_range(source, component)
@@ -159,7 +162,7 @@ def deformed(shape: DeformedShape, *, scale: float | None = None, axes: Axes = N
     length = np.linalg.norm(shape.displacement, axis=1)
     size = np.ptp(shape.vertices, axis=0).max()
     if scale is None:
-        scale = float(LARGEST * size / length.max()) if length.max() else 1.0
+        scale = float(DRAWN_SIZE * size / length.max()) if length.max() else 1.0
     axes = pyplot.figure().add_subplot(projection="3d") if axes is None else axes
     at = shape.deformed(scale)
     drawn = axes.plot_trisurf(*at.T, triangles=shape.triangles, cmap="viridis")
@@ -177,9 +180,9 @@ def _pyplot() -> ModuleType:
     return required("matplotlib.pyplot", "wrenchbook.plot", "'wrenchbook[plot]'")
 
 
-def _index(name: str, names: tuple[str, ...]) -> int:
+def _index(argument: str, name: str, names: tuple[str, ...]) -> int:
     if name not in names:
-        raise InvalidArgument(f"the name must be one of {', '.join(names)}, not {name!r}")
+        raise InvalidArgument(f"{argument} must be one of {', '.join(names)}, not {name!r}")
     return names.index(name)
 
 
@@ -188,7 +191,9 @@ def _load_range(source: Table | Client, component: str | None) -> Vector:
     if isinstance(source, Table):
         return source.arrays()["space/range"]
     if component is None:
-        raise InvalidArgument("a client answers for many components; name one with component=")
+        raise InvalidArgument(
+            "a client answers for many components; name one, such as component='plate'"
+        )
     spans = source.component(component)["range"]
     return np.concatenate([spans["force"], spans["moment"]]).T
 

@@ -22,10 +22,11 @@ from .wrenches import many_wrenches, single_wrench
 if TYPE_CHECKING:
     from . import Client
 
-BLOCK = 256
+BLOCK = 256  # wrenches of a block, if not given: four requests a second at 1 kHz
 MAX_PENDING = 100_000  # wrenches in memory, 4.8 MB: 100 s at 1 kHz
 FLUSH_S = 1.0  # a block that is not full is sent after this long: a slow loop is recorded too
 BACKOFF_S = (0.1, 5.0)  # between attempts while the server is away: doubled from, up to
+FLOAT_BYTES = 8  # of a number in a block, float64
 AT_EXIT_S = 5.0  # that the end of the program waits for unsent wrenches
 _AGAIN = (408, 425, 429)  # statuses besides 5xx after which the same block may be taken
 
@@ -89,7 +90,7 @@ class Recorder:
         self.component, self.recorded = component, 0
         self.kind: Kind = kind
         self.reply: Document = {}
-        self._client, self._width = client, 8 * inputs  # bytes
+        self._client, self._width = client, FLOAT_BYTES * inputs
         self._size = block * self._width
         self._key, self._sequence = secrets.token_hex(16), 0
         self._changed = threading.Condition()
@@ -135,10 +136,14 @@ class Recorder:
         RecorderError
             If the server refuses what is recorded, if 100,000 wrenches wait, or after `close`.
         """
-        shape, default = np.shape(wrench), self._width == 8 * len(LOADS)
-        if shape != (self._width // 8,):
-            form = "six numbers, force then moment" if default else f"{self._width // 8} numbers"
-            raise InvalidArgument(f"a wrench must be {form}, not of shape {shape}")
+        inputs, shape = self._width // FLOAT_BYTES, np.shape(wrench)
+        default = inputs == len(LOADS)
+        if shape != (inputs,):
+            form = "six numbers, force then moment" if default else f"{inputs} numbers"
+            raise InvalidArgument(
+                f"a wrench must be {form}, not of shape {shape}; for a component with another "
+                "number of inputs create the Recorder with inputs=NUMBER"
+            )
         checked = single_wrench(wrench) if default else many_wrenches(np.stack([wrench]), None)
         packed = checked.astype("<f8").tobytes()
         with self._changed:
@@ -163,7 +168,9 @@ class Recorder:
         """Return the wrenches not acknowledged, shape (n, inputs), N and N·m, to keep elsewhere."""
         with self._changed:
             packed = b"".join([*self._blocks, self._open])
-        return np.frombuffer(packed, dtype="<f8").reshape(-1, self._width // 8).astype(float)
+        return (
+            np.frombuffer(packed, dtype="<f8").reshape(-1, self._width // FLOAT_BYTES).astype(float)
+        )
 
     def flush(self, timeout_s: float = 30.0) -> None:
         """Wait until all that was added is on the server's disk.
@@ -217,20 +224,21 @@ class Recorder:
         atexit.unregister(self._at_exit)
         if self._closing:
             return
-        why: Exception | None = None
+        cause: Exception | None = None
         try:
             self.flush(timeout_s)
         except (ServerTimeout, RecorderError) as error:
-            why = error
+            cause = error
         with self._changed:
             self._closing = True
             self._changed.notify_all()
         self._thread.join(timeout_s)
         if self.pending:
+            why = self.trouble or f"the server has not acknowledged them in {timeout_s:g} s"
             raise RecorderError(
                 f"{self.pending} wrenches of {self.component!r} were not recorded: {why}. "
-                "`unsent` returns them; record them once the server answers"
-            ) from why
+                "`unsent` returns them; give them to a new Recorder once this is corrected"
+            ) from cause
 
     def _send_all(self) -> None:
         wait, longest = BACKOFF_S
@@ -283,8 +291,8 @@ class Recorder:
         if self._failed:
             raise RecorderError(
                 f"the server refused the recording of {self.component!r}: {self._trouble}. "
-                f"{self._count} wrenches are not stored; correct this and send them again "
-                "(`unsent` returns them)"
+                f"{self._count} wrenches are not stored; correct this, and give what `unsent` "
+                "returns to a new Recorder"
             ) from self._trouble
 
     def _at_exit(self) -> None:

@@ -168,14 +168,17 @@ class Displacement(messages.Displacement):
         if self.interfaces:
             name = next(iter(self.interfaces))
             raise InvalidArgument(
-                f"{self.component} has several interfaces; choose one with interfaces[{name!r}]"
+                f"{self.component} has several interfaces; use the answer at one of them, such as "
+                f"answer.interfaces[{name!r}]"
             )
         if self.translation is None or self.rotation is None:
-            remedy = (
-                f"wait for job {self.job.id}" if self.job else self.reason or "ask on_thin='queue'"
-            )
+            if self.job:
+                remedy = f"wait for its solve, client.wait({self.job.id}), and repeat the request"
+            else:
+                remedy = f"solve it with client.solve({self.component!r}, ...), or import rows"
+            why = f" ({self.reason})" if self.reason else ""
             raise InvalidArgument(
-                f"the displacement of {self.component} at this wrench is unknown ({remedy})"
+                f"the displacement of {self.component} at this wrench is unknown{why}; {remedy}"
             )
         orientation, point = checked_pose(R0, p0)
         rotated = orientation @ rotation_matrix(self.rotation)
@@ -246,20 +249,13 @@ class Displacements(messages.Displacements):
     @classmethod
     def read(cls, body: Mapping[str, Any], wrenches: Vector | None = None, **more: Any) -> Self:
         """Make one from the reply to `wrenches`, shape (n, inputs), SI."""
-        unknown, jobs = (np.nan,) * 6, body.get("jobs") or ()
-        blocks: dict[str, Any] = {}
-        for name in ("displacements", "errors"):
-            rows = body[name]
-            missing = next(((np.nan,) * len(row) for row in rows if row is not None), unknown)
-            blocks[name] = np.array([missing if row is None else row for row in rows], dtype=float)
-            blocks[name] = blocks[name].reshape(len(rows), len(missing))
-        if (slopes := body.get("derivatives")) is not None:
-            shape = next((np.shape(slope) for slope in slopes if slope is not None), (6, 6))
-            nothing = np.full(shape, np.nan)
-            arrays = [
-                nothing if slope is None else np.array(slope, dtype=float) for slope in slopes
-            ]
-            blocks["derivatives"] = np.array(arrays).reshape(len(arrays), *shape)
+        jobs = body.get("jobs") or ()
+        blocks: dict[str, Any] = {
+            "displacements": _stacked(body["displacements"], (6,)),
+            "errors": _stacked(body["errors"], (6,)),
+        }
+        if body.get("derivatives") is not None:
+            blocks["derivatives"] = _stacked(body["derivatives"], (6, 6))
         if (flags := body.get("within_tolerance")) is not None:
             blocks["within_tolerance"] = np.array([flag is True for flag in flags], dtype=bool)
         return super().read(
@@ -286,7 +282,7 @@ class Displacements(messages.Displacements):
         numbers, count = np.frombuffer(reply.content, dtype="<f8").astype(float), len(wrenches)
         m = int(reply.headers.get("Wrenchbook-Outputs", 6))
         width = 2 * m + 1
-        block, rest = numbers[: width * count].reshape(count, width), numbers[width * count :]
+        block, slopes = numbers[: width * count].reshape(count, width), numbers[width * count :]
         version, elapsed, jobs = (
             reply.headers.get(f"Wrenchbook-{name}")
             for name in ("Table-Version", "Elapsed-Us", "Jobs")
@@ -307,7 +303,7 @@ class Displacements(messages.Displacements):
             elapsed_us=None if elapsed is None else float(elapsed),
             method=reply.headers.get("Wrenchbook-Method"),
             within_tolerance=within,
-            derivatives=rest.reshape(count, m, -1) if len(rest) else None,
+            derivatives=slopes.reshape(count, m, -1) if len(slopes) else None,
         )
 
     def __len__(self) -> int:
@@ -346,8 +342,19 @@ class Displacements(messages.Displacements):
         return self.coverage == "covered"
 
 
+def _stacked(answers: Sequence[Json], shape: tuple[int, ...]) -> Vector:
+    """Return the numbers of n answers as one array (n, ...), NaN where an answer has none (null).
+
+    `shape` is that of an answer if all have none.
+    """
+    shape = next((np.shape(answer) for answer in answers if answer is not None), shape)
+    missing = np.full(shape, np.nan)
+    blocks = [missing if answer is None else np.array(answer, dtype=float) for answer in answers]
+    return np.array(blocks).reshape(len(answers), *shape)
+
+
 def _named(names: Sequence[str], block: Vector, word: str) -> Document:
-    """Return a block's columns, by their places where they are not those of one wrench."""
+    """Return a block's columns by name; other widths than `names` by a word and their index."""
     if block.shape[1] != len(names):
         names = [f"{word} {place}" for place in range(block.shape[1])]
     return named_columns(names, block)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import InvalidArgument
-from .wrenches import Vector
+from .wrenches import Vector, floats_of
 
 
 def rotation_matrix(rotation: ArrayLike) -> Vector:
@@ -19,25 +19,13 @@ def rotation_matrix(rotation: ArrayLike) -> Vector:
     """
     x, y, z = np.asarray(rotation, dtype=float).tolist()
     angle = math.sqrt(x * x + y * y + z * z)
-    first, second = sinc(angle), 0.5 * sinc(0.5 * angle) ** 2
-    # Element by element: a simulator asks at each of its steps, and numpy's calls would be half.
+    s, c = sinc(angle), 0.5 * sinc(0.5 * angle) ** 2  # sin(a)/a and (1 - cos(a))/a^2
+    # Element by element: each step of a simulator computes it, and numpy's calls would be half.
     return np.array(
         (
-            (
-                1.0 - second * (y * y + z * z),
-                second * x * y - first * z,
-                second * x * z + first * y,
-            ),
-            (
-                second * x * y + first * z,
-                1.0 - second * (x * x + z * z),
-                second * y * z - first * x,
-            ),
-            (
-                second * x * z - first * y,
-                second * y * z + first * x,
-                1.0 - second * (x * x + y * y),
-            ),
+            (1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y),
+            (c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x),
+            (c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)),
         )
     )
 
@@ -45,25 +33,22 @@ def rotation_matrix(rotation: ArrayLike) -> Vector:
 _SINGLE_PRECISION = 1e-6  # of a pose; the displacement is exact to the square of it
 
 
+def checked_rotation(name: str, matrix: ArrayLike) -> Vector:
+    """Return a rotation matrix (3, 3), dimensionless; InvalidArgument if it is none."""
+    axes = floats_of(name, matrix, (3, 3))
+    skew, determinant = float(np.abs(axes.T @ axes - np.eye(3)).max()), np.linalg.det(axes)
+    if skew > _SINGLE_PRECISION or determinant < 0.0:
+        raise InvalidArgument(
+            f"{name} must be a right-handed rotation matrix with the frame's axes as columns, but "
+            f"{name}^T {name} differs from the identity by {skew:.3g} (at most "
+            f"{_SINGLE_PRECISION:g}), and the determinant is {determinant:.3g}"
+        )
+    return axes
+
+
 def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
     """Return a pose, axes as columns (3, 3) and point (3,), m; InvalidArgument if it is none."""
-    try:
-        axes, point = np.array(R0, dtype=float), np.array(p0, dtype=float)
-    except (TypeError, ValueError):
-        raise InvalidArgument(f"R0 and p0 must be numbers, not {R0!r} and {p0!r}") from None
-    if axes.shape != (3, 3) or point.shape != (3,):
-        raise InvalidArgument(
-            f"R0 must have shape (3, 3) and p0 (3,), not {axes.shape} and {point.shape}"
-        )
-    if not (np.isfinite(axes).all() and np.isfinite(point).all()):
-        raise InvalidArgument(f"R0 and p0 must be finite, not {axes.tolist()} and {point.tolist()}")
-    skew = np.abs(axes.T @ axes - np.eye(3)).max()
-    if skew > _SINGLE_PRECISION or np.linalg.det(axes) < 0.0:
-        raise InvalidArgument(
-            "R0 must be a right-handed rotation matrix, whose columns are the axes of the "
-            "undeformed interface frame"
-        )
-    return axes, point
+    return checked_rotation("R0", R0), floats_of("p0", p0, (3,))
 
 
 def sinc(angle: float) -> float:

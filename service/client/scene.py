@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from .async_client import AsyncClient
 
 _FIELDS = ("force", "moment", "loads", "inputs", "outputs", "tolerance")
+_RANGE_FIELDS = _FIELDS[:4]  # the part of the load range that a scene needs
+_SPANS = "[[-100, 100], [0, 0], [-600, 0]]"  # three loads, in the syntax of TOML and of Python
 
 
 class SceneError(InvalidArgument):
@@ -60,7 +62,10 @@ class Scene:
 
     def __init__(self, components: Mapping[str, Mapping[str, Json]]) -> None:
         if not isinstance(components, Mapping) or not components:
-            raise SceneError("a scene needs a component, as {'plate': {'force': [...], ...}}")
+            raise SceneError(
+                "the scene has no component; write [components.NAME] with force and moment, each "
+                f"such as {_SPANS}; in Python Scene({{NAME: {{'force': ..., 'moment': ...}}}})"
+            )
         self.components = {str(name): _checked(name, need) for name, need in components.items()}
 
     @classmethod
@@ -77,8 +82,7 @@ class Scene:
         try:
             with Path(path).open("rb") as file:
                 body = tomllib.load(file)
-            if unknown := body.keys() - {"components", "title"}:
-                raise SceneError(f"unknown key {', '.join(sorted(unknown))}; use components, title")
+            _refuse_unknown("", body, ("components", "title"))
             return cls(body.get("components", {}))
         except (tomllib.TOMLDecodeError, UnicodeDecodeError, SceneError) as error:
             raise SceneError(f"{path}: {error}") from error
@@ -99,7 +103,7 @@ class Scene:
         """
         need = self.component(name)
         return {
-            "range": {field: need[field] for field in _FIELDS[:4] if field in need},
+            "range": {field: need[field] for field in _RANGE_FIELDS if field in need},
             "outputs": need.get("outputs"),
             "tolerance": need.get("tolerance"),
         }
@@ -155,27 +159,18 @@ def _checked(name: str, need: Json) -> Document:
     where = f"components.{name}"
     if not isinstance(need, Mapping):
         raise SceneError(f"{where}: must be a table of {', '.join(_FIELDS)}, not {need!r}")
-    if unknown := need.keys() - set(_FIELDS):
-        raise SceneError(
-            f"{where}: unknown key {', '.join(sorted(unknown))}; write {', '.join(_FIELDS)}"
-        )
-    if (loads := need.get("loads")) is None:
+    _refuse_unknown(where, need, _FIELDS)
+    loads, further, outputs = (need.get(field) for field in ("loads", "inputs", "outputs"))
+    if loads is None:
         body: Document = _wrench(where, need, ("force", "moment"))
     else:
         by_name = _named(f"{where}.loads", loads).items()
         body = {"loads": {k: _wrench(f"{where}.loads.{k}", load, load) for k, load in by_name}}
-    if (further := need.get("inputs")) is not None:
+    if further is not None:
         spans = _named(f"{where}.inputs", further).items()
         body["inputs"] = {k: _span(f"{where}.inputs.{k}", span) for k, span in spans}
-    if (outputs := need.get("outputs")) is not None:
-        listed = isinstance(outputs, Sequence) and not isinstance(outputs, str)
-        parts = [str(output).rpartition(".") for output in outputs] if listed else []
-        if not parts or any(output not in OUTPUTS for _, _, output in parts):
-            raise SceneError(
-                f"{where}.outputs: must be one or more of {', '.join(OUTPUTS)}, not {outputs!r}"
-            )
-        ordered = sorted({(interface, OUTPUTS.index(output)) for interface, _, output in parts})
-        body["outputs"] = [f"{k}.{OUTPUTS[place]}".lstrip(".") for k, place in ordered]
+    if outputs is not None:
+        body["outputs"] = _ordered_outputs(f"{where}.outputs", outputs)
     if need.get("tolerance") is not None:
         try:
             body["tolerance"] = tolerance_body(need["tolerance"])
@@ -184,37 +179,70 @@ def _checked(name: str, need: Json) -> Document:
     return body
 
 
+def _refuse_unknown(where: str, keys: Iterable[object], known: Sequence[str]) -> None:
+    """Raise SceneError of keys at a place of the scene that are not among the known ones."""
+    unknown = [str(key) for key in keys if key not in known]
+    if unknown:
+        place = f"{where}: " if where else ""
+        raise SceneError(f"{place}unknown key {', '.join(unknown)}; use {', '.join(known)}")
+
+
+def _ordered_outputs(where: str, outputs: Json) -> list[str]:
+    """Return the names of outputs, ``uz`` or ``left.uz``, by interface and in table order."""
+    if not isinstance(outputs, Sequence) or isinstance(outputs, str) or not outputs:
+        raise SceneError(f'{where}: write a list such as ["uz", "ry"], not {outputs!r}')
+    places = set()
+    for name in map(str, outputs):
+        interface, _, output = name.rpartition(".")
+        if output not in OUTPUTS:
+            raise SceneError(
+                f"{where}: {name!r} is no output; use {', '.join(OUTPUTS)}, of several interfaces "
+                "INTERFACE.uz"
+            )
+        places.add((interface, OUTPUTS.index(output)))
+    return [f"{k}.{OUTPUTS[place]}".lstrip(".") for k, place in sorted(places)]
+
+
 def _named(where: str, value: Json) -> Mapping[str, Json]:
     if not isinstance(value, Mapping):
-        raise SceneError(f"{where}: must be a table, NAME = value, not {value!r}")
+        raise SceneError(f"{where}: must be a table of values by name, not {value!r}")
     return value
 
 
 def _wrench(where: str, need: Json, parts: Iterable[str]) -> Document:
     """Return the spans of force and moment; those that `parts` names must be there."""
-    if unknown := set(parts) - {"force", "moment"}:
-        raise SceneError(f"{where}: unknown key {', '.join(sorted(unknown))}; write force, moment")
+    _refuse_unknown(where, parts, ("force", "moment"))
     body: Document = {}
     for part in parts:
         spans, place = need.get(part), f"{where}.{part}"
         if spans is None:
             raise SceneError(
-                f"{place} is missing; write three [low, high], [0, 0] where none can occur"
+                f"{place} is missing; write three [low, high], such as {_SPANS}: [0, 0] where no "
+                "load can occur"
             )
         listed = isinstance(spans, Sequence | np.ndarray) and not isinstance(spans, str)
         if not listed or len(spans) != 3:
-            raise SceneError(f"{place}: write three loads (x, y, z), each [low, high] or a number")
+            raise SceneError(
+                f"{place}: write three loads (x, y, z), each [low, high] or a number, such as "
+                f"{_SPANS}, not {spans!r}"
+            )
         body[part] = [_span(f"{place}.{k}", span) for k, span in enumerate(spans)]
     return body
 
 
 def _span(where: str, span: Json) -> list[float]:
+    """Return the lowest and the highest value of ``[low, high]``, or of a number: both signs."""
     try:
         ends = np.asarray(span)
     except ValueError:  # ragged
         ends = np.asarray("")
     if ends.dtype.kind not in "fiu" or ends.shape not in ((), (2,)) or not np.isfinite(ends).all():
         raise SceneError(f"{where}: must be [low, high], or one finite number, not {span!r}")
+    if ends.shape == () and ends < 0.0:
+        raise SceneError(
+            f"{where}: a single number is the largest value of both signs, and must not be "
+            f"negative; write {-ends:g}, or [{ends:g}, 0] for this sign alone"
+        )
     low, high = (-ends, ends) if ends.shape == () else ends
     if low > high:
         raise SceneError(f"{where}: the low end {low:g} must not be above the high end {high:g}")

@@ -258,8 +258,11 @@ class Table:
             return (wrench + 0.0).tolist(), {"": wrench}
         body, space = loads_body(force, moment, loads, inputs), packed.space
         if "force" in body and space.several:
-            names = ", ".join(space.several)
-            raise InvalidArgument(f"{self.name} has the interfaces {names}; give loads by name")
+            names = ", ".join(f"{name!r}: WRENCH" for name in space.several)
+            raise InvalidArgument(
+                f"{self.name} has several interfaces; instead of force and moment give "
+                f"loads={{{names}}}"
+            )
         by_name = {"": body} if "force" in body else body.get("loads", {})
         wrenches = {name: wrench_of(load) for name, load in by_name.items()}
         six = {name: wrench.tolist() for name, wrench in wrenches.items()}
@@ -346,14 +349,23 @@ class Table:
             slope = self.packed.derivative(values)[:, : self.packed.outputs]
         except ValueError as error:
             raise InvalidArgument(str(error)) from error
-        if np.isnan(slope).any():
-            raise InvalidArgument(f"the derivative of {self.name} is unknown here; fill the table")
+        names = np.array(self.space.output_names)
+        unknown = np.isnan(slope).any(axis=1)
+        if unknown.any():
+            raise InvalidArgument(
+                f"{self.name} has no stiffness at this wrench, because the derivative of "
+                f"{', '.join(names[unknown])} is unknown. Solve rows near it (wrenchbook fill "
+                f"{self.name}), or import rows with these outputs; then download the table again"
+            )
         try:
             return np.asarray(np.linalg.inv(slope), dtype=float)
         except np.linalg.LinAlgError:
+            still = ~slope.any(axis=1)  # outputs that no load moves
+            locked = f"no load moves the locked freedoms {', '.join(names[still])}"
+            cause = locked if still.any() else "it is singular"
             raise InvalidArgument(
-                f"the derivative of {self.name} at this wrench has no inverse, as on a locked "
-                "freedom; leave that load out"
+                f"the derivative of {self.name} at this wrench has no inverse: {cause}. Invert the "
+                "part of it that moves, from answer(..., derivatives=True).derivative"
             ) from None
 
     def error_parts(
@@ -400,7 +412,8 @@ class Table:
         """
         if self._client is None:
             raise InvalidArgument(
-                f"{self!r} comes from a file; download the newest version from a server"
+                f"the table of {self.name} comes from a file, without a server to ask; get the "
+                f"newest version with client.download({self.name!r})"
             )
         with self._fetching:
             fetched = _fetch(self._client, self.name, self._scene, self._now[1])

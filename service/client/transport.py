@@ -8,8 +8,10 @@ import io
 import json
 import os
 import socket
+import ssl
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from email.message import Message
 from functools import cached_property
 from numbers import Real
@@ -33,6 +35,8 @@ _ONE_WRITE = 65_536  # bytes that are worth copying to be sent at once: any requ
 # What a call raises when the other side has closed an idle connection.
 _CLOSED = (http.client.RemoteDisconnected, ConnectionError, http.client.BadStatusLine)
 _ENOUGH = 65_536  # bytes of one read: all but large batches come in one piece
+_MOST = 1 << 20  # bytes of a further read: what the socket has at once
+_SHOWN = 200  # bytes of an answer that is no JSON: the text of a proxy's error page
 _BLANK_LINE = b"\r\n\r\n"
 _LENGTH = b"\r\ncontent-length:"
 # Fields that say what has to be done with a connection or a body: http.client knows how.
@@ -43,20 +47,15 @@ _JSON_FIELDS = {"Content-Type": JSON, "Accept": JSON}
 _pause = time.sleep
 
 
+@dataclass(eq=False)
 class Response:
     """A response as it was received; `will_close`: its connection is of no further use."""
 
-    def __init__(
-        self,
-        status: int,
-        content: bytes,
-        head: bytes = b"",
-        reason: str = "",
-        *,
-        will_close: bool = False,
-    ) -> None:
-        self.status, self.content, self.head = status, content, head
-        self.reason, self.will_close = reason, will_close
+    status: int
+    content: bytes
+    head: bytes = b""
+    reason: str = ""
+    will_close: bool = False
 
     @cached_property
     def headers(self) -> Message:
@@ -72,7 +71,7 @@ class Response:
 def component_path(name: str, call: str = "") -> str:
     """Return the path of a component's call, or of the component itself."""
     if not isinstance(name, str):
-        raise InvalidArgument(f"a component's name must be a text, not {name!r}")
+        raise InvalidArgument(f"a component's name must be a text such as 'plate', not {name!r}")
     return f"/v1/components/{quote(name, safe='')}" + (f"/{call}" if call else "")
 
 
@@ -101,11 +100,12 @@ class Connection:
         self._path = parts.path.rstrip("/")
         self.url = f"{parts.scheme}://{parts.netloc}{self._path}"
         self.timeout, self.retry_s = timeout, RETRY_S
+        origin = "the variable WRENCHBOOK_KEY" if key is None else "key="
         key = (os.environ.get("WRENCHBOOK_KEY") if key is None else key) or ""
         self._key = key.strip()
         if not (self._key.isascii() and self._key.isprintable()) or " " in self._key:
             raise InvalidArgument(  # which does not show it
-                "the key contains blanks or invalid characters; copy it again"
+                f"the key in {origin} contains blanks or characters other than ASCII; copy it again"
             )
         https = parts.scheme == "https"
         self._kind = http.client.HTTPSConnection if https else http.client.HTTPConnection
@@ -291,7 +291,9 @@ class Connection:
             sock.sendall(self._head("GET", path, query, headers))
             response = http.client.HTTPResponse(sock, method="GET")
             response.begin()
-        except ConnectionError as error:
+        except TimeoutError:
+            raise
+        except (http.client.HTTPException, OSError) as error:
             raise self._unreachable(error) from error
         finally:
             connection.close()  # the response keeps the socket open
@@ -324,16 +326,33 @@ class Connection:
         if self._key:
             lines.append(f"Authorization: Bearer {self._key}")
         lines += [f"{name}: {value}" for name, value in fields.items()]
-        if not "".join(lines).isprintable():
-            raise InvalidArgument(f"request fields must be printable characters only, not {fields}")
+        unprintable = next((line for line in lines if not line.isprintable()), None)
+        if unprintable is not None:
+            raise InvalidArgument(
+                f"the line {unprintable!r} of the request has a character that is not printable, "
+                "such as a line end; remove it from this argument"
+            )
         return "\r\n".join([*lines, "", ""]).encode("latin-1")
 
     def _unreachable(self, error: BaseException) -> ServerUnreachable:
+        """Return the error of a failed connection: its cause, and what to do about that cause."""
         why = str(error) or type(error).__name__
-        text = f"no answer from {self.url} ({why}); start a server with: wrenchbook serve"
-        closed = ConnectionResetError, BrokenPipeError, http.client.IncompleteRead
-        if isinstance(error, closed):
+        if isinstance(error, ConnectionResetError | BrokenPipeError | http.client.IncompleteRead):
             text = f"{self.url} ended the connection before its reply ({why}); try again"
+        elif isinstance(error, socket.gaierror):
+            text = f"no host has the name {self._host!r} of {self.url} ({why}); correct the address"
+        elif isinstance(error, ssl.SSLError):
+            text = (
+                f"no encrypted connection to {self.url} ({why}); write http:// if the server has "
+                "no TLS, else name its certificate in the variable SSL_CERT_FILE"
+            )
+        elif isinstance(error, http.client.HTTPException):
+            text = (
+                f"the answer from {self.url} is not HTTP ({type(error).__name__}: {why}); correct "
+                "host and port"
+            )
+        else:
+            text = f"no answer from {self.url} ({why}); start a server with: wrenchbook serve"
         unreachable = ServerUnreachable(text)
         unreachable.refused = isinstance(error, ConnectionRefusedError)
         return unreachable
@@ -383,7 +402,7 @@ def receive(sock: socket.socket, method: str) -> Response:
     ):
         pieces, missing = [content], int(length) - len(content)
         while missing:
-            piece = sock.recv(min(missing, 1 << 20))
+            piece = sock.recv(min(missing, _MOST))
             if not piece:
                 raise http.client.IncompleteRead(b"".join(pieces), missing)
             pieces.append(piece)
@@ -440,7 +459,7 @@ def problem(response: Response) -> ProblemError:
         title, detail = str(body.get("title") or reason), str(body.get("detail") or "")
         error = ProblemError(status, title, detail, listed, body)
     else:
-        error = ProblemError(status, reason, content[:200].decode(errors="replace").strip())
+        error = ProblemError(status, reason, content[:_SHOWN].decode(errors="replace").strip())
     seconds = response.headers.get("Retry-After", "")
     error.retry_after = float(seconds) if seconds.isdigit() else None
     return error

@@ -43,7 +43,7 @@ def single_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
     The force alone may be the whole wrench (6,). InvalidArgument names the number that is NaN or
     infinite, or the shape that is wrong.
     """
-    # What a loop asks thousands of times a second: a sum that is finite has finite terms.
+    # The path of a loop's thousands of calls a second: a sum that is finite has finite terms.
     if (
         type(force) is np.ndarray
         and force.shape == (6,)
@@ -60,8 +60,8 @@ def single_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
         for name, part in (("force", first), ("moment", second)):
             if part.shape != (3,):
                 raise InvalidArgument(
-                    f"{name} must be three numbers, not of shape {part.shape}; to pass all six, "
-                    "give them as the force and leave the moment out"
+                    f"{name} must be three numbers (x, y, z), not of shape {part.shape}; a wrench "
+                    "of six numbers goes into force, without moment"
                 )
         wrench = np.concatenate([first, second])
     _require_finite(wrench[None, :], "")
@@ -83,23 +83,32 @@ def loads_body(
     body: Document = {}
     is_wrench = force is not None or moment is not None
     if is_wrench and loads is not None:
-        raise InvalidArgument("give either force and moment, or loads by interface")
+        raise InvalidArgument("loads by interface have both; leave force= and moment= out")
     if is_wrench:
         body = _parts(single_wrench(np.zeros(3) if force is None else force, moment))
     elif loads is not None:
         body["loads"] = {}
         for name, load in _mapping("loads", loads).items():
             parts = load if isinstance(load, Mapping) else {"force": load}
-            if unknown := ", ".join(parts.keys() - {"force", "moment"}):
-                raise InvalidArgument(f"a load can have force and moment only, not {unknown}")
-            wrench = single_wrench(parts.get("force", np.zeros(3)), parts.get("moment"))
+            unknown = [repr(key) for key in parts if key not in ("force", "moment")]
+            if unknown:
+                raise InvalidArgument(
+                    f"loads[{name!r}] can have force and moment only, not {', '.join(unknown)}"
+                )
+            try:
+                wrench = single_wrench(parts.get("force", np.zeros(3)), parts.get("moment"))
+            except InvalidArgument as error:
+                raise InvalidArgument(f"loads[{name!r}]: {error}") from None
             body["loads"][name] = _parts(wrench)
     elif inputs is None:
-        raise InvalidArgument("give a force, a moment or loads")
+        raise InvalidArgument(
+            "no load is given; give force=[Fx, Fy, Fz] in N, moment=[Mx, My, Mz] in N·m, or "
+            "loads={INTERFACE: [Fx, Fy, Fz, Mx, My, Mz]}"
+        )
     for name, value in _mapping("inputs", inputs or {}).items():
-        number = _numbers(value, name)
+        number = _numbers(value, f"inputs[{name!r}]")
         if number.shape or not np.isfinite(number):
-            raise InvalidArgument(f"{name} must be one finite number, not {value!r}")
+            raise InvalidArgument(f"inputs[{name!r}] must be one finite number, not {value!r}")
         body.setdefault("inputs", {})[name] = number.item()
     return body
 
@@ -112,7 +121,7 @@ def wrench_of(body: Mapping[str, Json]) -> Vector:
 
 def _mapping(name: str, values: Mapping[str, T]) -> Mapping[str, T]:
     if not isinstance(values, Mapping):
-        raise InvalidArgument(f"{name} must be a mapping from names to values, not {values!r}")
+        raise InvalidArgument(f"{name} must map names to values, {{NAME: ...}}, not {values!r}")
     return values
 
 
@@ -126,8 +135,11 @@ def many_wrenches(wrenches: ArrayLike, inputs: int | None = len(LOADS)) -> Vecto
     if block.size == 0 and block.ndim <= 2:
         return np.empty((0, inputs or len(LOADS)))
     if block.ndim != 2 or block.shape[1] < len(LOADS) or inputs not in (None, block.shape[1]):
-        shape = f"(n, {inputs or 6})"
-        raise InvalidArgument(f"wrenches must have shape {shape}, not {block.shape}")
+        width = f"{len(LOADS)} or more" if inputs is None else inputs
+        raise InvalidArgument(
+            f"wrenches must have shape (n, {width}), a line a wrench, not {block.shape}; a single "
+            "wrench goes in brackets: [wrench]"
+        )
     _require_finite(block, "wrench {}: ")
     return block
 
@@ -160,10 +172,11 @@ def tolerance_body(tolerance: Tolerance) -> dict[str, float]:
         translation, rotation = (float(part) for part in pair)
     except (KeyError, TypeError, ValueError, AttributeError):
         raise InvalidArgument(
-            f"a tolerance must be {{'translation': m, 'rotation': rad}}, not {tolerance!r}"
+            "a tolerance must be two numbers, m and rad, such as {'translation': 1e-6, "
+            f"'rotation': 1e-5}}, not {tolerance!r}"
         ) from None
     if not (0.0 < translation < np.inf and 0.0 < rotation < np.inf):
-        raise InvalidArgument(f"a tolerance must be positive and finite, not {tolerance!r}")
+        raise InvalidArgument(f"a tolerance must be above 0 and finite, not {tolerance!r}")
     return {"translation": translation, "rotation": rotation}
 
 
@@ -179,6 +192,19 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
     if "numpy.ma" in sys.modules and np.ma.is_masked(values):  # np.ma takes 8 ms to load
         raise InvalidArgument(f"{name} must be numbers, but some are masked; fill or remove these")
     return block.astype(float)
+
+
+def floats_of(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Vector:
+    """Return a copy of an argument, finite floats of a shape; InvalidArgument if it is none."""
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise InvalidArgument(f"{name} must be numbers of shape {shape}, not {values!r}") from None
+    if array.shape != shape:
+        raise InvalidArgument(f"{name} must have shape {shape}, not {array.shape}")
+    if not np.isfinite(array).all():
+        raise InvalidArgument(f"{name} must be finite, not {array.tolist()}")
+    return array
 
 
 def _require_finite(block: Vector, where: str) -> None:

@@ -55,6 +55,9 @@ _WITHIN = (
     "1 if the whole error bar of every displacement is within the tolerance, the solver's own "
     "error included, 0 if not, -1 where that is not known"
 )
+_INTEGERS = ("coverage", "within_tolerance")  # variables of FMI's type Integer
+_STEPS = {"canHandleVariableCommunicationStepSize": "true"}  # of co-simulation only
+_GUID_ENDS = (0, 8, 12, 16, 20, 32)  # of its groups among 32 hexadecimal digits
 _TOLERANCE = "largest error bar of a covered answer; 0: the component's own. Give both or none"
 
 
@@ -116,12 +119,8 @@ def describe(component: str, guid: str, tool: str, summary: str, space: Space = 
     return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 
-_INTEGERS = ("coverage", "within_tolerance")
-_STEPS = {"canHandleVariableCommunicationStepSize": "true"}
-
-
 def _unit(text: str) -> str:
-    """Return a unit of a space as FMI spells it."""
+    """Return a unit of a table's space as FMI spells it: ``N.m``, ``m/s2``."""
     return text.replace("·", ".").replace("²", "2")
 
 
@@ -250,13 +249,15 @@ def make_fmu(
         raise UnknownMethodError(method)
     if not table.meta["provenance"]["rows"]:
         raise NotExportableError(
-            "the table has no rows; run wrenchbook fill or import a file, then export it"
+            f"the table of {component} has no rows; run wrenchbook fill {component}, or wrenchbook "
+            f"import {component} FILE, then export it"
         )
     low, high = table.arrays["space/ends"]
     rows = [table.arrays[f"g{k}/row/wrench"] for k in range(len(table.meta["groups"]))]
     if not all(((low <= loads) & (loads <= high)).all(axis=1).any() for loads in rows):
         raise NotExportableError(
-            "all rows of the table are outside its load range; fill the table, then export it"
+            f"all rows of the table of {component} are outside its load range; run wrenchbook fill "
+            f"{component}, or import rows within the range, then export it"
         )
     table.answer(table.space.zero.tolist(), None, method)  # raises if it cannot by this method
     methods = ", ".join(dict.fromkeys(method or group["method"] for group in table.meta["groups"]))
@@ -268,7 +269,7 @@ def make_fmu(
     # The GUID is a digest of all that decides the answers: the same table has the same GUID.
     header = f"{component}\0{method_index}\0".encode()
     digest = hashlib.blake2b(header + table.content, digest_size=16).hexdigest()
-    guid = "{" + "-".join(digest[a:b] for a, b in pairwise((0, 8, 12, 16, 20, 32))) + "}"
+    guid = "{" + "-".join(digest[a:b] for a, b in pairwise(_GUID_ENDS)) + "}"
     try:
         tool = f"wrenchbook {version('wrenchbook')}"
     except PackageNotFoundError:  # a checkout that is not installed

@@ -113,7 +113,7 @@ def _solve_levels(bundle: Bundle, wrenches: Array, report: Report) -> list[dict[
         for place, wrench in enumerate(wrenches):
             fraction = place / len(wrenches)
             done = 0.85 * (number + fraction) / len(meshes)
-            report(done, f"{name} mesh, {fraction:.0%}")
+            report(done, f"{name} mesh: wrench {place + 1} of {len(wrenches)}")
             started = time.process_time()
             try:
                 displacement[place] = solver.solve(wrench).displacement

@@ -360,15 +360,17 @@ class MappedTables:
         name, version = component.name, (file, component)
         if version in (self._mapped.get(name), self._refused.get(file.path)):
             return version == self._mapped.get(name)
+        level = logging.ERROR
         try:
             packed = PackedTable.open(file.path)
             if not is_of(packed, name, self._store.origin(component, file.version)):
+                level = logging.INFO  # as after an upgrade: the builder replaces the file
                 raise PackedTableError(f"{file.path} is not version {file.version} of table {name}")
             rows_of = partial(self._store.rows, component, file.version)
             table = ServedTable(packed, rows_of, method=self._method)
         except (PackedTableError, KeyError) as error:
             if file.path.exists():
-                log.error("the table of %s stays as it is: %s", name, error)
+                log.log(level, "the table of %s stays as it is: %s", name, error)
                 self._unread[name], self._refused[file.path] = str(error), version
             return False
         with suppress(LedgerUnavailableError):

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAGIC = b"\x89WBT\r\n\x1a\n"  # as PNG's: a transfer that changes line ends is noticed
-FORMAT = 6  # no other is read: the file is derived, and built again from the rows
+FORMAT = 7  # no other is read: the file is derived, and built again from the rows
 SUFFIX = ".wbt"
 ALIGNED = 64  # bytes: a cache line
 CHECKSUM = slice(16, 24)  # bytes of the header; the checksum is of all others

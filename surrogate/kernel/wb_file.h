@@ -4,7 +4,7 @@
 
 #include "wb_internal.h"
 
-#define WB_FORMAT 6u /* other formats are refused */
+#define WB_FORMAT 7u /* other formats are refused */
 enum { WB_NAME = 64 };
 
 typedef struct {

@@ -124,6 +124,7 @@ static void read_solver(reader *r) {
     s->linearity_known = s->flags[3], s->whole = s->flags[4], s->none = 1;
     for (int k = 0; k < t->outputs * t->inputs; k++) s->none &= s->mesh[k] == 0;
     for (int q = 0; q < t->outputs; q++) s->none &= s->linearity[q] == 0;
+    s->none &= !s->second;
     s->none &= !s->by_tangent;
 }
 

@@ -125,20 +125,33 @@ static void keep(const wb_table *t, wb_reply *reply) {
     }
 }
 
+/* What a linear analysis neglects of an output: half the second derivatives times the loads twice,
+ * and the remainder, which grows with the cube of the largest load; without these with its square. */
+static double neglected(const wb_table *t, int q, const double *acting, double largest) {
+    const wb_solver *s = &t->solver;
+    int n = t->inputs;
+    if (!s->second) return s->linearity[q] * (largest * largest);
+    double sum = 0;
+    for (int k = 0; k < n; k++)
+        for (int l = 0; l < n; l++) sum += s->second[(q * n + k) * n + l] * acting[k] * acting[l];
+    return 0.5 * fabs(sum) + s->linearity[q] * (largest * largest * largest);
+}
+
 /* Add what the solver of the rows may itself be wrong by: what its mesh lacks by the answer's tangent,
  * and no less than by the compliance at small loads. */
 static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     const wb_solver *s = &t->solver;
-    double largest = 0, lacking[WB_MAX], by_loads[WB_MAX], size[WB_MAX];
+    double largest = 0, lacking[WB_MAX], by_loads[WB_MAX], acting[WB_MAX], size[WB_MAX];
     for (int k = 0; k < t->inputs; k++) {
-        size[k] = fabs(reply->inputs[k] - (s->zero ? s->zero[k] : 0.0));
+        acting[k] = reply->inputs[k] - (s->zero ? s->zero[k] : 0.0);
+        size[k] = fabs(acting[k]);
         largest = larger(size[k] * s->one_over[k], largest);
     }
     wb_times(s->mesh, size, t->outputs, t->inputs, by_loads);
     if (s->by_tangent) lacking_of(t, o, work, reply, lacking);
     for (int q = 0; q < t->outputs; q++) {
         double mesh = s->by_tangent && lacking[q] > by_loads[q] ? lacking[q] : by_loads[q];
-        double linearity = s->linearity[q] * (largest * largest);
+        double linearity = neglected(t, q, acting, largest);
         reply->error[q] = reply->interpolation[q] + mesh + linearity;
         reply->discretisation[q] = s->mesh_known ? mesh : NAN;
         reply->linearity[q] = !s->linear || s->linearity_known ? linearity : NAN;

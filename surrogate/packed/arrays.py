@@ -98,8 +98,10 @@ BLOCKS = {
               "parts of the error are known"),
         Array("mesh", "f8", "m n", "its least by the loads: what the mesh lacks of the compliance"),
         Array("stiffness", "f8", "n m", "D, by which it follows from an answer's tangent"),
-        Array("linearity", "f8", "m", "linearity error at the largest loads"),
+        Array("linearity", "f8", "m", "linearity error at the largest loads: its square term, or "
+              "with `second` the cubic term"),
         Array("one_over", "f8", "n", "one over these loads"),
+        Array("second", "f8", "m n n", "second derivatives that a linear answer lacks", True),
         Array("zero", "f8", "n", "from where inputs count, if one is not 0", True),
     )),
     "scene": Block("scene/", "wb_table", (

@@ -123,7 +123,7 @@ def test_a_queued_answer_has_its_job_and_no_pose(stub: Stub, client: Client):
     assert answer.job.component == "plate"  # which the short form lacks
     assert "component" not in answer.job.raw
     assert answer.reason == "axis z: no rows yet"
-    with pytest.raises(ValueError, match="wait for job 7"):
+    with pytest.raises(ValueError, match=r"no rows yet.*client\.wait\(7\)"):
         answer.apply(np.eye(3), np.zeros(3))
     full = {**QUEUED, "job": None, "reason": "64 jobs of queries are open: the queue is full"}
     stub.answers(Answer(full, status=202))
@@ -152,7 +152,7 @@ def test_a_call_is_given_the_time_that_it_lets_the_server_hold_it_back(stub: Stu
 @pytest.mark.parametrize(
     ("force", "moment", "says"),
     [
-        ([0, 0], None, r"force must be three numbers, not of shape \(2,\)"),
+        ([0, 0], None, r"force must be three numbers \(x, y, z\), not of shape \(2,\)"),
         ([0, 0, 0], [1], r"moment must be three numbers"),
         ([0, np.nan, 0], None, "fy must be finite, not nan"),
         ([0, 0, 0], [0, 0, np.inf], "mz must be finite, not inf"),
@@ -174,11 +174,11 @@ def test_a_bad_batch_or_option_is_named_before_anything_is_sent(stub: Stub, clie
     wrenches[1, 4] = np.nan
     with pytest.raises(ValueError, match="wrench 1: my must be finite, not nan"):
         client.displacements("plate", wrenches)
-    with pytest.raises(ValueError, match=r"shape \(n, 6\), not \(3, 5\)"):
+    with pytest.raises(ValueError, match=r"shape \(n, 6 or more\), .* not \(3, 5\)"):
         client.displacements("plate", np.zeros((3, 5)))
     with pytest.raises(ValueError, match="on_thin must be one of queue, wait"):
         client.displacement("plate", [0, 0, 0], on_thin="maybe")
-    with pytest.raises(ValueError, match="tolerance must be positive"):
+    with pytest.raises(ValueError, match="tolerance must be above 0 and finite"):
         client.fill("plate", tolerance={"translation": 0.0, "rotation": 1.0})
     with pytest.raises(ValueError, match="a tolerance must be"):
         client.fill("plate", tolerance={"translation": 1.0})
@@ -244,7 +244,7 @@ def test_wait_takes_an_answer_that_has_a_job_and_says_what_else_it_takes(stub: S
     stub.answers(Answer(QUEUED, status=202), Answer({"id": 7, "status": "done"}))
     assert client.wait(client.solve("plate", [0, 0, 1])).status == "done"
     stub.answers(Answer(COVERED))
-    with pytest.raises(InvalidArgument, match=r"an answer with a job, not.*complete"):
+    with pytest.raises(InvalidArgument, match=r"this answer has no job: it is complete"):
         client.wait(client.displacement("plate", [0, 0, 1]))
     with pytest.raises(
         InvalidArgument, match=r"a job must be a Job, its number, or an answer.*'bar'"
@@ -253,8 +253,8 @@ def test_wait_takes_an_answer_that_has_a_job_and_says_what_else_it_takes(stub: S
 
 
 def test_wait_gives_up_in_time_and_says_that_the_job_goes_on(stub: Stub, client: Client):
-    stub.answers(Answer({"id": 7, "status": "running", "url": "/v1/jobs/7"}))
-    with pytest.raises(ServerTimeout, match=r"job 7 is still running after 0\.2 s and continues"):
+    stub.answers(Answer({"id": 7, "status": "running", "url": "/v1/jobs/7", "component": "bar"}))
+    with pytest.raises(ServerTimeout, match=r"job 7 of bar is still running after 0\.2 s and"):
         client.wait(7, timeout=0.2)
     assert len(stub.seen) < 10  # an answer that comes at once is not asked for in a tight loop
 
@@ -309,12 +309,12 @@ def test_fill_until_stops_when_a_whole_round_fails(stub: Stub, client: Client):
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda client: client.component(5), "name must be a text, not 5"),
+        (lambda client: client.component(5), "name must be a text such as 'plate', not 5"),
         (
             lambda client: client.displacement("plate", loads=[1] * 6),
-            "loads must be a mapping from names",
+            "loads must map names to values",
         ),
-        (lambda client: client.displacement("plate", inputs=3), "inputs must be a mapping from"),
+        (lambda client: client.displacement("plate", inputs=3), "inputs must map names"),
         (lambda _: Client("127.0.0.1:99999"), "not a server address"),
         (lambda _: Client("http://127.0.0.1:x"), "not a server address"),
         (lambda _: Client(None), "None is not a server address"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import json
 import socket
+import ssl
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -67,6 +68,26 @@ def test_nothing_listening_says_how_to_start_a_server():
     with pytest.raises(ServerUnreachable, match=rf"no answer from {address} .*wrenchbook serve"):
         client.components()
     assert not client.is_ready()
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (socket.gaierror(-2, "unknown"), r"no host has the name 'lab'.*correct the address"),
+        (ssl.SSLError("wrong version"), "no encrypted connection to .*write http://"),
+        (http.client.BadStatusLine("SSH-2.0"), "is not HTTP .*correct host and port"),
+        (OSError(113, "no route"), "no answer from .*wrenchbook serve"),
+    ],
+)
+def test_each_cause_of_no_connection_has_its_own_remedy(monkeypatch, error, words):
+    def fail(*_, **__):
+        raise error
+
+    monkeypatch.setattr(http.client.HTTPConnection, "connect", fail)
+    client = Client("http://lab:8000", timeout=1.0)
+    for call in (client.components, lambda: next(client.events())):
+        with pytest.raises(ServerUnreachable, match=words):
+            call()
 
 
 def test_a_server_that_is_restarting_is_waited_for(monkeypatch: pytest.MonkeyPatch):

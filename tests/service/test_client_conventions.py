@@ -89,6 +89,10 @@ def test_ros_messages_are_read_as_mapping_object_or_stamped():
         assert conv.from_ros(form).tolist() == WRENCH.tolist()
     with pytest.raises(ValueError, match="no 'torque'"):
         conv.from_ros({"force": mapping["force"]})
+    with pytest.raises(ValueError, match=r"no 'force\.y'"):
+        conv.from_ros({"force": {"x": 1.0}})
+    with pytest.raises(ValueError, match=r"force\.x must be a number, not 'one'"):
+        conv.from_ros({"force": {"x": "one"}})
 
 
 def test_drake_puts_torque_first():

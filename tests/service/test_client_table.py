@@ -79,7 +79,7 @@ def test_a_saved_table_is_the_export_and_cannot_be_refreshed(client: Client, tmp
     assert path.read_bytes() == client.export_table("partial", "packed")
     opened = Table.open(path)
     assert (opened.name, opened.version) == ("partial", table.version)
-    with pytest.raises(ValueError, match=r"comes from a file; download the newest version"):
+    with pytest.raises(ValueError, match=r"comes from a file, .* client\.download\('partial'\)"):
         opened.refresh()
 
 
@@ -114,9 +114,9 @@ def test_the_stiffness_is_the_inverse_of_the_derivative(client: Client) -> None:
 
 def test_a_stiffness_that_is_not_there_is_refused_with_the_reason(client: Client) -> None:
     wrench = [0, 0, 0.1]
-    with pytest.raises(ValueError, match="locked freedom"):
+    with pytest.raises(ValueError, match="no load moves the locked freedoms"):
         client.download("spring").stiffness(wrench)
-    with pytest.raises(ValueError, match="unknown here"):
+    with pytest.raises(ValueError, match=r"the derivative of .* is unknown\. Solve rows near it"):
         client.download("partial").stiffness(wrench)
 
 
@@ -180,13 +180,15 @@ def test_an_answer_of_several_interfaces_is_by_name_with_its_wrench(link: Table)
 @pytest.mark.parametrize(
     ("query", "words"),
     [
-        ({"force": [0, 0, 1]}, "interfaces left, right; give loads by name"),
+        ({"force": [0, 0, 1]}, "give loads={'left': WRENCH, 'right': WRENCH}"),
         ({"loads": {"middle": [0] * 6}, "inputs": {"temperature": 0}}, "no such interface"),
         ({"loads": LOADS}, "inputs.temperature: missing; give its value in degC"),
         ({"loads": LOADS, "inputs": {"pressure": 1, "temperature": 0}}, "no such input"),
         ({"loads": LOADS, "inputs": {"temperature": np.nan}}, "finite"),
-        ({"force": [0, 0, 1], "loads": LOADS}, "either force and moment, or loads"),
-        ({}, "give a force, a moment or loads"),
+        ({"force": [0, 0, 1], "loads": LOADS}, "leave force= and moment= out"),
+        ({}, r"no load is given; give force=\[Fx, Fy, Fz\] in N"),
+        ({"loads": {"left": [1, 2]}}, r"loads\['left'\]: force must be three numbers"),
+        ({"loads": {"left": {"torque": 1}}}, r"loads\['left'\] can have .* only, not 'torque'"),
     ],
 )
 def test_a_query_that_does_not_fit_the_space_is_refused_by_name(link: Table, query, words):

@@ -186,7 +186,7 @@ def test_a_scene_beyond_the_range_is_not_downloaded(client: Client):
 @pytest.mark.parametrize(
     ("wanted", "told"),
     [
-        ({}, "a scene needs a component"),
+        ({}, "the scene has no component; write"),
         ({"a": 1}, "components.a: must be a table of force"),
         ({"a": {**PLANAR, "torque": 1}}, "components.a: unknown key torque"),
         ({"a": {"force": NONE}}, "components.a.moment is missing"),
@@ -197,6 +197,7 @@ def test_a_scene_beyond_the_range_is_not_downloaded(client: Client):
         ({"a": {**PLANAR, "force": [True, 2, 3]}}, "components.a.force.0"),
         ({"a": {**PLANAR, "force": [0, float("nan"), 0]}}, "components.a.force.1"),
         ({"a": {**PLANAR, "force": [0, [2, 1], 0]}}, "low end 2 must not be above the high end 1"),
+        ({"a": {**PLANAR, "force": [0, 0, -5]}}, r"force.2: .* write 5, or \[-5, 0\]"),
         ({"a": {**PLANAR, "outputs": []}}, "components.a.outputs"),
         ({"a": {**PLANAR, "outputs": "uz"}}, "components.a.outputs"),
         ({"a": {**PLANAR, "outputs": [["uz"]]}}, "components.a.outputs"),

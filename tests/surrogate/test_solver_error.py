@@ -30,6 +30,20 @@ def test_the_parts_add_up_to_what_a_bar_grows_by():
     np.testing.assert_allclose(result.error, grown, rtol=1e-5)
 
 
+def test_second_derivatives_make_the_linearity_error_a_function_of_the_loads_directions():
+    second = np.random.default_rng(5).normal(size=(6, 6, 6)) * 1e-9
+    second += second.swapaxes(1, 2)
+    remainder, wrench = [1e-6] * 6, np.array([100.0, -200.0, 3.0, 1.0, -2.0, 0.0])
+    told = {"second_derivatives": second.tolist(), "linearity_remainder": remainder}
+    error = SolverError(BENT | told)
+    expected = 0.5 * np.abs(second @ wrench @ wrench) + 0.2**3 * np.array(remainder)
+    np.testing.assert_allclose(error.parts(wrench)["linearity"], expected, rtol=1e-12)
+    assert error.at_full_range()["linearity"] == BENT["linearity"]
+    rows = Rows.of([wrench], np.ones(6), source=["fea"])
+    result = packed_of(build(rows, UNIT, solver_error=error)).answer(wrench.tolist())
+    np.testing.assert_allclose(result.linearity, expected, rtol=1e-12)
+
+
 def test_what_is_not_known_stays_unknown():
     error = SolverError({"mesh": None, "loads": LOADS, "mesh_basis": "why"})
     assert error.parts([1.0] * 6) == {"mesh": None}
@@ -49,6 +63,8 @@ def test_what_is_not_known_stays_unknown():
         TOLD | {"mesh": (-MESH).tolist()},
         TOLD | {"loads": [float("nan")] * 6},
         BENT | {"linearity": ["x"] * 6},
+        BENT | {"second_derivatives": [[0.0] * 6] * 6, "linearity_remainder": [0.0] * 6},
+        BENT | {"second_derivatives": np.zeros((6, 6, 6)).tolist()},
         TOLD | {"mesh_stiffness": [[1.0]]},
     ],
 )

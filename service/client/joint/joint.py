@@ -16,24 +16,27 @@ import math
 from collections.abc import Mapping
 from numbers import Real
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wrenchbook.surrogate.answer import UnknownMethodError
 from wrenchbook.surrogate.kernel.joint import (
     FREEDOMS,
     INDEFINITE,
+    MAX_INTERFACES,
     NO_MASS,
     NOT_FINITE,
     JointSteps,
     shape_of,
 )
 
-from ...contract import COVERAGE
+from ...contract import COVERAGE, LOAD_UNITS
+from ..conventions import quaternion_wxyz as quaternion
 from ..errors import InvalidArgument, JointError, JointRangeError, JointWarning, warn
-from ..rotation import sinc
-from ..wrenches import Vector
+from ..rotation import checked_rotation
+from ..wrenches import Vector, floats_of
 from .report import JointReport, report_of
 
 if TYPE_CHECKING:
@@ -42,7 +45,9 @@ if TYPE_CHECKING:
 NOT_YET = -2  # beside the kernel's coverages: no step so far
 # By those codes, from the end too: -2 is NOT_YET, -1 a step without a wrench.
 COVERED_AS = np.array([*COVERAGE, None, COVERAGE[-1]], dtype=object)
+LARGEST_TURN = 20.0  # degrees, of the rows of a table
 MAX_RANGES = 2.0  # of the range or of LARGEST_TURN: further out the pose is not that of the part
+ROUNDING = 1e-9  # relative: two ways to compute how far out a pose is differ by less
 SYMBOLS = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
 SHOWN = 0.05  # of the largest: messages leave out smaller loads of a direction
 
@@ -61,7 +66,7 @@ class Joint:
     table : Table
         A downloaded or opened table of a part with 1 to 4 interfaces that move.
     damping : float
-        Share of critical damping of each mode of the part between the two bodies.
+        Damping ratio of each mode of the part between the two bodies: 1 is critical damping.
     interface : str, optional
         Of several interfaces the one at the tip; all others must be held. If it is not given the
         joint is at all that move.
@@ -94,6 +99,8 @@ class Joint:
         a step's wrench is not covered, and if its pose is beyond the range.
     """
 
+    _mass_remedy = "Give every freedom between base and tip a mass"
+
     def __init__(
         self,
         table: Table,
@@ -113,36 +120,42 @@ class Joint:
         self._further = further_inputs(table, inputs or {})
         self._warned_beyond = self._warned_uncovered = False
         self._remedy = "Check masses, units and steps (all with the joint), or widen the range"
-        self._begin(None)
-        self._require_stiffness()
+        try:
+            self._begin(None)
+            self._require_stiffness()
+        except UnknownMethodError as error:
+            raise InvalidArgument(f"{self._name}: {error}") from error
 
     def _require_stiffness(self) -> None:
         """Refuse a table without stiffness; warn where in its range no joint can invert it."""
-        packed, at, free, method = self._packed, self._at, self.free, self._method
-        sample = packed.sample(self._inputs(np.zeros(self._size)), at[free])
+        packed, at, method = self._packed, self._at, self._method
+        free = at[self.free]  # indices of the table's loads and outputs
+        sample = packed.sample(self._inputs(np.zeros(self._size)), free)
         answers = packed.batch(sample, None, method)
-        slopes = packed.derivatives(sample, None, method)[:, at[free]][:, :, at[free]]
-        slopes[np.isnan(answers.outputs[:, at]).any(axis=1)] = np.nan  # beyond 20 degrees
-        slopes[(slopes == 0.0).all(axis=(1, 2))] = np.nan  # of the nearest row: no spring
-        least, loads = packed.weakest(slopes, packed.load_scale[at][free])
-        known, bad = int(np.isfinite(least).sum()), least < 0.0
+        compliances = packed.derivatives(sample, None, method)[:, free][:, :, free]
+        rotates_too_far = np.isnan(answers.outputs[:, at]).any(axis=1)  # beyond LARGEST_TURN
+        is_nearest_row = (compliances == 0.0).all(axis=(1, 2))  # an answer without a slope
+        compliances[rotates_too_far | is_nearest_row] = np.nan
+        least, loads = packed.weakest(compliances, packed.load_scale[free])
+        known, is_indefinite = int(np.isfinite(least).sum()), least < 0.0
         if not known:
             raise InvalidArgument(
                 f"{self._table.name} has no rows that give a stiffness; {self._more_rows()}, and "
                 "download the table again"
             )
-        if bad.any():
-            worst, covered = int(np.nanargmin(least)), answers.coverage == 0
+        if is_indefinite.any():
+            worst, is_covered = int(np.nanargmin(least)), answers.coverage == 0
             self._remedy = f"The compliance is not positive definite: {self._more_rows()}"
             warn(
-                f"{self._indefinite(sample[worst][at], loads[worst])}. So it is at {bad.sum()} of "
-                f"{known} wrenches of the load range, {(bad & covered).sum()} of them covered",
+                f"{self._indefinite(sample[worst][at], loads[worst])}. So it is at "
+                f"{is_indefinite.sum()} of {known} wrenches of the load range, "
+                f"{(is_indefinite & is_covered).sum()} of them covered",
                 JointWarning,
             )
 
     @property
     def damping(self) -> float:
-        """Share of critical damping of each mode; assign it to change it."""
+        """Damping ratio of each mode, 1 for critical damping; assign it to change it."""
         return self._damping
 
     @damping.setter
@@ -203,26 +216,27 @@ class Joint:
         return report_of(self)
 
     def _begin(self, axes: Vector | None) -> None:
-        """Make the kernel's arrays, for spins in `axes` (3, 3) of the tip or in the frame's."""
+        """Make the kernel's arrays, and forget the last step.
+
+        `axes` (3, 3) are the interface frame's axes, as columns, in the axes in which the kernel
+        reads rotations and spins, those of the tip's body; None where these are the frame's.
+        """
         self._use(self.new_steps(1, axes), 0)
         self.restart()
 
     def new_steps(self, count: int, axes: Vector | None) -> JointSteps:
-        """Return the kernel's arrays for so many joints of these options; see `_begin`."""
-        try:
-            steps = self._packed.joints(count, self._method, axes)
-        except ValueError as error:  # no such method, or too many interfaces
-            raise InvalidArgument(f"{self._name}: {error}") from error
+        """Return the kernel's arrays for `count` joints of these options; `axes` as in `_begin`."""
+        steps = self._packed.joints(count, self._method, axes)
         steps.inputs[:] = self._inputs(np.zeros(self._size))
         return steps
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Be a copy with arrays of its own."""
+        """Restore a copy, with arrays of its own."""
         self.__dict__.update(state)
         self._use(copy.copy(self._steps), self._entry)
 
     def _use(self, steps: JointSteps, at: int) -> None:
-        """Point this joint at its entry `at` of the kernel's arrays."""
+        """Point this joint at its entry `at` of the kernel's arrays; its attributes are views."""
         self._entry, self._steps = at, steps
         self._reply, self._memory = steps.replies[at], steps.memory[at]
         self._history = steps.history[at]
@@ -246,10 +260,14 @@ class Joint:
         other = "" if self._method is None else f", or leave out method={self._method!r}"
         return f"solve more rows (wrenchbook fill {self._table.name} --for-joint){other}"
 
-    def _indefinite(self, wrench: Vector, loads: Vector) -> str:
-        """Say where the part moves against a load, (f,), in half widths of the range."""
-        shares = zip(loads, self._symbols[self.free], strict=True)
-        shown = " ".join(f"{share:+.2g} {load}" for share, load in shares if abs(share) >= SHOWN)
+    def _indefinite(self, wrench: Vector, direction: Vector) -> str:
+        """Return the text of a compliance that is not positive definite at a wrench (6 k,).
+
+        `direction` (f,), in half widths of the load range, is the load against which the part
+        moves.
+        """
+        parts = zip(direction, self._symbols[self.free], strict=True)
+        shown = " ".join(f"{part:+.2g} {load}" for part, load in parts if abs(part) >= SHOWN)
         return (
             f"{self._name}, method {self._packed.answers_by(self._method)!r}: at the wrench "
             f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m the compliance is not "
@@ -287,28 +305,15 @@ class Joint:
             no rotation, or a shape wrong or a number not finite.
         """
         k, size = len(self.interfaces), self._size
-        try:
-            arrays = (np.asarray(a, dtype=float) for a in (R, p, velocity, inverse_mass))
-            (R, p, velocity, inverse_mass), dt = arrays, float(dt)
-        except (TypeError, ValueError) as error:
-            raise InvalidArgument(f"a step needs arrays of numbers, and dt in s: {error}") from None
-        shapes = np.shape(p), np.shape(velocity), np.shape(inverse_mass)
-        expected = shape_of(k, 3), shape_of(k, FREEDOMS), (size, size)
-        if shapes != expected or (self._several and np.shape(R) != (k, 3, 3)):
-            raise InvalidArgument(
-                "p, velocity, inverse_mass need shapes {}, {} and {}, not {}, {} and {}{}".format(
-                    *expected, *shapes, f"; R has ({k}, 3, 3)" if self._several else ""
-                )
-            )
-        if not (
-            math.isfinite(dt) and dt > 0 and np.isfinite(p).all() and np.isfinite(velocity).all()
-        ):
-            raise InvalidArgument(
-                f"dt must be above 0 s, and p and velocity finite, not {dt} s, {p}, {velocity}"
-            )
+        R = floats_of("R", R, shape_of(k, 3, 3))
+        p = floats_of("p", p, shape_of(k, 3))
+        velocity = floats_of("velocity", velocity, shape_of(k, FREEDOMS))
+        inverse_mass = floats_of("inverse_mass", inverse_mass, (size, size))
+        dt = floats_of("dt", dt, ()).item()
+        if dt <= 0.0:
+            raise InvalidArgument(f"dt must be above 0 s, not {dt:g} s")
         steps = self._steps
-        rotations = list(R) if self._several else [R]
-        turned = [quaternion(rotation_vector(matrix)) for matrix in rotations]
+        turned = [quaternion(rotation_vector(matrix)) for matrix in R.reshape(k, 3, 3)]
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = p, np.squeeze(turned)
         steps.velocities[0], steps.inverse_masses[0] = velocity, inverse_mass
         steps.step(dt, self.damping)
@@ -338,9 +343,9 @@ class Joint:
         """
         last_step, steps = (self._steps, self._entry), self.new_steps(1, None)
         each = shape_of(len(self.interfaces), 3)
-        if not np.shape(translation) == np.shape(rotation) == each:
-            raise InvalidArgument(f"translation and rotation must each have the shape {each}")
-        turned = [quaternion(vector) for vector in np.reshape(rotation, (-1, 3))]
+        translation = floats_of("translation", translation, each)
+        rotation = floats_of("rotation", rotation, each)
+        turned = [quaternion(vector) for vector in rotation.reshape(-1, 3)]
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = translation, np.squeeze(turned)
         steps.memory[0] = self._memory
         steps.state()
@@ -373,41 +378,68 @@ class Joint:
             )
 
     def _refuse(self, status: int, ranges: float) -> None:
-        """Raise what a status and a pose so many ranges out are, or warn."""
+        """Raise the error of a status of the kernel, or of a pose `ranges` load ranges out.
+
+        Up to MAX_RANGES a pose is warned of only.
+        """
         if status == INDEFINITE:
             least, loads = self._weakest(self._stiffness[None])
             if least[0] < 0.0:
                 raise JointError(self._indefinite(np.ravel(self._static_wrench), loads[0]))
         elif status == NO_MASS:
+            matrix = self._steps.inverse_masses[self._entry][np.ix_(self.free, self.free)]
+            smallest = float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0])
             raise InvalidArgument(
-                "the inverse effective mass of the joint must be symmetric and positive definite. "
-                "Give every freedom between base and tip a mass, use the matrix of this step, and "
-                "call mj_step1 before pull_joints"
+                f"{self._name}: the inverse effective mass must be symmetric and positive "
+                f"definite, but its smallest eigenvalue is {smallest:.3g}, and it differs from its "
+                f"transpose by {np.abs(matrix - matrix.T).max():.3g}. {self._mass_remedy}"
             )
         elif status == NOT_FINITE:
+            pose = self._steps.poses[self._entry]
+            if np.isfinite(pose).all() and not pose[..., 3:].any(axis=-1).all():
+                raise InvalidArgument(
+                    f"{self._name}: the quaternion of the pose is zero; no rotation is 1 0 0 0"
+                )
+            wrong = "inverse mass" if np.isfinite(pose).all() else f"pose {pose.tolist()}"
             raise InvalidArgument(
-                "pose, velocity and inverse mass must be finite, and the quaternion not zero"
+                f"{self._name}: the {wrong} is not finite, because the simulation has diverged; go "
+                "back to an earlier state, and use a smaller time step"
             )
         elif status:
+            moved = ", ".join(f"{number:.4g}" for number in self.displacement.ravel())
             raise JointError(
-                f"{self._name}: the compliance has no inverse at this pose, so the wrench is "
-                f"undefined; {self._more_rows()}, or lock the freedom that does not move"
+                f"{self._name}: the compliance has no inverse at the displacement ({moved}) m, "
+                f"rad, so the wrench is undefined; {self._more_rows()}, or lock the freedom that "
+                "does not move"
             )
         if ranges > MAX_RANGES:
-            raise JointRangeError(
-                f"{self._name}: the pose needs {ranges:.3g} times the load range, or rotates by "
-                f"that many times 20 degrees. {self._remedy}"
-            )
+            raise JointRangeError(f"{self._name}: {self._excess(ranges)}. {self._remedy}")
         if ranges > 1.0:
-            self._warn_beyond()
+            self._warn_beyond(self._excess(ranges))
 
-    def _warn_beyond(self) -> None:
+    def _excess(self, ranges: float) -> str:
+        """Return which part of the last step's pose is `ranges` times the range out."""
+        rotations = self.displacement.reshape(-1, FREEDOMS)[:, 3:]
+        turn = math.degrees(float(np.linalg.norm(rotations, axis=1).max()))
+        if turn >= LARGEST_TURN * ranges * (1.0 - ROUNDING):
+            return f"the pose rotates by {turn:.3g} degrees, beyond the {LARGEST_TURN:g} of tables"
+        low, high = self._packed.load_range[:, self._at]
+        loads = self._static_wrench.ravel()
+        excess = np.maximum(loads - high, low - loads) / self._packed.load_scale[self._at]
+        load = int(excess.argmax())
+        return (
+            f"the pose is outside the load range: it needs {ranges:.3g} times the range, with "
+            f"{self._symbols[load]} = {loads[load]:.4g}, beyond {low[load]:g} to {high[load]:g} "
+            f"{LOAD_UNITS[load % FREEDOMS]}"
+        )
+
+    def _warn_beyond(self, excess: str) -> None:
         """Warn once that a pose is beyond the range."""
         if not self._warned_beyond:
             self._warned_beyond = True
             warn(
-                f"{self._name}: the pose is outside the load range or 20 degrees; the wrench is "
-                f"extrapolated linearly, up to {MAX_RANGES:g} times the range. {self._remedy}",
+                f"{self._name}: {excess}; the wrench is extrapolated linearly, up to "
+                f"{MAX_RANGES:g} times the range. {self._remedy}",
                 JointWarning,
             )
 
@@ -427,10 +459,7 @@ class Joint:
 
 def rotation_vector(R: ArrayLike) -> Vector:
     """Return the rotation vector (3,), rad, of a matrix; InvalidArgument from half a turn on."""
-    matrix = np.asarray(R, dtype=float)
-    square = matrix.shape == (3, 3) and np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6
-    if not square or np.linalg.det(matrix) < 0.0:
-        raise InvalidArgument("R must be a right-handed rotation matrix of shape (3, 3)")
+    matrix = checked_rotation("R", R)
     sine = 0.5 * np.array(
         [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
     )
@@ -441,21 +470,16 @@ def rotation_vector(R: ArrayLike) -> Vector:
     return sine * (angle / size if size > 0.0 else 1.0)
 
 
-def quaternion(rotation: ArrayLike) -> Vector:
-    """Return the quaternion (4,), w first, of a rotation vector (3,), rad."""
-    vector = np.asarray(rotation, dtype=float)
-    half = 0.5 * math.sqrt(float(vector @ vector))
-    return np.array([math.cos(half), *(0.5 * sinc(half) * vector)])
-
-
 def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, ...]:
     """Return a table's inputs that are no loads, by their names, in its order.
 
-    InvalidArgument if one is unknown, missing or beyond its range.
+    InvalidArgument if an input is unknown, missing or beyond its range.
     """
     space, count = table.space, len(table.space.scalars)
     if not isinstance(by_name, Mapping):
-        raise InvalidArgument(f"inputs are a mapping from names to numbers, not {by_name!r}")
+        raise InvalidArgument(
+            f"inputs must map names to numbers, such as {{'temperature': 80.0}}, not {by_name!r}"
+        )
     try:
         values = space.vector({}, by_name)[len(space.inputs) - count :]
     except ValueError as error:
@@ -469,27 +493,52 @@ def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, .
     return tuple(map(float, values))
 
 
-def moving(
-    table: Table, interface: str | None, several: bool = True
-) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[str, ...]]:
-    """Return indices of the loads of interfaces that move, those not locked, and their names."""
+class MovingFreedoms(NamedTuple):
+    """The freedoms of the k interfaces of a part that move."""
+
+    indices: NDArray[np.intp]  # (6 k,): of the table's loads and outputs
+    free: NDArray[np.intp]  # (f,): of these 6 k, those that the part does not lock
+    interfaces: tuple[str, ...]  # k names; ("",) of a single interface
+
+
+def moving(table: Table, interface: str | None, several: bool = True) -> MovingFreedoms:
+    """Return the freedoms of the interfaces of a table's part that move.
+
+    InvalidArgument if none moves; with an `interface`, or unless `several` are allowed, if others
+    than that one move.
+    """
     if not hasattr(table, "packed"):
         raise InvalidArgument(
             f"a joint needs a Table of client.download(name) or Table.open(path), not {table!r}"
         )
     indices = np.arange(FREEDOMS * len(table.space.interfaces)).reshape(-1, FREEDOMS)
     free = ~table.packed.locked[indices]
-    names = tuple(np.array(table.space.interfaces)[free.any(axis=1)].tolist())
-    single = interface is not None or not several
+    moves = free.any(axis=1)
+    names = tuple(np.array(table.space.interfaces)[moves].tolist())
     if not names:
-        raise InvalidArgument(f"{table.name} has no interface that moves; all of it is locked")
-    listed = ", ".join(map(repr, names))
-    if names != ("",) and interface not in (None, *names):
-        message = f"{table.name} has no interface {interface!r} that moves, only {listed}"
-        raise InvalidArgument(f"{message}; name one of these")
-    if interface not in (None, *names) or (single and len(names) > 1):
         raise InvalidArgument(
-            f"a joint or springs need exactly one interface that moves, but {table.name} moves at "
-            f"{listed}; " + ("leave out interface" if names == ("",) else "hold the others")
+            f"all freedoms of {table.name} are locked, so it is rigid; weld the bodies instead"
         )
-    return indices[free.any(axis=1)].ravel(), np.flatnonzero(free[free.any(axis=1)]), names
+    listed = ", ".join(map(repr, names))
+    if interface not in (None, *names):
+        if names == ("",):
+            raise InvalidArgument(
+                f"{table.name} has one interface, without a name; leave out interface={interface!r}"
+            )
+        raise InvalidArgument(
+            f"{table.name} has no interface {interface!r} that moves, only {listed}; name one of "
+            "these"
+        )
+    if len(names) > 1 and (interface is not None or not several):
+        wanted = "springs need" if interface is None else f"interface={interface!r} needs"
+        remedy = "" if interface is None else ", or leave out interface for a joint at all"
+        raise InvalidArgument(
+            f"{wanted} a part that moves at one interface, but {table.name} moves at {listed}; "
+            f"hold the others by [supports], or one by held = true in its [[interface]]{remedy}"
+        )
+    if len(names) > MAX_INTERFACES:
+        raise InvalidArgument(
+            f"{table.name} moves at {len(names)} interfaces, {listed}, but a joint takes "
+            f"{MAX_INTERFACES} at most; divide the part into components"
+        )
+    return MovingFreedoms(indices[moves].ravel(), np.flatnonzero(free[moves]), names)

@@ -15,7 +15,7 @@ from wrenchbook.surrogate.kernel.joint import INDEFINITE, NO_MASS, NOT_FINITE, O
 
 from ..errors import InvalidArgument, JointWarning, warn
 from ..wrenches import Vector
-from .joint import COVERED_AS, MAX_RANGES, NOT_YET, Joint
+from .joint import COVERED_AS, LARGEST_TURN, MAX_RANGES, NOT_YET, Joint
 
 if TYPE_CHECKING:
     from ..table import Table
@@ -44,19 +44,29 @@ class Joints:
 
     Each has the numbers of a `Joint`, bit by bit; those of k > 1 interfaces are (n, k, 6) for the
     (n, 6) below. A joint without a wrench does not stop the others: its wrench is NaN, `status`
-    says why, and one `JointWarning` counts them. Table, damping, options and errors are those of
-    `Joint`; `count` is the number of joints, n.
+    says why, and one `JointWarning` counts them. `count` is the number of joints, n; the other
+    parameters and the errors are those of `Joint`.
     """
 
     joints: Sequence[Any] = ()  # of `MujocoJoints`
 
-    def __init__(self, table: Table, count: int, damping: float = 0.02, **options: Any) -> None:
+    def __init__(
+        self,
+        table: Table,
+        count: int,
+        damping: float = 0.02,
+        *,
+        interface: str | None = None,
+        method: str | None = None,
+        inputs: Mapping[str, float] | None = None,
+    ) -> None:
         if not (isinstance(count, int | np.integer) and count > 0):
             raise InvalidArgument(f"count must be a number of joints of 1 or more, not {count!r}")
-        self._hold(Joint(table, damping, **options), int(count), None)
+        joint = Joint(table, damping, interface=interface, method=method, inputs=inputs)
+        self._hold(joint, int(count), None)
 
     def _hold(self, joint: Joint, count: int, axes: Vector | None) -> None:
-        """Keep the options of a joint, and make the kernel's arrays."""
+        """Keep the options of a joint, and make the kernel's arrays; `axes` as `Joint._begin`."""
         self._joint, self._steps, self._warned = joint, joint.new_steps(count, axes), False
         self._codes = np.zeros(count, dtype=np.int32)
         Joints.restart(self)
@@ -150,7 +160,7 @@ class Joints:
                 "not {}, {} and {}".format(n, *each, *shapes)
             )
         if not (isinstance(dt, Real) and math.isfinite(dt) and dt > 0):
-            raise InvalidArgument(f"dt must be a number above 0 s, not {dt!r}")
+            raise InvalidArgument(f"dt must be a finite number above 0 s, not {dt!r}")
         steps.poses[:], steps.velocities[:], steps.inverse_masses[:] = inputs
         steps.step(dt, self._joint.damping, threads or os.cpu_count() or 1)
         self._check_status()
@@ -169,8 +179,12 @@ class Joints:
                 f"step, NaN: {counts}; `status` has each. {self._joint._remedy}. This appears once",
                 JointWarning,
             )
-        if (~self.failed & ~within).any():
-            self._joint._warn_beyond()
+        beyond = int((~self.failed & ~within).sum())
+        if beyond:
+            self._joint._warn_beyond(
+                f"{beyond} of {len(self)} poses are outside the load range, or rotate by more than "
+                f"{LARGEST_TURN:g} degrees"
+            )
         thin = (replies["coverage"].reshape(len(self), -1) > 0).any(axis=1)
         uncovered = np.flatnonzero(~self.failed & within & thin)
         if len(uncovered):

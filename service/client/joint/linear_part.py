@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...contract import LOADS, OUTPUTS
+from ...contract import LOAD_UNITS, LOADS, OUTPUTS
 from ..errors import Document, InvalidArgument
-from ..wrenches import Vector
+from ..wrenches import Vector, floats_of
 from .joint import FREEDOMS, further_inputs, moving
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class LinearPart:
     largest_displacement : list of float
         Shape (n,), m and rad: the table's, for the same wrenches.
     covered : float
-        The share of these wrenches that the table covers; the others compare with estimates.
+        The fraction of these wrenches that the table covers; the others compare with estimates.
     """
 
     component: str
@@ -73,24 +73,29 @@ class LinearPart:
         """
         at, free, _ = moving(table, None, several=False)
         packed, indices = table.packed, at[free]
-        load = np.zeros(FREEDOMS) if wrench is None else np.asarray(wrench, dtype=float)
-        if load.shape != (FREEDOMS,) or not np.isfinite(load).all():
-            raise InvalidArgument(
-                f"a wrench must be 6 finite numbers (N, N·m), not {load.tolist()}"
-            )
+        load = floats_of("wrench", np.zeros(FREEDOMS) if wrench is None else wrench, (FREEDOMS,))
         further = further_inputs(table, inputs or {})
         centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
         centre[at] = load
-        low, high = packed.load_range[:, indices]
-        if not ((low <= load[free]) & (load[free] <= high)).all():
-            ends = f"{low.tolist()} to {high.tolist()} N, N·m"
-            raise InvalidArgument(f"{table.name}: give a load within its range, {ends}")
+        for place, low, high in zip(free, *packed.load_range[:, indices], strict=True):
+            if not low <= load[place] <= high:
+                raise InvalidArgument(
+                    f"{table.name}: {LOADS[place]} must be within the load range, {low:g} to "
+                    f"{high:g} {LOAD_UNITS[place]}, not {load[place]:g}"
+                )
         slope = packed.derivative(centre.tolist())[np.ix_(indices, indices)]
         compliance = 0.5 * (slope + slope.T)
-        if not np.isfinite(compliance).all() or np.linalg.eigvalsh(compliance).min() <= 0.0:
+        remedy = f"run wrenchbook fill {table.name} --for-joint, or give another load"
+        if not np.isfinite(compliance).all():
             raise InvalidArgument(
-                f"{table.name} has no stiffness at this load, because its derivative is unknown or "
-                "is not positive definite; fill the table, or give another load"
+                f"{table.name} has no stiffness at this load, because its derivative is unknown; "
+                f"{remedy}"
+            )
+        smallest = float(np.linalg.eigvalsh(compliance)[0])
+        if smallest <= 0.0:
+            raise InvalidArgument(
+                f"{table.name} has no stiffness at this load, because its compliance is not "
+                f"positive definite (smallest eigenvalue {smallest:.3g}); {remedy}"
             )
         loads = packed.sample(centre, indices)
         answers = packed.batch(np.vstack([centre, loads]))
@@ -118,7 +123,7 @@ class LinearPart:
     @property
     def error(self) -> str:
         """The largest error of each displacement, in words."""
-        shares = [
+        percentages = [
             f"{name} {round(100.0 * error / largest, 3):g} %"
             for name, error, largest in zip(
                 self.freedoms, self.largest_error, self.largest_displacement, strict=True
@@ -126,9 +131,9 @@ class LinearPart:
             if largest > 0.0
         ]
         return (
-            f"{self.component} as springs is wrong by up to {', '.join(shares) or 'unknown'} of "
-            "the largest displacement in the load range; the table covers "
-            f"{self.covered:.0%} of the wrenches compared"
+            f"{self.component} as springs is wrong by up to "
+            f"{', '.join(percentages) or 'unknown'} of the largest displacement in the load range; "
+            f"the table covers {self.covered:.0%} of the wrenches compared"
         )
 
     def to_dict(self, mass: ArrayLike | None = None) -> Document:

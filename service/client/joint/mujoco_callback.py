@@ -56,8 +56,12 @@ def joints_in_mj_step() -> Iterator[None]:
 
     # MuJoCo calls the control callback only with actuation; the passive callback stands in for it.
     callbacks = pull_scene, partial(pull_scene, passive=True)
-    if engine.get_mjcb_control() or engine.get_mjcb_passive():
-        raise JointError("MuJoCo already has a callback; remove it, or call step_joints instead")
+    present = [kind for kind in ("control", "passive") if getattr(engine, f"get_mjcb_{kind}")()]
+    if present:
+        raise JointError(
+            f"MuJoCo already has a {present[0]} callback; remove it by mujoco.set_mjcb_"
+            f"{present[0]}(None), or call step_joints in the place of mj_step"
+        )
     engine.set_mjcb_control(callbacks[0])
     engine.set_mjcb_passive(callbacks[1])
     try:
@@ -69,4 +73,7 @@ def joints_in_mj_step() -> Iterator[None]:
     if errors:
         raise errors[0]
     if exchanged:
-        raise JointError("a callback set within joints_in_mj_step stops the joints; remove it")
+        raise JointError(
+            "another control or passive callback was set within joints_in_mj_step, which stops the "
+            "joints; do not set it, or call step_joints in the place of mj_step"
+        )

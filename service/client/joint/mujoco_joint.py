@@ -12,11 +12,10 @@ from ..errors import InvalidArgument, JointError, JointWarning, warn
 from ..wrenches import Vector
 from .joint import FREEDOMS, Joint, quaternion
 from .mujoco_scene import (
-    OBJECT,
-    REMEDY,
     Data,
     Model,
     block_positions,
+    body_name,
     body_number,
     engine,
     find_tip,
@@ -35,7 +34,9 @@ _Registered: TypeAlias = "WeakValueDictionary[tuple[int, int], MujocoJoint]"
 _JOINTS: WeakKeyDictionary[Data, _Registered] = WeakKeyDictionary()
 
 
-class _Law(NamedTuple):  # of f free freedoms in a step: the wrench is force + slope @ velocity
+class _Law(NamedTuple):
+    """The wrench of f free freedoms in a step, as force + slope @ velocity."""
+
     force: Vector  # (f,), N and N·m
     slope: Vector  # (f, f), these per m/s and rad/s
     velocity: Vector  # (f,), m/s and rad/s: after the step
@@ -59,9 +60,9 @@ class MujocoJoint(Joint):
     bodies : mapping of str, optional
         In the place of `tip`: the tips by interface, ``{"left": "wheel_l", "right": "wheel_r"}``.
     damping : float
-        Share of critical damping of each mode of the part between the two bodies.
-    **options
-        Of `Joint`.
+        Damping ratio of each mode of the part between the two bodies: 1 is critical damping.
+    interface, method, inputs
+        As of `Joint`.
 
     Raises
     ------
@@ -82,6 +83,7 @@ class MujocoJoint(Joint):
     contacts within the step, and those of the others with the step after.
     """
 
+    _mass_remedy = f"{Joint._mass_remedy}, and call mj_step1 before pull_joints"
     _others_copied: Mapping[int, Sequence[str]] = {}  # of the scene of which this is a copy: tips
 
     def __init__(
@@ -94,22 +96,28 @@ class MujocoJoint(Joint):
         damping: float = 0.02,
         *,
         bodies: Mapping[str, str] | None = None,
-        **options: Any,
+        interface: str | None = None,
+        method: str | None = None,
+        inputs: Mapping[str, float] | None = None,
     ) -> None:
         if not (isinstance(model, engine.MjModel) and isinstance(data, engine.MjData)):
-            kinds = f"{type(model)} and {type(data)}"
             raise InvalidArgument(
-                f"model and data must be MjModel and MjData of mujoco, not {kinds}"
+                "model and data must be a mujoco.MjModel and a mujoco.MjData, not "
+                f"{type(model).__name__} and {type(data).__name__}"
             )
-        super().__init__(table, damping, **options)
+        super().__init__(table, damping, interface=interface, method=method, inputs=inputs)
         refuse_rk4(model)
         self._model, self._data = model, data
         self._base, self._tips = base, self._bodies(tip, bodies)
         self._name = f"{table.name} at tip{'s' * self._several} " + ", ".join(map(repr, self._tips))
         parent = body_number(model, base)
         for name in self._tips:
-            if model.body_parentid[body_number(model, name)] != parent:
-                raise JointError(f"body {name!r} must be a child of body {base!r}; {REMEDY}")
+            actual = int(model.body_parentid[body_number(model, name)])
+            if actual != parent:
+                raise JointError(
+                    f"body {name!r} must be a child of body {base!r}, but it is one of "
+                    f"{body_name(model, actual)!r}; name its parent as base="
+                )
         # The last body towards the base that no freedom moves: a mocap body, or the world.
         while model.body_dofnum[top := int(model.body_weldid[parent])]:
             parent = int(model.body_parentid[top])
@@ -146,11 +154,11 @@ class MujocoJoint(Joint):
 
     def _find(self) -> None:
         """Find the tips' freedoms in the scene, and their pairs in its mass matrix."""
-        # Of a pose: tip, place in it, place in qpos and count; of a hinge tip, axis and place.
-        self._runs: list[tuple[int, int, int, int]] = []
-        self._hinges: list[tuple[int, Vector, int]] = []
-        # Blocks are the freedoms of tips of which the matrix has pairs.
-        self._starts, self._blocks, pairs, dofs, ball_axes = [], [], [], [], []
+        self._runs: list[tuple[int, int, int, int]] = []  # number of a tip, then as `Tip.runs`
+        self._hinges: list[tuple[int, Vector, int]] = []  # number of a tip, then as `Tip.hinge`
+        self._starts: list[int] = []  # each tip's first freedom in MuJoCo's arrays
+        self._blocks: list[slice] = []  # freedoms of tips whose pairs the mass matrix has
+        pairs, dofs, ball_axes = [], [], []
         for k, name in enumerate(self._tips):
             free, first = self.free[self.free // FREEDOMS == k] % FREEDOMS, len(dofs)
             tip = find_tip(self._model, name, free, self._table.name)
@@ -161,14 +169,15 @@ class MujocoJoint(Joint):
                 self._hinges.append((k, *tip.hinge))
             block = tip.dof + np.arange(len(free))
             rows, columns, positions = block_positions(self._model, block)
-            if not len(rows) == len(block) > 1:
+            is_diagonal = len(rows) == len(block) > 1  # MuJoCo stores no pair of two freedoms
+            if not is_diagonal:
                 self._blocks.append(slice(first, first + len(block)))
                 pairs.append([len(self.free) * (first + rows) + first + columns, positions])
             dofs += block.tolist()
         self._pairs, self._at_pairs = np.hstack([np.empty((2, 0), dtype=int), *pairs])
         self._dofs: Any = np.array(dofs) if self._several else slice(dofs[0], dofs[-1] + 1)
         self._units = np.eye(self._model.nv)[self._dofs]
-        # Where the kernel's arrays (freedoms,) and (freedoms, freedoms) have the free freedoms.
+        # Indices of the free freedoms in the kernel's arrays, (6 k,) and (6 k, 6 k).
         self._moving, self._square = self.free, np.ix_(self.free, self.free)
         if len(self.free) == self._size:  # slices are faster
             self._moving = self._square = slice(None)
@@ -185,7 +194,7 @@ class MujocoJoint(Joint):
         They stay: a scene's arrays are where they were made, and so are the kernel's.
         """
         if data.signature != self._model.signature:
-            raise InvalidArgument("data belongs to another model; give the data of this model")
+            raise InvalidArgument("data belongs to another model; give a MjData of this model")
         self._use(steps, at)
         before = _JOINTS.get(self._data, {})
         self._data, self._pose, reply, self._scene = data, None, self._reply, self._model.opt
@@ -301,7 +310,7 @@ class MujocoJoint(Joint):
         if before is None or pose[0] <= before[0] or pose[1:] == before[1:]:
             return
         self._unmoved = 0
-        name = engine.mj_id2name(self._model, OBJECT.mjOBJ_BODY, body) or f"#{body}"
+        name = body_name(self._model, body)
         warn(
             f"{self._name}: base {self._base!r} follows the mocap body {name!r}, whose motion the "
             "tip does not feel. Give the base slides or a free joint, and "
@@ -355,13 +364,21 @@ def pull_joints(*joints: MujocoJoint) -> None:
 
 def require_scene(joints: Sequence[MujocoJoint]) -> None:
     """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
-    if len({joint._data for joint in joints}) != 1:
-        raise JointError("step_joints needs one or more joints; pass those of one MjData")
+    scenes = len({joint._data for joint in joints})
+    if scenes != 1:
+        raise JointError(
+            f"a step needs one or more joints of one MjData, not {len(joints)} of {scenes}; step "
+            "the joints of each MjData apart"
+        )
     refuse_rk4(joints[0]._model)  # it may have been chosen since
     stepped = [start for joint in joints for start in joint._starts]
     of_scene = _by_tip(joints[0]._data)
     if len(set(stepped)) < len(stepped):
-        raise JointError("two joints have the same tip, which would feel only one; leave one out")
+        tips = ", ".join(repr(tip) for joint in joints for tip in joint._tips)
+        raise JointError(
+            f"two of the joints at {tips} have the same tip, which would feel only one; leave one "
+            "out"
+        )
     for joint in joints:
         for start, tips in joint._others_copied.items():
             if start not in of_scene:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
@@ -24,16 +24,34 @@ class MujocoJoints(Joints):
 
     Each has the bits of a `MujocoJoint`. An environment whose joint has no wrench stays where it
     was: `failed` and `status` name it. Reset its data and call ``restart`` for it. `datas` are the
-    MjData of the environments; `joints` has the `MujocoJoint` of each, to read. Base, tip, options
-    and errors are those of `MujocoJoint`.
+    MjData of the environments; `joints` has the `MujocoJoint` of each, to read. The other
+    parameters and the errors are those of `MujocoJoint`.
     """
 
     def __init__(
-        self, model: Model, datas: Sequence[Data], table: Table, *bodies: Any, **options: Any
+        self,
+        model: Model,
+        datas: Sequence[Data],
+        table: Table,
+        base: str = "base",
+        tip: str = "tip",
+        damping: float = 0.02,
+        *,
+        bodies: Mapping[str, str] | None = None,
+        interface: str | None = None,
+        method: str | None = None,
+        inputs: Mapping[str, float] | None = None,
     ) -> None:
-        if not len(datas) or len({id(data) for data in datas}) < len(datas):
-            raise InvalidArgument("datas must be one or more MjData, one for each environment")
-        first = MujocoJoint(model, datas[0], table, *bodies, **options)
+        if isinstance(datas, engine.MjData) or not len(datas):
+            raise InvalidArgument(
+                "datas must be a list of one or more MjData, such as [mujoco.MjData(model)]"
+            )
+        if len({id(data) for data in datas}) < len(datas):
+            raise InvalidArgument(
+                f"datas has one MjData twice among its {len(datas)}; make one for each environment"
+            )
+        options: Any = {"interface": interface, "method": method, "inputs": inputs}
+        first = MujocoJoint(model, datas[0], table, base, tip, damping, bodies=bodies, **options)
         self.joints = [first, *(copy.copy(first) for _ in datas[1:])]
         self._model, self._pool = model, ThreadPoolExecutor()
         self._hold(first, len(datas), first._spin_axes)
@@ -58,8 +76,12 @@ class MujocoJoints(Joints):
         one a processor. Errors are those of `step_joints`.
         """
         batches, threads = (self, *others), max(threads, 0) or os.cpu_count() or 1
-        if any(len(batch) != len(self) for batch in others):
-            raise InvalidArgument("joints of one step must have the same MjData in the same order")
+        for batch in others:
+            if len(batch) != len(self):
+                raise InvalidArgument(
+                    f"a step of {len(self)} environments cannot take joints of {len(batch)}; "
+                    "create all MujocoJoints of a step with the same list of MjData"
+                )
         scenes = list(zip(*(batch.joints for batch in batches), strict=True))
         for joints in scenes:
             require_scene(joints)

@@ -16,13 +16,14 @@ from ..errors import JointError
 from ..wrenches import Vector
 from .joint import FREEDOMS
 from .linear_part import LinearPart
-from .mujoco_scene import engine
+from .mujoco_scene import engine, refuse_one_locked_rotation
 
 Spec: TypeAlias = Any  # mujoco.MjSpec, and its bodies
 
 ROUNDING = 1e-9  # of a freedom's largest coefficient: MuJoCo's XML has six digits
 DIGITS = 2e-5  # by which three such numbers may miss the inertia's triangle inequality
 _LEAST = 1e-9  # of the largest moment of inertia: MuJoCo takes no body without one
+_LEAST_GYRATION = 1e-6  # m^2, that is a radius of 1 mm: a mass without inertia counts as this one
 
 
 def scene_with_joint(
@@ -46,8 +47,7 @@ def scene_with_joint(
     base or has joints.
     """
     free = [name for name in OUTPUTS if name not in locked]
-    if sum(name[0] == "r" for name in free) not in (0, 1, 3):
-        raise JointError("the part locks one rotation, which MuJoCo cannot do; lock none or two")
+    refuse_one_locked_rotation("the part", free)
     return str(_with_freedoms(scene, base, tip, free, site, mass, ball=True).to_xml())
 
 
@@ -115,7 +115,10 @@ def _with_freedoms(
         missing = tip if body is None else base
         raise JointError(f"the scene has no body {missing!r}; it has {_names(spec.bodies)}")
     if body.parent.name != base:
-        raise JointError(f"body {tip!r} must be a child of body {base!r}; move it")
+        raise JointError(
+            f"body {tip!r} must be a child of body {base!r}, but it is one of "
+            f"{body.parent.name!r}; move it in the scene, or name its parent with --base"
+        )
     if body.joints:
         raise JointError(
             f"body {tip!r} has joints, but the part holds the tip; move them to a child body"
@@ -165,31 +168,34 @@ def _compiled(read: Callable[[], Spec], scene: str | Path) -> Spec:
         spec = read()
         spec.compile()
     except (ValueError, OSError) as error:
-        raise JointError(f"MuJoCo cannot read {scene} ({error}); correct this scene") from None
+        raise JointError(f"MuJoCo cannot compile {scene}: {error}; correct this") from None
     return spec
 
 
 def _add_mass(body: Spec, mass: Vector) -> None:
-    """Give a body the mass, kg, the centre and the inertia of a mass matrix, (6, 6).
+    """Give a body the mass, kg, the centre and the inertia of a mass matrix (6, 6), kg to kg·m^2.
 
-    The mass of a rigid body is the same in all directions: the mean of the three.
+    The mass of a rigid body is the same in all directions: the mean of the three. Its inertia about
+    the centre is principal moments, kg·m^2, about principal axes. Nothing without a mass.
     """
     if mass.shape != (FREEDOMS, FREEDOMS) or not np.isfinite(mass).all():
-        raise JointError("the condensed mass must be a 6 x 6 matrix of finite numbers")
+        raise JointError(
+            "the condensed mass must be a 6 x 6 matrix of finite numbers, not "
+            f"{mass.tolist() if mass.shape == (FREEDOMS, FREEDOMS) else mass.shape}"
+        )
     total = float(np.trace(mass[:3, :3])) / 3.0
     if total <= 0.0:
         return
-    cross = -0.5 * (mass[:3, 3:] - mass[:3, 3:].T) / total
-    centre = np.array([cross[2, 1], cross[0, 2], cross[1, 0]])
-    arm = np.array(
-        [[0, -centre[2], centre[1]], [centre[2], 0, -centre[0]], [-centre[1], centre[0], 0]]
-    )
-    values, axes = np.linalg.eigh(mass[3:, 3:] + total * arm @ arm)
-    values = np.maximum(values, _LEAST * max(float(values.max()), total * 1e-6))
-    values[2] = min(values[2], (1.0 - DIGITS) * (values[0] + values[1]))  # no rigid body has more
+    cross = -0.5 * (mass[:3, 3:] - mass[:3, 3:].T) / total  # the centre's cross-product matrix
+    x, y, z = centre = np.array([cross[2, 1], cross[0, 2], cross[1, 0]])
+    arm = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    moments, axes = np.linalg.eigh(mass[3:, 3:] + total * arm @ arm)
+    moments = np.maximum(moments, _LEAST * max(float(moments.max()), total * _LEAST_GYRATION))
+    # No rigid body has a moment above the sum of the other two.
+    moments[2] = min(moments[2], (1.0 - DIGITS) * (moments[0] + moments[1]))
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1.0
-    body.mass, body.ipos, body.inertia = total, centre, values
+    body.mass, body.ipos, body.inertia = total, centre, moments
     body.iquat, body.explicitinertial = _quaternion(axes), 1
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...contract import OUTPUTS
 from ..errors import JointError, required
 from ..wrenches import Vector
 
@@ -30,11 +32,24 @@ def refuse_rk4(model: Model) -> None:
         )
 
 
+def refuse_one_locked_rotation(part: str, free: Collection[str]) -> None:
+    """Raise JointError if a part locks one rotation; `free` names the displacements it does not."""
+    locked = [name for name in OUTPUTS[3:] if name not in free]
+    if len(locked) == 1:
+        raise JointError(
+            f"{part} locks one rotation, {locked[0]}, for which MuJoCo has no joint; lock none, "
+            "two or three rotations of the component"
+        )
+
+
 def block_positions(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     """Return rows, columns and places in MuJoCo's mass matrix of pairs of some freedoms."""
     if [int(number) for number in engine.__version__.split(".")[:2]] < [3, 17]:
         # Constraints of 3.3.7 do not feel what is added to the matrix.
-        raise JointError("MujocoJoint needs MuJoCo 3.17 or newer; run: pip install 'mujoco>=3.17'")
+        raise JointError(
+            f"MujocoJoint needs MuJoCo 3.17 or newer, but {engine.__version__} is installed; run: "
+            "pip install 'mujoco>=3.17'"
+        )
     entries = []
     for row, dof in enumerate(dofs.tolist()):
         start, count = int(model.M_rowadr[dof]), int(model.M_rownnz[dof])
@@ -52,6 +67,11 @@ def body_number(model: Model, name: str) -> int:
         known = ", ".join(repr(text) for text in names if text) or "none with a name"
         raise JointError(f"the scene has no body {name!r}; it has {known}")
     return number
+
+
+def body_name(model: Model, number: int) -> str:
+    """Return the name of a body, or its number after ``#`` if it has none."""
+    return engine.mj_id2name(model, OBJECT.mjOBJ_BODY, int(number)) or f"#{number}"
 
 
 class Tip(NamedTuple):
@@ -73,14 +93,16 @@ def find_tip(model: Model, body: str, free: NDArray[np.intp], part: str) -> Tip:
     joints = list(range(first, first + int(model.body_jntnum[number])))
     slides, turns = free[free < 3], free[free >= 3]
     has_ball = len(turns) == 3
-    if len(turns) == 2:
-        raise JointError(f"{part} locks one rotation, which MuJoCo cannot do; lock none or two")
+    refuse_one_locked_rotation(part, [OUTPUTS[place] for place in free])
     turning = [] if not len(turns) else [_JOINT.mjJNT_BALL if has_ball else _JOINT.mjJNT_HINGE]
     expected = [int(kind) for kind in [_JOINT.mjJNT_SLIDE] * len(slides) + turning]
-    if [int(model.jnt_type[joint]) for joint in joints] != expected:
+    present = [int(model.jnt_type[joint]) for joint in joints]
+    if present != expected:
         also = {0: "", 1: " and a hinge", 3: " and a ball"}[len(turns)]
+        actual = ", ".join(_JOINT(kind).name[6:].lower() for kind in present) or "no joint"
         raise JointError(
-            f"body {body!r} must have {len(slides)} slides{also}, in this order; {REMEDY}"
+            f"body {body!r} must have {len(slides)} slides{also}, in this order, but it has "
+            f"{actual}; {REMEDY}"
         )
     for joint in joints:
         _refuse_forces(model, body, joint)
@@ -109,9 +131,10 @@ def _refuse_forces(model: Model, body: str, joint: int) -> None:
         forces["a reference (ref)"] = model.qpos0[model.jnt_qposadr[joint]]
     present = [name for name, value in forces.items() if np.any(value)]
     if present:
+        name = engine.mj_id2name(model, OBJECT.mjOBJ_JOINT, joint) or f"#{joint}"
         raise JointError(
-            f"a joint of body {body!r} has {present[0]}, which would add to that of the "
-            "part; remove it (a default class may set it)"
+            f"joint {name!r} of body {body!r} has {' and '.join(present)}, which would add to the "
+            "part's own; remove it (a default class may set it)"
         )
 
 
@@ -131,6 +154,7 @@ def _interface_axes(joint_axes: Vector, body: str, free: NDArray[np.intp]) -> Ve
     if max(off, default=0.0) > _SQUARE or np.linalg.det(axes) < 0:
         raise JointError(
             f"the joints of body {body!r} must have the axes x, y, z of the interface frame "
-            f"(with locked freedoms: of the body), unit, orthogonal and right-handed; {REMEDY}"
+            "(with locked freedoms: of the body), unit, orthogonal and right-handed, not "
+            f"{joint_axes.round(6).tolist()}; {REMEDY}"
         )
     return axes

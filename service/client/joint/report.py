@@ -44,7 +44,7 @@ class JointReport:
     Attributes
     ----------
     covered : float or None
-        The share of steps whose wrench the table covers.
+        The fraction of steps whose wrench the table covers.
     pose_error, wrench_error : dict of LargestError
         By ``ux`` to ``rz`` and ``fx`` to ``mz``, of several interfaces by ``left.ux``: the largest
         error bar of the displacement, and of the wrench of a step's pose. Times are the scene's in
@@ -56,7 +56,7 @@ class JointReport:
         Loads with error bars too large for a joint. `remedy` says what to do about these and about
         steps that are not covered; it is empty if there are none.
     covered_at : dict of float
-        Of several interfaces, by name: the share of steps whose wrench there is covered.
+        Of several interfaces, by name: the fraction of steps whose wrench there is covered.
     """
 
     component: str
@@ -84,8 +84,8 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
         outputs = tuple(space.output_names[index] for index in joint._at)
         loads = tuple(space.input_names[index] for index in joint._at)
         if count:
-            parts = (history["covered_at"] / count).tolist()
-            covered_at = dict(zip(joint.interfaces, parts, strict=True))
+            fractions = (history["covered_at"] / count).tolist()
+            covered_at = dict(zip(joint.interfaces, fractions, strict=True))
 
     def largest(kind: str, names: tuple[str, ...]) -> dict[str, LargestError | None]:
         values, steps, times = (history[kind][of].ravel() for of in ("value", "step", "time"))
@@ -101,8 +101,7 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
     if stiff or (covered is not None and covered < 1.0):
         remedy = joint._more_rows()
         if joint._method is None and joint._packed.answers_by() == "linear":
-            remedy = "more solves do not help a linear component"
-            remedy += "; use a finer mesh or nonlinear = true"
+            remedy = "more solves do not help a linear part; use a finer mesh or nonlinear = true"
         if joint._warned_beyond:
             remedy = f"widen the load range, which a pose of the steps exceeds; {remedy}"
     return JointReport(
@@ -123,7 +122,7 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
 def _stiff_axes(
     joint: Joint, outputs: tuple[str, ...], loads: tuple[str, ...]
 ) -> tuple[StiffAxis, ...]:
-    """Return the loads whose error bar exceeds the part `FORCE_ERROR` of half their range."""
+    """Return the loads whose error bar exceeds the fraction `FORCE_ERROR` of half their range."""
     history, packed = joint._history, joint._packed
     allowed = FORCE_ERROR * packed.load_scale[joint._at]
     tolerance = packed.arrays["space/tolerance"][joint._at]

@@ -51,7 +51,9 @@ LARGEST_TURN = math.radians(20.0)  # of the wrench contract
 BEYOND = 16  # syncs in a row with an answer beyond it: no overshoot, but the load
 HALVINGS = 6  # of a Newton step that leads further away: 1/64 of it still counts as a direction
 RUNAWAY = 6  # residuals in a row that grow the same way: no overshoot, and no rest ahead
-STEP = 1.0  # tolerances: how far a scene is moved to see its stiffness
+STEP = 1.0  # tolerances: how far a scene is moved to see its stiffness,
+STEP_WITHOUT_TOLERANCE = 1e-9  # m or rad: and how far before an answer has given one
+LAGS = 4  # earlier answers in the autoregression of a cycle: enough for two oscillations
 
 REMEDY = (
     "Use relaxation='aitken', a factor below 2/(1 + G), or relaxation='newton' with stiffness=; or "
@@ -147,7 +149,7 @@ class Relaxation:
         self.restart()
 
     def restart(self) -> None:
-        """Forget what was: another scene, or another time."""
+        """Forget all residuals, for another scene or another time."""
         self.factor = self.start if self._fixed is None else self._fixed
         self._before: Vector | None = None
         self._watch, self._turned = ContractionWatch(), False
@@ -242,11 +244,11 @@ class CycleWatch:
         turns = int((slopes[1:] * slopes[:-1] < 0.0).sum())
         swings = self._spread > SWING and SHORTEST * turns >= 2 * SPAN
         if swings:
-            # Each answer follows from the four before it, as noise does not: by an autoregressive
-            # model, which has any sum of two oscillations.
-            lags = [answers[k : k - 4] for k in range(4)] + [np.ones(len(answers) - 4)]
-            factors, *_ = np.linalg.lstsq(np.stack(lags, axis=1), answers[4:], rcond=None)
-            unexplained = answers[4:] - np.stack(lags, axis=1) @ factors
+            # Each answer follows from those before it, as noise does not: by an autoregression.
+            earlier = [answers[k : k - LAGS] for k in range(LAGS)]
+            model = np.stack([*earlier, np.ones(len(answers) - LAGS)], axis=1)
+            factors, *_ = np.linalg.lstsq(model, answers[LAGS:], rcond=None)
+            unexplained = answers[LAGS:] - model @ factors
             swings = float(unexplained.var()) < UNEXPLAINED * float(answers.var())
         self._rows = self._rows + 1 if swings and self._spread >= STEADY * before else 0
         if self._rows > SPANS:
@@ -346,7 +348,8 @@ class Loop:
         if len(self.residuals) >= self.most:
             raise CouplingDiverged(
                 f"the coupling has not settled after {self.most} answers: pose and answer are "
-                f"{self.residuals[-1]:.3g} tolerances apart, above {self.accuracy:g}. {REMEDY}",
+                f"{self.residuals[-1]:.3g} tolerances apart, above {self.accuracy:g}. If they "
+                f"still approach, raise most=. {REMEDY}",
                 self.residuals,
             )
         wrench = self.read(displacement)
@@ -398,7 +401,9 @@ def by_newton(
         slope = stiffness
         if slope is None:  # by small moves of the scene
             slope = np.empty((6, 6))
-            sizes = np.where(loop.scale.tolerance > 0.0, STEP * loop.scale.tolerance, 1e-9)
+            sizes = np.where(
+                loop.scale.tolerance > 0.0, STEP * loop.scale.tolerance, STEP_WITHOUT_TOLERANCE
+            )
             for column, size in enumerate(sizes):
                 displacement = state.displacement.copy()
                 displacement[column] += size

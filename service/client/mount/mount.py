@@ -16,7 +16,7 @@ from ..recorder import Recorder
 from ..recording import Started
 from ..replies import Displacement
 from ..rotation import checked_pose, rotation_matrix
-from ..wrenches import ON_THIN, OnThin, Tolerance, Vector, single_wrench, tolerance_body
+from ..wrenches import ON_THIN, OnThin, Tolerance, Vector, floats_of, single_wrench, tolerance_body
 from .coupling import (
     BEYOND,
     CycleWatch,
@@ -197,12 +197,7 @@ class Mount:
         self._unmeasured, self._newton = unmeasured, relaxation == "newton"
         self._relaxation = Relaxation(relaxation)
         self._stepped = self._warned = self._primed = False
-        self._stiffness = None if stiffness is None else np.array(stiffness, dtype=float)
-        if self._stiffness is not None and not (
-            self._stiffness.shape == (6, 6) and np.isfinite(self._stiffness).all()
-        ):
-            shape = self._stiffness.shape
-            raise InvalidArgument(f"stiffness must be finite and have shape (6, 6), not {shape}")
+        self._stiffness = None if stiffness is None else floats_of("stiffness", stiffness, (6, 6))
         self.place(R0, p0)
         limit = None if tolerance is None else tolerance_body(tolerance)
         self.recorder: Recorder | None = None
@@ -297,7 +292,7 @@ class Mount:
         vectors = [np.asarray(vector, dtype=float) for vector in (force, moment, point)]
         if any(vector.size != 3 for vector in vectors):
             shapes = ", ".join(str(vector.shape) for vector in vectors)
-            raise InvalidArgument(f"force, moment and point must be three numbers, not {shapes}")
+            raise InvalidArgument(f"force, moment and point need three numbers each, not {shapes}")
         f, m, s = (vector.reshape(3) for vector in vectors)
         return from_world(f, m, s, (self._undeformed[0], self.pose[1]))
 
@@ -337,10 +332,16 @@ class Mount:
             self._scale.see(target)
             residual, product = target - self.displacement, None
             if self._newton:
-                if self._stiffness is None or answer.derivative is None:
+                if self._stiffness is None:
                     raise InvalidArgument(
-                        "relaxation='newton' needs stiffness= in step and a derivative of the "
-                        "answer; give it, call settle() instead, or use relaxation='aitken'"
+                        "a step with relaxation='newton' needs the scene's stiffness; create the "
+                        "mount with stiffness=, call settle() instead, or use relaxation='aitken'"
+                    )
+                if answer.derivative is None:
+                    raise InvalidArgument(
+                        f"{self.component} has no derivative at this wrench, which "
+                        f"relaxation='newton' needs; run wrenchbook fill {self.component}, or use "
+                        "relaxation='aitken'"
                     )
                 product = np.nan_to_num(answer.derivative) @ self._stiffness
             factor = self._relaxation.follow(self._scale.measure(residual), driven=True)
@@ -393,7 +394,9 @@ class Mount:
                 f"nothing moves in mode {self.mode!r}; settle with mode 'table' or 'solve'"
             )
         if not (accuracy > 0.0 and most >= 1):
-            raise InvalidArgument(f"accuracy and most must be above 0, not {accuracy} and {most}")
+            raise InvalidArgument(
+                f"accuracy must be above 0 and most at least 1, not {accuracy} and {most}"
+            )
 
         def read(displacement: Vector) -> Vector:
             before, self.displacement = self.displacement, within_limit(displacement)

@@ -30,6 +30,8 @@ _REMEDY = (
     '<body name="mounted"> <site name="mount"/> ... </body> </body>, with <force site="mount"/> '
     'and <torque site="mount"/> sensors'
 )
+_ROUNDING = 1e-3  # relative: a sync of one step may be written with fewer digits than the step
+_NAMED = 5  # bodies that a message names
 _UNSTABLE = (
     engine.mjtWarning.mjWARN_BADQPOS,
     engine.mjtWarning.mjWARN_BADQVEL,
@@ -104,7 +106,7 @@ class MujocoMount:
         **options: Any,
     ) -> None:
         step = float(model.opt.timestep)
-        if sync is not None and not sync >= 0.999 * step:
+        if sync is not None and not sync >= (1.0 - _ROUNDING) * step:
             raise InvalidArgument(f"sync, {sync:g} s, must not be shorter than a step, {step:g} s")
         self._model, self._data, self._sync = model, data, sync or 0.0
         cut = _division(model, mocap, force, torque)
@@ -316,7 +318,9 @@ def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector
     if not borne.any() or gravcomp == "motors":
         return None
     if gravcomp is None:
-        names = ", ".join(repr(_name(model, body)) for body in np.flatnonzero(borne)[:5].tolist())
+        names = ", ".join(
+            repr(_name(model, body)) for body in np.flatnonzero(borne)[:_NAMED].tolist()
+        )
         raise SensorError(
             f"gravcomp is set on {names}, but the sensors read the full weight. Write "
             "gravcomp='motors' if joints carry the weight and the mount feels it, or "
@@ -334,13 +338,14 @@ def _check_forces(model: Model, body: int, mounted: int) -> None:
     """Refuse equality constraints at the mocap body; warn of forces that no sensor reads."""
     kinds = [int(kind) for kind in (engine.mjtEq.mjEQ_WELD, engine.mjtEq.mjEQ_CONNECT)]
     for number in np.flatnonzero(np.isin(model.eq_type, kinds)).tolist():
+        name = _name(model, number, _OBJECT.mjOBJ_EQUALITY)
         ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
         if model.eq_objtype[number] == _OBJECT.mjOBJ_SITE:
             ends = [int(model.site_bodyid[end]) for end in ends]
         if body in ends:
             raise SensorError(
-                "an equality constraint holds the scene to the mocap body, but it yields, and its "
-                f"load is wrong by several per cent or more; {_REMEDY}"
+                f"the equality constraint {name!r} holds the scene to the mocap body, but it "
+                f"yields, and its load is wrong by several per cent or more; {_REMEDY}"
             )
     hanging, unfelt = _hangs_on(model, mounted), []
     for number in range(model.nu):
@@ -388,7 +393,8 @@ def _sensor(model: Model, name: str, kind: int, word: str) -> tuple[slice, int]:
 
 def _named(model: Model, kind: int, name: str, word: str) -> int:
     """Return the number of a named thing, or say which names there are."""
-    number = engine.mj_name2id(model, kind, name)
+    # MuJoCo ends the process at a name that is None.
+    number = engine.mj_name2id(model, kind, name) if isinstance(name, str) else -1
     if number < 0:
         count = model.nbody if kind == _OBJECT.mjOBJ_BODY else model.nsensor
         names = [text for k in range(count) if (text := engine.mj_id2name(model, kind, k))]

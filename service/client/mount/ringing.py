@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InvalidArgument, MountWarning, warn
-from ..wrenches import Vector
+from ..wrenches import Vector, floats_of
 
 if TYPE_CHECKING:
     from .. import Client, Table
@@ -54,7 +54,10 @@ def warn_if_ringing(
         if frequency is None:
             return
     elif carried is not None:
-        raise InvalidArgument("carried= needs a Client and ramp_time=, but no natural_frequency=")
+        raise InvalidArgument(
+            "carried= serves to compute the natural frequency: it needs a Client as source and "
+            "ramp_time=, and no natural_frequency="
+        )
     elif frequency is None and ramp_time is None:
         return
     if frequency is None or ramp_time is None:
@@ -63,8 +66,9 @@ def warn_if_ringing(
             "server gives the frequency, give ramp_time alone"
         )
     if not (frequency > 0.0 and ramp_time > 0.0):
-        given = f"{frequency} Hz and {ramp_time} s"
-        raise InvalidArgument(f"natural_frequency and ramp_time must be above 0, not {given}")
+        raise InvalidArgument(
+            f"natural_frequency and ramp_time must be above 0, not {frequency} Hz and {ramp_time} s"
+        )
     periods = frequency * ramp_time
     if periods < QUASI_STATIC:
         warn(
@@ -83,12 +87,11 @@ def _known_frequency(
     unknown = f"{component}: it is unknown whether loads build up slowly enough."
     matrix, compliance = None, None
     if carried is not None:
-        mass = np.asarray(carried, dtype=float)
-        matrix = np.diag([float(mass)] * 3 + [0.0] * 3) if mass.ndim == 0 else mass
-        if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0.0).any():
-            raise InvalidArgument(
-                "carried must be a mass, kg, or a mass matrix, shape (6, 6), not negative"
-            )
+        is_mass = np.ndim(carried) == 0
+        mass = floats_of("carried, a mass or its matrix,", carried, () if is_mass else (6, 6))
+        matrix = np.diag([float(mass)] * 3 + [0.0] * 3) if is_mass else mass
+        if (np.diag(matrix) < 0.0).any():
+            raise InvalidArgument(f"carried must have no negative mass, not {mass.tolist()} kg")
         facts = client.compliance(component)
         # At zero load, where there is one: a part that stiffens under load swings slower there.
         compliance = np.array(facts.get("tangent") or facts["matrix"], dtype=float)

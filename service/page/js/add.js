@@ -3,7 +3,7 @@
 import { post, send, trouble } from "./api.js";
 import { el, field, put, working } from "./dom.js";
 import { facesIn } from "./faces.js";
-import { sentence } from "./format.js";
+import { sentence, symbol } from "./format.js";
 
 export async function show(root, _, signal) {
   document.title = "Add a component · wrenchbook";
@@ -11,7 +11,7 @@ export async function show(root, _, signal) {
     el("div", { class: "head" }, el("div", {}, el("span", { class: "crumb" }, el("a", { href: "#/" }, "Library"), " /"), el("h1", {}, "Add a component"))),
     el("div", { class: "halves" },
       el("section", { class: "card" }, el("h2", {}, "A bundle, with finite elements"),
-        el("p", { class: "muted" }, "The zip of a folder with a component.toml: mesh, materials, supports, interface, load range. To name its faces, write file and unit under [mesh] and choose Show its faces."), bundle(root, signal)),
+        el("p", { class: "muted" }, "The zip of a folder with component.toml and its mesh: materials, supports, interface and load range. For the lines that name faces of the mesh, a component.toml with file and unit under [mesh] is enough: choose Show its faces."), bundle(root, signal)),
       el("section", { class: "card" }, el("h2", {}, "A table only"),
         el("p", { class: "muted" }, "For measured rows: the table answers from imported rows; nothing is solved."), tableOnly(signal))));
 }
@@ -68,10 +68,10 @@ function tableOnly(signal) {
       if (!ofName || errors.length > 1) put(state, trouble(error)); // further mistakes are listed
     }
   };
-  const three = (inputs) => el("div", { class: "three" }, inputs.map((one, place) => field("xyz"[place], one)));
+  const three = (inputs, kind) => el("div", { class: "three" }, inputs.map((one, place) => field(symbol(kind + "xyz"[place]), one)));
   return el("form", { class: "stack", onsubmit: add },
-    el("div", { class: "stack tight" }, field("Name", name), el("span", { class: "muted small", id: "name-rule" }, "1 to 64 of a-z, 0-9, _ and -, beginning with a letter or digit"), wrong), field("Title", title),
-    el("fieldset", {}, el("legend", {}, "Largest force either way, N"), three(force)),
-    el("fieldset", {}, el("legend", {}, "Largest moment either way, N·m"), three(moment)),
+    el("div", { class: "stack tight" }, field("Name", name), el("span", { class: "muted small", id: "name-rule" }, "1 to 64 characters: a-z, 0-9, _ and -; the first is a letter or digit"), wrong), field("Title", title),
+    el("fieldset", {}, el("legend", {}, "Largest force in either direction, N"), three(force, "f")),
+    el("fieldset", {}, el("legend", {}, "Largest moment in either direction, N·m"), three(moment, "m")),
     el("div", {}, el("button", { class: "first" }, "Add the table")), state);
 }

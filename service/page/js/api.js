@@ -82,7 +82,10 @@ export const caughtUp = (name, signal) => get(`${of(name)}/drawing?most=1`, sign
 export function trouble(error) {
   const title = error instanceof Problem ? error.body.title : "Error in the page";
   const mistakes = error.body?.errors || [];
+  // A message that contains all mistakes is cut where their list begins.
+  const listed_ = mistakes.length > 1 && mistakes.every((one) => error.message.includes(one.msg));
+  const text = listed_ ? error.message.slice(0, error.message.indexOf(`${mistakes[0].loc}: `)).trim() : error.message;
   return note("outside",
-    el("strong", {}, title || "The call failed"), el("span", {}, error.message),
+    el("strong", {}, title || "The call failed"), el("span", {}, text),
     mistakes.length > 1 ? el("ul", {}, mistakes.slice(0, 20).map((one) => el("li", {}, `${one.loc}: ${one.msg}`))) : null);
 }

@@ -40,8 +40,8 @@ export async function show(root, _, signal) {
   const form = el("form", { class: "few", onsubmit: (event) => { event.preventDefault(); fresh(); } },
     inputs.map((input) => field(sentence(input.name), input)), el("div", {}, el("button", {}, "Show")));
   await fresh();
-  put(root, el("h1", {}, "Audit"), el("section", { class: "card" }, form,
-    el("table", { class: "folds audit" }, el("thead", {}, el("tr", {}, ["time", "actor", "action", "component", "object", "before and after"].map((one) => el("th", { scope: "col" }, one)))), body), older));
+  put(root, el("div", { class: "head" }, el("div", {}, el("h1", {}, "Audit"), el("p", { class: "muted" }, "All writes to this server with their actors, newest first."))), el("section", { class: "card" }, form,
+    el("table", { class: "folds audit" }, el("thead", {}, el("tr", {}, ["Time", "Actor", "Action", "Component", "Object", "Before and after"].map((one) => el("th", { scope: "col" }, one)))), body), older));
 }
 
 const DONE = { accept: "accepted", add: "added", append: "appended", cancel: "cancelled", clear: "cleared", edit: "edited", forget: "forgotten", insert: "added", load: "loaded", priority: "priority changed", reopen: "reopened", remove: "removed", restore: "restored", retry: "retried", revoke: "revoked", rewrite: "rewritten", rotate: "rotated", solve: "solved", store: "stored", withdraw: "withdrawn" };

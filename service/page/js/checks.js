@@ -3,12 +3,12 @@
 import { get, of } from "./api.js";
 import { el, facts, note, pill, put } from "./dom.js";
 import { emptyTable } from "./empty.js";
-import { LOADS, OUTPUTS, count, number, percent, symbol } from "./format.js";
+import { LOADS, OUTPUTS, count, number, percent, scientific, sentence, symbol } from "./format.js";
 
 const CHECKS = {
   zero_at_zero_load: ["The displacement at zero load is zero", (one) => one.reason],
-  symmetric: ["The compliance is symmetric (Maxwell, Betti)", (one) => `asymmetry ${percent(one.asymmetry)}, allowed ${percent(one.allowed)}${one.asymmetry_of_solves == null ? "" : `; of solved tangents ${number(one.asymmetry_of_solves, 2)}, allowed ${number(one.allowed_of_solves, 2)}`}`],
-  positive: ["Loads do positive work", (one) => `smallest over largest eigenvalue ${number(one.smallest_over_largest_eigenvalue, 3)}`],
+  symmetric: ["The compliance is symmetric (Maxwell, Betti)", (one) => `asymmetry ${percent(one.asymmetry)}, allowed ${percent(one.allowed)}${one.asymmetry_of_solves == null ? "" : `; of the tangents of solves ${number(one.asymmetry_of_solves, 2)}, allowed ${number(one.allowed_of_solves, 2)}`}`],
+  positive: ["Loads do positive work", (one) => `smallest eigenvalue over largest ${number(one.smallest_over_largest_eigenvalue, 3)}`],
   linear: ["The response is linear (one 6 × 6 compliance)", (one) => one.says || one.reason],
   work: ["Work does not decrease from row to row", (one) => `${count(one.pairs_that_give_work_back ?? 0)} pairs of rows lose work`],
   tangents: ["Tangents agree with neighbouring rows", (one) => one.largest_miss === undefined || one.largest_miss === null ? one.reason : one.ok ? "all deviations are within half a step between rows, and the rows' error bars" : `largest deviation ${percent(one.largest_miss)} of the range: solve wrenches between these rows; if the deviation stays, a tangent is wrong`],
@@ -44,18 +44,17 @@ function matrix(values, name, origin) {
   const size = (value) => (value === null ? 0 : Math.abs(value));
   const largest = (i, j) => Math.max(...[0, 1, 2].flatMap((a) => [0, 1, 2].map((b) => size(values[3 * Math.floor(i / 3) + a][3 * Math.floor(j / 3) + b]))));
   const cell = (value, i, j) => {
-    const noise = value !== 0 && size(value) < NOISE * largest(i, j);
-    const made = el("td", {}, value === null ? "–" : noise ? "≈ 0" : number(value, 3));
-    const part = largest(i, j) ? size(value) / largest(i, j) : 0;
+    const noise = value && size(value) < NOISE * Math.max(largest(i, j), Math.sqrt(size(values[i][i]) * size(values[j][j])));
+    const made = el("td", {}, value === null ? "–" : noise ? "≈ 0" : value ? scientific(value, 3) : "0");
+    const part = largest(i, j) && !noise ? size(value) / largest(i, j) : 0;
     made.style.background = `color-mix(in srgb, var(--accent) ${Math.round(26 * part)}%, transparent)`;
     return made;
   };
-  const units = ["m", "rad"];
   return [
     el("div", { class: "wide", tabindex: "0", role: "region", "aria-label": `${name}, 6 by 6` }, el("table", { class: "matrix" },
       el("thead", {}, el("tr", {}, el("th", {}), LOADS.map((load) => el("th", { class: "number", scope: "col" }, symbol(load))))),
       el("tbody", {}, values.map((line, i) => el("tr", {}, el("th", { scope: "row" }, symbol(OUTPUTS[i])), line.map((value, j) => cell(value, i, j))))))),
-    el("p", { class: "muted small" }, `${units[0]} and ${units[1]} over N and N·m, ${origin}. Each block of one unit is shaded by its largest entry.`),
+    el("p", { class: "muted small" }, `Translations in m, rotations in rad, per N or N·m; ${origin}. Shades compare entries of one unit.`),
   ];
 }
 
@@ -65,7 +64,7 @@ function checks(reply) {
     const [title, words] = CHECKS[name] || [name, () => ""];
     const verdict = one.ok === null ? pill("unknown", "") : one.ok ? pill("holds", "ok") : pill(...(FAILED[name] || ["broken", "wrong"]));
     const rows = one.rows?.length && name !== "linear" ? el("span", { class: "muted small" }, `rows ${one.rows.slice(0, 12).join(", ")}${one.rows.length > 12 ? " …" : ""}`) : null;
-    return el("tr", {}, el("td", {}, verdict), el("td", { class: "whole" }, title), el("td", { class: "muted small whole" }, words(one) || ""), el("td", { class: "whole" }, rows));
+    return el("tr", {}, el("td", {}, verdict), el("td", { class: "whole" }, title), el("td", { class: "muted small whole" }, sentence(words(one) || " ")), el("td", { class: "whole" }, rows));
   });
   return el("table", { class: "folds" }, el("tbody", {}, lines));
 }

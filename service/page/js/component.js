@@ -41,7 +41,7 @@ export async function show(root, [name, tab = "overview"], signal) {
         el("span", { class: "crumb" }, el("a", { href: "#/" }, "Library"), " /"),
         el("h1", {}, name),
         el("p", { class: "muted" }, about.title)),
-      el("div", { class: "line" }, awayPill(about.archived), pill(about.has_fea ? (about.linear ? "linear" : "finite elements") : "measured", ""))),
+      el("div", { class: "line" }, awayPill(about.archived), pill(about.has_fea ? (about.linear ? "finite elements, linear" : "finite elements") : "measured", ""))),
     tabs(name, chosenTab, there),
     changed, body);
   if (byTab) document.querySelector(".tabs [aria-current=page]")?.focus({ preventScroll: true });

@@ -1,7 +1,7 @@
 // Demand: what was asked that the table did not cover.
 
 import { Problem, get, of, send } from "./api.js";
-import { el, notify, pill, put, table } from "./dom.js";
+import { el, notify, put, table } from "./dom.js";
 import { empty, linkTo } from "./empty.js";
 import { count, plain, wrench, LOADS, unitOfLoad } from "./format.js";
 import { choice } from "./dom.js";
@@ -25,7 +25,7 @@ export async function show(root, about, signal) {
     return;
   }
   const place = el("div", { class: "plot", id: "demand" });
-  const view = figure(place, `Uncovered queries of ${about.name}`);
+  const view = figure(place, `Uncovered queries of ${about.name}`, marks());
   const state = { axis: "z" };
   let drawing = null;
   const forget = async () => { await send("DELETE", `${of(about.name)}/demand`); notify("Forgotten."); await show(root, about, signal); };
@@ -33,10 +33,19 @@ export async function show(root, about, signal) {
     el("section", { class: "card" },
       el("div", { class: "line bottom ends" }, choice("demand-axis", "Loads of", Object.keys(AXES).map((one) => [one, `axis ${one}`]), "z", (value) => { state.axis = value; drawing?.again(); }),
         el("button", { type: "button", class: "small", onclick: forget }, "Delete the statistics")),
-      el("p", { class: "muted" }, `${reply.asked === 1 ? "1 answer was" : `${count(reply.asked)} answers were`} thin or outside. The size of a mark is the number of queries; the frame is the load range.`), view.root),
+      el("p", { class: "muted" }, `${reply.asked === 1 ? "1 answer was" : `${count(reply.asked)} answers were`} thin or outside. The area of a mark shows the number of queries, the frame the load range.${about.has_fea ? " Fill the table where it is thin; for loads outside the range, widen [range] in component.toml." : " Import rows near these loads."}`), view.root),
     el("section", { class: "card" }, el("h2", {}, "Most frequent"), most(reply)));
   drawing = await draw(place, (shade) => picture(about, reply, state.axis, shade, view.camera()), signal, `${reply.cells.length} places with uncovered queries`);
   view.hold(drawing);
+}
+
+function marks() {
+  const one = (colour) => {
+    const mark = el("i");
+    mark.style.background = `var(--${colour})`;
+    return el("li", {}, mark, colour);
+  };
+  return el("ul", { class: "key-of-marks" }, one("thin"), one("outside"));
 }
 
 function picture(about, reply, axis, shade, camera) {
@@ -44,7 +53,7 @@ function picture(about, reply, axis, shade, camera) {
   const [x, y, z] = inputs.map((load) => reply.cells.map((one) => one.wrench[LOADS.indexOf(load)]));
   const data = [{
     type: "scatter3d", mode: "markers", x, y, z, text: reply.cells.map((one) => `${one.count} times, ${one.coverage}`),
-    marker: { size: reply.cells.map((one) => 4 + 12 * Math.sqrt(one.count / largest)), color: reply.cells.map((one) => shade[one.coverage] || shade.accent), opacity: 0.75 },
+    marker: { size: reply.cells.map((one) => 3 + 9 * Math.sqrt(one.count / largest)), color: reply.cells.map((one) => shade[one.coverage] || shade.accent), opacity: 0.75 },
     hovertemplate: "%{text}<br>%{x:.4~g}, %{y:.4~g}, %{z:.4~g}<extra></extra>",
   }];
   const spans = [...about.range.force, ...about.range.moment];
@@ -63,10 +72,10 @@ const share = (times) => (times ? count(times) : "–");
 
 function most(reply) {
   const lines = [...reply.cells].sort((a, b) => b.count - a.count).slice(0, 15)
-    .map((one) => [count(one.count), pill(one.coverage), el("span", { class: "small" }, wrench(one.wrench.slice(0, 3), one.wrench.slice(3))), el("span", { class: "small" }, share(one.thin)), el("span", { class: "small" }, share(one.outside))]);
+    .map((one) => [share(one.thin), share(one.outside), el("span", { class: "small" }, wrench(one.wrench.slice(0, 3), one.wrench.slice(3)))]);
   const half = reply.cell_size.map((one) => one / 2);
   return [
-    table(["#times", "coverage", "loads about", "#thin", "#outside"], lines, { scrolls: true }),
+    table(["#thin", "#outside", "loads, rounded"], lines, { scrolls: true }),
     el("p", { class: "muted small" }, `Loads that are close are counted together: ± ${wrench(half.slice(0, 3), half.slice(3))}.${reply.elsewhere ? ` ${count(reply.elsewhere)} more were asked elsewhere.` : ""}`),
   ];
 }

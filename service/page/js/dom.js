@@ -49,7 +49,7 @@ export function table(head, lines, attributes = {}) {
   return el("div", { class: "wide", tabindex: attributes.scrolls ? "0" : null },
     el("table", { class: attributes.class },
       attributes.caption ? el("caption", {}, attributes.caption) : null,
-      el("thead", {}, el("tr", {}, head.map((one) => one.replace("#", "")).map(cell("th")))),
+      el("thead", {}, el("tr", {}, head.map((one) => one.replace("#", "").replace(/^[a-z](?=[a-z]{2}|o$|f )/, (first) => first.toUpperCase())).map(cell("th")))),
       el("tbody", {}, lines.map((line) => el("tr", {}, line.map(cell("td")))))));
 }
 

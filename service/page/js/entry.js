@@ -46,7 +46,7 @@ function notes(about, signal) {
 }
 
 function naming(about, signal) {
-  const name = (id) => el("input", { required: true, autocomplete: "off", id, pattern: "[a-z0-9][a-z0-9_\\-]{0,63}", title: "1 to 64 of a-z, 0-9, _ and -, beginning with a letter or digit" });
+  const name = (id) => el("input", { required: true, autocomplete: "off", id, pattern: "[a-z0-9][a-z0-9_\\-]{0,63}", title: "1 to 64 characters: a-z, 0-9, _ and -; the first is a letter or digit" });
   const copied = name("copy-name"), renamed = name("rename-name"), rows = el("input", { type: "checkbox", checked: true });
   const copy = form(signal, { inputs: [field("Copy it as", copied), el("label", { class: "check" }, rows, "with its rows")], action: "Copy", id: "copy" }, async () => {
     goTo((await post(`${of(about.name)}/copy`, { name: copied.value.trim(), rows: rows.checked }, signal)).name);
@@ -63,8 +63,8 @@ function naming(about, signal) {
 
 function away(about, signal, again) {
   const verb = about.archived ? "unarchive" : "archive";
-  const words = about.archived ? "The library's list leaves it out; queries still work." : "The library's list leaves it out; queries still work, and it can be brought back.";
-  return form(signal, { inputs: el("p", { class: "muted" }, words), action: about.archived ? "Bring it back" : "Archive it", id: verb }, async () => {
+  const words = about.archived ? "The library hides this component; queries still work." : "The library hides an archived component. Queries still work, and it can be restored.";
+  return form(signal, { inputs: el("p", { class: "muted" }, words), action: about.archived ? "Restore it" : "Archive it", id: verb }, async () => {
     await post(`${of(about.name)}/${verb}`, {}, signal);
     await again();
     document.getElementById("away").hidden = about.archived;
@@ -73,7 +73,7 @@ function away(about, signal, again) {
 }
 
 function history(about, imports, signal, again) {
-  const now = el("p", { class: "muted small" }, `The table is at version ${about.table_version}, which answers. To keep it, save the packed table (.wbt) under Import & export.`);
+  const now = el("p", { class: "muted small" }, `Queries are answered from table version ${about.table_version}. To keep this version, save the packed table (.wbt) under Import & export.`);
   if (!imports.length) return [now, empty("Nothing was imported.", linkTo(about, "table", "Import rows"))];
   const shown = imports.slice(0, 100);
   const columns = [

@@ -6,7 +6,7 @@ import { number } from "./format.js";
 import { draw } from "./plot.js";
 import { pressed } from "./pressed.js";
 import { snippet } from "./snippet.js";
-import { awayFrom } from "./surface.js";
+import { awayFrom, extent } from "./surface.js";
 import { figure as turning } from "./view3d.js";
 
 export async function show(root, about, signal) {
@@ -23,6 +23,9 @@ export async function facesIn(root, { faces, figure }, signal, ofDeck = false) {
   const group = el("input", { id: "faces-name", value: "NAME", pattern: "[A-Za-z0-9_\\-]+", autocomplete: "off", spellcheck: "false", oninput: () => choose(chosen) });
   const list = select(faces.map((one) => [one.number, described(one)]), null, (value) => choose(Number(value)));
   list.id = "face";
+  const labels = figure.data.filter((trace) => trace.type !== "mesh3d"), apart = 0.05 * extent(labels.map(placeOf));
+  // Of two labels at one place, as on a thin plate, the first is drawn lower.
+  const lower = (trace) => labels.some((one) => numberOf(one) > numberOf(trace) && Math.hypot(...placeOf(one).map((x, k) => x - placeOf(trace)[k])) < apart);
   let drawing = null;
   const choose = (face) => {
     if (face !== chosen) { chosen = face; drawing?.again(); }
@@ -32,26 +35,28 @@ export async function facesIn(root, { faces, figure }, signal, ofDeck = false) {
   put(root, el("section", { class: "card" },
     el("p", { class: "muted" }, ofDeck ? "Faces of the mesh in the deck, which solves this part with its own sets. The lines are for a component of the embedded solver with this mesh. Lengths are in m."
       : "Click a face, or choose it in the list. Copy its lines into component.toml; supports and interfaces name the group. Lengths are in m."),
-    view.root, el("div", { class: "halves" }, field(`Face, of ${faces.length}`, list), field("Name of the group", group)), lines.root));
+    view.root, el("div", { class: "halves" }, field(`Face (1 to ${faces.length})`, list), field("Name of the group", group)), lines.root));
   choose(faces[0].number);
-  drawing = await draw(place, (shade) => ({ data: figure.data.map((trace) => painted(trace, chosen, shade)), layout: { scene: sceneOf(view) } }), signal, `${faces.length} numbered faces`);
+  drawing = await draw(place, (shade) => ({ data: figure.data.map((trace) => painted(trace, chosen, shade, lower)), layout: { scene: sceneOf(view, bodies) } }), signal, `${faces.length} numbered faces`);
   view.hold(drawing);
   pressed(place, (trace) => choose(numberOf(trace)));
 }
 
 const decoded = ({ bdata }) => new Float64Array(Uint8Array.from(atob(bdata), (one) => one.charCodeAt(0)).buffer); // as plotly packs arrays
+const placeOf = (trace) => [trace.x[0], trace.y[0], trace.z[0]]; // of a label
 const numberOf = (trace) => Number.parseInt(trace.name, 10);
 
 // The chosen face in the colour of links, the others pale; numbers in the colour of text.
-function painted(trace, chosen, shade) {
+function painted(trace, chosen, shade, lower) {
   const here = numberOf(trace) === chosen;
-  if (trace.type !== "mesh3d") return { ...trace, textfont: { color: shade.ink, size: here ? 18 : 13 } };
+  if (trace.type !== "mesh3d") return { ...trace, textposition: lower(trace) ? "bottom center" : "middle center", textfont: { color: shade.ink, size: here ? 18 : 13 } };
   return { ...trace, color: here ? shade.accent : shade.part, flatshading: false, lighting: { ambient: 0.7, diffuse: 0.5, specular: 0.05 } };
 }
 
-function sceneOf(view) {
-  const axis = (name) => ({ title: { text: `${name}, mm` }, nticks: 5 });
-  return { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "data", camera: view.camera() };
+function sceneOf(view, bodies) {
+  const spans = [0, 1, 2].map((k) => { const ends = bodies.map((body) => [Math.min(...body[k]), Math.max(...body[k])]).flat(); return Math.max(...ends) - Math.min(...ends); });
+  const axis = (name, k) => ({ title: { text: `${name}, mm` }, nticks: spans[k] < 0.1 * Math.max(...spans) ? 2 : 5 });
+  return { xaxis: axis("x", 0), yaxis: axis("y", 1), zaxis: axis("z", 2), aspectmode: "data", camera: view.camera() };
 }
 
 function described({ number: face, kind, area, radius }) {

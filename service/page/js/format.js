@@ -29,11 +29,12 @@ export function number(value, digits = 4) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   if (value === 0) return "0";
   const size = Math.abs(value);
-  if (size >= 1e6 || size < 1e-4) {
-    const [mantissa, power] = value.toExponential(digits - 1).split("e");
-    return minus(`${Number(mantissa)}·10`) + superscript(Number(power));
-  }
-  return minus(String(Number(value.toPrecision(digits))));
+  return size >= 1e6 || size < 1e-4 ? scientific(value, digits) : minus(String(Number(value.toPrecision(digits))));
+}
+
+export function scientific(value, digits) {
+  const [mantissa, power] = value.toExponential(digits - 1).split("e");
+  return minus(`${Number(mantissa)}·10`) + superscript(Number(power));
 }
 
 const POWERS = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
@@ -42,7 +43,7 @@ const superscript = (power) => [...String(power)].map((one) => POWERS[one]).join
 // A text of the server as a sentence: a capital letter, and powers of ten in place of 1e-06.
 export const sentence = (text) => text[0].toUpperCase() + text.slice(1).replaceAll(/(\d)e([+-]\d+)/g, (_, digit, power) => `${digit}·10` + superscript(Number(power)));
 
-// A value and its bar: of the value as many digits as the bar leaves, three to seven.
+// A value and its bar in one unit: of the value as many digits as the bar leaves, three to seven.
 export function withBar(value, bar, unit) {
   if (value === null || value === undefined) return { value: "–", bar: "–" };
   if (value === 0 && !bar) return { value: `0 ${unit}`, bar: bar === 0 ? "± 0" : "–" };
@@ -54,7 +55,7 @@ export function withBar(value, bar, unit) {
   const shown = hidden ? (value / scale).toFixed(1) : (value / scale).toFixed(Math.max(0, digits - 1 - size));
   return {
     value: `${minus(shown.replace(/^-(0(\.0*)?)$/, "$1"))} ${prefix}${unit}`,
-    bar: bar === null || bar === undefined ? "–" : `± ${quantity(bar, unit, 2)}`,
+    bar: bar === null || bar === undefined ? "–" : `± ${number(bar / scale, 2)} ${prefix}${unit}`,
   };
 }
 
@@ -75,7 +76,7 @@ export function percent(fraction, digits = 2) {
 
 export function seconds(value) {
   if (value === null || value === undefined) return "–";
-  if (value < 120) return `${number(value, 3)} s`;
+  if (value < 120) return `${value.toFixed(value < 10 ? 2 : 1)} s`;
   return `${number(value / 60, 3)} min`;
 }
 
@@ -83,15 +84,15 @@ export function time(text) {
   if (!text) return "–";
   const when = new Date(text);
   const today = when.toDateString() === new Date().toDateString();
-  return when.toLocaleString(undefined, today ? { timeStyle: "medium" } : { dateStyle: "medium", timeStyle: "short" });
+  return when.toLocaleString(undefined, today ? { timeStyle: "medium" } : { month: "short", day: "numeric", hour: "numeric", minute: "2-digit", year: when.getFullYear() === new Date().getFullYear() ? undefined : "numeric" });
 }
 
-const ACTORS = { "(anonymous)": "no key", "(local)": "a command", "(server)": "the server" };
+const ACTORS = { "(anonymous)": "anonymous", "(local)": "a command", "(server)": "the server" };
 export const actorOf = (name) => ACTORS[name] || name || "";
 
 export function wrench(force, moment) {
-  const said = (values) => values.map((one) => number(one, 3)).join(", ");
-  return `F (${said(force)}) N, M (${said(moment)}) N·m`;
+  const said = (values) => values.map((one) => number(one, 3)).join(",\u00a0"); // a line breaks between force and moment
+  return `F\u00a0(${said(force)})\u00a0N, M\u00a0(${said(moment)})\u00a0N·m`;
 }
 
 export const count = (value) => value.toLocaleString("en").replaceAll(",", "\u202f");

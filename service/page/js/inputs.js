@@ -1,11 +1,14 @@
 // The inputs and outputs of a component: loads of each interface, then further ones, by name.
 
+import { get, of } from "./api.js";
 import { LOADS, OUTPUTS, number, plain, symbol, unitOfLoad, wrench } from "./format.js";
 
 const ONE = LOADS.map((name) => ({ name, unit: unitOfLoad(name), kind: name.startsWith("f") ? "force" : "moment" }));
 const IS_AXIS = /^[fmur][xyz]$/;
 
-export const inputsOf = (about) => about.space?.inputs || ONE;
+const UNITS = { degC: "°C", "m/s^2": "m/s²" };
+
+export const inputsOf = (about) => about.space?.inputs.map((one) => ({ ...one, unit: UNITS[one.unit] || one.unit })) || ONE;
 export const outputsOf = (about) => about.space?.outputs.map((one) => one.name) || OUTPUTS;
 
 // Smallest and largest value of each input.
@@ -25,11 +28,24 @@ export function named(about, values) {
   return Object.keys(further).length ? { ...wrenches, inputs: further } : wrenches;
 }
 
-// The inputs of a request or a job as a line of text.
-export function said({ loads, force, moment, inputs }) {
-  const parts = Object.entries(loads || {}).map(([name, load]) => `${name}: ${wrench(load.force, load.moment)}`);
+// The inputs of a request or a job as a line of text; the units of further inputs are the component's.
+export function said({ loads, force, moment, inputs }, about = {}) {
+  const parts = Object.entries(loads || {}).map(([name, load]) => `${name}: ${[...load.force, ...load.moment].some((one) => one) ? wrench(load.force, load.moment) : "no load"}`);
   if (force) parts.push(wrench(force, moment));
-  return [...parts, ...Object.entries(inputs || {}).map(([name, value]) => `${name} ${number(value)}`)].join("; ");
+  const unit = (name) => inputsOf(about).find((one) => one.name === name)?.unit || "";
+  return [...parts, ...Object.entries(inputs || {}).map(([name, value]) => `${name} ${number(value)}\u00a0${unit(name)}`.trim())].join("; ");
+}
+
+const asked = new Map(); // components by name, for their units
+
+// The inputs of a job as an element, which asks for the component once if a unit is missing.
+export function saidOf(job) {
+  const made = document.createElement("span");
+  made.textContent = said(job);
+  if (!job.inputs) return made;
+  if (!asked.has(job.component)) asked.set(job.component, get(of(job.component)).catch(() => ({})));
+  asked.get(job.component).then((about) => { made.textContent = said(job, about); });
+  return made;
 }
 
 // F_x, or left F_x, or temperature.

@@ -5,7 +5,7 @@ import { el, note, notify, pill, put, save } from "./dom.js";
 import { empty as emptyState } from "./empty.js";
 import { listen } from "./events.js";
 import { actorOf, seconds, time } from "./format.js";
-import { said } from "./inputs.js";
+import { saidOf } from "./inputs.js";
 
 const SHOWN = 50, NEWEST = 20; // jobs: of a page; whose solve times are averaged
 
@@ -24,11 +24,12 @@ export async function jobList(root, component, signal) {
     older.hidden = !following;
   };
   const query = (kind = status.value) => `v1/jobs?limit=${SHOWN}${component ? `&component=${encodeURIComponent(component)}` : ""}${kind ? `&status=${kind}` : ""}`;
-  const empty = emptyState("No jobs.", component ? el("a", { class: "button", href: `#/c/${encodeURIComponent(component)}/query` }, "Ask a query") : el("a", { class: "button", href: "#/" }, "Go to the library"));
+  const empty = emptyState("No jobs. A query that the table does not cover queues a solve; so does filling the table.", component ? el("a", { class: "button", href: `#/c/${encodeURIComponent(component)}/query` }, "Ask a query") : el("a", { class: "button", href: "#/" }, "Go to the library"));
   empty.hidden = true;
   const queue = el("p", { class: "muted small", id: "queue", "aria-live": "polite" });
   list.count = () => {
     empty.hidden = list.rows.size > 0;
+    all.hidden = !empty.hidden;
     const waiting = [...list.rows.values()].map((row) => row.job).filter((job) => job.status === "waiting");
     get(`${query("waiting")}`.replace(`limit=${SHOWN}`, "limit=1"), signal).then(({ jobs }) => { cancelAll.hidden = !jobs.length; }).catch(() => {});
     return waitingTime(waiting.sort((a, b) => b.id - a.id)[0], queue, signal);
@@ -38,11 +39,11 @@ export async function jobList(root, component, signal) {
   const filter = el("select", { "aria-label": "Which jobs", onchange: (event) => { status.value = event.target.value; fresh(); } },
     ["", "waiting", "running", "done", "failed", "cancelled"].map((one) => el("option", { value: one }, one || "all")));
   const cancelAll = el("button", { type: "button", class: "small", hidden: true, onclick: () => cancelWaiting(component) }, "Cancel all waiting jobs");
-  const head = ["job", component ? null : "component", "state", "wrench", "took", ""].filter((one) => one !== null);
+  const head = ["#Job", component ? null : "Component", "State", "Wrench", "Accepted", "#Took", ""].filter((one) => one !== null);
+  const all = el("table", { class: `folds jobs${component ? "" : " all"}` }, el("thead", {}, el("tr", {}, head.map((one) => el("th", { scope: "col", class: one[0] === "#" ? "number" : null }, one.replace("#", ""))))), list.running, list.root);
   put(root,
     el("div", { class: "line ends" }, el("label", { class: "line" }, "Show", filter), cancelAll), queue,
-    el("table", { class: `folds jobs${component ? "" : " all"}` }, el("thead", {}, el("tr", {}, head.map((one) => el("th", { scope: "col" }, one)))), list.running, list.root),
-    empty, older);
+    all, empty, older);
   await fresh();
   listen(component, signal, (kind, body) => hear(list, kind, body, fresh, status));
 }
@@ -115,13 +116,14 @@ function change(list, row, job) {
   const running = job.status === "running";
   const fraction = job.progress?.fraction;
   put(row.root,
-    el("td", {}, el("a", { href: `#/jobs/${job.id}` }, String(job.id)), job.actor && job.actor !== "(anonymous)" ? el("span", { class: "muted small" }, ` ${actorOf(job.actor)}`) : null),
+    el("td", { class: "number" }, el("a", { href: `#/jobs/${job.id}` }, String(job.id))),
     list.withName ? el("td", {}, el("a", { href: `#/c/${job.component}` }, job.component)) : null,
-    el("td", { class: running || job.error ? "whole" : null }, el("div", { class: "stack" }, el("div", { class: "line" }, pill(job.status), running && job.progress ? el("span", { class: "small muted" }, job.progress.message) : null),
+    el("td", { class: running || job.error ? "whole" : null }, el("div", { class: "stack tight" }, el("div", { class: "line" }, pill(job.status), running && job.progress ? el("span", { class: "small muted" }, job.progress.message) : null),
       running ? el("progress", { max: "1", value: fraction ?? 0, "aria-label": `Job ${job.id}` }) : null,
       job.status === "failed" && job.error ? el("span", { class: "small" }, job.error.message) : null)),
-    el("td", { class: "small whole" }, said(job)),
-    el("td", { class: "muted small" }, job.seconds ? seconds(job.seconds) : left),
+    el("td", { class: "small whole" }, saidOf(job)),
+    el("td", { class: "muted small" }, time(job.created).replaceAll(" ", "\u00a0"), job.actor && job.actor !== "(anonymous)" ? ` by ${actorOf(job.actor)}` : null),
+    el("td", { class: "muted small number" }, job.seconds ? seconds(job.seconds) : left),
     el("td", {}, actions(list, row, job)));
 }
 
@@ -159,7 +161,7 @@ async function saveFiles(id) {
 
 export function jobFacts(job) {
   return [
-    ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Actor", actorOf(job.actor)], ["Wrench", said(job)],
+    ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Actor", actorOf(job.actor)], ["Wrench", saidOf(job)],
     ["Attempt", job.attempt ? String(job.attempt) : ""], ["Accepted", time(job.created)], ["Started", job.started ? time(job.started) : ""],
     ["Ended", job.finished ? time(job.finished) : ""], ["Took", job.seconds ? seconds(job.seconds) : ""], ["Row", job.row ? String(job.row) : ""],
     ["Waits", job.waiting ? job.waiting.reason || "" : ""],

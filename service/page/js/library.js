@@ -29,9 +29,9 @@ export async function show(root, _, signal, archived = false) {
   const away = el("label", { class: "check" }, box, "Show archived");
   put(root,
     el("div", { class: "head" },
-      el("div", {}, el("h1", {}, "Library"),
-        el("p", { class: "muted" }, "Deformable components, and the share of each load range whose whole error bar, interpolation and discretisation, is within the tolerance. An empty table is filled by its first query, or by an import of measured rows.")),
+      el("div", {}, el("h1", {}, "Library")),
       el("div", { class: "line" }, el("div", { class: "search" }, search), away, el("button", { type: "button", class: "quiet", onclick: () => tour(components, true) }, "Tour"), el("a", { class: "button", href: "#/add" }, "Add a component"))),
+    el("p", { class: "muted" }, "Deformable components and their tables. A bar shows the part of the load range that is answered within the tolerance. A first query, a fill or an import adds rows to an empty table."),
     broken.length ? note("outside", el("strong", {}, "Not usable"), broken.map((one) => el("span", {}, `${one.name}: ${one.reason}`)), el("span", {}, "Mend its files in the data directory, and reload this page; its rows and jobs are kept.")) : null,
     components.length ? list : empty("No components yet.", el("a", { class: "button first", href: "#/add" }, "Add a component")), none);
   if (!archived) tour(components);
@@ -50,7 +50,7 @@ export async function show(root, _, signal, archived = false) {
 }
 
 function card(one) {
-  const kind = !one.has_fea ? "measured" : one.linear ? "linear" : "finite elements";
+  const kind = !one.has_fea ? "measured" : one.linear ? "finite elements, linear" : "finite elements";
   const rows = el("span", { class: "muted small" }, rowsText(one.rows));
   const covered = el("div", { class: "muted small" }, "…");
   const picture = el("canvas", { class: "part", role: "img", "aria-label": `The part ${one.name}`, hidden: true });

@@ -1,9 +1,9 @@
 // What a component is: contract, range, method, how well its table covers.
 
 import { caughtUp, get, of, post } from "./api.js";
-import { el, facts, field, note, notify, put, table } from "./dom.js";
+import { el, facts, field, note, notify, pill, put, table } from "./dom.js";
 import { listenToTable } from "./events.js";
-import { beingBuilt } from "./empty.js";
+import { beingBuilt, linkTo } from "./empty.js";
 import { findingNote } from "./findings.js";
 import { count, number, quantity, sentence } from "./format.js";
 import { inputsOf, mark, spansOf } from "./inputs.js";
@@ -23,14 +23,13 @@ export async function show(root, { name }, signal) {
     put(rows, el("h2", {}, "Method and rows"), method(now));
     put(range, el("h2", {}, "Load range"), loads(now));
     const shares = await cover(glance, now, signal, () => mine === latest);
+    document.getElementById("fill")?.classList.toggle("first", !(shares?.whole[0] > 0.995)); // more solves add little to a full table
     if (shares?.reach && mine === latest) put(range, el("h2", {}, "Load range"), loads(now, shares.reach));
   };
   put(root, warned,
     el("div", { class: "halves" },
-      el("section", { class: "card" }, el("h2", {}, "Coverage"), glance, about.has_fea ? fill(about) : el("p", {}, el("a", { href: `#/c/${about.name}/table` }, "Import measured rows"), ".")),
-      rows,
-      range,
-      el("section", { class: "card" }, el("h2", {}, "Conventions"), contract(about))));
+      el("div", { class: "stack" }, el("section", { class: "card" }, el("h2", {}, "Coverage"), glance, about.has_fea ? fill(about) : el("div", {}, linkTo(about, "table", "Import measured rows"))), range),
+      el("div", { class: "stack" }, rows, el("section", { class: "card" }, el("h2", {}, "Conventions"), contract(about)))));
   listenToTable(name, about.table_version, signal, () => refresh().catch(() => {}));
   await refresh();
 }
@@ -60,7 +59,7 @@ async function cover(place, about, signal, isLatest) {
     glance = await get(`${of(about.name)}/glance`, signal);
     if (about.has_fea) parts.push(wholeError(glance, about));
     parts.push(sharesOf(glance));
-    parts.push(legend(), el("p", { class: "muted small" }, `Share of the load range${about.space ? "" : ", and of each axis' three loads,"} whose interpolation error is within the tolerance${about.has_fea ? "; the first bar is of the whole error" : ""}.`));
+    parts.push(legend(), el("p", { class: "muted small" }, `Parts of the load range. Covered: the interpolation error is within the tolerance; thin: it is larger or not known; outside: no rows surround the load.${about.has_fea ? " The first bar compares the whole error bar with the tolerance." : ""}${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`));
   } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : "The table has no rows yet."));
   if (isLatest()) put(place, parts);
   return glance;
@@ -87,11 +86,11 @@ function fill(about) {
     } catch (error) { notify(error.message, "wrong"); }
   };
   return el("form", { class: "line bottom", onsubmit: order },
-    field("Largest number of solves", budget), el("button", { class: "first" }, "Fill the table"));
+    field("Largest number of solves", budget), el("button", { class: "first", id: "fill" }, "Fill the table"));
 }
 
 const SOURCES = { fea: "solved" };
-const pointOf = (point) => point.map((one) => quantity(Math.abs(one) < 1e-9 ? 0 : one, "m")).join(", "); // below a nanometre is roundoff
+const pointOf = (point) => `(${point.map((one) => number(Math.abs(one) < 1e-9 ? 0 : 1e3 * one)).join(", ")}) mm`; // below a nanometre is roundoff
 
 function method(about) {
   const cover = about.coverage;
@@ -99,25 +98,28 @@ function method(about) {
     ? `${quantity(about.tolerance.translation, "m")}, ${quantity(about.tolerance.rotation, "rad")}`
     : "1 % of each output's range";
   const sources = Object.entries(about.sources).map(([name, rows]) => `${count(rows)} ${SOURCES[name] || name}`).join("; ");
-  const jobs = Object.entries(about.jobs).filter(([, n]) => n).map(([status, n]) => `${n} ${status}`).join(", ");
+  const jobs = Object.entries(about.jobs).filter(([, n]) => n).map(([status, n]) => pill(`${n} ${status}`, status));
   return facts([
     ["Rows", sources || "none"],
-    ["Method", cover.method],
-    ["Why", cover.method_reason],
+    ["Method", sources ? cover.method : ""],
+    [sources ? "Reason" : "Method", sentence(cover.method_reason || "–")],
     ["Tolerance", tolerance],
-    ["Jobs", jobs ? el("a", { href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : "none"],
+    ["Jobs", jobs.length ? el("a", { class: "line", href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : "none"],
     ["Contradictions", cover.conflicting_wrenches ? `${cover.conflicting_wrenches} ${cover.conflicting_wrenches === 1 ? "wrench has" : "wrenches have"} rows that disagree: withdraw the wrong import under Entry` : ""],
     ["Outside the range", cover.beyond_range ? `${count(cover.beyond_range)} rows, which do not count` : ""],
-    ["Version", String(about.table_version)],
+    ["Table version", String(about.table_version)],
     ["Notes", about.notes],
   ]);
 }
 
 // The range of each load, and the part of it that the table's rows reach.
 function loads(about, reach) {
-  const spans = spansOf(about);
-  return table(["Load", "#from", "#to", "", ...(reach ? ["#rows reach"] : [])], inputsOf(about).map(({ name, unit }, place) =>
-    [el("span", {}, mark(name)), number(spans[place][0]), number(spans[place][1]), unit, ...(reach ? [between(...reach[place])] : [])]));
+  const spans = spansOf(about), inputs = inputsOf(about);
+  const idle = (front) => front && inputs.every((one, place) => one.interface !== front || spans[place].every((end) => !end));
+  const unloaded = [...new Set(inputs.map((one) => one.interface))].filter(idle);
+  const lines = inputs.map(({ name, unit, interface: front }, place) => unloaded.includes(front) ? null :
+    [el("span", {}, mark(name)), number(spans[place][0]), number(spans[place][1]), unit, ...(reach ? [between(...reach[place])] : [])]).filter(Boolean);
+  return [table(["Load", "#from", "#to", "unit", ...(reach ? ["#rows reach"] : [])], lines), unloaded.length ? el("p", { class: "muted small" }, `No loads at ${unloaded.join(", ")}: the range there is 0.`) : null];
 }
 
 const between = (low, high) => (low === high ? `only ${number(low, 3)}` : `${number(low, 3)} to ${number(high, 3)}`);
@@ -128,7 +130,7 @@ function contract(about) {
     ["Units", about.contract.units],
     ["Wrench", about.contract.wrench],
     ["Displacement", about.contract.displacement],
-    ["Relative to", held?.displacement],
+    ["Relative to", held?.displacement?.replace(/^relative to /, "").replace("degC", "°C")],
     ["Gravity", held?.gravity ? held.gravity.map((one) => quantity(one, "m/s²")).join(", ") : ""],
     ["Moment", about.contract.moment],
     ["Sign", about.contract.sign],

@@ -5,20 +5,20 @@ import { picture } from "./arrows.js";
 import { remember } from "./asked.js";
 import { el, field, note, pill, put, select } from "./dom.js";
 import { listen } from "./events.js";
-import { OUTPUTS, number, percent, symbol, unitOfOutput, withBar } from "./format.js";
+import { OUTPUTS, number, percent, sentence, symbol, unitOfOutput, withBar } from "./format.js";
 import { named, said } from "./inputs.js";
 import { solverError } from "./shares.js";
 import { curlOf, pythonOf, snippet } from "./snippet.js";
 import { wrenchForm } from "./wrench_form.js";
 
-const ON_THIN = [["queue", "queue a solve"], ["estimate", "estimate only"], ["reject", "reject"]];
+const ON_THIN = [["queue", "queue a solve"], ["estimate", "estimate only"], ["reject", "reject the query"]];
 const METHODS = [["", "default of the table"], ["kriging", "kriging"], ["griddata", "griddata"], ["additive", "additive"], ["linear", "linear"]];
 
 const BY_AXES = ["griddata", "additive"]; // for one wrench at one interface alone
 
 export async function show(root, about, signal) {
   const answer = el("section", { class: "stack", "aria-live": "polite" },
-    el("p", { class: "empty" }, about.space ? "Enter the loads that act on the component at each interface's point where it is now, in axes fixed to its undeformed frame." : "Enter the wrench that acts on the component at its interface point where it is now, in axes fixed to the undeformed interface frame."));
+    el("p", { class: "empty" }, about.space ? "Enter the loads that act on the component at each interface's point where it is now, in axes fixed to its undeformed frame." : "Enter the wrench that acts on the component at its interface point where it is now, in axes fixed to the undeformed interface frame. The answer is the displacement of that point with its 95 % error bar."));
   const curl = snippet("From a shell"), python = snippet("From Python");
   const onThin = select(about.has_fea ? ON_THIN : ON_THIN.slice(1), about.has_fea ? "queue" : "estimate", () => tell());
   const methods = about.space ? METHODS.filter(([name]) => !BY_AXES.includes(name)) : METHODS;
@@ -60,18 +60,18 @@ async function query(place, about, wrench, options, signal, watched = null) {
 }
 
 const ROUNDOFF = 1e-20; // m or rad: the kernel's least error bar is 1e-30
-const shareOf = (part) => (part < 10 ? percent(part, 3) : `${number(part, 2)} times`);
+const shareOf = (part) => (part < 10 ? percent(part, 2) : `${number(part, 2)} times`);
 
 const beyond = (about) => `The error bar exceeds the tolerance because of the ${solverError(about)} error. More solves do not lower it; the component's overview says what does.`;
 
 function shown(answer, about, wrench) {
   return [
     el("div", { class: "line" }, stateOf(answer), el("span", { class: "muted small" }, about_(answer))),
-    answer.reason ? note(answered(answer) ? answer.coverage : "", answer.reason) : null,
+    answer.reason ? note(answered(answer) ? answer.coverage : "", sentence(answer.reason)) : null,
     answer.coverage === "covered" && answer.within_tolerance === false ? note("thin", beyond(about)) : null,
     Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, about.tolerance)),
     answer.notes ? note("thin", el("ul", {}, answer.notes.map((one) => el("li", {}, one)))) : null,
-    el("p", { class: "muted small" }, said(named(about, wrench))),
+    el("p", { class: "muted small" }, said(named(about, wrench), about)),
   ];
 }
 
@@ -87,28 +87,28 @@ function stateOf(answer) {
 // The displacement of an interface, its name empty where there is one.
 function moved(name, part, limit) {
   if (!part.translation) return null;
-  const values = [...part.translation, ...part.rotation].map((one) => (Math.abs(one) < ROUNDOFF ? 0 : one));
+  const values = [part.translation, part.rotation].flatMap((group) => group.map((one) => (Math.abs(one) < Math.max(ROUNDOFF, part.error ? 0 : 1e-12, part.error ? 0 : 1e-6 * Math.max(...group.map(Math.abs))) ? 0 : one)));
   const bars = part.error ? [...part.error.translation, ...part.error.rotation].map((one) => (one !== null && one < ROUNDOFF ? 0 : one)) : [];
   if (name && bars.length && ![...values, ...bars].some((one) => one !== 0)) return el("p", { class: "muted" }, `${name}: no displacement`);
   const lines = OUTPUTS.map((output, place) => {
     const { value, bar } = withBar(values[place], bars[place], unitOfOutput(output));
     const allowed = limit && (place < 3 ? limit.translation : limit.rotation);
-    const share = allowed && bars[place] !== null && bars[place] !== undefined ? shareOf(bars[place] / allowed) : "";
-    return row(symbol(output), value, bar, share);
+    const share = allowed && bars[place] !== null && bars[place] !== undefined ? shareOf(bars[place] / allowed) : "–";
+    return row(symbol(output), value, bar, limit ? share : null);
   });
-  const head = ["", "value", "95 % error bar", limit ? "of the tolerance" : ""].map((one, place) =>
+  const head = ["", "Value", "95 % error bar", ...(limit ? ["Of the tolerance"] : [])].map((one, place) =>
     el("th", { scope: "col", class: place ? "number" : null }, one));
   return el("table", { class: "answer" }, name ? el("caption", {}, name) : null, el("thead", {}, el("tr", {}, head)), el("tbody", {}, lines));
 }
 
 function row(name, value, bar, share) {
   return el("tr", {}, el("th", { scope: "row" }, name), el("td", { class: "number" }, value),
-    el("td", { class: "number muted" }, bar), el("td", { class: "number muted small" }, share));
+    el("td", { class: "number muted" }, bar), share === null ? null : el("td", { class: "number muted small" }, share));
 }
 
 function about_(answer) {
   const source = answer.source === "fea" ? "a solve of this wrench" : answer.source === "table" ? "from the table" : answer.source || "no source";
-  return `${source}${answer.source ? ` · ${answer.method}` : ""} · version ${answer.table_version} · ${number(answer.elapsed_us, 3)} µs`;
+  return `${source}${answer.source ? ` · ${answer.method}` : ""} · table version ${answer.table_version} · ${number(answer.elapsed_us, 3)} µs`;
 }
 
 // Events tell how far the solve is; its end is asked for as well, since it may come before them.
@@ -117,7 +117,7 @@ async function watch(place, about, wrench, options, job, signal) {
   const words = el("span", { class: "small muted" }, "waiting for a solver");
   const link = el("a", { href: `#/jobs/${job.id}` }, `Job ${job.id}`);
   place.append(el("div", { class: "stack", id: "watched" },
-    el("div", { class: "line ends" }, link, words), bar));
+    el("div", { class: "line ends" }, el("span", {}, "A solve is queued: ", link, ". Its answer appears here."), words), bar));
   const ended = new AbortController();
   const stop = AbortSignal.any([signal, ended.signal]);
   listen(about.name, stop, (kind, body) => {

@@ -113,7 +113,7 @@ function bands(about) {
   };
   return el("ul", { class: "key-of-marks" }, one("accent", "interpolation error: more rows lower it"),
     about.has_fea ? one("query", `${solverError(about)} error: a finer mesh ${about.linear ? "or nonlinear = true " : ""}lowers it`) : null,
-    one("thin", "thin: the rows do not cover it", 35), one("outside", "outside the rows or the load range", 35));
+    one("thin", "thin: the rows do not cover it", 35), one("outside", "outside the rows or the load range", 35), el("li", {}, el("i", { class: "hollow" }), "row of the table"));
 }
 
 const marked = (name) => `${plain(name)[0]}<sub>${name[1]}</sub>`;

@@ -13,7 +13,7 @@ export function rigOptions(name, changed, signal) {
   const input = (id, placeholder) => el("input", { id, placeholder, autocomplete: "off", spellcheck: "false", maxlength: 1000, oninput: () => draw(), onchange: changed });
   const frame = input("rig-frame", PLAIN), load = input("rig-load-point", "0,0,0"), moved = input("rig-displacement-point", "0,0,0");
   const parts = { frame, load_point: load, displacement_point: moved };
-  const cell = select([["", "not said"], ["moving", "moves with the interface"], ["fixed", "stays on the ground"]], "", changed);
+  const cell = select([["", "not specified"], ["moving", "moves with the interface"], ["fixed", "stays on the ground"]], "", changed);
   cell.id = "load-cell";
   const state = { toml: "" }, profile = profileChoice(name, () => { draw(); changed(); }, signal);
   const file = el("input", { type: "file", id: "rig-file", accept: ".toml", onchange: () => take(file.files[0]) });

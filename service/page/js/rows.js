@@ -16,26 +16,22 @@ export async function show(root, about, signal) {
     put(root, emptyTable(about));
     return;
   }
-  const stage = el("div", { class: "stack" });
-  const pick = (axis) => axisOf(stage, about, axis, signal).catch((error) => { if (!signal.aborted) put(stage, trouble(error)); });
-  put(root, choice("axis", "Rows of", AXES, "z", pick), stage);
+  const stage = el("div", { class: "stack" }), below = el("div", { class: "halves" });
+  const pick = (axis) => axisOf(stage, below, about, axis, signal).catch((error) => { if (!signal.aborted) put(stage, trouble(error)); });
+  put(root, el("section", { class: "card" }, choice("axis", "Rows of", AXES, "z", pick), stage), below);
   await pick("z");
 }
 
-async function axisOf(stage, about, axis, signal) {
+async function axisOf(stage, below, about, axis, signal) {
   const [rows, latest] = await Promise.all([
     get(`${of(about.name)}/drawing?axis=${axis}&most=3000`, signal),
     latestOf(about, signal),
   ]);
   let gap = { hull: [], worst: [] };
   const place = el("div", { class: "plot", id: "rows" });
-  const below = el("div", { class: "halves" }, el("p", { class: "muted" }, "Computing the convex hull …"));
   const view = figure(place, `Rows of axis ${axis}`, marks());
-  put(stage,
-    el("section", { class: "card" },
-      rows.shown < rows.of ? note("", `${count(rows.shown)} of ${count(rows.of)} rows are drawn, spread over the table.`) : null,
-      view.root),
-    below);
+  put(below, el("p", { class: "muted" }, "Computing the convex hull …"));
+  put(stage, rows.shown < rows.of ? note("", `${count(rows.shown)} of ${count(rows.of)} rows are drawn, spread over the table.`) : null, view.root);
   const drawing = await draw(place, (shade) => picture(about, rows, gap, latest, shade, view.camera()), signal, `${rows.shown} rows of axis ${axis} over ${rows.inputs.join(", ")}`);
   view.hold(drawing);
   const cover = await get(`${of(about.name)}/coverage`, signal); // seconds for 100,000 rows
@@ -101,7 +97,7 @@ function holds(rows, summary) {
   const lines = Object.entries(summary.spans).map(([load, [low, high]]) => [symbol(load), number(low), number(high), unitOfLoad(load)]);
   return [
     el("p", {}, `${count(summary.rows)} rows, ${count(summary.corrected)} of them with other loads too, span ${summary.dimensions ?? 0} dimensions. Their convex hull covers ${percent(summary.part_of_range)} of the range.`),
-    lines.length ? table(["Load", "#from", "#to", ""], lines) : null,
+    lines.length ? table(["Load", "#from", "#to", "unit"], lines) : null,
   ];
 }
 

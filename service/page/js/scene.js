@@ -2,7 +2,7 @@
 
 import { listed, of, post, trouble } from "./api.js";
 import { el, facts, field, note, notify, pill, put } from "./dom.js";
-import { count, number, quantity, seconds, unitOfOutput } from "./format.js";
+import { count, number, quantity, seconds, sentence, unitOfOutput } from "./format.js";
 import { inputsOf, label, mark, named, outputsOf, spansOf } from "./inputs.js";
 
 export async function show(root, _, signal) {
@@ -29,7 +29,7 @@ export async function show(root, _, signal) {
     el("div", { class: "head" }, el("div", {}, el("h1", {}, "Scene plan"),
       el("p", { class: "muted" }, "Enter the loads that can occur and the outputs that the simulation reads. Other loads and outputs are not solved, stored or computed."))),
     el("form", { class: "stack", onsubmit: ask },
-      el("fieldset", { class: "card" }, el("legend", { class: "unseen" }, "Components of the scene"),
+      el("fieldset", { class: "card" }, el("legend", {}, "Components of the scene"),
         el("div", { class: "line" }, components.map((one) => el("label", { class: "check" }, el("input", { type: "checkbox", onchange: toggle(one) }), one.name)))),
       forms, el("div", { class: "line" }, make, hint)),
     plan);
@@ -45,10 +45,10 @@ function needForm(one) {
     return { root, read: () => (acts.checked ? [Number(low.value), Number(high.value)] : [zero, zero]) };
   });
   const outputs = known.map((output) => el("input", { type: "checkbox", checked: true, value: output }));
-  const limits = ["translation", "rotation"].map((kind) => el("input", { type: "number", step: "any", min: 0, value: String(one.tolerance?.[kind] ?? "") }));
+  const limits = ["translation", "rotation"].map((kind) => el("input", { type: "number", step: "any", min: 0, value: one.tolerance ? String(Number((1e3 * one.tolerance[kind]).toPrecision(12))) : "" }));
   const read = () => {
     const need = { ...named(one, loads.map((load) => load.read())), outputs: outputs.filter((box) => box.checked).map((box) => box.value) };
-    if (limits.every((limit) => Number(limit.value) > 0)) need.tolerance = { translation: Number(limits[0].value), rotation: Number(limits[1].value) };
+    if (limits.every((limit) => Number(limit.value) > 0)) need.tolerance = { translation: Number(limits[0].value) / 1e3, rotation: Number(limits[1].value) / 1e3 };
     return need;
   };
   const root = el("section", { class: "card" }, el("h2", {}, one.name),
@@ -56,7 +56,7 @@ function needForm(one) {
       el("fieldset", {}, el("legend", {}, "Loads that occur"), loads.map((load) => load.root)),
       el("div", { class: "stack" },
         el("fieldset", {}, el("legend", {}, "Outputs that are read"), el("div", { class: "line" }, known.map((output, place) => el("label", { class: "check" }, outputs[place], mark(output))))),
-        el("fieldset", {}, el("legend", {}, "Tolerance"), el("div", { class: "three" }, field("translation, m", limits[0]), field("rotation, rad", limits[1]))))));
+        el("fieldset", {}, el("legend", {}, "Tolerance"), el("div", { class: "three" }, field("Translation, mm", limits[0]), field("Rotation, mrad", limits[1]))))));
   return { root, read };
 }
 
@@ -77,17 +77,16 @@ function fillButton(name, { outputs, tolerance, ...range }, budget) {
 function planned(name, one, about, need) {
   const outputs = outputsOf(about), unit = (output) => unitOfOutput(output.split(".").at(-1));
   const bound = one.displacement_bound.map((value, place) => [label(outputs[place]), value === null ? "not known" : quantity(value, unit(outputs[place]))]);
-  const kinds = { rigid: "covered", linear: "covered", table: "running" };
   const saved = one.saves;
   return el("section", { class: "card" },
-    el("div", { class: "line ends" }, el("h2", {}, name), pill(one.decision, kinds[one.decision])),
-    el("p", {}, one.reason),
+    el("div", { class: "line ends" }, el("h2", {}, name), pill(one.decision, "")),
+    el("p", {}, `${sentence(one.reason)}.`),
     facts([
       ["Loads", one.loads.map(label).join(", ")],
       ["Axes", Object.entries(one.axes).map(([axis, held]) => `${axis}: ${held.inputs.map(label).join(", ")} (${held.dimensions}-D)`).join("; ")],
       ["Outputs", one.outputs.map(label).join(", ")],
       ["First solves", about.has_fea ? `${count(one.solves.scene)} of ${count(one.solves.whole)}` : ""],
-      ["Saves", [saved.build_s > 0 ? `${saved.build_s < 1 ? quantity(saved.build_s, "s") : seconds(saved.build_s)} of building` : "", saved.memory_bytes > 0 ? saved.memory_bytes < 1e6 ? `${number(saved.memory_bytes / 1e3, 3)} kB` : `${number(saved.memory_bytes / 1e6, 3)} MB` : "", saved.us_per_answer > 0 ? `${number(saved.us_per_answer, 3)} µs an answer` : ""].filter(Boolean).join(", ").replace(/.$/, `$& against the table of the whole load range, version ${one.table_version}`)],
+      ["Saves", [saved.build_s > 0 ? `${saved.build_s < 1 ? quantity(saved.build_s, "s") : seconds(saved.build_s)} of building` : "", saved.memory_bytes > 0 ? saved.memory_bytes < 1e6 ? `${number(saved.memory_bytes / 1e3, 3)} kB` : `${number(saved.memory_bytes / 1e6, 3)} MB` : "", saved.us_per_answer > 0 ? `${number(saved.us_per_answer, 3)} µs an answer` : ""].filter(Boolean).join(", ").replace(/.$/, `$&, compared with the table of the whole load range (version ${one.table_version})`)],
     ]),
     el("details", {}, el("summary", {}, "Largest displacements"), facts(bound)),
     about.has_fea && one.decision !== "rigid" ? fillButton(name, need, Math.max(1, one.solves.scene)) : null,

@@ -2,7 +2,7 @@
 
 import { caughtUp, get, of, post, send, trouble } from "./api.js";
 import { choice, el, facts, field, note, pill, put, save, select } from "./dom.js";
-import { LOADS, number, quantity, stress, symbol } from "./format.js";
+import { LOADS, number, quantity, stress, symbol, withBar } from "./format.js";
 import { draw } from "./plot.js";
 import { awayFrom, column, extent, lengths, lines, moved, outline } from "./surface.js";
 import { NARROW, figure } from "./view3d.js";
@@ -145,10 +145,10 @@ function redraw(drawing, shape, factor) {
 
 function measured(shape, sizes, largest) {
   const where = shape.vertices[sizes.indexOf(largest)] || [0, 0, 0];
-  const bar = shape.error ? shape.error[sizes.indexOf(largest)] : null;
+  const bar = shape.error ? shape.error[sizes.indexOf(largest)] : null, size = withBar(largest, bar, "m");
   const found = shape.stress;
   return facts([
-    ["Largest displacement", `${quantity(largest, "m", 4)}${bar === null ? "" : ` ± ${quantity(bar, "m", 2)}`} at ${at(where)}`],
+    ["Largest displacement", `${size.value}${bar === null ? "" : ` ${size.bar}`} at ${at(where)}`],
     ["Error bar", sharesOf(shape.error_parts)],
     ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : ` ± ${stress(found.error)} (interpolation error only)`} at ${at(found.at)}` : "not known between the rows here"],
     ["Yields", found && found.yields !== null ? (found.yields ? "yes" : `no (yield strength ${stress(found.yield_strength)})`) : ""],

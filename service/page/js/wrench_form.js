@@ -41,11 +41,12 @@ export function wrenchForm(about, { action, asked, changed, more = [] }) {
   };
   inputs.forEach(mind);
   const read = () => inputs.map((input) => (input.value === "" ? NaN : Number(input.value)));
-  const labelled = (places) => el("div", { class: "three" }, places.map((place) =>
-    el("label", {}, known[place].kind === "scalar" ? `${known[place].name}, ${known[place].unit}` : mark(known[place].name.split(".").at(-1)), inputs[place])));
+  const rangeOf = ([low, high]) => (low === -high ? ` ± ${number(high)}` : "");
+  const labelled = (places) => el("div", { class: known[places[0]].kind === "scalar" ? "stack tight" : "three" }, places.map((place) =>
+    el("label", {}, known[place].kind === "scalar" ? `${known[place].name}, ${known[place].unit} (${number(spans[place][0])} to ${number(spans[place][1])})` : el("span", {}, mark(known[place].name.split(".").at(-1)), rangeOf(spans[place])), inputs[place])));
   const groups = [];
   known.forEach((one, place) => {
-    const title = one.kind === "scalar" ? "Further inputs" : `${one.interface ? `${one.interface}: ${one.kind}` : one.kind[0].toUpperCase() + one.kind.slice(1)}, ${one.unit}`;
+    const title = one.kind === "scalar" ? "Further inputs" : `${one.kind[0].toUpperCase() + one.kind.slice(1)}${one.interface ? ` at ${one.interface}` : ""}, ${one.unit}`;
     if (groups.at(-1)?.title === title) groups.at(-1).places.push(place); else groups.push({ title, places: [place], own: one });
   });
   const idle = ({ places }) => about.space && places.every((place) => spans[place].every((end) => !end));

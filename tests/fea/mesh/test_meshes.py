@@ -1,12 +1,17 @@
 """The generated meshes: right-side-out cells, no node twice, the areas and volumes of the part."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.facets import outer_surface
 from wrenchbook.fea.mesh.generators import Bar, Plate, Spring, disc, equal_area_factor
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup
+from wrenchbook.fea.mesh.refine import refined
 
 WIRE, COIL, HEIGHT, TURNS = 1.4e-3, 22.6e-3, 88e-3, 5.5
 WIRE_LENGTH = 400.2926730568362e-3  # ../shared/reference/spring.json
@@ -211,3 +216,12 @@ def test_parameters_that_do_not_fit_together_are_named():
         "wire_diameter",
         "free_length",
     ]
+
+
+@pytest.mark.parametrize(("name", "fewest"), [("plate", {"cells": 2}), ("spring", {"core": 1})])
+def test_a_coarser_mesh_has_no_fewer_cells_than_its_generator_takes(name, fewest):
+    """The estimate of a plate of two cells failed: it asked for one cell."""
+    bundle = read_bundle(SHIPPED / name)
+    again = refined(replace(bundle, mesh=replace(bundle.mesh, **fewest)), 0.01)
+    assert fewest.items() <= again.mesh.parameters.items()
+    assert again.mesh.mesh().points.size

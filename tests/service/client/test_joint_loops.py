@@ -79,7 +79,7 @@ def test_mj_step_has_all_joints_of_a_scene():
 
 
 def test_a_second_callback_is_refused():
-    refused = pytest.raises(JointError, match="already has a callback")
+    refused = pytest.raises(JointError, match="already has a control callback")
     with joints_in_mj_step(), refused, joints_in_mj_step():
         pass
     assert mujoco.get_mjcb_control() is mujoco.get_mjcb_passive() is None

@@ -78,9 +78,9 @@ def test_locked_freedoms_get_no_joint(path):
     ("options", "words"),
     [
         ({"tip": "hand"}, "no body 'hand'; it has"),
-        ({"base": "tip", "tip": "base"}, "must be a child of body 'tip'"),
+        ({"base": "tip", "tip": "base"}, "must be a child of body 'tip', but it is one of 'world'"),
         ({"site": "gripper"}, "no site 'gripper'; it has 'flange'"),
-        ({"locked": ["rx"]}, "which MuJoCo cannot"),
+        ({"locked": ["rx"]}, "locks one rotation, rx, for which MuJoCo"),
         ({"mass": np.full((6, 6), np.nan)}, "6 x 6 matrix of finite numbers"),
     ],
 )
@@ -130,8 +130,10 @@ def test_each_of_several_interfaces_has_its_own_mass_and_must_be_named():
     matrix = np.diag(np.arange(12.0)).tolist()
     facts = {"interfaces": {"left": {}, "right": {}}, "vibration": {"condensed_mass": matrix}}
     assert np.diag(_moving("beam", facts, "left")[1]).tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-    with pytest.raises(typer.BadParameter, match="moves at left, right"):
+    with pytest.raises(typer.BadParameter, match="beam moves at left, right"):
         _moving("beam", facts)
+    with pytest.raises(typer.BadParameter, match="has no interface 'top' that moves; it moves at"):
+        _moving("beam", facts, "top")
 
 
 def test_an_interface_of_a_part_with_a_single_one_is_refused():

@@ -54,7 +54,7 @@ def with_one_negative(place: int) -> np.ndarray:
             lambda model, data: setattr(model.opt, "timestep", np.inf),
             "is inf s; set it to a finite number",
         ),
-        (lambda model, data: data.qpos.fill(0.0), "the quaternion not zero"),
+        (lambda model, data: data.qpos.fill(0.0), "the quaternion of the pose is zero"),
         (
             lambda model, data: setattr(model.opt, "integrator", 1),
             "RK4 evaluates forces four times",
@@ -313,14 +313,17 @@ def test_a_joint_without_its_inputs_is_refused(inputs, words):
     [
         (lambda: Joint(None), "needs a Table"),
         (lambda: LinearPart.of(None), "needs a Table"),
-        (lambda: LinearPart.of(linear_table(), [0.0] * 5), "6 finite numbers"),
+        (lambda: LinearPart.of(linear_table(), [0.0] * 5), "wrench must have shape"),
         (
             lambda: LinearPart.of(linear_table(), [1e9, 0, 0, 0, 0, 0]),
-            "give a load within its range",
+            "fx must be within the load range",
         ),
-        (lambda: Joint(linear_table(), inputs=80.0), "inputs are a mapping"),
+        (lambda: Joint(linear_table(), inputs=80.0), "inputs must map names"),
         (lambda: Joint(linear_table(), interface="end"), "leave out interface"),
-        (lambda: MujocoJoint(None, None, linear_table()), "model and data must be MjModel"),
+        (
+            lambda: MujocoJoint(None, None, linear_table()),
+            "model and data must be a mujoco.MjModel",
+        ),
         (lambda: Joint(linear_table(), damping="0.1"), "damping"),
         (lambda: Joint(linear_table(), method="x"), "unknown method"),
     ],

@@ -131,7 +131,7 @@ def test_a_joint_without_a_wrench_is_named_and_does_not_stop_the_others():
         ({"poses": np.zeros((3, 6))}, r"of 3 joints must have shapes \(3, 7\).*not \(3, 6\)"),
         ({"velocities": np.zeros(6)}, r"not \(3, 7\), \(6,\)"),
         ({"inverse_masses": np.zeros((2, 6, 6))}, r"and \(2, 6, 6\)$"),
-        *(({"dt": dt}, "dt must be a number above 0") for dt in (0.0, "1")),
+        *(({"dt": dt}, "dt must be a finite number above 0") for dt in (0.0, "1")),
     ],
 )
 def test_a_batch_that_is_none_is_refused_by_name(changed, words):
@@ -183,7 +183,7 @@ def test_a_step_in_jax_has_the_bits_of_joints_in_one_call_of_the_kernel(in_float
         step(memory[0], poses[0], velocities[0], np.eye(5))
     with pytest.raises(InvalidArgument, match="dt must be a finite number above 0 s, not 0"):
         arrays.jax_joint(table(), dt=0.0)
-    with pytest.raises(InvalidArgument, match=r"axes must have the shape \(3, 3\), not \(2, 2\)"):
+    with pytest.raises(InvalidArgument, match=r"axes must have shape \(3, 3\), not \(2, 2\)"):
         arrays.jax_joint(table(), dt=1e-3, axes=np.eye(2))
 
 
@@ -266,13 +266,17 @@ def test_an_environment_whose_part_is_torn_stays_and_the_others_go_on():
     assert [data.time for data in datas] == [2e-3, 1e-3, 2e-3]
     other = mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>"))
     for wrong, text in (
-        (datas[0], "one for each environment"),
+        (datas[0], "datas has one MjData twice"),
         (other, "belongs to another model"),
     ):
         with pytest.raises(InvalidArgument, match=text):
             MujocoJoints(model, [datas[0], wrong], linear_table())
     with pytest.raises(InvalidArgument, match="belongs to another model"):
         MujocoJoint(model, other, linear_table())
+    with pytest.raises(InvalidArgument, match=r"a list .* \[mujoco\.MjData\(model\)\]"):
+        MujocoJoints(model, datas[0], linear_table())
+    with pytest.raises(InvalidArgument, match="a step of 3 environments cannot take joints of 1"):
+        joints.step(MujocoJoints(model, [mujoco.MjData(model)], linear_table()))
 
 
 def test_tensors_of_pytorch_give_a_tensor_of_their_type():

@@ -254,23 +254,26 @@ OPTIONS = [
     ({"on_thin": "ask"}, "on_thin must be one of"),
     ({"unmeasured": 0}, "unmeasured must be one of"),
     ({"stiffness": np.eye(3)}, r"shape \(6, 6\)"),
-    ({"tolerance": (0.0, 1.0)}, "positive and finite"),
+    ({"tolerance": (0.0, 1.0)}, "above 0 and finite"),
     ({"natural_frequency": 27.0}, "give natural_frequency"),
     ({"source": linear_table(), "method": "krigging"}, "krigging"),
 ]
 CALLS = [
     (lambda on: Mount(LinearTable(), "bar", np.eye(3), POINT), "give that of 'bar'"),
-    (lambda on: Mount(LinearTable(), "plate", "x", POINT), "R0 and p0 must be numbers, not 'x'"),
+    (
+        lambda on: Mount(LinearTable(), "plate", "x", POINT),
+        "R0 must be numbers of shape .* not 'x'",
+    ),
     (lambda on: on.place(np.eye(4), POINT), "shape"),
     (lambda on: on.place(2 * np.eye(3), POINT), "rotation"),
     (lambda on: on.place(np.diag([1.0, 1.0, -1.0]), POINT), "right-handed"),
     (lambda on: on.place(np.full((3, 3), np.nan), POINT), "finite"),
-    (lambda on: on.settle(lambda R, p: WEIGHT, most=0), "most must be above 0"),
+    (lambda on: on.settle(lambda R, p: WEIGHT, most=0), "most at least 1"),
     (lambda on: on.settle(lambda R, p: WEIGHT, accuracy=0.0), "must be above 0"),
     (lambda on: on.wrench_of([0, 0, 1, 2], [0, 0, 0], [0, 0, 1]), "three numbers"),
     (lambda on: on.step(MASKED), "masked"),
     (lambda on: on.step(MASKED[:3], MASKED[3:]), "masked"),
-    (lambda on: mounted(relaxation="newton").step(WEIGHT), "needs stiffness="),
+    (lambda on: mounted(relaxation="newton").step(WEIGHT), "with stiffness="),
 ]
 
 

@@ -240,7 +240,7 @@ REFUSED = {  # pieces of the scene, options of the mount, and words of the error
         {"worldbody": LOOSE, "sensors": SENSORS.replace('"mount"', '"free"')}, {},
         r"has a free joint, so .* its sensors read 0; attach the"),
     "a scene welded to the mocap body": (
-        {"worldbody": LOOSE, "extra": WELD}, {}, "equality constraint holds the scene"),
+        {"worldbody": LOOSE, "extra": WELD}, {}, "the equality constraint '#0' holds the scene"),
     "a body beside the mounted one": (
         {"base": '<body name="second"><geom size="0.1"/></body>'}, {},
         "'second' are attached beside 'mounted'"),
@@ -256,6 +256,8 @@ REFUSED = {  # pieces of the scene, options of the mount, and words of the error
         "has cutoff, so its reading is not the present wrench"),
     "no such body": (
         {}, {"mocap": "bse"}, "no body 'bse'; it has 'world', 'base', 'mounted', 'rod'"),
+    "a body without a name": (
+        {}, {"mocap": None}, "no body None; it has 'world', 'base', 'mounted', 'rod'"),
     "not a mocap body": ({}, {"mocap": "rod"}, "body 'rod' is not a mocap body"),
     "no such sensor": (
         {}, {"force": "f"}, "no sensor 'f'; it has 'mount_force', 'mount_torque'"),

@@ -80,7 +80,7 @@ def test_a_deformed_part_is_drawn_displaced_by_a_tenth_of_its_size(pyplot):
 @pytest.mark.parametrize(
     ("draw", "names", "words"),
     [
-        (plot.response, ("fx", "ux"), "name one with component="),
+        (plot.response, ("fx", "ux"), "such as component='plate'"),
         (plot.response, ("ux", "ux", "rig"), "must be one of fx, fy"),
         (plot.response, ("fx", "fx", "rig"), "must be one of ux, uy"),
         (plot.coverage, ("fx", "fx", "rig"), "two different loads"),

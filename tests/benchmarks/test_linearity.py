@@ -1,0 +1,119 @@
+"""The error bars of a linear analysis beside nonlinear solves: `make bench NAME=linearity`.
+
+Two shipped components, ten kinds of parts and two STEP parts, all as linear components, at each of
+their loads alone, at corners of the load range, and at wrenches of all loads by chance (the
+variable SEED draws others). Each range is scaled so that its worst corner turns the interface by
+`LARGEST_TURN`. Beside them is the law without second derivatives, whose error grows with the square
+of the largest load.
+"""
+
+import os
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.benchmarks.kinds_of_parts import kinds
+from tests.benchmarks.test_mesh_error import bundle_of
+from wrenchbook.fea.accuracy.convergence import coarser
+from wrenchbook.fea.accuracy.estimate import linearity_of
+from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import DeclaredRange
+from wrenchbook.surrogate.solver_error import SolverError
+
+LARGEST_TURN = 0.1
+"""rad, by the linear answer: beyond six degrees a part is no linear one for anybody."""
+
+
+def shipped_or_drawn(name, folder):
+    return bundle_of(name, folder)
+
+
+def kind_of(make):
+    return lambda name, folder: make(name, folder)[0]
+
+
+PARTS = [(name, shipped_or_drawn) for name in ("bar", "plate", "bracket", "arm")]
+PARTS += [(name, kind_of(make)) for name, make in kinds()]
+
+
+def linear_and_nonlinear(bundle):
+    """Return solvers of a part with a linear and with a nonlinear analysis."""
+    solver = Solver(bundle)
+    analyses = (
+        replace(solver.component.analysis, nonlinear=nonlinear, on_yield="warn")
+        for nonlinear in (False, True)
+    )
+    pair = []
+    for analysis in analyses:
+        other = copy(solver)
+        other.component = replace(solver.component, analysis=analysis)
+        pair.append(other)
+    return pair
+
+
+def wrenches_within(low, high):
+    chance = np.random.default_rng(int(os.environ.get("SEED", "1")))
+    largest = np.maximum(-low, high)
+    single = np.vstack([scale * np.diag(largest) for scale in (0.3, 1.0)])
+    corners = largest * chance.choice([-1.0, 1.0], (6, 6))
+    return {
+        "single loads": single,
+        "all loads": np.vstack([largest * chance.uniform(-1, 1, (12, 6)), corners]),
+    }
+
+
+def errors_at(linear, nonlinear, wrenches):
+    """Return the wrenches that have a nonlinear answer, and its change of the linear one's."""
+    answered, errors = [], []
+    for wrench in wrenches:
+        try:
+            moved = nonlinear.solve(wrench).displacement
+        except SolveFailed:
+            continue
+        answered.append(wrench)
+        errors.append(np.abs(moved - linear.linear.compliance @ wrench))
+    return np.array(answered), np.array(errors)
+
+
+def ratios(told, wrenches, errors, smallest):
+    """Return bar over error of the outputs whose error is not roundoff."""
+    error = SolverError(told)
+    bars = np.array([error.parts(wrench)["linearity"] for wrench in wrenches])
+    return (bars / np.maximum(errors, 1e-300))[errors > smallest]
+
+
+LAWS = {"with second derivatives": True, "with the square alone": False}
+
+
+@pytest.mark.parametrize(("name", "make"), PARTS, ids=[name for name, _ in PARTS])
+def test_it_holds_nine_of_ten_errors_of_each_part(name, make, tmp_path):
+    bundle = make(name, tmp_path)
+    linear, nonlinear = linear_and_nonlinear(bundle)
+    corners = bundle.acting.corners()
+    turned = np.linalg.norm(corners @ linear.compliance[3:6].T, axis=1).max()
+    scale = LARGEST_TURN / turned
+    loads = DeclaredRange(scale * bundle.acting.low, scale * bundle.acting.high)
+    largest = np.maximum(-loads.low, loads.high)
+    coarse = coarser(linear) or linear
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Solver, "second_derivatives", None)
+        told = {"with the square alone": linearity_of(linear, coarse, loads)}
+    told["with second derivatives"] = linearity_of(linear, coarse, loads)
+    smallest = 1e-6 * np.repeat(
+        np.abs(corners @ linear.compliance.T * scale).max(axis=0).reshape(-1, 3).max(axis=1), 3
+    )
+    inside = {}
+    for sort, wrenches in wrenches_within(loads.low, loads.high).items():
+        answered, errors = errors_at(linear, nonlinear, wrenches)
+        for law in LAWS:
+            shape = {"mesh": None, "loads": largest.tolist(), **told[law]}
+            ratio = ratios(shape, answered, errors, smallest)
+            inside[law, sort] = np.mean(ratio >= 1)
+            print(
+                f"| {name} | {sort} | {law} | {ratio.size} | {100 * inside[law, sort]:.0f} % | "
+                f"{np.median(ratio):.1f} |"
+            )
+    assert min(share for (law, _), share in inside.items() if LAWS[law]) >= 0.9
