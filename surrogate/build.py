@@ -3,14 +3,14 @@
 Rows may lack outputs, such as those of a test rig that measured only u_z. Outputs that the same
 rows have make one group with the interpolators of just those rows, so no NaN enters one.
 
-Where a table does not cover a wrench, a row of it, or within 1e-6 of the range of it, does. Rows
-within 1e-6 of the range of each other merge (`table.merging`), so a wrench as near to a row
-is that row's: a queue rounds wrenches so, and a load that comes to rest is a rounding error off the
-wrench that was solved. The row's tangent leads from its wrench to that of the query; the bar grows
-by that step, from the row's uncertainty at the row itself. Where a row has no tangent its
-displacement stays, and the bar grows by twice what a response in proportion moves: to the range of
-each output over the load range, or to the row's own displacement (the largest of its translations,
-and of its rotations: a small load may move most) over its wrench, the steeper.
+Where a table does not cover a wrench, a row within 1e-6 of the load range of it answers. Rows as
+near to each other are merged (`table.merging`), so a wrench as near to a row is the row's: a queue
+rounds wrenches so, and a load that comes to rest is a rounding error off the solved wrench. The
+row's tangent leads from its wrench to that of the query. The error bar is the row's uncertainty,
+and grows by that step. A row without a tangent answers with its own displacement; its error bar
+grows by twice the step of a proportional response. That response is the steeper of two: the range
+of each output over the load range, and the row's displacement (the largest translation or rotation,
+since a small load may move most) over its wrench.
 """
 
 from __future__ import annotations
@@ -38,8 +38,7 @@ from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import RowIndex, merge, row_conflicts
 from .table.rows import Floats, LoadRange, Rows, Tolerance
 
-SOLVED = "fea"  # the source of rows that a solver gave
-STEEPER = 2.0  # than in proportion: of a response that bends, at the rows there are
+STEEPER = 2.0  # slope of a row without a tangent, at most, over that of a proportional response
 
 
 class Group:
@@ -231,11 +230,9 @@ class Table:
         """Return the coverage of the load range by the table, as JSON-able values."""
         summary = self.groups[0].coverage_summary() | {
             "table_version": self.version,
-            "rig_error": [None if bar != bar else bar for bar in self.rig_error.tolist()],
+            "rig_error": _known(self.rig_error),
             **row_conflicts(self.rows, self.load_range),
-            "noise_of_a_reading": [
-                None if noise != noise else noise for noise in self.observation_noise.tolist()
-            ],
+            "noise_of_a_reading": _known(self.observation_noise),
         }
         if not self.rows.partial:
             return summary
@@ -247,6 +244,11 @@ class Table:
             "rows_per_output": dict(zip(names, measured, strict=True)),
             "unmeasured": [name for name, count in zip(names, measured, strict=True) if not count],
         }
+
+
+def _known(values: Floats) -> list[float | None]:
+    """Return numbers (m,) for JSON: None for NaN."""
+    return [None if np.isnan(value) else value for value in values.tolist()]
 
 
 def build(
@@ -311,7 +313,7 @@ def _between_sources(rows: Rows, load_range: LoadRange, groups: Sequence[Group])
     those of neither.
     """
     source, largest = np.zeros(len(rows), dtype=np.intp), np.zeros(rows.displacement.shape[1])
-    measured = rows.source != SOLVED
+    measured = ~rows.is_solved
     source[measured] = 1 + sessions_of(rows.take(np.flatnonzero(measured)))
     sources = np.unique(source)
     for group in groups if len(sources) > 1 else ():

@@ -31,7 +31,7 @@ from .table.axes import AXES
 from .table.rows import LONGEST, ZERO_LOAD, Floats, LoadRange, Rows, Tolerance
 from .table.spread import FORCE_ERROR, sample_of, spread_wrenches, weakest
 
-SAMPLE = 256  # wrenches at which error bars are compared with the tolerance: 95 % of them are 243
+SAMPLE = 256  # wrenches at which error bars are compared with the tolerance
 ENOUGH = 0.95  # of the sample within the tolerance ends a fill, as bars hold 95 % of errors
 CANDIDATES = 384  # wrenches to choose from: more differ by less than a row changes the bars
 AXIS_CANDIDATES = 32  # of each axis by itself, where a table brings no tangents
@@ -43,7 +43,8 @@ EVENLY = 4
 FAR = 10_000  # into the sequence, so that the even wrenches are not in the sample
 # Candidates chosen between two checks of the bars that remain: a check costs as much.
 BETWEEN_CHECKS = 3
-MAX_SOLVES = 1e6  # of an estimate; beyond that no number says more than that
+MAX_SOLVES = 1e6  # of an estimate: a larger number has no further use
+MIN_RATE = 0.01  # power of the number of solves by which errors fall: below it they do not
 RECOMPUTED = 16  # candidates computed anew at once: the largest is nearly always among the first
 
 # Signs of eight corners: the third of the 2^(6-3) fractions, in which no load's effect is another's
@@ -202,7 +203,7 @@ def _first(wrenches: Floats, reason: str) -> Design:
 
 
 class _Refinement:
-    """Picks, one after another, the candidate whose bar over what is allowed is largest."""
+    """Chooses, one after another, the candidate with the largest error bar over the allowed one."""
 
     def __init__(
         self,
@@ -213,7 +214,7 @@ class _Refinement:
         outputs: list[int],
         joint: NDArray[np.intp] | None = None,
     ) -> None:
-        """Take, for a joint, also the indices of the loads and outputs that its part moves by."""
+        """Take what `next_wrenches` takes; `joint` are the indices of a joint's free loads."""
         self.table, surrogate = table, table.groups[0]
         assert surrogate.kriging is not None
         self.surrogate, self.kriging, self.known = surrogate, surrogate.kriging, known
@@ -268,7 +269,7 @@ class _Refinement:
         # axis are worth as much as multi-axis ones.
         start = 1 + CANDIDATES + len(self.surrogate.rows)
         parts = [self.indefinite, spread_wrenches(self.span, CANDIDATES, start)]
-        has_tangents = np.isfinite(self.surrogate.used.compliance).all(axis=(1, 2)).any()
+        has_tangents = self.surrogate.used.has_tangent.any()
         if self.surrogate.has_axes and not has_tangents:
             zero_load = np.clip(self.span.space.zero, self.span.low, self.span.high)
             single = spread_wrenches(self.span, AXIS_CANDIDATES, start)
@@ -317,7 +318,7 @@ class _Refinement:
         if not (np.isfinite(before) and before > worst > 1.0):
             return "; its rows do not show yet how many solves the tolerance takes"
         rate = log(before / worst) / log(count / some)
-        more = count * (min(worst ** (1 / rate), MAX_SOLVES) - 1) if rate > 0.01 else np.inf
+        more = count * (min(worst ** (1 / rate), MAX_SOLVES) - 1) if rate > MIN_RATE else np.inf
         if more <= budget:
             return ""
         number = (
@@ -329,7 +330,7 @@ class _Refinement:
         )
 
     def _losses(self, wrenches: Floats) -> Floats:
-        """Return the largest bar over what is allowed (n,) at wrenches (n, 6), as of now."""
+        """Return the largest error bar over the allowed one, (n,), at wrenches (n, 6)."""
         bars = self.kriging.sigma_with(wrenches[:0], wrenches)
         over = (bars / self.allowed)[:, self.outputs].max(axis=1)
         if self.joint is None or not len(wrenches):
@@ -345,7 +346,7 @@ class _Refinement:
         return slopes[:, self.joint][:, :, self.joint]
 
     def _reduction(self, solved: Floats, wrenches: Floats) -> Floats:
-        """Return which part of the bars (n,) at wrenches (n, 6) remains once others are solved."""
+        """Return the part (n,) of the bars at wrenches (n, 6) that remains after further solves."""
         if not len(solved):
             return np.ones(len(wrenches))
         now = self.kriging.sigma_with(solved[:0], wrenches).sum(axis=1)

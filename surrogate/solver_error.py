@@ -1,17 +1,16 @@
-"""Error of a table's solves themselves: discretisation, and linearity.
+"""The error of the solves themselves: discretisation, and linearity.
 
-A table's bars say how far its answers are from the solver's. What the solver lacks is the same for
-every row, so more rows do not lower it, and no coverage depends on it: it is estimated once a
-fingerprint and added to the error bars of answers. It is added, not squared and added: a mesh
-errs one way at all wrenches alike, nothing of it averages out.
+A table's error bars compare its answers with the solver's. The solver's error is common to all
+rows, so more rows do not lower it and no coverage depends on it. It is estimated once a fingerprint
+and added to the error bars of answers: linearly, since a mesh errs one way at all wrenches.
 
-A mesh that is too coarse is too stiff. With D what it adds to the stiffness at small loads, that is
-K dC K of a compliance 1/K that is dC short, a displacement u with the tangent T lacks T D u: dC w
-for small w, more where a part softens (a column at 0.8 of its buckling load: 25 times), and
-something in outputs of second order. Each answer has a displacement and a tangent, so an error bar
-has max(|T D u|, |dC| |w|): the signs of an estimate near zero are not sure, and |T D u| alone holds
-96 % of 7,500 errors of 27 parts and 84 % of those at single loads (56 % of an arm's); together with
-what all elements of dC can make they are 99.9 and 98.8 % (`make bench NAME=mesh_error`).
+A mesh that is too coarse is too stiff. Let D be the stiffness that it adds at small loads: K dC K
+for a compliance 1/K that is dC too small. A displacement u with the tangent T then lacks T D u.
+That is dC w for small w, more where a part softens (25 times in a column at 0.8 of its buckling
+load), and it acts on outputs of second order too. Each answer has a displacement and a tangent, so
+its error bar is max(|T D u|, |dC| |w|), as the signs of an estimate near zero are not sure: |T D u|
+alone holds 96 % of 7,500 errors of 27 parts, and 84 % of those at single loads (56 % of an arm's);
+both together hold 99.9 and 98.8 % (`make bench NAME=mesh_error`).
 """
 
 from __future__ import annotations
@@ -31,17 +30,18 @@ UNKNOWN = (
 
 
 class SolverError:
-    """The bars that come of the solver, a function of the wrench alone.
+    """The parts of an answer's error bar that the solver causes.
 
-    `values`: ``mesh``: shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), or None where it is not known:
-    the error over each load's size, without a tangent. ``loads``: (6,), N and N·m, largest of the
-    range. ``zero``: (6,), from where inputs count; optional. ``mesh_stiffness``: (6, 6), N/m and so
-    on, what the mesh adds to the stiffness; missing of estimates of older versions. Of a linear
-    component ``linearity``: (6,), m and rad, at such loads; None where it is not known. It grows
-    with the square of the largest of them over its range. With ``second_derivatives``: (6, 6, 6),
-    m and rad over the units of two inputs, symmetric in these, it is half of their product with the
-    wrench twice, and ``linearity_remainder``: (6,), m and rad, which grows with the cube. Further
-    entries are words for people.
+    `values` of the estimate, whose further entries are texts for people:
+    ``loads`` (6,), N and N·m: the largest of the range.
+    ``zero`` (6,), optional: the inputs that have no effect, from which loads count.
+    ``mesh`` (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), None if unknown: |dC|, error over load.
+    ``mesh_stiffness`` (6, 6), N/m and so on, absent in estimates of older versions: D.
+    ``linearity`` (6,), m and rad, of a linear component alone, None if unknown: the error at the
+    largest loads. It grows with the square of the largest load over its range. With
+    ``second_derivatives`` (6, 6, 6), m and rad over the units of two inputs, symmetric in these, it
+    is half of their product with the wrench twice, and ``linearity_remainder`` (6,), m and rad,
+    which grows with the cube.
     Raises ValueError if it is not of that form.
     """
 
@@ -90,14 +90,13 @@ class SolverError:
 
     @classmethod
     def read(cls, values: Mapping[str, Any] | None) -> SolverError | None:
-        """Return it from what was stored; None of nothing."""
+        """Return the error of a stored estimate; None without one."""
         return None if values is None else cls(values)
 
     def parts(self, wrench: Sequence[float] | Floats) -> dict[str, list[float] | None]:
-        """Return each cause's component of a bar, (6,), m and rad, at a wrench (6,), N and N·m.
+        """Return each cause's part of an error bar, (6,), m and rad, at a wrench (6,), N and N·m.
 
-        Of ``mesh``, without a tangent, and of a linear component ``linearity``; None where it is
-        not known.
+        ``mesh`` is without a tangent; a linear component has ``linearity`` too. None if unknown.
         """
         acting = np.array(wrench, dtype=float) - self.zero
         sizes = np.abs(acting)
@@ -124,14 +123,18 @@ class SolverError:
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Floats:
     array = _shaped(value, shape, name)
     if not (array >= 0).all():
-        raise ValueError(f"{name} of a solver's error must be 0 or more, not {array.min():g}")
+        index = [int(k) for k in np.unravel_index(array.argmin(), shape)]
+        raise ValueError(f"solver error: {name}{index} must be 0 or more, not {array.min():g}")
     return array
 
 
 def _shaped(value: Any, shape: tuple[int, ...], name: str) -> Floats:
     array = np.array(value, dtype=float)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{name} of a solver's error must be finite numbers of shape {shape}")
+    if array.shape != shape:
+        raise ValueError(f"solver error: {name} must have the shape {shape}, not {array.shape}")
+    if not np.isfinite(array).all():
+        index = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise ValueError(f"solver error: {name}{index} must be finite, not {array[tuple(index)]}")
     return array
 
 
@@ -142,4 +145,4 @@ def bars_are_complete(rows: Rows, error: SolverError | None) -> bool:
     """
     if error is not None:
         return error.mesh is not None
-    return not bool((rows.source == "fea").any())
+    return not rows.is_solved.any()

@@ -38,28 +38,15 @@ SOLVE_S = 600.0
 
 @dataclass(frozen=True, eq=False)
 class Check:
-    """What one method of a table errs by at moments of the trajectory that it was not made of.
+    """The errors of one method at k moments of the trajectory that are no rows of its table."""
 
-    Attributes
-    ----------
-    run : Run
-        The trajectory on that method's answers.
-    method : str
-        Which method answered.
-    chosen : numpy.ndarray
-        Shape (k,), indices of the moments.
-    answered, bars, solved : numpy.ndarray
-        Shape (k, 6), m and rad.
-    answer_s, http_s, solve_s : float
-        Median time of one answer, in this process and over HTTP, and of one solve, s.
-    """
-
-    run: LoopRun
+    run: LoopRun  # the trajectory on the method's answers
     method: str
-    chosen: NDArray[np.intp]
-    answered: Vector
-    bars: Vector
-    solved: Vector
+    chosen: NDArray[np.intp]  # (k,): indices of the moments
+    answered: Vector  # (k, 6), m and rad
+    bars: Vector  # (k, 6), m and rad
+    solved: Vector  # (k, 6), m and rad
+    # Median times, s, of an answer in this process, of one over HTTP, and of a solve.
     answer_s: float
     http_s: float
     solve_s: float
@@ -126,18 +113,10 @@ def _filled(
 
 
 def corners(wrenches: Vector) -> Vector:
-    """Return the corners of what each axis met, with no load inside: griddata's hull.
+    """Return the corners of each axis' loads in wrenches (n, 6), N and N·m: griddata's hull.
 
-    Parameters
-    ----------
-    wrenches : numpy.ndarray
-        Shape (n, 6), N and N·m.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (m, 6), N and N·m, m at most 24: eight corners of the loads F_i, M_j, M_k of each
-        axis, the others zero; each span wider by `WIDER`, for the plate bends under the arm.
+    Shape (m, 6), m at most 24: eight corners of F_i, M_j, M_k of each axis, the other loads zero.
+    Each span holds zero and is wider by `WIDER`, since the plate bends under the arm.
     """
     low, high = np.minimum(wrenches.min(axis=0), 0.0), np.maximum(wrenches.max(axis=0), 0.0)
     wider = WIDER * (high - low)

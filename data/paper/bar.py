@@ -74,29 +74,18 @@ def euler(component: ComponentModel) -> Vector:
 
 
 def coupled(compliance: Vector, loads: Vector, lever: float) -> Vector:
-    """Return where a linear component comes to rest under loads that hang on a lever.
+    """Return the equilibrium displacements (n, 6), m and rad, of a linear component.
 
-    Parameters
-    ----------
-    compliance : numpy.ndarray
-        Shape (6, 6), m/N to rad/(N·m).
-    loads : numpy.ndarray
-        Shape (n,), N, downwards.
-    lever : float
-        m along x, from the interface point; it moves and turns with the interface.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (n, 6), m and rad.
+    The loads (n,), N, act downwards on a lever, m along x from the interface point, which moves and
+    turns with the interface. The compliance (6, 6) is in m/N to rad/(N·m).
     """
-    rest = np.zeros((len(loads), 6))
+    displacements = np.zeros((len(loads), 6))
     for place, load in enumerate(loads):
         force = np.array([0.0, 0.0, -load])
         for _ in range(ROUNDS):
-            arm = rotation_matrix(rest[place, 3:]) @ [lever, 0.0, 0.0]
-            rest[place] = compliance @ np.concatenate([force, np.cross(arm, force)])
-    return rest
+            arm = rotation_matrix(displacements[place, 3:]) @ [lever, 0.0, 0.0]
+            displacements[place] = compliance @ np.concatenate([force, np.cross(arm, force)])
+    return displacements
 
 
 def _findings(lever: float, levels: dict[str, Vector]) -> list[Finding]:

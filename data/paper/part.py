@@ -23,31 +23,15 @@ PAPER = "SIMULTECH 2017"
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is computed.
+    """How much is computed."""
 
-    Attributes
-    ----------
-    spring_rows, spring_loads : tuple of float
-        Axial loads, N, that are recorded and solved for the table, and that the loop is run at.
-    tip_loads : tuple of float
-        N.
-    arm_seconds : float
-        Of the arm's trajectory, s.
-    plates : tuple of str
-        What it stands on.
-    arm_solves : int
-        That a recording of it may have solved, a plate.
-    arm_checks : int
-        Moments of it that are solved directly, a plate.
-    """
-
-    spring_rows: tuple[float, ...]
-    spring_loads: tuple[float, ...]
-    tip_loads: tuple[float, ...]
-    arm_seconds: float
-    plates: tuple[str, ...]
-    arm_solves: int
-    arm_checks: int
+    spring_rows: tuple[float, ...]  # axial loads, N, that are recorded and solved for the table
+    spring_loads: tuple[float, ...]  # axial loads, N, at which the loop runs
+    tip_loads: tuple[float, ...]  # N, on the bar
+    arm_seconds: float  # s, of the arm's trajectory
+    plates: tuple[str, ...]  # the components under the arm
+    arm_solves: int  # of a recording, at most, a plate
+    arm_checks: int  # moments that are solved directly, a plate
 
 
 WHOLE = Effort(
@@ -72,12 +56,12 @@ QUICK = Effort(
 
 @dataclass(frozen=True)
 class Curve:
-    """One curve of a plot; its looks are ``line``, ``points`` or ``both``."""
+    """One curve of a plot."""
 
     name: str
     x: list[float]
     y: list[float]
-    style: str = "line"
+    style: str = "line"  # "line", "dash", "points" or "crosses"
 
     @classmethod
     def of(cls, name: str, x: Any, y: Any, style: str = "line") -> Curve:
@@ -97,23 +81,12 @@ class Plot:
 
 @dataclass
 class PaperPart:
-    """One part of the reproduction.
-
-    Attributes
-    ----------
-    title, note : str
-        What it is, and how to read it.
-    findings : list of Finding
-        Those with a tolerance are bands that must hold.
-    numbers : dict
-        All that the plots and findings are made of; JSON-able.
-    plots : list of Plot
-    """
+    """One part of the reproduction."""
 
     title: str
-    note: str
-    findings: list[Finding] = field(default_factory=list)
-    numbers: dict[str, Any] = field(default_factory=dict)
+    note: str  # how the part is computed and read
+    findings: list[Finding] = field(default_factory=list)  # those with a tolerance are bands
+    numbers: dict[str, Any] = field(default_factory=dict)  # of plots and findings; JSON-able
     plots: list[Plot] = field(default_factory=list)
 
     def as_body(self) -> dict[str, Any]:
@@ -131,14 +104,10 @@ class PaperPart:
 
 
 def apart(computed: Vector, expected: Vector) -> float:
-    """Return the largest relative error of numbers, dimensionless; those expected to be 0 apart.
-
-    Parameters
-    ----------
-    computed, expected : numpy.ndarray
-        Shape (n,), of one unit such as m or rad.
-    """
+    """Return the largest relative error of numbers (n,); those expected to be 0 do not count."""
     known = expected != 0.0
     if not known.any():
-        raise ValueError("nothing to compare with")
+        raise ValueError(
+            f"all {len(expected)} expected numbers are 0: no relative error is defined"
+        )
     return float(np.abs(computed[known] / expected[known] - 1.0).max())

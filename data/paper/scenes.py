@@ -47,45 +47,21 @@ _BLOCK = """
 
 @dataclass(frozen=True, eq=False)
 class LoopRun:
-    """What a simulation met.
+    """The record of a simulation at n times."""
 
-    Attributes
-    ----------
-    times : numpy.ndarray
-        Shape (n,), s.
-    wrenches : numpy.ndarray
-        Shape (n, 6), N and N·m, as read from the sensors.
-    displacements : numpy.ndarray
-        Shape (n, 6), m and rad, of the interface, as it stands in the simulation.
-    covered : numpy.ndarray of bool
-        Shape (n,): whether the last answer was covered.
-    coverage : tuple of int
-        All answers that were covered, thin, outside, unknown.
-    wall_s : float
-        What the run took, s.
-    """
-
-    times: Vector
-    wrenches: Vector
-    displacements: Vector
-    covered: Mask
-    coverage: tuple[int, int, int, int]
-    wall_s: float
+    times: Vector  # (n,), s
+    wrenches: Vector  # (n, 6), N and N·m, as read from the sensors
+    displacements: Vector  # (n, 6), m and rad, of the interface in the simulation
+    covered: Mask  # (n,): whether the last answer was covered
+    coverage: tuple[int, int, int, int]  # answers that were covered, thin, outside, unknown
+    wall_s: float  # duration of the run
 
 
 def press(source: Any, component: str, loads: Any, lever: float = 0.0, **options: Any) -> LoopRun:
-    """Press a component downwards, load by load, and read pose and sensors.
+    """Press a component downwards by loads (n,), N, one by one, and read pose and sensors.
 
-    Parameters
-    ----------
-    source : Table or Client
-    component : str
-    loads : sequence of float
-        Shape (n,), N.
-    lever : float
-        How far out along x the loads act, m.
-    **options
-        Of the mount.
+    The loads act at a `lever`, m, along x. `source` is a `Table` or a `Client`; `options` are those
+    of the mount.
     """
     model = engine.MjModel.from_xml_string(_BLOCK.format(lever=lever))
     data = engine.MjData(model)
@@ -103,13 +79,7 @@ def press(source: Any, component: str, loads: Any, lever: float = 0.0, **options
 
 
 def move_arm(source: Any, component: str, seconds: float, **options: Any) -> LoopRun:
-    """Move the arm past its waypoints on a component; parameters as of `press`.
-
-    Parameters
-    ----------
-    seconds : float
-        That the whole trajectory takes, s.
-    """
+    """Move the arm past its waypoints in `seconds` on a component; others as of `press`."""
     model = engine.MjModel.from_xml_path(str(ARM))
     data = engine.MjData(model)
     data.qpos[:], data.ctrl[:] = WAYPOINTS[0], WAYPOINTS[0]

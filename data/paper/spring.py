@@ -30,51 +30,32 @@ from wrenchbook.service.client import Client
 
 @dataclass(frozen=True)
 class Line:
-    """A line by least squares, y = slope x + intercept.
-
-    Attributes
-    ----------
-    slope, intercept : float
-        In the units of y/x and y.
-    error : float
-        The slope's standard error: what scatter about the line, and bend, leave open.
-    points : int
-    """
+    """A line by least squares, y = slope x + intercept."""
 
     slope: float
     intercept: float
-    error: float
+    error: float  # standard error of the slope, by the scatter and the bend about the line
     points: int
 
 
 def line_through(x: ArrayLike, y: ArrayLike) -> Line:
-    """Return the line through points by ordinary least squares, dimensionless or of any unit.
+    """Return the line through n points, three or more, by ordinary least squares.
 
-    Parameters
-    ----------
-    x, y : array_like
-        Shape (n,), three points or more.
+    Its error is sqrt(sum of squared residuals / (n - 2) / sum of (x - mean x)^2) (Draper and Smith,
+    Applied Regression Analysis, section 1.4).
 
-    Returns
-    -------
-    Line
-        With error = sqrt(sum of squared residuals / (n - 2) / sum of (x - mean x)^2) (Draper and
-        Smith, Applied Regression Analysis, section 1.4).
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three points, a number is not finite, or all x are the same.
+    Raises ValueError if there are fewer points, a number is not finite, or all x are the same.
     """
     across, up = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     if across.shape != up.shape or across.ndim != 1 or len(across) < 3:
-        raise ValueError("a line with a standard error needs three points (x, y) or more")
+        shapes = f"{across.shape} and {up.shape}"
+        raise ValueError(f"a line needs three points (x, y) or more, not x and y of shape {shapes}")
     if not (np.isfinite(across).all() and np.isfinite(up).all()):
         raise ValueError("the points of a line must be finite")
     centred = across - across.mean()
     spread = float(centred @ centred)
     if spread == 0.0:
-        raise ValueError("all points of the line have the same x")
+        raise ValueError(f"all points of the line have the same x, {across[0]:g}")
     slope = float(centred @ (up - up.mean())) / spread
     intercept = float(up.mean() - slope * across.mean())
     residual = up - slope * across - intercept

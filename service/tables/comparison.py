@@ -20,11 +20,10 @@ from wrenchbook.service.library.component import Component
 from wrenchbook.service.messages import FiniteArray, FloatArray, Message, Vector, left_out
 from wrenchbook.service.tables.build import build_table
 from wrenchbook.surrogate.answer import NAMES
-from wrenchbook.surrogate.build import SOLVED
 from wrenchbook.surrogate.findings.comparison import scale_factor
 from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.rows import Floats, Rows
+from wrenchbook.surrogate.table.rows import SOLVED, Floats, Rows
 from wrenchbook.surrogate.table.space import Space
 
 MAX_COMPARED = 3_000  # rows of a reply: 2 MB of JSON; a plot shows no more

@@ -31,12 +31,14 @@ from .axis_table import AxisTable, axis_table
 from .triangulation import Triangulation
 
 SAME_STATION = 1e-12  # stations closer than this, in scaled units, are the same
+IN_SIMPLEX = 1e-9  # by which a barycentric coordinate may be below 0: rounding of a station
+BOX_MARGIN = 1e-6  # of the points' size: more than rounding at thin simplices
 
-# What an axis' part of an answer rests on: points within their hull, points off it.
+# Whether a stretch of a cut lies within the hull of the points: WB_INSIDE and WB_OFF_HULL.
 INSIDE, OFF_HULL = 0, 9
 
-MAX_SPOTS = 5
-MAX_VERTICES = 200
+MAX_SPOTS = 5  # largest simplices in a list of gaps
+MAX_VERTICES = 200  # of a hull that is listed: a page draws no more
 
 
 def build_axes(
@@ -48,8 +50,8 @@ def build_axes(
 ) -> Axes:
     """Build the three axes over rows within the load range.
 
-    `before`: of another version of the table: an axis whose points have not changed is taken from
-    it, as it would be made again to the last bit.
+    `before`: the axes of another version of the table. An axis whose points, values and slopes are
+    equal is taken from it, since building it again gives the same bits.
     """
     earlier = before.tables if before is not None else (None,) * len(AXES)
     tables = [
@@ -68,6 +70,7 @@ def _axis_table(
     off_axis: OffAxis,
     before: AxisTable | None,
 ) -> AxisTable | None:
+    """Return the table of one axis; None where no row loads it."""
     clean = axis_rows(rows, load_range, axis, fit, "exclude")
     table = axis_table(clean, load_range, before) if len(clean.points) else None
     if off_axis == "exclude" or single_axis_rows(rows, load_range).any(axis=1).all():
@@ -95,13 +98,12 @@ def answer_at_zero(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable
     unloaded = (np.abs(rows.wrench) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if unloaded.any():
         return rows.displacement[unloaded].mean(axis=0)
-    zero = np.zeros((1, 3))
-    inside = [
-        table.read_in(simplices, zero)
-        for table in tables
-        if table is not None and (simplices := table.triangulation.locate(zero))[0] >= 0
-    ]
-    return np.concatenate(inside).mean(axis=0) if inside else np.zeros(6)
+    zero, answers = np.zeros((1, 3)), list[Floats]()
+    for table in tables:
+        if table is not None:
+            simplices = table.triangulation.locate(zero)
+            answers += [table.interpolate(simplices, zero)] if simplices[0] >= 0 else []
+    return np.concatenate(answers).mean(axis=0) if answers else np.zeros(6)
 
 
 class Axes:
@@ -244,7 +246,7 @@ class PureMomentCut:
         simplices = table.triangulation.locate(middle)
         self.state = np.where(simplices >= 0, INSIDE, OFF_HULL).astype(np.int32)
         start, end = (
-            table.read_in(np.maximum(simplices, 0), self._points(along))
+            table.interpolate(np.maximum(simplices, 0), self._points(along))
             for along in (low, low + width)
         )
         self.outputs = np.stack((start, (end - start) / width[:, None]), axis=1)
@@ -268,7 +270,8 @@ def _stations(shape: Triangulation, column: int) -> Floats:
         roots = np.where(slope != 0, -at_zero / slope, np.nan)
         barycentric = at_zero[:, None, :] + slope[:, None, :] * roots[:, :, None]
         # A root counts if it lies in the simplex, and so within the points' box.
-        inside = (barycentric > -1e-9).all(axis=2) & (np.abs(roots) <= np.abs(shape.points).max())
+        inside = (barycentric > -IN_SIMPLEX).all(axis=2)
+        inside &= np.abs(roots) <= np.abs(shape.points).max()
     stations = np.unique(roots[inside])
     if len(stations) < 2:
         return np.empty(0)
@@ -280,5 +283,5 @@ def _simplices_on_line(shape: Triangulation, column: int) -> NDArray[np.intp]:
     others = [load for load in range(3) if load != column]
     corners = shape.points[:, others][shape.simplices]
     low, high = corners.min(axis=1), corners.max(axis=1)
-    margin = 1e-6 * np.abs(shape.points).max(initial=1.0)  # more than rounding at thin simplices
+    margin = BOX_MARGIN * np.abs(shape.points).max(initial=1.0)
     return np.flatnonzero(((low <= margin) & (high >= -margin)).all(axis=1))

@@ -21,8 +21,8 @@ class AxisTable:
     `triangulation`: over the scaled inputs.
     `scale` (3,), N and N·m: what the inputs are divided by.
     `values` (n, 6), m and rad: displacements at the points.
-    `slopes` (n, 6, 3), m and rad: derivative by the scaled inputs: stored tangents, else recovered
-    from neighbours.
+    `slopes` (n, 6, 3), m and rad: derivatives by the scaled inputs: of stored tangents, else of a
+    quadratic through neighbours.
     """
 
     def __init__(self, rows: AxisRows, load_range: LoadRange) -> None:
@@ -50,8 +50,8 @@ class AxisTable:
             return np.zeros(1)
         return self.triangulation.volumes / 2.0**dimension
 
-    def read_in(self, simplices: Indices, x: Floats) -> Floats:
-        """Return the outputs (k, 6), m and rad, at scaled inputs (k, 3) in simplices (k,)."""
+    def interpolate(self, simplices: Indices, x: Floats) -> Floats:
+        """Return the outputs (k, 6), m and rad, at scaled inputs x (k, 3) in simplices (k,)."""
         weights = self.triangulation.barycentric(simplices, x)
         corners = self.values[self.triangulation.simplices[simplices]]
         return np.einsum("kv,kvq->kq", weights, corners)

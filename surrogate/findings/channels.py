@@ -7,6 +7,8 @@ cell is at the end of its range, or stuck, where displacements go on while its r
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,8 +22,17 @@ MIN_CHANNEL_ROWS = 12  # readings: fewer do not show what the channel should rea
 MIN_EQUAL = 3  # rows of one value: two are equal by the digits that are written
 DIGITS = 3  # values of a channel at rest: its converter is between two, or off by one at times
 TAIL = 5  # per cent of the rows at either end, whose values count as the end: they may be wrong
+ROWS_A_TERM = 2  # rows of each term of the response that must remain beside those in question
 
-Broken = tuple[Cause, NDArray[np.intp], float, float]  # rows, the value, part of the range off
+
+class Fault(NamedTuple):
+    """Readings of a channel that are no measurement."""
+
+    cause: Cause
+    rows: NDArray[np.intp]  # (k,): indices among the readings that were examined
+    value: float  # the one value of these rows, or the deviation of noise
+    off: float  # of the range: how far the other rows say that the worst of these is off
+
 
 MESSAGES: dict[Cause, str] = {
     "dead": "{name} reads {value:.6g} {unit} in all rows while {load} varies, and so would its "
@@ -36,8 +47,8 @@ MESSAGES: dict[Cause, str] = {
     "empty",
 }
 OF_LOADS = (
-    "{} stays at {:.6g} {} in {} rows, where {} goes on by up to {:.0%} of its range: the load "
-    "cell was {}. Withdraw these rows, because their load is wrong"
+    "{load} stays at {value:.6g} {unit} in {count} rows, where {name} goes on by up to {off:.0%} "
+    "of its range: the load cell was {cause}. Withdraw these rows, because their load is wrong"
 )
 
 
@@ -57,22 +68,23 @@ def channel_findings(
         read = [value == value and not is_nines(value) for value in moved[:, output].tolist()]
         known = np.flatnonzero(read)
         unit = "m" if output < 3 else "rad"
-        for cause, some, value, off in _output_faults(terms[known], moved[known, output]):
-            at = known[some]
-            fields = {"name": OUTPUTS[output], "load": LOADS[output], "unit": unit, "off": off}
-            message = MESSAGES[cause].format(value=value, count=len(at), **fields)
+        names = {"name": OUTPUTS[output], "load": LOADS[output]}
+        for fault in _output_faults(terms[known], moved[known, output]):
+            at = known[fault.rows]
+            fields = {**names, **fault._asdict(), "unit": unit, "count": len(at)}
+            message = MESSAGES[fault.cause].format(**fields)
             listed = () if len(at) == len(known) else tuple(rows.seq[at].tolist())
-            findings.append(RigFinding(cause, message, listed, {"output": OUTPUTS[output]}))
+            findings.append(RigFinding(fault.cause, message, listed, {"output": OUTPUTS[output]}))
             moved[at, output] = np.nan
         load, unit = rows.wrench[known, output], "N" if output < 3 else "N*m"
-        for cause, some, value, off in _load_faults(load, terms[known], moved[known, output]):
-            fields = LOADS[output], value, unit, len(some), OUTPUTS[output], off, cause
-            listed = tuple(rows.seq[known[some]].tolist())
-            numbers = {"load": LOADS[output]}
-            findings.append(RigFinding(cause, OF_LOADS.format(*fields), listed, numbers))
-            moved[known[some]] = np.nan
-    some = np.isfinite(moved).any(axis=1)
-    sound = Rows.of(rows.wrench[some], moved[some], seq=rows.seq[some], source=rows.source[some])
+        for fault in _load_faults(load, terms[known], moved[known, output]):
+            at = known[fault.rows]
+            fields = {**names, **fault._asdict(), "unit": unit, "count": len(at)}
+            listed, numbers = tuple(rows.seq[at].tolist()), {"load": LOADS[output]}
+            findings.append(RigFinding(fault.cause, OF_LOADS.format(**fields), listed, numbers))
+            moved[at] = np.nan
+    kept = np.isfinite(moved).any(axis=1)
+    sound = Rows.of(rows.wrench[kept], moved[kept], seq=rows.seq[kept], source=rows.source[kept])
     return sound, findings
 
 
@@ -83,7 +95,7 @@ def dead_channels(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
     may fill others with zeros: there the own load rests, but for its sensor's noise.
     """
     moved = rows.displacement
-    if len(rows) < MIN_CHANNEL_ROWS or not rows.space.is_default or (rows.source == "fea").any():
+    if len(rows) < MIN_CHANNEL_ROWS or not rows.space.is_default or rows.is_solved.any():
         return np.zeros(moved.shape[1], dtype=bool)
     low, high = np.fmin.reduce(moved), np.fmax.reduce(moved)
     is_equal = high - low <= ROUNDING * np.fmax(np.abs(low), np.abs(high))
@@ -100,49 +112,50 @@ def dead_channels(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
     return (known.sum(axis=0) >= MIN_CHANNEL_ROWS) & is_equal & varies
 
 
-def _output_faults(terms: Floats, y: Floats) -> list[Broken]:
-    """Return the faults of readings (n,): indices, the value, and parts of the range."""
+def _output_faults(terms: Floats, y: Floats) -> list[Fault]:
+    """Return the faults of an output's readings (n,), with the response's terms (n, t)."""
     all_rows = np.arange(len(y))
     if len(y) < MIN_CHANNEL_ROWS:
         return []
-    if np.ptp(y) <= (equal := ROUNDING * float(np.abs(y).max())):
-        return [("dead", all_rows, float(y[0]), 0.0)]
-    size = float(np.ptp(y))
+    size, equal = float(np.ptp(y)), ROUNDING * float(np.abs(y).max())
+    if size <= equal:
+        return [Fault("dead", all_rows, float(y[0]), 0.0)]
     if not _is_explained(terms, y):
-        return [("noise", all_rows, float(y.std()), 0.0)]
+        return [Fault("noise", all_rows, float(y.std()), 0.0)]
     high, low, run = _constant_rows(y, equal)
     steps = np.diff(np.sort(y))
     step = float(np.median(steps[steps > equal]))  # of the readings
-    broken = list[Broken]()
-    for end, some in ((1.0, high), (-1.0, low), (0.0, run)):
+    faults = list[Fault]()
+    for end, some in ((1.0, high), (-1.0, low), (0.0, run)):  # 0: at neither end
         others = np.delete(all_rows, some)
         if not end and (np.isin(run[0], high) or np.isin(run[0], low)):
             continue
-        if len(some) < MIN_EQUAL or len(others) < 2 * terms.shape[1]:
+        if len(some) < MIN_EQUAL or len(others) < ROWS_A_TERM * terms.shape[1]:
             continue
         without = y.copy()
         without[some] = np.nan
         off = fitted(terms, without) - y
+        # Readings are rounded to steps: a uniform error, whose deviation is step / sqrt(12).
         deviation = np.hypot(NORMAL * float(np.median(np.abs(off[others]))), step / np.sqrt(12))
-        # Beyond an end the rows there are on one side of it, on average. What the other rows tell
-        # of them is as sure as their place allows.
+        # Clipped rows should be beyond their end, on average. How sure the other rows' prediction
+        # is depends on the place of each row.
         weights = terms[some] @ np.linalg.pinv(terms[others], rcond=RANK)
         sure_off = off[some] / np.sqrt(1 + (weights**2).sum(axis=1))
         far = end * sure_off.mean() if end else np.sqrt((sure_off**2).mean())
         sure = CONFIDENT * deviation / (np.sqrt(len(some)) if end else 1.0)
         if far > max(sure, REMARKABLE * size):
             cause = "clipped" if end else "stuck"
-            broken.append((cause, some, float(y[some[0]]), np.abs(off[some]).max() / size))
-    return broken
+            faults.append(Fault(cause, some, float(y[some[0]]), np.abs(off[some]).max() / size))
+    return faults
 
 
-def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
+def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Fault]:
     """Return where a load (n,) keeps a value while its own displacement (n,) goes on.
 
-    Tests reach one load often: there displacements scatter about the response of all rows as they
-    do elsewhere, or are off it together where the response is no polynomial.
+    Tests reach one load often. There displacements scatter about the response of all rows as they
+    do elsewhere, or are all off it by as much, where the response is no polynomial.
     """
-    known, broken = np.isfinite(y), list[Broken]()
+    known, faults = np.isfinite(y), list[Fault]()
     equal = ROUNDING * float(np.abs(load).max(initial=0.0))
     if known.sum() < MIN_CHANNEL_ROWS or np.ptp(load) <= equal:
         return []
@@ -151,11 +164,11 @@ def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
     run = np.setdiff1d(run, np.concatenate((high, low)))
     moving = y.copy()
     moving[np.concatenate((high, low, run))] = np.nan
-    is_enough = np.isfinite(moving).sum() >= 2 * terms.shape[1]
+    is_enough = np.isfinite(moving).sum() >= ROWS_A_TERM * terms.shape[1]
     off_moving = moving - fitted(terms, moving) if is_enough else off
     for is_end, constant in ((True, high), (True, low), (False, run)):
         some, others = constant[known[constant]], np.setdiff1d(np.flatnonzero(known), constant)
-        if len(some) < MIN_EQUAL or len(others) < 2 * terms.shape[1]:
+        if len(some) < MIN_EQUAL or len(others) < ROWS_A_TERM * terms.shape[1]:
             continue
         spread = np.median(np.abs(off[some] - np.median(off[some])))
         # Many rows of one wrench whose load is wrong bend the fit of all rows.
@@ -164,8 +177,9 @@ def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Broken]:
         usual = np.nanmedian(np.abs(of_others - np.nanmedian(of_others)))
         if spread > max(CONFIDENT * usual, REMARKABLE * size):
             cause = "clipped" if is_end else "stuck"
-            broken.append((cause, some, float(load[some[0]]), np.abs(off[some]).max() / size))
-    return broken
+            value, worst = float(load[some[0]]), np.abs(off[some]).max() / size
+            faults.append(Fault(cause, some, value, worst))
+    return faults
 
 
 def _constant_rows(values: Floats, equal: float) -> list[NDArray[np.intp]]:
@@ -179,9 +193,9 @@ def _constant_rows(values: Floats, equal: float) -> list[NDArray[np.intp]]:
 
 
 def _is_explained(terms: Floats, y: Floats) -> bool:
-    """Whether the response (n, t) explains more of values (n,) than it would of noise."""
+    """Whether the terms (n, t) explain more of the variance of y (n,) than they would of noise."""
     y = y.clip(*np.percentile(y, [TAIL, 100 - TAIL]))
     y, free = y - y.mean(), terms.shape[1] - 1
-    residual = y - terms @ np.linalg.lstsq(terms, y, rcond=1e-9)[0]
+    residual = y - terms @ np.linalg.lstsq(terms, y, rcond=RANK)[0]
     by_chance = (free + CONFIDENT * np.sqrt(2 * free)) / len(y)
     return float(residual @ residual) < (1 - min(by_chance, 1.0)) * float(y @ y) or by_chance >= 1

@@ -15,21 +15,26 @@ from ..table.polynomial import terms_of
 from ..table.rows import Floats
 from .response import RigFinding
 
-MIN_DISPLACEMENTS = 60  # displacements: with fewer a lag shows by chance
-MAX_DISPLACEMENTS = 2_000  # displacements that are fitted, some 5 ms a fit
-GRID = 1 << 15  # steps of the time grid, at most
-PART = 0.25  # of the displacements' duration: the largest lag of the search
+MIN_DISPLACEMENTS = 60  # with fewer a lag shows by chance
+MAX_DISPLACEMENTS = 2_000  # that are fitted, evenly chosen: some 5 ms a fit
+MAX_STEPS = 1 << 15  # of the time grid
+MAX_LAG = 0.25  # of the displacements' duration: the largest lag of the search
 ROUNDING = 1e-9  # of the displacements' variance: smaller residuals are written digits
-_RESOLUTION = 1e-9  # of the displacements' duration: smaller steps are lost in the clock's digits
+RESOLUTION = 1e-9  # of the displacements' duration: smaller steps are lost in the clock's digits
 PEAKS = 5  # of the correlation that are fitted: turned by half a period, a load correlates as well
-EXPLAINED = 0.5  # of the displacements' variance: with less the logs do not belong together
-INTERPOLATED = 0.02  # of the loads' interval: exact logs of 0.1 to 4 Hz showed lags within 1.1 %
-INSIDE = 0.9  # of a search's width: an optimum beyond it may be the bound
-MIN_EXPLAINED = 0.2  # of the residual's variance at the applied lag that another lag must explain
-AVERAGED = 0.5  # of the residual's variance: between two loads interpolation averages their noise
+RELATED = 0.5  # of the displacements' variance: loads that explain less are of another test
+INTERPOLATION_ERROR = 0.02  # of the loads' interval: exact logs of 0.1 to 4 Hz were within 1.1 %
+INNER_PART = 0.9  # of a search's width: an optimum beyond it may be the bound
+MIN_GAIN = 0.2  # of the residual's variance at the applied lag that another lag must explain
+# Ratio of residual variances that counts as equal: between two loads interpolation averages their
+# noise, so that half the variance shows no better lag.
+ALIKE = 0.5
 DEVIATIONS = 4.0  # of the estimate: residuals that are near in time are not independent
-SMALL = 0.003  # of the displacements' deviation: misfits below it need no remark
-TAIL = 0.5  # ranges: what a displacement beyond the 1st and 99th percentiles counts at most
+MIN_MISFIT = 0.003  # of the displacements' deviation: misfits below it need no remark
+MAX_TAIL = 0.5  # ranges: what a displacement beyond the 1st and 99th percentiles counts at most
+SEARCH_ACCURACY = 0.05  # of a step of the grid: the parabola of `vertex` then gives the digits
+RANK, LOAD_RANK = 1e-9, 1e-6  # of the largest singular value: of the response, and of the loads
+TINY = 1e-300  # in place of a variance of zero, by which something is divided
 
 
 class Logs(NamedTuple):
@@ -72,40 +77,49 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
     logs = Logs(logs.time, logs.wrench[:, loads], logs.when, moved)
     duration = float(np.ptp(logs.when))
     interval = min(float(np.median(np.diff(times))) for times in (logs.time, np.sort(logs.when)))
-    step = max(interval, (duration + 2 * PART * duration) / GRID, duration * _RESOLUTION)
+    step = max(interval, (duration + 2 * MAX_LAG * duration) / MAX_STEPS, duration * RESOLUTION)
     starts = [applied, *_correlated_lags(logs, applied, step)]
-    fits = [fit for start in starts if (fit := _fitted(logs, (applied, start), step))]
+    candidates = (_fitted(logs, (applied, start), step) for start in starts)
+    fits = [candidate for candidate in candidates if candidate is not None]
     if not fits:
         return None
 
     # Periodic loads fit as well a period later: the lag nearest to the applied lag then.
-    sizes = [max(float(fit.residual(lag).mean()), SMALL**2) for lag, fit in fits]
-    alike = [fits[at] for at, size in enumerate(sizes) if AVERAGED * size <= min(sizes)]
+    sizes = [max(float(fit.residual(lag).mean()), MIN_MISFIT**2) for lag, fit in fits]
+    alike = [fits[at] for at, size in enumerate(sizes) if ALIKE * size <= min(sizes)]
     alike.sort(key=lambda lag_and_fit: abs(lag_and_fit[0] - applied))
     fit = alike[0][1]
     (best, error), *more = (each.vertex(lag) for lag, each in alike)
+    # Lags whose intervals do not meet that of the best one; an unknown error adds nothing.
     others = tuple(
         lag
         for lag, its_error in more
-        if abs(lag - best) > error + step + (its_error if np.isfinite(its_error) else 0.0)
+        if abs(lag - best) > error + step + np.nan_to_num(its_error, posinf=0.0)
     )
 
     # Another lag, another rate and a loop each must explain the residual better than the others.
-    least, before, loop = fit.residual(best), fit.residual(applied), fit.with_loop(applied)
-    rate, evened = fit.rate(best) if least.mean() > SMALL**2 else (0.0, least)
+    at_best, at_applied, loop = fit.residual(best), fit.residual(applied), fit.with_loop(applied)
+    rate, with_rate = 0.0, at_best
+    if at_best.mean() > MIN_MISFIT**2:
+        rate, with_rate = fit.rate(best)
     drift = abs(rate) * float(np.ptp(logs.when))
-    if drift < step or not evened.sum() < min(AVERAGED * least.sum(), loop.sum()):
-        rate, evened = 0.0, least
-    if evened.mean() > 1 - EXPLAINED or not np.isfinite(error):
+    if drift < step or not with_rate.sum() < min(ALIKE * at_best.sum(), loop.sum()):
+        rate, with_rate = 0.0, at_best
+    if with_rate.mean() > 1 - RELATED or not np.isfinite(error):
         return None
-    named = (
-        abs(best - applied) > error
-        and before.mean() > SMALL**2
-        and least.sum() < (1 - MIN_EXPLAINED) * before.sum()
-        and least.sum() < loop.sum()
+    return Lag(
+        seconds=best,
+        error=error,
+        rate=rate,
+        misfit=float(at_best.mean() ** 0.5),
+        misfit_applied=float(at_applied.mean() ** 0.5),
+        misfit_rate=float(with_rate.mean() ** 0.5),
+        named=abs(best - applied) > error
+        and at_applied.mean() > MIN_MISFIT**2
+        and at_best.sum() < (1 - MIN_GAIN) * at_applied.sum()
+        and at_best.sum() < loop.sum(),
+        others=others,
     )
-    misfit, misfit_applied, misfit_rate = (float(r.mean() ** 0.5) for r in (least, before, evened))
-    return Lag(best, error, rate, misfit, misfit_applied, misfit_rate, named, others)
 
 
 def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
@@ -143,7 +157,7 @@ def _correlated_lags(logs: Logs, applied: float, step: float) -> list[float]:
     The part of the displacements' variance that loads explain is c' inv(G) c, with c their
     cross-correlations and G the covariance of the loads.
     """
-    longest = PART * float(np.ptp(logs.when))
+    longest = MAX_LAG * float(np.ptp(logs.when))
     grid = np.arange(logs.when.min() - longest, logs.when.max() + longest, step)
     order = np.argsort(logs.when, kind="stable")
     x = _on_grid(grid + applied, logs.time, logs.wrench)
@@ -153,7 +167,7 @@ def _correlated_lags(logs: Logs, applied: float, step: float) -> list[float]:
     products = (of_loads * spectrum[:, None] for spectrum in of_moved.T)
     cross = np.stack([np.fft.irfft(product, size, axis=0) for product in products])
     shifts = np.arange(-int(longest / step), int(longest / step) + 1)
-    inverse = np.linalg.pinv(x.T @ x, rcond=1e-6)
+    inverse = np.linalg.pinv(x.T @ x, rcond=LOAD_RANK)
     explained = np.einsum("ksi,ij,ksj->s", cross[:, shifts], inverse, cross[:, shifts])
     inner = explained[1:-1]
     peaks = 1 + np.flatnonzero((inner >= explained[:-2]) & (inner >= explained[2:]))
@@ -162,30 +176,33 @@ def _correlated_lags(logs: Logs, applied: float, step: float) -> list[float]:
 
 
 def _clipped(moved: Floats) -> Floats:
-    """Return displacements (m, k) in deviations, NaN at the mean, sentinels near the others."""
+    """Return displacements (m, k) over their deviations: NaN is 0, and far values are clipped."""
     low, high = np.nanpercentile(moved, [1, 99], axis=0)
-    tail = TAIL * np.maximum(high - low, np.finfo(float).tiny)
+    tail = MAX_TAIL * np.maximum(high - low, np.finfo(float).tiny)
     clipped = np.clip(moved, low - tail, high + tail)
     clipped = np.nan_to_num(clipped - np.nanmean(clipped, axis=0))
     return clipped / np.maximum(clipped.std(axis=0), np.finfo(float).tiny)
 
 
 def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> tuple[float, _Fit] | None:
-    """Return the lag of least residual near the second one, s, and the fit; None if there is none.
+    """Return the lag of least residual, s, and the fit; None if there is none.
 
-    The fit holds the displacements that both lags have loads for. A search that ends at its bound
-    has no result and starts again there, with twice the width.
+    `lags`, s: the applied one, and the one near which the search starts. The fit holds the
+    displacements that both have loads for. A search that ends at its bound has no result and starts
+    again there, with twice the width.
     """
-    width, most = 2 * step, PART * float(np.ptp(logs.when))
+    width, most = 2 * step, MAX_LAG * float(np.ptp(logs.when))
     while width < most:
         fit = _Fit(logs, lags, step, width + step)
         if len(fit.logs.when) < MIN_DISPLACEMENTS:
             return None
         start = lags[1]
         result: Any = minimize_scalar(
-            fit.size, bounds=(start - width, start + width), options={"xatol": 0.05 * step}
+            fit.size,
+            bounds=(start - width, start + width),
+            options={"xatol": SEARCH_ACCURACY * step},
         )
-        if abs(result.x - start) < INSIDE * width:
+        if abs(result.x - start) < INNER_PART * width:
             return float(result.x), fit
         lags, width = (lags[0], float(result.x)), 2 * width
     return None
@@ -196,7 +213,7 @@ def _on_grid(grid: Floats, time: Floats, values: Floats) -> Floats:
     sampled = np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
     inside = (grid >= time[0]) & (grid <= time[-1])
     sampled -= sampled[inside].mean(axis=0) if inside.any() else 0.0
-    return np.where(inside[:, None], sampled, 0.0) / np.maximum(sampled.std(axis=0), 1e-300)
+    return np.where(inside[:, None], sampled, 0.0) / np.maximum(sampled.std(axis=0), TINY)
 
 
 class _Fit:
@@ -206,7 +223,7 @@ class _Fit:
         low, high = min(lags) - width, max(lags) + width
         inside = (logs.when + low >= logs.time[0]) & (logs.when + high <= logs.time[-1])
         indices = np.flatnonzero(inside)
-        indices = indices[:: -(-len(indices) // MAX_DISPLACEMENTS) or 1]
+        indices = indices[:: max(-(-len(indices) // MAX_DISPLACEMENTS), 1)]
         self.logs = logs._replace(when=logs.when[indices], displacement=logs.displacement[indices])
         self._scale, self._step = np.abs(logs.wrench).max(axis=0), step
 
@@ -229,7 +246,7 @@ class _Fit:
         """Return `residual` of a response with one more term: the direction of the motion."""
         terms, y = self._terms(lag), self.logs.displacement
         after, before = self._loads(lag + self._step), self._loads(lag - self._step)
-        coefficients = np.linalg.lstsq(self._loads(lag), y, rcond=1e-9)[0]
+        coefficients = np.linalg.lstsq(self._loads(lag), y, rcond=RANK)[0]
         signs = np.sign((after - before) @ coefficients)
         return np.concatenate(
             [
@@ -253,15 +270,15 @@ class _Fit:
                 return lag, np.inf
             lag += step * float(np.clip((low - high).sum() / curvature.sum() / 2, -1, 1))
         terms, y = self._terms(lag), self.logs.displacement
-        residual = y - terms @ np.linalg.lstsq(terms, y, rcond=1e-9)[0]
-        near = (residual[1:] * residual[:-1]).sum(axis=0) / np.maximum(
-            (residual**2).sum(axis=0), 1e-300
-        )
-        near = near.clip(0.0, 1 - 1 / len(y))
-        free = max(len(y) - terms.shape[1], 1) * (1 - near) / (1 + near)
+        residual = y - terms @ np.linalg.lstsq(terms, y, rcond=RANK)[0]
+        # The correlation of neighbours in time leaves fewer degrees of freedom.
+        products = (residual[1:] * residual[:-1]).sum(axis=0)
+        correlation = products / np.maximum((residual**2).sum(axis=0), TINY)
+        correlation = correlation.clip(0.0, 1 - 1 / len(y))
+        free = max(len(y) - terms.shape[1], 1) * (1 - correlation) / (1 + correlation)
         # As if all outputs erred together: the noise of the loads is in all of them.
         error = np.sqrt(2 * np.maximum(least, ROUNDING) * curvature / free).sum() / curvature.sum()
-        return lag, step * (DEVIATIONS * float(error) + INTERPOLATED)
+        return lag, step * (DEVIATIONS * float(error) + INTERPOLATION_ERROR)
 
     def rate(self, lag: float) -> tuple[float, Floats]:
         """Return the rate that, with a lag near `lag`, fits best, and its residual, (k,)."""
@@ -281,5 +298,6 @@ class _Fit:
         return float(result.x[1]) * unit, residual(result.x)
 
     def _unexplained(self, terms: Floats, y: Floats) -> Floats:
-        residual = y - terms @ np.linalg.lstsq(terms, y, rcond=1e-9)[0]
-        return np.asarray((residual**2).mean(axis=0) / np.maximum((y**2).mean(axis=0), 1e-300))
+        """Return the part of each output's variance, (k,), that terms (n, t) leave of y (n, k)."""
+        residual = y - terms @ np.linalg.lstsq(terms, y, rcond=RANK)[0]
+        return np.asarray((residual**2).mean(axis=0) / np.maximum((y**2).mean(axis=0), TINY))

@@ -17,21 +17,23 @@ BLOCKS = 20  # of consecutive rows, whose errors may be common: drift, a loop, a
 
 
 def differences(moved: Floats, expected: Floats, bars: Floats) -> Floats:
-    """Return factor less one and offset of each output, shape (2, 6): dimensionless, m and rad.
+    """Return the factor less one and the offset of each output, (2, 6): dimensionless, m and rad.
 
-    Of moved = factor expected + offset. Both are 0 where neither is certain and large enough for a
-    finding. Errors of answers are common to all rows: no number of rows lowers their error bars.
+    They are those of ``moved = factor * expected + offset``; both are 0 where neither is certain
+    and large enough for a finding. Errors of answers are common to all rows, so their error bars
+    count in full, however many rows there are.
 
     `moved`, `expected`, `bars` (n, 6), m and rad: measured, the answers of another table, and their
     error bars; NaN where unknown.
     """
     known = np.isfinite(bars)
     size, pair, deviation, _ = _fitted(moved, np.where(known, expected, np.nan))
-    some = size > 0
-    bar = np.nanmedian(np.where(known, bars, np.nan)[:, some], axis=0)
-    least = CONFIDENT * deviation[:, some] + bar / size[some]
-    some[some] = (np.abs(pair[:, some]) > np.maximum(least, REMARKABLE)).any(axis=0)
-    return np.where(some, pair * np.stack((np.ones_like(size), size)), 0.0)
+    is_fitted, differs = size > 0, np.zeros(len(size), dtype=bool)
+    bar = np.nanmedian(np.where(known, bars, np.nan)[:, is_fitted], axis=0)
+    least = CONFIDENT * deviation[:, is_fitted] + bar / size[is_fitted]
+    is_large = np.abs(pair[:, is_fitted]) > np.maximum(least, REMARKABLE)
+    differs[is_fitted] = is_large.any(axis=0)
+    return np.where(differs, pair * np.stack((np.ones_like(size), size)), 0.0)
 
 
 def beyond_noise(moved: Floats, expected: Floats) -> Floats:
@@ -102,9 +104,9 @@ def _fitted(moved: Floats, expected: Floats) -> tuple[Floats, Floats, Floats, Fl
         terms = np.column_stack((x[known], np.full(known.sum(), range_of_output)))
         off = y[known] - x[known]
         pair[:, output] = np.linalg.lstsq(terms, off, rcond=None)[0]
-        rest = off - terms @ pair[:, output]
+        residual = off - terms @ pair[:, output]
         size[output], freedom[output] = range_of_output, known.sum() - 2
-        noise = np.sqrt(float(rest @ rest) / freedom[output])
+        noise = np.sqrt(float(residual @ residual) / freedom[output])
         deviation[:, output] = noise * np.sqrt(np.diag(np.linalg.inv(terms.T @ terms)))
     return size, pair, deviation, freedom
 

@@ -12,17 +12,16 @@ from ..table.space import LOADS, OUTPUTS
 from .origin import Slopes
 from .response import CONFIDENT, REMARKABLE, RigFinding, RobustFit
 
-SIGNIFICANT = (
-    0.05  # of the largest entry of its block, in moved distance: smaller entries are unsure
-)
-TIE = 0.1  # of a logarithm: factors of two quantities that explain the same
-SCALE = 1.5  # times: a calibration is wrong by more, finite elements by less
-FAR = 3.0  # times: units differ by more, parts of one kind by less
-AGREE = 1.6  # times: how far entries may differ that have one wrong unit
-BETTER = 3.0  # times the asymmetry that a lever must explain
-LEVER_ROUNDS = 3  # of its weights, which then are settled
-SMALL, LARGE = 0.02, 5.0  # of the range: loads that a table was surely not meant for
-LENGTH = 0.1  # m: no part that answers by small rotations moves so far without a remark
+MIN_ENTRY = 0.05  # of the largest in its 3x3 block, in what its load moves: smaller ones are unsure
+TIE = 0.1  # of a factor's logarithm: two quantities whose factors explain the blocks as well
+CALIBRATION = 1.5  # a factor of a wrong calibration is above it, one of finite elements below
+FAR = 3.0  # a factor between units is above it, one between parts of a kind below
+MAX_SCATTER = 1.6  # factor by which entries may differ that have one wrong unit
+UNIT_MATCH = 1.15  # factor within which a factor is that of two named units
+MIN_IMPROVEMENT = 3.0  # factor by which a lever must lower the asymmetry
+LEVER_ROUNDS = 3  # of the lever's weights, which depend on it and are settled after them
+MIN_OF_RANGE, MAX_OF_RANGE = 0.02, 5.0  # loads beyond these parts of the range are of another unit
+MAX_TRANSLATION = 0.1  # m: no part whose rotations are small moves farther without a remark
 UNITS = {
     1000.0: "millimetres for metres, or newtons for kilonewtons",
     4.448: "pounds for newtons",
@@ -46,9 +45,9 @@ class Fit(NamedTuple):
 
 
 def fit_of(matrix: Floats, covariance: Floats, load_range: LoadRange) -> Fit:
-    """Return a compliance (6, 6) of a covariance (6, 6, 6), SI, with its sure entries."""
+    """Return a compliance (6, 6) with its covariance (6, 6, 6), SI, and which entries are sure."""
     size = np.abs(matrix * load_range.scale)  # what each load moves
-    blocks = size.reshape(2, 3, 2, 3).max(axis=(1, 3)) * SIGNIFICANT
+    blocks = size.reshape(2, 3, 2, 3).max(axis=(1, 3)) * MIN_ENTRY
     deviation = np.sqrt(np.einsum("ijj->ij", covariance))
     sure = (size > np.kron(blocks, np.ones((3, 3)))) & (np.abs(matrix) > CONFIDENT * deviation)
     return Fit(matrix, covariance, np.asarray(sure))
@@ -106,7 +105,7 @@ def range_findings(rows: Rows, load_range: LoadRange) -> list[RigFinding]:
         if not loaded.any():
             continue
         ratio = float((largest[loaded] / ends[loaded]).max())
-        if SMALL <= ratio <= LARGE:
+        if MIN_OF_RANGE <= ratio <= MAX_OF_RANGE:
             continue
         unit = named_unit(1.0 / ratio if ratio < 1 else ratio)
         message = (
@@ -120,7 +119,7 @@ def range_findings(rows: Rows, load_range: LoadRange) -> list[RigFinding]:
 def size_findings(response: RobustFit) -> list[RigFinding]:
     """Return a finding where translations are longer than those of a part that bends."""
     largest = float(np.nanmax(np.abs(response.expected[:, :3]), initial=0.0))
-    if largest <= LENGTH:
+    if largest <= MAX_TRANSLATION:
         return []
     message = (
         f"translations reach {largest:.3g} m; check their unit (millimetres under a header in "
@@ -135,7 +134,7 @@ def unit_findings(fit: Fit, solved: Fit | None, *, linear: bool) -> list[RigFind
     The secants of a part that is not `linear` differ with the size of the loads.
     """
     if solved is not None:
-        return _against_solves(fit, solved, SCALE if linear else FAR)
+        return _against_solves(fit, solved, CALIBRATION if linear else FAR)
     # Maxwell and Betti: what a moment moves is what that force turns.
     moved, turned = fit.matrix[:3, 3:], fit.matrix[3:, :3].T
     sure = fit.sure[:3, 3:] & fit.sure[3:, :3].T
@@ -193,20 +192,23 @@ def _against_solves(fit: Fit, solved: Fit, least: float) -> list[RigFinding]:
 
 
 def _common(first: Floats, second: Floats, least: float = FAR) -> float | None:
-    """Return the factor between two lists of numbers if it is the same for all and far from 1."""
+    """Return the factor between two arrays (k,) if it is common to all entries, else None.
+
+    `least`: a factor below it, and above one over it, counts as 1: None.
+    """
     if not len(first):
         return None
     logs = np.log(np.abs(first / second))
     factor = float(np.exp(np.median(logs)))
     deviation = np.exp(np.abs(logs - np.median(logs))).max()
-    return factor if deviation < AGREE and max(factor, 1 / factor) >= least else None
+    return factor if deviation < MAX_SCATTER and max(factor, 1 / factor) >= least else None
 
 
 def named_unit(factor: float) -> str:
     """Return " (probably ...)" for a factor near that of two units, else nothing."""
     size = max(factor, 1 / factor)
     known, description = min(UNITS.items(), key=lambda unit: abs(np.log(size / unit[0])))
-    is_near = abs(np.log(size / known)) < np.log(1.15)
+    is_near = abs(np.log(size / known)) < np.log(UNIT_MATCH)
     return f" (a factor of {known:g}: {description}?)" if is_near else ""
 
 
@@ -232,7 +234,9 @@ def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
         lever, deviation = -covariance @ weighted.T @ before.values, np.sqrt(np.diag(covariance))
         moved = np.eye(6) + np.tensordot(lever, by_axis, axes=1)
         after = _Skew.of(fit, moved, load_range)
-    is_sure = bool((np.abs(lever) > CONFIDENT * deviation).any()) and after.size * BETTER < size
+    is_sure = (
+        bool((np.abs(lever) > CONFIDENT * deviation).any()) and after.size * MIN_IMPROVEMENT < size
+    )
     if is_sure and (np.diag(fit.matrix @ moved) > 0).all():
         load_point, moved_point = (",".join(f"{x:.4g}" for x in by * lever) for by in (-1, 1))
         message = (
@@ -295,7 +299,7 @@ def _skew(matrix: Floats, load_range: LoadRange) -> Floats:
 
 def clearance_findings(slopes: Slopes, response: RobustFit) -> list[RigFinding]:
     """Return a finding where outputs jump as their own load changes its sign."""
-    least = np.hypot(CONFIDENT * slopes.deviation, REMARKABLE * response.range)
+    least = np.hypot(CONFIDENT * slopes.jump_deviation, REMARKABLE * response.range)
     at = np.flatnonzero(slopes.jump > least)
     if not len(at):
         return []

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import find_peaks
 from scipy.special import stdtrit
 
+from ..calibration import LEVEL
 from ..kriging.effects import sessions_of
 from ..table.rows import Floats, LoadRange, Rows
 
@@ -44,20 +45,28 @@ def passes_of(load: Floats) -> Passes:
     peaks, valleys = (find_peaks(way, prominence=TURN * span)[0] for way in (load, -load))
     turns = np.sort(np.concatenate((peaks, valleys)))
     for turn, end in pairwise([*turns.tolist(), len(load) - 1]):
-        held = turn + 1 + np.argmin(np.append(load[turn + 1 : end + 1] == load[turn], False))
-        number[held:] += 1  # a load that is held keeps the branch that it came by
-        near = np.abs(load[held : end + 1] - load[turn]) <= NEAR_TURN * span
-        sure[held : held + np.argmin(np.append(near, False))] = False
+        # A load that is held keeps the branch that it came by.
+        leaves = turn + 1 + _leading(load[turn + 1 : end + 1] == load[turn])
+        number[leaves:] += 1
+        near = np.abs(load[leaves : end + 1] - load[turn]) <= NEAR_TURN * span
+        sure[leaves : leaves + _leading(near)] = False
     rises = turns[0] in peaks if len(turns) else load[-1] >= load[0]
     falls_away = load.max() + load.min() < -TURN * span
     return Passes(number, (number % 2 == 0) == (rises != falls_away), sure)
 
 
+def _leading(mask: NDArray[np.bool_]) -> int:
+    """Return how many entries of a mask (n,) are true before the first that is false."""
+    return int(np.argmin(np.append(mask, False)))
+
+
 def line_through(displacement: Floats, load: Floats) -> dict[str, float] | None:
     """Return the line load = slope * displacement + offset of least squares; None of too few rows.
 
-    The displacement is x and the load is y, as in ``numpy.polyfit(displacement, load, 1)``: noise
-    of the displacement lowers the slope by its part of the variance. Half widths are of 95 %.
+    Displacements, (n,), are in m or rad, loads, (n,), in N or N·m. The displacement is x and the
+    load is y, as in ``numpy.polyfit(displacement, load, 1)``: noise of the displacement lowers the
+    slope by its part of the variance. ``unloaded`` is the displacement at zero load, ``residual``
+    the standard deviation of the load; half widths are of 95 %.
     """
     free = len(load) - 2
     if free < 1 or np.ptp(displacement) == 0.0 or np.ptp(load) == 0.0:
@@ -66,16 +75,16 @@ def line_through(displacement: Floats, load: Floats) -> dict[str, float] | None:
     squares = ((load - slope * displacement - offset) ** 2).sum()
     gradient = np.array([offset / slope**2, -1.0 / slope])
     variances = covariance[0, 0], gradient @ covariance @ gradient
-    half_widths = stdtrit(free, 0.975) * np.sqrt(variances)
-    numbers = (
-        slope,
-        half_widths[0],
-        np.sqrt(squares / free),
-        1.0 - squares / len(load) / load.var(),
-    )
-    names = "slope", "slope_half_width", "residual", "r2", "unloaded", "unloaded_half_width"
-    line = zip(names, (*numbers, -offset / slope, half_widths[1]), strict=True)
-    return {"rows": len(load)} | {name: float(value) for name, value in line}
+    slope_half, unloaded_half = stdtrit(free, (1 + LEVEL) / 2) * np.sqrt(variances)
+    return {
+        "rows": len(load),
+        "slope": float(slope),
+        "slope_half_width": float(slope_half),
+        "residual": float(np.sqrt(squares / free)),
+        "r2": float(1.0 - squares / len(load) / load.var()),
+        "unloaded": float(-offset / slope),
+        "unloaded_half_width": float(unloaded_half),
+    }
 
 
 def measured_stiffness(
@@ -83,11 +92,13 @@ def measured_stiffness(
 ) -> dict[str, Any]:
     """Return lines of a load over an output through the measured rows between two loads.
 
-    ``lines`` are of all of them, of both branches and of the rows between the negative loads.
-    ``play`` is the distance of two lines at no load: of the branches, and of positive and negative
-    loads. ``other_loads`` vary in these rows by the given number, N and N·m.
+    `between`: the two loads, N or N·m; `axis`, `output`: indices of the load and the output.
+    ``lines`` are of all these rows, of each branch and of the rows between the opposite loads: see
+    `line_through`. ``play`` is the distance of two lines at zero load: of the branches, and of
+    positive and negative loads. ``other_loads`` has the other loads that vary in these rows, and
+    their range, N and N·m.
     """
-    rows = rows.take((rows.source != "fea") & np.isfinite(rows.displacement[:, output]))
+    rows = rows.take(~rows.is_solved & np.isfinite(rows.displacement[:, output]))
     load, moved, session = rows.wrench[:, axis], rows.displacement[:, output], sessions_of(rows)
     loading, sure = np.zeros((2, len(rows)), dtype=bool)
     for number in np.unique(session):
@@ -111,9 +122,8 @@ def measured_stiffness(
             half = np.hypot(first["unloaded_half_width"], second["unloaded_half_width"])
             width = abs(width) if name == "branches" else width
             play[name] = {"value": width, "half_width": float(half)}
-    inputs = zip(load_range.space.input_names, load_range.scale, rows.wrench[chosen].T, strict=True)
-    varied = {
-        name: float(np.ptp(w)) for name, size, w in inputs if len(w) and np.ptp(w) > ALONG * size
-    }
-    varied.pop(load_range.space.input_names[axis], None)
-    return {"lines": lines, "play": play, "other_loads": varied}
+    names, loads = load_range.space.input_names, rows.wrench[chosen]
+    ranges = np.ptp(loads, axis=0) if len(loads) else np.zeros(len(names))
+    varied = np.flatnonzero(ranges > ALONG * load_range.scale).tolist()
+    other_loads = {names[load]: float(ranges[load]) for load in varied if load != axis}
+    return {"lines": lines, "play": play, "other_loads": other_loads}

@@ -124,12 +124,12 @@ def loop_of(rows: Rows, load_range: LoadRange) -> tuple[Floats, Floats]:
     effects = _effects(rows, load_range)[1]
     if effects is not None:
         return effects.loop, effects.loop_hidden
-    return nothing, nothing + (np.inf if (rows.source != "fea").any() else 0.0)
+    return nothing, nothing + (0.0 if rows.is_solved.all() else np.inf)
 
 
 def _effects(rows: Rows, load_range: LoadRange) -> tuple[Indices, Effects | None]:
     """Return which rows of a table are readings, and the effects in them; None of too few."""
-    measured = (rows.source != "fea") & ~np.isfinite(rows.compliance).all(axis=(1, 2))
+    measured = ~rows.is_solved & ~rows.has_tangent
     indices = np.flatnonzero(measured & load_range.holds(rows.wrench))
     some = rows.take(indices)
     if len(some) < MIN_FIT_ROWS:

@@ -38,7 +38,7 @@ from .replies import (
     mistake,
 )
 
-_WHY = 512  # bytes of a reason why a table cannot be opened
+_WHY = 512  # bytes of the message of a table that cannot be opened; longer ones are cut
 
 
 class Kernel(NamedTuple):
@@ -92,7 +92,7 @@ class _Options(ctypes.Structure):
 class _Work:
     """The buffers of one answer: inputs, options, reply and scratch.
 
-    `at`: addresses of inputs, reply and scratch.
+    `at`: the addresses of inputs, reply and scratch.
     """
 
     def __init__(self, inputs: int, outputs: int, scratch: int) -> None:
@@ -112,7 +112,8 @@ class _Work:
         try:
             self._pack(self.inputs, 0, *wrench)
         except struct.error as error:
-            raise ValueError(f"a wrench must be {len(self.inputs)} numbers: {error}") from error
+            given = len(wrench) if len(wrench) != len(self.inputs) else list(wrench)
+            raise ValueError(f"a wrench must be {len(self.inputs)} numbers, not {given}") from error
 
     def options(
         self, tolerance: Sequence[float] | None, method: str | None, without_rows: bool = False
@@ -129,6 +130,11 @@ class _Work:
         self._options.method, self._options.tolerance = method_code(method), None
         self._options.without_rows = without_rows
         if tolerance is not None:
+            if len(tolerance) != len(self.tolerance):
+                raise ValueError(
+                    f"a tolerance must be {len(self.tolerance)} numbers (m, rad), one for each "
+                    f"output, not {len(tolerance)}"
+                )
             self.tolerance[:] = tuple(map(float, tolerance))
             self._options.tolerance = ctypes.addressof(self.tolerance)
         return ctypes.addressof(self._options)
@@ -148,13 +154,13 @@ class PackedTable:
     `locked` (n,): whether each load acts on a locked freedom.
     `tolerance`: the component's, of a translation, m, and of a rotation, rad; None without.
     `bars_are_complete`: whether the error bars have all their parts.
-    `method`: what answers where no method is asked for; the table's default if None.
+    `method`: the method of queries that name none; the table's default if None.
     """
 
     method: str | None = None
 
     def __init__(self, handle: int, packed: Packed, source: Floats | Path, size: int) -> None:
-        """Take an open handle, the file's views, and its buffer or path, and its bytes."""
+        """Take an open handle, the views of the file, its buffer or path, and its size in bytes."""
         self._handle, self._packed, self._source, self.size = handle, packed, source, size
         self.arrays, self.meta = packed.arrays, packed.meta
         arrays = packed.arrays
@@ -181,8 +187,11 @@ class PackedTable:
             packed = map_file(path)
             address = np.frombuffer(packed.content, dtype=np.uint8).ctypes.data
             return cls._opened(packed, address, Path(path).resolve())
-        except (OSError, PackedTableError) as error:
+        except PackedTableError as error:
             raise PackedTableError(f"{path}: {error}") from error
+        except OSError as error:
+            why = f"{error.strerror or error}; name a .wbt file that this program can read"
+            raise PackedTableError(f"{path}: {why}") from error
 
     @classmethod
     def from_bytes(cls, content: bytes) -> PackedTable:
@@ -211,8 +220,10 @@ class PackedTable:
         try:
             return cls(handle, packed, source, size)
         except (LookupError, TypeError, ValueError) as error:
+            entry = f" (no {error.args[0]})" if isinstance(error, KeyError) else ""
             raise PackedTableError(
-                f"the table is damaged, or of another version ({error!r}); download it again"
+                f"another version of wrenchbook wrote the table, whose contents differ{entry}; "
+                "download it again"
             ) from error
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -255,15 +266,16 @@ class PackedTable:
         inputs, reply, scratch = work.at
         wrong = self._answer(self._handle, options, inputs, reply, scratch)
         if wrong:
-            raise mistake(wrong, method, self._packed)
+            loads = np.array([wrench], dtype=float)
+            raise mistake(wrong, method or self.method, self._packed, loads)
         reply = self._read(work.reply)
         self._idle.append(work)
         return reply
 
     def answers_by(self, method: str | None = None) -> str:
-        """Return the method that answers a query of a method or None, but for rows.
+        """Return the method that answers a query with this method, or None, where no row does.
 
-        Without a kriging the table's default method answers.
+        In place of a missing kriging the table's default method answers.
         """
         default = self.meta["summary"]["method"]
         name = method or self.method or default
@@ -297,7 +309,7 @@ class PackedTable:
         )
         self._idle.append(work)
         if wrong:
-            raise mistake(wrong, method, self._packed)
+            raise mistake(wrong, method or self.method, self._packed, queries)
         return Replies(*out, coverage)
 
     def derivative(
@@ -320,9 +332,8 @@ class PackedTable:
     ) -> Floats:
         """Return du/dw (k, m, n), SI, of the answers to wrenches (k, n).
 
-        That of the method's interpolant, or the tangent of the row that answers. With
-        `without_rows` the method's also where a row answers. Other parameters and errors are those
-        of `batch`.
+        It is the derivative of the method's interpolant, or the tangent of the row that answers;
+        with `without_rows` always the method's. Other parameters and errors are those of `batch`.
         """
         queries = self._many(wrenches)
         derivatives = np.empty((len(queries), self.outputs, self.inputs))
@@ -333,7 +344,7 @@ class PackedTable:
         )
         self._idle.append(work)
         if wrong:
-            raise mistake(wrong, method, self._packed)
+            raise mistake(wrong, method or self.method, self._packed, queries)
         return derivatives
 
     def tangent_at_zero(self) -> tuple[Floats, str]:
@@ -381,11 +392,12 @@ class PackedTable:
         """
         target = np.ascontiguousarray(outputs, dtype=float)
         wrench = np.zeros(self.inputs) if start is None else np.array(start, dtype=float)
-        if target.shape != (self.outputs,) or wrench.shape != (self.inputs,):
-            raise ValueError(
-                f"give {self.outputs} displacements and {self.inputs} loads, not {target.size} and "
-                f"{wrench.size}"
-            )
+        for name, given, count in (
+            ("displacement", target, self.outputs),
+            ("start wrench", wrench, self.inputs),
+        ):
+            if given.shape != (count,):
+                raise ValueError(f"a {name} must be {count} numbers, not of shape {given.shape}")
         shape = (self.inputs, self.outputs)
         stiffness = np.zeros(shape) if near is None else np.array(near, dtype=float).reshape(shape)
         work = self._work()
@@ -395,7 +407,8 @@ class PackedTable:
         )
         self._idle.append(work)
         if wrong:
-            raise mistake(wrong, method, self._packed)
+            free = np.where(self.locked[: self.outputs], 0.0, target)
+            raise mistake(wrong, method or self.method, self._packed, wrench[None], free)
         return wrench, stiffness
 
     def joints(
@@ -444,10 +457,7 @@ class PackedTable:
             *(dt, damping, rates.ctypes.data),
         )
         if wrong:
-            raise ValueError(
-                "the inverse effective mass of the joint must be symmetric and positive definite; "
-                "give every freedom between base and tip a mass"
-            )
+            raise ValueError(_why_no_rate(stiffness, inverse_mass))
         return rates
 
     def axis(self, group: int, axis: int, wrench: Sequence[float]) -> AxisPart | None:
@@ -465,7 +475,7 @@ class PackedTable:
         if wrong == NO_METHOD:
             return None
         if wrong:
-            raise mistake(wrong, None, self._packed)
+            raise mistake(wrong, None, self._packed, np.array([wrench], dtype=float))
         values = AXIS.unpack_from(reply)
         reasons = [Reason(*values[14:])._replace(group=group)] if values[7] else []
         acting = np.where(self.locked, 0.0, wrench).tolist()
@@ -498,6 +508,22 @@ class PackedTable:
 
     def _many(self, wrenches: ArrayLike) -> Floats:
         return np.ascontiguousarray(wrenches, dtype=float).reshape(-1, self.inputs)
+
+
+def _why_no_rate(stiffness: Floats, inverse_mass: Floats) -> str:
+    """Return why ``wb_joint_rate`` refuses two matrices (n, n)."""
+    for name, matrix in (("stiffness", stiffness), ("inverse effective mass", inverse_mass)):
+        if not np.isfinite(matrix).all():
+            row, column = np.argwhere(~np.isfinite(matrix))[0].tolist()
+            value = matrix[row, column]
+            return f"the {name} of a joint must be finite, but entry [{row}, {column}] is {value}"
+    asymmetry = np.abs(inverse_mass - inverse_mass.T).max()
+    smallest = np.linalg.eigvalsh(inverse_mass)[0]
+    return (
+        "the inverse effective mass of the joint must be symmetric and positive definite, but "
+        f"its asymmetry is {asymmetry:.3g} and its smallest eigenvalue {smallest:.3g}; give every "
+        "freedom between base and tip a mass"
+    )
 
 
 def _closed(*_: object) -> int:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
 COMPILERS = ("cc", "gcc", "clang")
+MAX_OUTPUT = 2000  # characters of a compiler's output in a message: the last errors
 # No contraction of products and sums, and no processor by name: every machine gives the same bits.
 # Without errno and traps roots and comparisons become vectors; `#pragma omp simd` needs no library.
 FLAGS = (
@@ -123,8 +124,8 @@ def compile_library(
         folder = tempfile.mkdtemp(prefix=".library-", dir=library.parent)
     except OSError as error:
         raise KernelBuildError(
-            f"{library.name} cannot be compiled, because {library.parent} is not writable "
-            f"({error}); make it writable, or reinstall wrenchbook"
+            f"{library.name} cannot be compiled, because {library.parent} cannot be written to "
+            f"({error.strerror}); make it writable, or reinstall wrenchbook"
         ) from error
     built = Path(folder) / library.name
     line = [*command, *flags, "-shared", "-o", str(built), *map(str, files)]
@@ -143,13 +144,14 @@ def compile_library(
         ran = subprocess.run(line, capture_output=True, text=True, check=False)
         if ran.returncode or not built.is_file():
             raise KernelBuildError(
-                f"{command[0]} could not compile {library.name}; name another compiler with "
-                f"CC=...\n{ran.stderr.strip()[-2000:]}"
+                f"{command[0]} could not compile {library.name}; set the environment variable CC "
+                f"to another compiler, such as clang\n{ran.stderr.strip()[-MAX_OUTPUT:]}"
             )
         built.replace(library)
     except OSError as error:
         raise KernelBuildError(
-            f"{command[0]} cannot compile {library.name} ({error}); name a compiler with CC=..."
+            f"{command[0]} cannot be run to compile {library.name} ({error.strerror}); set the "
+            "environment variable CC to another compiler, such as clang"
         ) from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -8,10 +8,8 @@ from typing import Any
 
 from .binding import PackedTable
 from .format import GROUP_CAN_ANSWER
+from .reasons import axis_inputs
 from .replies import AxisPart, Reply
-
-# Of each axis the indices of its loads: a force and the moments about the other axes.
-_AXES = tuple((axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3) for axis in range(3))
 
 
 def explain(
@@ -63,7 +61,7 @@ def _contribution(
     names = [entry["name"] for entry in table.meta["space"]["inputs"]]
     return {
         "axis": "xyz"[axis],
-        "inputs": {names[load]: float(wrench[load]) for load in _AXES[axis]},
+        "inputs": {names[load]: float(wrench[load]) for load in axis_inputs(axis)},
         "outputs": outputs,
         "error": error,
         "coverage": source.coverage,
@@ -94,7 +92,8 @@ def _linear(
     error = answer.interpolation or (math.nan,) * table.outputs
     unknown = [math.nan if value is None else value for value in error]
     parts = []
-    for axis, loads in enumerate(_AXES):
+    for axis in range(3):
+        loads = list(axis_inputs(axis))
         moved = (matrix[:, loads] @ [wrench[load] for load in loads]).tolist()
         outputs, errors = (_named(table, group, axis, values) for values in (moved, unknown))
         part = _contribution(table, axis, wrench, outputs, answer, rows.tolist(), errors)

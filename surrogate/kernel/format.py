@@ -89,7 +89,10 @@ def pieces(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> list[
         array = np.asarray(arrays[name])
         code = _CODES.get(array.dtype.newbyteorder("<"))
         if code is None or array.ndim > 4 or len(name.encode()) >= 64:
-            raise PackedTableError(f"array {name} cannot be {array.dtype} of shape {array.shape}")
+            raise PackedTableError(
+                f"array {name} is {array.dtype} of shape {array.shape}; a packed table has "
+                "float64, int32, int64 or uint8 of at most 4 dimensions, and names below 64 bytes"
+            )
         content = np.ascontiguousarray(array, dtype=_TYPES[code]).tobytes()
         entry["name"], entry["type"], entry["dimensions"] = name.encode(), code, array.ndim
         entry["shape"][: array.ndim] = array.shape
@@ -151,7 +154,7 @@ def map_file(path: str | os.PathLike[str]) -> Packed:
     """
     with open(path, "rb", opener=_without_waiting) as file:  # mmap takes its number
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise PackedTableError("this is not a file; name a .wbt file")
+            raise PackedTableError("this is a folder or a device, not a file; name a .wbt file")
         size = file.seek(0, os.SEEK_END)
         file.seek(0)
         head = file.read(_HEADER.itemsize)
@@ -176,7 +179,10 @@ def _check(head: bytes, size: int, following: Iterable[bytes | memoryview]) -> N
         )
     header = np.frombuffer(head, dtype=_HEADER)[0]
     if header["byte_order"] != _BYTE_ORDER:
-        raise PackedTableError("the table has another byte order or is damaged; download it again")
+        raise PackedTableError(
+            f"the table is damaged: its byte-order mark is {header['byte_order']:#010x}, not "
+            f"{_BYTE_ORDER:#010x}; download it again"
+        )
     if header["format"] != FORMAT:
         remedy = "use a newer wrenchbook" if header["format"] > FORMAT else "download it again"
         raise PackedTableError(
@@ -185,7 +191,7 @@ def _check(head: bytes, size: int, following: Iterable[bytes | memoryview]) -> N
     if header["size"] != size:
         raise PackedTableError(f"the file has {size} of {header['size']} bytes; download it again")
     if _checksum(head, following) != header["checksum"]:
-        raise PackedTableError("the table is damaged, as its checksum shows; download it again")
+        raise PackedTableError("the table is damaged: its checksum is wrong; download it again")
 
 
 def _views(buffer: memoryview) -> Packed:
@@ -205,4 +211,6 @@ def _views(buffer: memoryview) -> Packed:
             view.flags.writeable = False
         return Packed(arrays, meta, buffer)
     except (LookupError, TypeError, ValueError) as error:
-        raise PackedTableError("the table's directory is damaged; download it again") from error
+        raise PackedTableError(
+            "the table's list of arrays is damaged, though its checksum is right; build it again"
+        ) from error

@@ -1,4 +1,4 @@
-"""Steps of joints in the kernel: arrays that are written, one call, arrays that are read."""
+"""Steps of joints in the kernel: the caller writes input arrays, calls once, and reads replies."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OK, NOT_FINITE, SINGULAR, INDEFINITE, NO_MASS = 0, 1, 5, 7, 8  # of the statuses
 
 
 def shape_of(interfaces: int, *numbers: int) -> tuple[int, ...]:
-    """Return the shape of numbers of each interface: without a dimension for a single one."""
+    """Return the shape of an array (k, *numbers) of k interfaces: (*numbers,) of a single one."""
     return numbers if interfaces == 1 else (interfaces, *numbers)
 
 
@@ -59,16 +59,16 @@ class _Options(ctypes.Structure):
 
 
 class JointSteps:
-    """n joints of one table; see ``wb_joint_step``. `arguments` of ``table.joints`` made them.
+    """n joints of one table, as ``wb_joint_step`` of wrenchbook.h describes them.
 
-    `interfaces`: the interfaces that move, k; arrays of a single one have no dimension k.
-    `inputs`: shape (n inputs of the table,), SI: the further inputs as they are.
-    `poses`, `velocities`, `inverse_masses`: shapes (n, k, 7), (n, k, 6) and (n, 6 k, 6 k): write
+    `interfaces`: the number of interfaces that move, k; arrays of a single one lack this dimension.
+    `poses` (n, k, 7), m and quaternions; `velocities` (n, k, 6), m/s and rad/s; `inverse_masses`
+    (n, 6 k, 6 k), 1/kg to 1/(kg·m^2); `inputs` (of the table,), SI, for the further inputs: write
     them, then call `step` or `law`.
-    `replies`, structured ndarray: shape (n,), named as ``wb_joint_reply`` has them.
-    `memory`: shape (n, s): what joints keep from step to step; zeros forget it.
-    `history`, structured ndarray: shape (n,): the end of the memory, as the kernel's ``history``
-    has it.
+    `replies` (n,), structured as ``wb_joint_reply``.
+    `memory` (n, s): the state of the joints between steps; zeros reset it.
+    `history` (n,), structured as the kernel's ``history``: the end of the memory.
+    `arguments`: those of `PackedTable.joints` that made the joints.
     """
 
     def __init__(
@@ -80,13 +80,20 @@ class JointSteps:
         sizes: tuple[int, int, int],
         arguments: tuple[Any, ...],
     ) -> None:
-        """Take the kernel's call, method and axes, and interfaces, memory and scratch."""
+        """Allocate the arrays.
+
+        `call`: the kernel's function; `options`: number of the method, and axes.
+        `sizes`: number of interfaces, doubles of a joint's memory, bytes of scratch.
+        """
         method, self._axes = options
         self._table, self._call, self.arguments = table, call, arguments
         self.inputs, self.interfaces = np.zeros(table.inputs), sizes[0]
         k = self.interfaces
         if not 1 <= k <= MAX_INTERFACES:
-            raise ValueError(f"a joint must move at 1 to {MAX_INTERFACES} interfaces, not at {k}")
+            raise ValueError(
+                f"the table has {k} interfaces that move, those with a freedom that is not locked; "
+                f"a joint needs 1 to {MAX_INTERFACES}. Change `locked` in component.toml"
+            )
         self.poses, self.velocities = (np.zeros((count, *shape_of(k, m))) for m in (7, FREEDOMS))
         self.poses[..., 3] = 1.0
         self.inverse_masses = np.zeros((count, FREEDOMS * k, FREEDOMS * k))
@@ -115,17 +122,20 @@ class JointSteps:
             getattr(self, name)[:] = array
 
     def step(self, dt: float, damping: float, threads: int = 1) -> None:
-        """Find the wrenches of a step of dt, s; damping is a share of critical."""
+        """Find the wrenches of a step of dt, s; damping is over the critical one."""
         self._options.dt, self._options.damping, self._options.law = dt, damping, 0
         self._done(self._call(self._table.handle, *self._step, threads, self._at))
 
     def law(self, dt: float, damping: float, threads: int = 1) -> None:
-        """Find force and rate by velocities before a step; the simulator has those after it."""
+        """Find the force, and its rate by the velocities, before a step of dt, s.
+
+        The simulator then solves for the velocities after the step.
+        """
         self._options.dt, self._options.damping, self._options.law = dt, damping, 1
         self._done(self._call(self._table.handle, *self._step, threads, self._at))
 
     def state(self) -> None:
-        """Find the wrenches of the poses."""
+        """Find the wrenches of the poses alone, without velocities and masses."""
         self._done(self._call(self._table.handle, *self._state, 1, self._at))
 
     def _done(self, wrong: int) -> None:

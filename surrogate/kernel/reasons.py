@@ -79,12 +79,13 @@ def _unknown_load(reason: Reason, inputs: Sequence[float], packed: Packed) -> st
     return f"no row shows the influence of {_name(packed, reason.item)[0]}; solve or import one"
 
 
-def _axis_inputs(axis: int) -> tuple[int, int, int]:
+def axis_inputs(axis: int) -> tuple[int, int, int]:
+    """Return the indices of an axis' loads: a force, and the moments about the other axes."""
     return axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3
 
 
 def _axis_amounts(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    loads = _axis_inputs(reason.axis)
+    loads = axis_inputs(reason.axis)
     return ", ".join(_amount(packed, load, inputs[load]) for load in loads if inputs[load])
 
 
@@ -98,14 +99,14 @@ def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     name, axes, sentences = "xyz"[reason.axis], f"g{reason.group}/axes/", []
     span = packed.arrays[axes + "span"][reason.axis]
     floats = packed.arrays[axes + "floats"][reason.axis]
-    for column, load in enumerate(_axis_inputs(reason.axis)):
+    for column, load in enumerate(axis_inputs(reason.axis)):
         low, high = span[column].tolist()
         slack = ZERO_LOAD * float(floats[column])  # as near counts as on the hull
         if low - slack <= inputs[load] <= high + slack:
             continue
         load_name, unit = _name(packed, load)
         if high - low <= slack:
-            only = ", ".join(_name(packed, at)[0] for at in _axis_inputs(reason.axis))
+            only = ", ".join(_name(packed, at)[0] for at in axis_inputs(reason.axis))
             where = f": the rows with {only} alone all hold {load_name} = {low:.6g} {unit}"
         else:
             where = f" lies outside the rows, which span {low:.6g}..{high:.6g} {unit}"

@@ -27,7 +27,8 @@ REPLY_SIZE = REASONS_AT + MAX_REASONS * REASON.size + 8  # `solved`
 AXIS = struct.Struct("=8i6d" + REASON.format.lstrip("="))
 WITHIN = {1: True, 0: False, -1: None}
 VALUES = 11  # numbers of a reply before its outputs
-NO_METHOD = 2  # WB_NO_METHOD
+# WB_NOT_FINITE to WB_SINGULAR; the code above them is WB_NO_CONVERGENCE.
+NOT_FINITE, NO_METHOD, NO_MEMORY, NOT_SQUARE, SINGULAR = 1, 2, 3, 4, 5
 
 
 class InverseError(ArithmeticError):
@@ -150,25 +151,64 @@ def method_code(method: str | None) -> int:
         raise UnknownMethodError(method) from None
 
 
-def mistake(code: int, method: str | None, packed: Packed) -> Exception:
-    """Return the exception for a code other than WB_OK, of 1 to 6: see wrenchbook.h."""
-    if code == NO_METHOD and "scene" in packed.meta:
+def mistake(
+    code: int,
+    method: str | None,
+    packed: Packed,
+    inputs: Floats,
+    displacement: Floats | None = None,
+) -> Exception:
+    """Return the exception for a code other than WB_OK, of 1 to 6: see wrenchbook.h.
+
+    `inputs` (k, n), N and N·m: the queries; of an inverse the last wrench of the iteration.
+    `displacement` (m,), m and rad: of an inverse, the displacement whose wrench is wanted.
+    """
+    space = packed.meta["space"]
+    if code == NOT_FINITE:
+        names, values = space["inputs"], inputs
+        if displacement is not None and np.isfinite(inputs).all():
+            names, values = space["outputs"], displacement[None]
+        row, column = np.argwhere(~np.isfinite(values))[0]
+        where = f"wrench {row}: " if len(values) > 1 else ""
+        name, value = names[column]["name"], values[row, column]
+        return ValueError(f"{where}{name} must be finite, not {value}")
+    if code == NO_METHOD:
+        return _no_method(method, packed)
+    if code == NO_MEMORY:
+        return MemoryError(f"there is no memory for {len(inputs)} wrenches at once; send fewer")
+    if code == NOT_SQUARE:
+        counts = f"{len(space['inputs'])} loads for {len(space['outputs'])} outputs"
+        return InverseError(f"the table has {counts}; an inverse needs a load for each output")
+    reached = ", ".join(
+        f"{entry['name']} = {load:.4g} {entry['unit']}"
+        for entry, load in zip(space["inputs"], inputs[0].tolist(), strict=True)
+        if load
+    )
+    if code == SINGULAR:
+        return InverseError(
+            f"the compliance at {reached or 'zero load'} is unknown or singular, so the "
+            "displacement has no wrench there; solve or import rows near it"
+        )
+    return InverseError(
+        f"no wrench of the table gives this displacement; the nearest one is {reached or 'zero'}. "
+        "Give a smaller displacement, or a start wrench nearer to the solution"
+    )
+
+
+def _no_method(method: str | None, packed: Packed) -> UnknownMethodError:
+    """Return why a table does not answer by a method."""
+    if "scene" in packed.meta:
         default = packed.meta["summary"]["method"]
         return UnknownMethodError(
             method or "(default)",
             f"the table of a scene answers only by its default method, {default}; download the "
             "complete table for others",
         )
-    if code == NO_METHOD and method in METHODS:
-        why = "the table has too few rows for it"
-        if method in BY_AXES:
-            why = "it needs one wrench at one interface and no further inputs"
-        return UnknownMethodError(method, f"method {method!r} has no answer: {why}; leave it out")
-    return {
-        1: ValueError("wrenches and displacements must be finite numbers; leave out NaN and inf"),
-        NO_METHOD: UnknownMethodError(method or "(default)"),
-        3: MemoryError("there is no memory for this batch; send fewer wrenches"),
-        4: InverseError("an inverse needs a table with as many loads as outputs; use such a table"),
-        5: InverseError("the derivative is unknown or singular here; solve or import rows nearby"),
-        6: InverseError("no wrench of the table gives this displacement; give a smaller one"),
-    }[code]
+    if method in BY_AXES:  # tables of one interface have both
+        names = ", ".join(entry["name"] for entry in packed.meta["space"]["inputs"])
+        return UnknownMethodError(
+            method,
+            f"method {method!r} needs one wrench at one interface and no further inputs, but this "
+            f"table has {names}; use 'kriging' or 'linear', or give no method",
+        )
+    return UnknownMethodError(method or "(default)")

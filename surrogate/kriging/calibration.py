@@ -1,15 +1,16 @@
 """The factors by which posterior deviations are multiplied to hold 95 % of the errors.
 
 A left-out row shows the errors of answers at the same distance from their rows, and nothing of
-answers further away. So a row is left out with its nearest rows (in the metric of the length
-scales), as many as make its deviation like those at random wrenches of the loads that the rows
-span. Rows that were left out with another count no further: twins and rows of a motion do not
-calibrate what lies far from them, nor keep spread rows from doing so. Each by itself, where they
-are the most, they show the errors of answers near rows, which may be more of their deviation
-(kinks): the larger factor holds.
-Rows of one axis stand for queries of one axis, and rows of several for queries of several.
-Errors are not known where fewer than six rows get as far as queries, and far beyond the deviations
-of those that do.
+answers farther away. So a row is left out with its nearest rows (in the metric of the length
+scales), as many as make its deviation that of random wrenches of the loads that the rows span. Rows
+that were left out with another are not left out again: rows close together, as of a motion, do not
+calibrate answers far from them, and do not keep spread rows from doing so. Where most rows are of
+that kind, each left out by itself shows the errors of answers near rows, which may be larger over
+their deviation (kinks). The larger of the two factors holds.
+
+Rows of one axis stand for queries of one axis, and rows of several for queries of several. Errors
+are not known where fewer than six rows are as far from the rest as queries are, nor at deviations
+far beyond those of these rows.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ def factors_of(residuals: Errors, n_derivatives: int, outputs: int) -> Floats:
 
 
 def errors_of(factor: KrigingFactor, out: LeftOutRows, rows: Indices) -> Errors:
-    """Return the errors of some rows (k,) that were left out, but for the floor of all bars."""
+    """Return the errors of some rows (k,) that were left out, without the floor of all bars."""
     noise, variances = factor.output_group.noise[rows], out.variances[rows]
     # An observation differs from its answer by its noise and by the error of the mean, and both
     # variances add up to that of its error.
@@ -110,8 +111,8 @@ class Kind(NamedTuple):
 def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSettings) -> list[Kind]:
     """Return the kinds of rows x (n, k): those that load several axes, and others.
 
-    Few of several axes stand beside the others, and for queries of one axis. Where they span what
-    all rows do they show the errors of all queries.
+    If those of several axes are few, all rows are one kind, for queries of one axis. If they span
+    the loads of all rows, they alone show the errors of all queries.
     """
     full = multi_group_rows(x, scaling)
     if full.sum() < min(settings.full_rows, len(full) / 2):

@@ -1,14 +1,19 @@
-"""The covariance of values and derivatives: Matern 7/2, a term per load group and one of all.
+"""The covariance of values and derivatives: a Matern term for each load group and one of all loads.
 
 With scaled loads x and v, inverse squared lengths t and the squared scaled distance over the loads
 of a group, q = sum t_a (x_a - v_a)^2, the covariance of values is
 
-    m(q_x) + m(q_y) + m(q_z) + c m(q_all).
+    c_x m(q_x) + c_y m(q_y) + c_z m(q_z) + c m(q_all).
 
-Slopes and second derivatives are its derivatives by x and by v (Morris, Mitchell and Ylvisaker
-1993). Each is a derivative by x - v, whose sign is that of the number of derivatives by v, so one
-list of derivatives up to the fourth holds the covariance of any two of a row's values and
+m is Matern 7/2, and 9/2 where rows bring second derivatives; without these c_x = c_y = c_z = 1. The
+groups are the three axes, or the interfaces and their pairs: see `Space.kriging_groups`.
+
+The covariances of slopes and second derivatives are derivatives of this by x and by v (Morris,
+Mitchell and Ylvisaker 1993). Each is a derivative by x - v, times -1 for each derivative by v. So
+one list of derivatives, up to the fourth, holds the covariance of any two of a row's value and
 derivatives.
+
+Shapes are given for the n = 6 loads of one interface and g = 4 terms.
 """
 
 from __future__ import annotations
@@ -34,7 +39,7 @@ Index = tuple[int, ...]
 # is best of 15 solves. Responses of solves are smooth: contact and friction are no part of them.
 SLOPES_SMOOTHNESS, SECOND_SMOOTHNESS = 3, 4
 
-NUMBERS = 4_000_000  # of derivatives of pairs of rows at once: 32 MB
+NUMBERS = 4_000_000  # covariances that are computed at once: 32 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +48,10 @@ class Hyperparameters:
 
     # (6,), dimensionless: one over the squared length of each load, in half ranges
     inverse_squares: Floats
-    # (1,) or (g,), dimensionless: variance of the term of all loads over that of each other term,
-    # or those of all terms
+    # dimensionless: (1,), the variance of the term of all loads over that of each other term; or
+    # (g,), the variances of all terms
     weights: Floats
-    # (g, n): which loads each term sees, the last all: see `Space.kriging_groups`
+    # (g, n): 1 for the loads that a term depends on, else 0; the last term depends on all
     groups: Floats = field(default_factory=lambda: DEFAULT.kriging_groups)
     smoothness: int = SLOPES_SMOOTHNESS  # p of Matern p + 1/2
 
@@ -57,22 +62,19 @@ class Hyperparameters:
         groups: Floats = DEFAULT.kriging_groups,
         smoothness: int = SLOPES_SMOOTHNESS,
     ) -> Hyperparameters:
-        """Return the hyperparameters of their logarithms, (n + 1,) or (n + g,), dimensionless."""
+        """Return the hyperparameters whose `logarithms` are given."""
         values = np.exp(np.asarray(logarithms, dtype=float))
         loads = groups.shape[1]
         return cls(values[:loads], values[loads:], groups, smoothness)
 
     @property
     def logarithms(self) -> Floats:
-        """The logarithms, shape (n + 1,) or (n + g,), dimensionless."""
+        """The logarithms of inverse squares and weights, shape (n + 1,) or (n + g,)."""
         return np.log(np.append(self.inverse_squares, self.weights))
 
     @property
     def terms(self) -> tuple[Floats, Floats]:
-        """Each term's inverse squares (4, 6), zero for loads it does not see, and weights (4,).
-
-        Both are dimensionless.
-        """
+        """Each term's inverse squares (g, n), 0 for other loads, and its weight (g,)."""
         weights = np.ones(len(self.groups))
         weights[-len(self.weights) :] = self.weights
         return self.groups * self.inverse_squares, weights
@@ -83,7 +85,11 @@ class Hyperparameters:
 
     @cached_property
     def _prior(self) -> Floats:
-        """At q = 0: -2 t_a m' of slopes, 4 t_a t_b m'' of second derivatives, thrice if a = b."""
+        """The prior of a value and its derivatives up to the second, (1 + n + n (n + 1) / 2,).
+
+        From the derivatives of m by q at 0: m of the value, -2 t_a m' of slopes, 4 t_a t_b m'' of
+        second derivatives, three times that if a = b.
+        """
         (rates, weights), loads = self.terms, self.groups.shape[1]
         value, once, twice = (
             derivative[0] for derivative in matern(np.zeros(1), 2, self.smoothness)
@@ -115,7 +121,10 @@ def indices(loads: int, order: int) -> tuple[Index, ...]:
 
 @cache
 def joins(loads: int, here: int, there: int) -> tuple[NDArray[np.intp], Floats]:
-    """Return which derivative by x - v a covariance is, (here, there), and its sign."""
+    """Return the index in `indices` of each covariance's derivative by x - v, and its sign.
+
+    Shape (here, there): the numbers of derivatives of the two rows; see `derivative_count`.
+    """
     order = order_of(here, loads) + order_of(there, loads)
     position = {index: number for number, index in enumerate(indices(loads, order))}
     left, right = indices(loads, order_of(here, loads)), indices(loads, order_of(there, loads))
@@ -156,10 +165,10 @@ def derivatives_of_term(
     With s_a = t_a d_a, each follows from lower ones of the next derivative by q:
     D_(K + a) m(q) = 2 s_a D_K m'(q) + 2 t_a k_a D_(K - a) m'(q), k_a how often K has a.
 
-    `delta` (l, p): differences of p pairs by the l loads that the term sees, half ranges.
-    `rates` (l,), dimensionless.
-    `first`: which derivative of Matern's by q is derived: 0 itself.
-    They have the shape (p,) and the order of `indices`, and are dimensionless.
+    `delta` (l, p): differences of p pairs in the l loads that the term depends on, half ranges.
+    `rates` (l,), dimensionless: t of these loads.
+    `first`: the derivative by q of the Matern function in whose place m stands here; 0 for itself.
+    Each derivative has the shape (p,); their order is that of `indices`.
     """
     loads = len(rates)
     radial = matern(rates @ delta**2, first + order, smoothness)[first:]
@@ -188,10 +197,10 @@ def positions_of(loads: int, chosen: Index, order: int) -> tuple[int, ...]:
 
 
 def derivatives(delta: Floats, hyperparameters: Hyperparameters, order: int) -> Floats:
-    """Return the derivatives of the covariance by the loads up to an order.
+    """Return the derivatives of the covariance by x - v up to an order, (p, k), dimensionless.
 
-    Shape (p, k), dimensionless, in the order of `indices`, of p pairs whose differences are
-    `delta` (p, 6), half ranges.
+    `delta` (p, 6), half ranges: the differences of p pairs. The k derivatives are in the order of
+    `indices`.
     """
     loads = delta.shape[1]
     out = np.zeros((len(indices(loads, order)), len(delta)))
@@ -205,9 +214,9 @@ def derivatives(delta: Floats, hyperparameters: Hyperparameters, order: int) -> 
 
 
 def block(x: Floats, v: Floats, hyperparameters: Hyperparameters, here: int, there: int) -> Floats:
-    """Return the covariance of rows at x (n, 6) and v (m, 6), shape (n, here, m, there).
+    """Return the covariance (n, here, m, there) of rows at x (n, 6) and v (m, 6), half ranges.
 
-    `here` and `there` are the numbers of derivatives: see `derivative_count`.
+    `here` and `there`: how many derivatives a row has at x and at v; see `derivative_count`.
     """
     loads = x.shape[1]
     order = order_of(here, loads) + order_of(there, loads)
@@ -220,11 +229,11 @@ def block(x: Floats, v: Floats, hyperparameters: Hyperparameters, here: int, the
 def covariance(
     x: Floats, known_x: Mask, v: Floats, known_v: Mask, hyperparameters: Hyperparameters
 ) -> Floats:
-    """Return the covariance of the equations that rows at x and v bring.
+    """Return the covariance (e, f) of the e equations of rows at x and the f of rows at v.
 
     `x`, `v` (n, 6) and (m, 6), half ranges.
-    `known_x`, `known_v` (n, p) and (m, p): which derivatives each row brings; equations count row
-    by row.
+    `known_x`, `known_v` (n, p) and (m, p): which derivatives each row brings; their true entries,
+    row by row, are the equations.
     """
     out = np.empty((int(known_x.sum()), int(known_v.sum())))
     first_x, first_v = numbers(known_x), numbers(known_v)
@@ -256,9 +265,9 @@ def numbers(known: Mask) -> NDArray[np.intp]:
 
 
 def mean_terms(x: Floats, known: Mask) -> Floats:
-    """Return the mean's seven terms, constant and linear, at each equation, (e, 7).
+    """Return the mean's terms, 1 and the loads, or their derivatives, at each equation, (e, 7).
 
-    The scaled loads (n, 6) and the terms are dimensionless; second derivatives have none.
+    `x` (n, 6), half ranges; `known` (n, p): see `covariance`. Those of second derivatives are 0.
     """
     n, loads = x.shape
     terms = np.zeros((n, known.shape[1], 1 + loads))

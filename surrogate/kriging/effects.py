@@ -1,17 +1,18 @@
 """Hysteresis, drift, sessions and zero offset of measured rows: effects of known covariates.
 
-Readings are y = f(w) + Z b + e: f a Gaussian process with a linear mean, f(0) = 0, e noise, and Z
-known of each row: 1 (the zero offset), which session it is of, the time within it, and the sign of
-the output's motion since the load before, times the output's range in the session over that in its
-widest one: while a load is held it keeps its branch. A scale that drifts, or differs between
-sessions, is the time or the session times a polynomial of the loads for f. With the
-covariance K = U L U' of f, D = 1 / (L + v) and B = U' (F, Z), F the mean's terms,
+Readings are y = f(w) + Z b + e: f is a Gaussian process of the loads with a linear mean and
+f(0) = 0, e is noise, and Z has these columns, known of each row: 1 (the zero offset); which session
+the row belongs to; the time within it; and the sign of the output's motion since the load before,
+times the output's range in the session over that in its widest session. A load that is held keeps
+its branch. A scale that drifts, or differs between sessions, is the time or the session times a
+polynomial of the loads that stands for f. With the covariance K = U L U' of f, D = 1 / (L + v) and
+B = U' (F, Z), F the mean's terms and P the prior variance,
 
     b = (B' D B + s^2 / P)^-1 B' D U' y,    covariance s^2 (B' D B + s^2 / P)^-1
 
-for every noise v at once, P the prior variance. Both are averaged over noises and kernels, smooth
-and rough ones, by their restricted likelihood (Patterson and Thompson 1971): what a response may do
-is not taken for an effect. An effect counts where its posterior interval leaves zero out.
+for every noise v at once. Both are averaged over noises and kernels, smooth and rough ones, with
+their restricted likelihood (Patterson and Thompson 1971) as the weight, so that a response that
+bends is not taken for an effect. An effect counts where its posterior interval excludes zero.
 """
 
 from __future__ import annotations
@@ -33,57 +34,58 @@ from .settings import DEFAULTS
 
 Indices = NDArray[np.intp]
 
-SAMPLE = 300  # rows show effects to an eighth of the noise of a reading, in a third of a second
-SESSIONS = 8  # with effects of their own, those of the most rows; all others count as one
-# Deviations of a step of the response that make it sure: a wrong direction in 700.
+MAX_ROWS = 300  # rows show effects to an eighth of the noise of a reading, in a third of a second
+MAX_SESSIONS = 8  # with effects of their own, those of the most rows; all others count as one
+# Standard deviations of a step of the response beyond which its direction is sure: 1 in 700 errs.
 SURE = 3.0
-ROUNDS = 3  # of directions and response in turn
-# Probability that an effect of nothing counts: of six outputs and some four effects each, one file
-# in a hundred has one.
+ROUNDS = 3  # of estimating directions and response in turn: settled after one or two
+# Probability that an effect of size zero counts: of six outputs with some four effects each, one
+# file in a hundred shows one.
 CHANCE = 3e-4
-# Of an output's range: a response that no kernel describes. It counts as far as a
-# polynomial of the loads can do what the effect does: slow loads are a function of time.
+# Of an output's range: a misfit that no kernel describes. It counts as far as a polynomial of the
+# loads can take the form of the effect: loads that change slowly are a function of time.
 MISFIT = 3e-4
-PRIOR = 0.3  # deviation of effects, spreads of the output: a tenth of its range
+PRIOR = 0.3  # deviation of effects, over the output's spread: a tenth of its range
 # Deviation of a session's scale: two differ by 5 % at two deviations. Class 3 of ISO 7500-1 allows
 # 3 % of a force, and class 2 of ISO 9513 2 % of a displacement.
-SCALE = 0.0177
-# Of a session's squared response, that no cubic of each load does. With less its scale may be the
-# part's response, as of tension in one session and compression in another. A straight line does all
-# of it where an axis is in one session alone: there is no other scale to differ from.
-SHARED = 0.1
-# Half ranges: a response may have a kink at no load. Readings there tell an offset, and else those
-# on both sides of it, where polynomials fit them far better than it is large.
+SCALE_DEVIATION = 0.0177
+# Part of a session's squared response that no cubic of each load may explain. With less, its scale
+# may be the part's response, as of tension in one session and compression in another. A straight
+# line explains all of it where an axis is in one session alone: there is no other scale to compare.
+MIN_UNEXPLAINED = 0.1
+# Half ranges: a response may have a kink at zero load. Readings nearer than this show the offset;
+# else those on both sides of it, where polynomials fit them far better than it is large.
 NO_LOAD = 0.01
-# Half ranges: loads that differ by less are at one place, whose readings tell no direction. Force
+# Half ranges: loads that differ by less are at one place, whose readings show no direction. Force
 # sensors scatter by 1e-4 to 5e-3 of their range.
 PLACE = 0.02
 BLOCK = 65_536  # rows at once: some 20 MB
-RANK = 1e-9  # of the largest: columns that are no other direction
-SAME = 1e-6  # of an effect: what rounding may put outside of the directions that rows tell
+RANK = 1e-9  # of the largest singular value: a smaller one is a linear dependence, to rounding
+SAME = 1e-6  # of an effect: what rounding may leave outside of the directions that rows determine
 TINY = 1e-24  # spreads squared: rounding of equal values
-RATIOS = np.exp(np.arange(-20.0, 4.6, 0.75))  # noises, process variances: from none to all
+RATIOS = np.exp(np.arange(-20.0, 4.6, 0.75))  # noise over process variance: from none to all
 THETAS = (1.4, 0.0, -1.4, -2.8)  # logarithms of one over the squared length: 0.5 to 4 half ranges
-# Weights of the term of all loads and of a response with kinks (Matern 3/2 of each load), over
-# that of an axis.
-PARTS = ((0.05, 0.0), (5.0, 0.0), (0.3, 0.1), (0.3, 2.0))
+# Weights, over that of an axis' term, of the term of all loads and of a response with kinks
+# (Matern 3/2 of each load).
+JOINT_AND_KINK_WEIGHTS = ((0.05, 0.0), (5.0, 0.0), (0.3, 0.1), (0.3, 2.0))
 
 
 class Effects(NamedTuple):
-    """Effects in the rows of a table, m and rad; 0 where the interval of one holds zero."""
+    """Effects in n rows of s sessions and m outputs, m and rad; 0 where the interval holds zero."""
 
-    zero: Floats  # (m,): displacement at no load, at the beginning of sessions
-    loop: Floats  # (m,): from unloading to loading
+    zero: Floats  # (m,): displacement at zero load, at the beginning of sessions
+    loop: Floats  # (m,): distance from the unloading to the loading branch
     # drift, session: (s, m): of each session from its first row to its last, and off the mean of
     # the sessions
     drift: Floats
     session: Floats
-    scale: Floats  # (2 s, m): both of the scale, at the largest displacement from that at no load
+    # (2 s, m): drift and session of the scale, at the largest displacement from that at zero load
+    scale: Floats
     # (m,): how far the part may be from rows without these effects, which are in the middle of the
     # loop, of the time and of the sessions: the far ends of the intervals
     bar: Floats
     of_rows: Floats  # (n, m): sum of the effects in each row
-    # (m,): the largest loop that rows would not show; infinite where they tell nothing of one
+    # (m,): the largest loop that rows would not show; infinite where they show nothing of one
     loop_hidden: Floats
 
 
@@ -91,12 +93,13 @@ class _Readings(NamedTuple):
     """Measured rows (n), in the order of their measurement, as effects are estimated from them."""
 
     rows: Rows  # loads and displacements are the means at the row's place: see `_positions_of`
-    good: Indices  # (k,): the rows that show effects, one a place, `SAMPLE` at most
+    good: Indices  # (k,): the rows that show effects, one a place, `MAX_ROWS` at most
     middle: Floats  # (n, 2 s): time in the session, then session; both about their means
     extent: Floats  # (n, m): see `_extent`
     terms: Floats  # (n, t): terms of a polynomial of the loads
     steps: Floats  # (n, t): their change from the place before; 0 at the first of a session
-    # (s, m): the session's response is no cubic of each load, and no straight line
+    # (s, m): whether the session's response is no cubic of each load, and no straight line: its
+    # scale can then be told from the part's response, and other sessions load the same
     is_identifiable: NDArray[np.bool_]
     is_shared: NDArray[np.bool_]
     scaled: Floats  # (n, m), dimensionless: the response over its largest value
@@ -118,8 +121,8 @@ class _Readings(NamedTuple):
         place = _positions_of(loads, members)
         good, loads, moved = _means_at_positions(loads, rows.displacement, good, place)
         extent = _extent(moved, good, session)
-        if len(good) > SAMPLE:
-            good = np.sort(np.random.default_rng(0).choice(good, SAMPLE, replace=False))
+        if len(good) > MAX_ROWS:
+            good = np.sort(np.random.default_rng(0).choice(good, MAX_ROWS, replace=False))
 
         terms = terms_of(loads, len(np.unique(place)))
         scaled, largest = _response(terms, moved, good)
@@ -136,92 +139,125 @@ class _Readings(NamedTuple):
 
 
 class _Estimates(NamedTuple):
-    """Zero offset, loop, and each session's drift, offset, drift of scale, scale: (2 + 4 s, m)."""
+    """Posterior of all effects, (2 + 4 s, m) each, m and rad; `_by_kind` names their rows."""
 
-    mean: Floats  # all are in m and rad
+    mean: Floats
     deviation: Floats
     half_width: Floats  # of the interval that an effect must leave to count
+
+
+class _ByKind(NamedTuple):
+    """Effects of s sessions and m outputs by their kind, m and rad: views of one array."""
+
+    zero: Floats  # (m,)
+    loop: Floats  # (m,): half the distance of the branches
+    drift: Floats  # (s, m)
+    session: Floats  # (s, m): offset of the session from the mean of all
+    scale_drift: Floats  # (s, m)
+    scale: Floats  # (s, m)
+
+
+def _by_kind(effects: Floats) -> _ByKind:
+    """Return views of effects (2 + 4 s, m) by their kind."""
+    return _ByKind(effects[0], effects[1], *effects[2:].reshape(4, -1, effects.shape[1]))
 
 
 def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     """Return the effects in measured rows (n), in the order of their measurement.
 
-    `good`, shape (k,), are the rows that show them: those within the range that are not wrong.
+    `good`, (k,): indices of the rows that show them, within the range and not wrong.
     """
     readings = _Readings.of(rows, load_range, good)
     moved, good = readings.rows.displacement, readings.good
-    shown = np.isfinite(moved[good]).T
+    measured = np.isfinite(moved[good]).T
+    # Of each output the terms of its response with the signs, and its readings.
     signs, evidence = np.zeros(moved.shape), dict[int, tuple[Floats, Floats]]()
-    for output in np.flatnonzero(shown.any(axis=1)).tolist():
-        known = shown[output]
+    for output in np.flatnonzero(measured.any(axis=1)).tolist():
+        known = measured[output]
         # The loop itself bends the response that determines the directions: settled after a round.
         for _ in range(ROUNDS):
-            beside = np.column_stack((readings.terms[good], signs[good, output]))[known]
-            evidence[output] = beside, moved[good, output][known]
+            terms = np.column_stack((readings.terms[good], signs[good, output]))[known]
+            evidence[output] = terms, moved[good, output][known]
             sure = sure_directions(*evidence[output], readings.steps[good])
             signs[good, output] = readings.extent[good, output] * sure
-    estimates = _estimates(readings, signs, load_range, shown)
+    estimates = _estimates(readings, signs, load_range, measured)
     mean, half_width = estimates.mean, estimates.half_width
 
-    count = readings.middle.shape[1] // 2
     significant = np.where(np.abs(mean) > half_width, mean, 0.0)
     reported = _with_common_kinds(significant, estimates)
-    ends = [1, 2, 2 + count, 2 + 2 * count]
-    zero, loop, drift, offset, scale = np.split(reported, ends)
-    for output in np.flatnonzero(loop).tolist():
+    kinds = _by_kind(reported)
+    for output in np.flatnonzero(kinds.loop).tolist():
         sure = sure_directions(*evidence[output], readings.steps)
         signs[:, output] = readings.extent[:, output] * sure
 
     removed = reported.copy()
-    removed[-count:] *= readings.is_identifiable
+    _by_kind(removed).scale[:] *= readings.is_identifiable
     bar = _error_bar(removed, estimates, readings)
     # Where an output shows no drift of its own, the rows stay as they are and the error bar holds
     # it: the kinks of a response may be taken for a drift.
-    removed[2 : 2 + count] = significant[2 : 2 + count]
-    of_rows = signs * loop + readings.middle @ removed[2 : 2 + 2 * count]
-    of_rows += readings.scaled * (readings.middle @ removed[2 + 2 * count :])
-    hidden = np.where(half_width[1] > 0, 2 * half_width[1], np.inf)
-    return Effects(zero[0], 2 * loop[0], drift, offset, scale, bar, of_rows, hidden)
+    _by_kind(removed).drift[:] = _by_kind(significant).drift
+    of_time_and_session, of_scale = np.split(removed[2:], 2)
+    of_rows = signs * kinds.loop + readings.middle @ of_time_and_session
+    of_rows += readings.scaled * (readings.middle @ of_scale)
+    loop_width = _by_kind(half_width).loop
+    return Effects(
+        zero=kinds.zero,
+        loop=2 * kinds.loop,
+        drift=kinds.drift,
+        session=kinds.session,
+        scale=np.concatenate((kinds.scale_drift, kinds.scale)),
+        bar=bar,
+        of_rows=of_rows,
+        loop_hidden=np.where(loop_width > 0, 2 * loop_width, np.inf),
+    )
 
 
 def _with_common_kinds(significant: Floats, estimates: _Estimates) -> Floats:
-    """Return the effects with those of a kind that any output shows, (2 + 4 s, m), m and rad.
+    """Return the significant effects, and all of a kind that any output shows, (2 + 4 s, m).
 
     A rig that drifts in one output, or whose sessions differ in one, does so in all.
+
+    `significant` (2 + 4 s, m), m and rad: the mean where it counts, else 0.
     """
-    shape = 4, -1, significant.shape[1]
-    means, reported = estimates.mean[2:].reshape(shape), significant.copy()
-    by_kind = reported[2:].reshape(shape)
-    is_shown = np.asarray(by_kind.any(axis=(1, 2)))
+    reported, means = significant.copy(), _by_kind(estimates.mean)
     # Noise of outputs is independent: all of them show a drift of the scale that none does alone.
-    half = estimates.half_width[2:].reshape(shape)[2]
-    far = (ndtri(CHANCE / 2) * means[2] / np.where(half > 0, half, np.inf)) ** 2
-    is_shown[2] |= (far.sum(axis=1) > chdtri(shape[2], CHANCE)).any()
-    by_kind[is_shown] = means[is_shown]
+    half_width = _by_kind(estimates.half_width).scale_drift
+    deviations = ndtri(CHANCE / 2) * means.scale_drift
+    squared = (deviations / np.where(half_width > 0, half_width, np.inf)) ** 2
+    limit = chdtri(significant.shape[1], CHANCE)
+    drifts_together = bool((squared.sum(axis=1) > limit).any())
+    for kind, effects in _by_kind(reported)._asdict().items():
+        is_of_sessions = kind not in ("zero", "loop")
+        is_shown = effects.any() or (kind == "scale_drift" and drifts_together)
+        if is_of_sessions and is_shown:
+            effects[:] = getattr(means, kind)
     return reported
 
 
 def _error_bar(counted: Floats, estimates: _Estimates, readings: _Readings) -> Floats:
     """Return `Effects.bar` of the effects that count, (2 + 4 s, m), m and rad."""
-    mean, deviation, half_width = estimates
-    count, outputs = readings.is_shared.shape
-    upper = np.where(counted != 0, np.abs(counted) + half_width, 0.0)
-    kinds = upper[2:].reshape(4, count, outputs).max(axis=1)
-    bar = upper[1] + (0.5 * kinds[0] + kinds[1] + 0.5 * kinds[2] + kinds[3])
+    mean, deviation, half_width = map(_by_kind, estimates)
+    upper = _by_kind(np.where(counted != 0, np.abs(counted) + estimates.half_width, 0.0))
+    drift, session, scale_drift, scale = (kind.max(axis=0) for kind in upper[2:])
+    # Half a drift: rows without it are in the middle of the time.
+    bar = upper.loop + (0.5 * drift + session + 0.5 * scale_drift + scale)
     # Answers have the scale of the session at their load, and the part may have that of another.
-    known = np.where(half_width[-count:] > 0, deviation[-count:], np.inf)
-    width = np.minimum(known, SCALE * readings.largest) * DEFAULTS.half_width
-    is_open = readings.is_shared & ~readings.is_identifiable & (count > 1)
-    bar += 2 * np.where(is_open, np.abs(mean[-count:]) + width, 0.0).max(axis=0)
+    known = np.where(half_width.scale > 0, deviation.scale, np.inf)
+    width = np.minimum(known, SCALE_DEVIATION * readings.largest) * DEFAULTS.half_width
+    has_sessions = len(readings.is_shared) > 1
+    is_open = readings.is_shared & ~readings.is_identifiable & has_sessions
+    bar += 2 * np.where(is_open, np.abs(mean.scale) + width, 0.0).max(axis=0)
     # Where sessions differ, what they have in common is no displacement of the part either.
-    common = np.abs(mean[0]) + DEFAULTS.half_width * deviation[0]
-    return bar + np.where(counted[2 + count : 2 + 2 * count].any(axis=0), common, 0.0)
+    common = np.abs(mean.zero) + DEFAULTS.half_width * deviation.zero
+    return bar + np.where(_by_kind(counted).session.any(axis=0), common, 0.0)
 
 
 def _response(terms: Floats, moved: Floats, good: Indices) -> tuple[Floats, Floats]:
-    """Return the response without its value at no load, (n, m), over its largest, (m,), m and rad.
+    """Return the response without its value at zero load, scaled, and its largest value.
 
-    It is a polynomial of `terms`, (n, t), by the rows `good`. An output that does not move has 0.
+    The response is a polynomial of `terms`, (n, t), fitted to the displacements `moved`, (n, m), m
+    and rad, of the rows `good`. It has the shape (n, m), dimensionless: over its largest value,
+    (m,), m and rad. Both are 0 of an output that does not move.
     """
     response = np.zeros((terms.shape[1], moved.shape[1]))
     for output, known in enumerate(np.isfinite(moved[good]).T):
@@ -229,8 +265,9 @@ def _response(terms: Floats, moved: Floats, good: Indices) -> tuple[Floats, Floa
         response[1:, output] = fit[1:]
     scaled = terms @ response
     largest = np.abs(scaled[good]).max(axis=0, initial=0.0)
+    # The response of an output that does not move is rounding.
     moves = largest > RANK * np.nanmax(np.abs(moved[good]), axis=0, initial=0.0)
-    largest = np.where(moves, largest, 0.0)  # the response of an output that rests is rounding
+    largest = np.where(moves, largest, 0.0)
     return np.where(moves, scaled, 0.0) / np.where(moves, largest, 1.0), largest
 
 
@@ -239,16 +276,17 @@ def _is_no_polynomial(parts: Floats, loads: Floats, degree: int) -> NDArray[np.b
     terms = np.column_stack([loads[:, :1] ** 0, *(loads ** (1 + k) for k in range(degree))])
     left, sizes, _ = np.linalg.svd(terms, full_matrices=False)
     basis = left[:, sizes > RANK * sizes.max(initial=0.0)]
-    off, square = parts - basis @ (basis.T @ parts), (parts**2).sum(axis=1)
-    least = np.minimum(square, square.sum(axis=0) - square)  # a session beside a few other rows
-    return np.asarray((off**2).sum(axis=1) > SHARED * least)
+    unexplained, square = parts - basis @ (basis.T @ parts), (parts**2).sum(axis=1)
+    # Against the smaller of the session and all others: a session may be most of the rows.
+    smaller = np.minimum(square, square.sum(axis=0) - square)
+    return np.asarray((unexplained**2).sum(axis=1) > MIN_UNEXPLAINED * smaller)
 
 
 def _extent(moved: Floats, good: Indices, session: Indices) -> Floats:
     """Return the range of each output in a row's session, (n, m), over that of its widest session.
 
-    A loop is a part of it: friction of a test with a force along one axis moves an output by as
-    much less as the force does, than that of a test along another.
+    A loop is in proportion to it: in a test along an axis that moves an output little, friction
+    moves the output little too.
     """
     ranges = np.zeros((session.max(initial=0) + 1, moved.shape[1]))
     for number in np.unique(session[good]):
@@ -259,10 +297,12 @@ def _extent(moved: Floats, good: Indices, session: Indices) -> Floats:
 
 
 def _positions_of(loads: Floats, sessions: list[Indices]) -> Indices:
-    """Return the first row at the place of each row's load, (n,): loads (n, 6), scaled, in order.
+    """Return, for each row, the first row at the place of its load, (n,).
 
-    A load leaves its place where it is farther than `PLACE` from the first there. `sessions` are
-    the rows of each.
+    A load leaves its place where it is farther than `PLACE` from the first load there.
+
+    `loads` (n, 6), half ranges, in the order of the measurement.
+    `sessions`: the indices of each session's rows.
     """
     place = np.arange(len(loads))
     for rows in sessions:
@@ -278,10 +318,14 @@ def _positions_of(loads: Floats, sessions: list[Indices]) -> Indices:
 def _means_at_positions(
     loads: Floats, moved: Floats, good: Indices, place: Indices
 ) -> tuple[Indices, Floats, Floats]:
-    """Return the first row of each place, and loads (n, 6) and displacements (n, m), there means.
+    """Return the first good row of each place, loads (n, 6) and displacements (n, m).
 
-    Readings at a place tell of the noise alone; as rows of their own, effects seem surer. `place`
-    is the first row of each row's, `good` those that the means are of.
+    At these rows loads and displacements are the mean over the good rows of the place; elsewhere
+    they are as given. Further readings at a place show the noise alone; counted as rows of their
+    own they would make effects seem surer.
+
+    `good` (k,): indices of the rows that the means are made of.
+    `place` (n,): see `_positions_of`.
     """
     number = np.unique(place[good], return_inverse=True)[1]
     first = np.unique(place[good])
@@ -298,13 +342,17 @@ def _means_at_positions(
 
 
 def sessions_of(rows: Rows) -> Indices:
-    """Return the session of each row, (n,): one of an import and source each, of several rows."""
+    """Return the number of each row's session, (n,): the rows of one import and one source.
+
+    The sessions of the most rows, up to `MAX_SESSIONS`, have a number of their own; all other rows,
+    and sessions of a single row, share one.
+    """
     session = np.unique(rows.session, return_inverse=True)[1]
     if len(rows) and (rows.source != rows.source[0]).any():
         source = np.unique(rows.source, return_inverse=True)[1]
         session = session * (source.max() + 1) + source
     _, index, counts = np.unique(session, return_inverse=True, return_counts=True)
-    largest = np.argsort(-counts, kind="stable")[:SESSIONS]
+    largest = np.argsort(-counts, kind="stable")[:MAX_SESSIONS]
     number = np.full(len(counts), -1)
     number[largest[counts[largest] > 1]] = largest[counts[largest] > 1]
     return np.unique(number[index], return_inverse=True)[1]
@@ -313,13 +361,14 @@ def sessions_of(rows: Rows) -> Indices:
 def sure_directions(x: Floats, y: Floats, steps: Floats) -> Floats:
     """Return the sign of an output's change where it is sure, (n,), else 0.
 
-    `x`, `y` (k, t + 1) and (k,): terms of the response and signs of rows, and their readings.
+    `x` (k, t + 1): terms of the response at k rows, and the signs of their motion.
+    `y` (k,), m or rad: readings of the output at these rows.
     `steps` (n, t): the change of the terms from the row before.
     """
     left, sizes, right = _directions(x)
     along, back = left.T @ y, right.T / sizes
-    rest = y - left @ along
-    noise = np.sqrt(rest @ rest / max(len(y) - len(sizes), 1))
+    residual = y - left @ along
+    noise = np.sqrt(residual @ residual / max(len(y) - len(sizes), 1))
     change, deviation = steps @ (back @ along)[:-1], np.empty(len(steps))
     for at in range(0, len(steps), BLOCK):
         deviation[at : at + BLOCK] = np.linalg.norm(steps[at : at + BLOCK] @ back[:-1], axis=1)
@@ -330,46 +379,48 @@ def sure_directions(x: Floats, y: Floats, steps: Floats) -> Floats:
 def _directions(matrix: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the singular value decomposition of a matrix, without values that are rounding."""
     left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
-    few = sizes > RANK * sizes[0]
-    return left[:, few], sizes[few], right[few]
+    is_significant = sizes > RANK * sizes[0]
+    return left[:, is_significant], sizes[is_significant], right[is_significant]
 
 
 def _estimates(
-    readings: _Readings, signs: Floats, load_range: LoadRange, shown: NDArray[np.bool_]
+    readings: _Readings, signs: Floats, load_range: LoadRange, measured: NDArray[np.bool_]
 ) -> _Estimates:
     """Return the estimates of all outputs.
 
     `signs` (n, m): of the outputs' motion, times their extent.
-    `shown` (m, k): which outputs the rows `good` have.
+    `measured` (m, k): which outputs the rows `good` have.
     """
     middle, good = readings.middle, readings.good
-    results = np.zeros((3, 2 + 2 * middle.shape[1], len(shown)))
-    pending = shown.any(axis=1)
+    results = np.zeros((3, 2 + 2 * middle.shape[1], len(measured)))
+    pending = measured.any(axis=1)
     # A loop is in rows without a sure direction too, on a side that is not known: its size is that
     # of the others. So outputs with a loop are estimated again, by rows with a sure direction.
     for _ in range(2):
-        for known in np.unique(shown[pending], axis=0):
-            outputs, used = np.flatnonzero(pending & (shown == known).all(axis=1)), good[known]
+        for known in np.unique(measured[pending], axis=0):
+            outputs, used = np.flatnonzero(pending & (measured == known).all(axis=1)), good[known]
             # Columns of the effects, (n, c, k): sign; time and session; both of the scale.
             time = np.repeat(middle[used][:, :, None], len(outputs), axis=2)
             signed = signs[used][:, None, outputs]
             gains = time * readings.scaled[used][:, None, outputs]
             columns = np.concatenate((signed, time, gains), axis=1)
-            scale = SCALE * readings.largest[outputs]
-            some = readings.rows.take(used)
-            results[:, :, outputs] = _estimated(some, load_range, outputs, columns, scale)
-        pending = np.abs(results[0, 1]) > results[2, 1]
-        shown = np.where(pending[:, None], shown & (signs[good].T != 0), shown)
+            scale = SCALE_DEVIATION * readings.largest[outputs]
+            rows = readings.rows.take(used)
+            results[:, :, outputs] = _estimated(rows, load_range, outputs, columns, scale)
+        mean, _, half_width = map(_by_kind, results)
+        pending = np.abs(mean.loop) > half_width.loop
+        measured = np.where(pending[:, None], measured & (signs[good].T != 0), measured)
     return _Estimates(*results)
 
 
 def _estimated(
     rows: Rows, load_range: LoadRange, outputs: Indices, columns: Floats, scale: Floats
 ) -> _Estimates:
-    """Return the estimates of outputs (k,) that all rows have, (1 + c, k) each.
+    """Return the estimates of outputs (k,) that all n rows have: (1 + c, k) each.
 
-    The zero offset, and the effects of columns (n, c, k): signs, and two halves, the second of a
-    deviation `scale`, (k,), m and rad.
+    `columns` (n, c, k): covariates of the effects but the zero offset: sign of the motion; time and
+    session; the same times the response.
+    `scale` (k,), m and rad: prior deviation of the effects of the last, the scale's.
     """
     moved = rows.displacement[:, outputs]
     size, offset = moved.std(axis=0), moved.mean(axis=0)
@@ -390,25 +441,28 @@ def _estimated(
         return _Estimates(none, none, none)
     priors = np.zeros((len(outputs), count))
     priors[:, first + 1 :] = PRIOR**-2
-    some = (size > 0) & (scale > 0)
-    priors[some, -2 * sessions :] = (size[some, None] / scale[some, None]) ** 2
+    moves = (size > 0) & (scale > 0)
+    priors[moves, -2 * sessions :] = (size[moves, None] / scale[moves, None]) ** 2
     spectra = []
     for matrix in _covariances(x, rows.space):
         roots, vectors = np.linalg.eigh(matrix)
         spectra.append((vectors, 1 / (np.maximum(roots, 0.0) + RATIOS[:, None])))
     shape = len(spectra), len(RATIOS), len(outputs)
-    values, means, squares = np.empty(shape), *np.empty((2, *shape, len(contrasts)))
+    negative_log_likelihoods = np.empty(shape)
+    means, second_moments = np.empty((2, *shape, len(contrasts)))
     for output in range(len(outputs)):
         all_columns = np.column_stack((linear, np.ones(n), columns[:, :, output]))
-        values[:, :, output], means[:, :, output], squares[:, :, output] = _posterior(
-            all_columns, y[:, output], contrasts, priors[output], spectra, free
-        )
-    # The average over kernels and noises, by their likelihood.
-    weights = np.exp(values.min(axis=(0, 1)) - values)
+        (
+            negative_log_likelihoods[:, :, output],
+            means[:, :, output],
+            second_moments[:, :, output],
+        ) = _posterior(all_columns, y[:, output], contrasts, priors[output], spectra, free)
+    # The average over kernels and noises; letters: kernel, ratio, output, effect.
+    weights = np.exp(negative_log_likelihoods.min(axis=(0, 1)) - negative_log_likelihoods)
     weights /= weights.sum(axis=(0, 1))
     mean = np.einsum("kro,kroe->eo", weights, means)
-    square = np.einsum("kro,kroe->eo", weights, squares)
-    deviation = size * np.sqrt(np.maximum(square - mean**2, 0.0))
+    second_moment = np.einsum("kro,kroe->eo", weights, second_moments)
+    deviation = size * np.sqrt(np.maximum(second_moment - mean**2, 0.0))
     mean *= size
     mean[0] += offset
 
@@ -429,24 +483,28 @@ def _posterior(
     spectra: list[tuple[Floats, Floats]],
     free: int,
 ) -> tuple[Floats, Floats, Floats]:
-    """Return half the negative log likelihood of kernels and noises, effects, and their squares.
+    """Return half the negative log likelihood, and mean and second moment of the effects.
 
-    Shapes (k, r), (k, r, e) and (k, r, e), spreads and spreads squared; squares are means.
+    Shapes (k, r), (k, r, e) and (k, r, e), of k kernels, r noises and e effects; spreads and
+    spreads squared.
 
-    `columns` (n, c), `y` (n,), spreads: of one output, and its readings.
-    `contrasts` (e, c), `prior` (c,): effects by the coefficients; precision of these.
+    `columns` (n, c): covariates of one output: linear loads, 1, and those of the effects.
+    `y` (n,), spreads: its readings.
+    `contrasts` (e, c): the effects by the coefficients of the columns.
+    `prior` (c,): prior precision of the coefficients.
     `spectra`: of each kernel the eigenvectors (n, n), and one over eigenvalues with noise (r, n).
+    `free`: degrees of freedom that the columns leave of the readings.
     """
-    # Directions of the columns, and what data are along them: normal equations then keep their
+    # An orthonormal basis of the columns, and the data along it: normal equations then keep their
     # digits.
     basis, sizes, right = _directions(columns)
     parts = right.T / sizes
     back, along = contrasts @ parts, basis.T @ y
     pull = parts.T * prior @ parts  # of the prior, towards coefficients of zero
-    off = y - basis @ along
+    residual_data = y - basis @ along
     results: list[tuple[Floats, Floats, Floats]] = []
     for vectors, inverse in spectra:
-        b, data = vectors.T @ basis, vectors.T @ off
+        b, data = vectors.T @ basis, vectors.T @ residual_data
         products = b[:, :, None] * b[:, None]
         normal = (inverse @ products.reshape(len(b), -1)).reshape(len(inverse), *[b.shape[1]] * 2)
         right, square = inverse @ (b * data[:, None]), inverse @ data**2
@@ -471,10 +529,15 @@ def _posterior(
 def _half_widths(
     moved: Floats, terms: Floats, columns: Floats, contrasts: Floats, deviation: Floats, free: int
 ) -> tuple[Floats, Floats]:
-    """Return half the interval to count by, (1 + c, k), and residuals, (k,), m and rad.
+    """Return half widths of the effects' intervals, (1 + c, k), and misfits, (k,), m and rad.
 
-    Adds to each `deviation`, (1 + c, k), what a misfit of a polynomial of `terms`, (n, t), can do
-    as an effect. `contrasts` are those of the columns (n, c, k); `free` are degrees of freedom.
+    A misfit is the root mean square that a polynomial of the loads and the columns leave of an
+    output. An effect that the rows do not identify has an infinite half width. To each `deviation`,
+    (1 + c, k), m and rad, is added in place what a misfit can contribute to the effect.
+
+    `moved` (n, k), m and rad; `terms` (n, t): the polynomial's terms but 1.
+    `contrasts` (1 + c, 1 + c): the effects by the coefficients of 1 and the columns (n, c, k).
+    `free`: degrees of freedom.
     """
     n, outputs = moved.shape
     half_width, freedom = np.empty_like(deviation), np.full(len(deviation), float(free))
@@ -485,30 +548,32 @@ def _half_widths(
         off_mean[:, -contrasts.shape[1] :] = contrasts
         left, sizes, right = _directions(b)
         along = off_mean @ right.T
-        off = moved[:, output] - left @ (left.T @ moved[:, output])
-        misfits[output] = np.linalg.norm(off) / np.sqrt(max(n - len(sizes), 1))
+        residual = moved[:, output] - left @ (left.T @ moved[:, output])
+        misfits[output] = np.linalg.norm(residual) / np.sqrt(max(n - len(sizes), 1))
         worst = np.sqrt(n) * np.linalg.norm(along / sizes, axis=1)
         # A grid in the order of its loads is a straight function of time: no drift is identifiable.
-        shown = np.linalg.norm(off_mean - along @ right, axis=1) < SAME
+        is_identified = np.linalg.norm(off_mean - along @ right, axis=1) < SAME
         misfit = MISFIT * np.ptp(moved[:, output]) * worst
         deviation[:, output] = np.hypot(deviation[:, output], misfit)
-        # Rows at rest tell nothing of a loop.
+        # Rows without a sure direction show nothing of a loop.
         freedom[1] = max(np.count_nonzero(columns[:, 0, output]) - n + free, 1)
-        half_width[:, output] = np.where(
-            shown, -stdtrit(freedom, CHANCE / 2) * deviation[:, output], np.inf
-        )
+        quantile = -stdtrit(freedom, CHANCE / 2)
+        half_width[:, output] = np.where(is_identified, quantile * deviation[:, output], np.inf)
     return half_width, misfits
 
 
 def _covariances(x: Floats, space: Space) -> Iterator[Floats]:
-    """Yield the covariance (n, n) of responses at loads (n, 6) that are zero at no load."""
+    """Yield the covariance (n, n) of a response that is zero at zero load, for each kernel.
+
+    `x` (n, 6): loads, half ranges.
+    """
     points = np.concatenate((x, np.zeros((1, x.shape[1]))))
     apart = np.abs(points[:, None] - points)
     squares = [apart**2 @ group for group in space.kriging_groups]
     kinks = matern(apart**2, 0, 1)[0].sum(axis=2)
     for theta in THETAS:
         *axes, joint = (matern(np.exp(theta) * square, 0)[0] for square in squares)
-        for weight, rough in PARTS:
-            matrix = sum(axes) + weight * joint + rough * kinks
-            across = matrix[:-1, -1]
-            yield (matrix[:-1, :-1] - np.outer(across, across) / matrix[-1, -1]) / matrix[-1, -1]
+        for joint_weight, kink_weight in JOINT_AND_KINK_WEIGHTS:
+            matrix = sum(axes) + joint_weight * joint + kink_weight * kinks
+            across, at_zero = matrix[:-1, -1], matrix[-1, -1]
+            yield (matrix[:-1, :-1] - np.outer(across, across) / at_zero) / at_zero

@@ -130,11 +130,12 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
     fewer.
     """
     measured = np.isfinite(rows.displacement)
-    fewest = int(measured.sum(axis=0).min()) if len(rows) else 0
-    if fewest < settings.min_rows:
+    counts = measured.sum(axis=0)
+    if counts.min() < settings.min_rows:
+        name = load_range.space.output_names[int(counts.argmin())]
         raise TooFewRowsError(
-            f"kriging needs {settings.min_rows} rows of each output in the load range, but there "
-            f"are {fewest}; solve or import more"
+            f"kriging needs {settings.min_rows} rows of each output in the load range, but {name} "
+            f"has {counts.min()}; solve or import more"
         )
     centre = (load_range.low + load_range.high) / 2
     offset = np.nanmean(rows.displacement, axis=0)
@@ -163,8 +164,7 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
 
 def _with_slopes(rows: Rows) -> Mask:
     """Return which rows bring a full finite compliance and all outputs, shape (n,)."""
-    finite = np.isfinite(rows.compliance).all(axis=(1, 2))
-    return np.logical_and(finite, np.isfinite(rows.displacement).all(axis=1))
+    return rows.has_tangent & np.isfinite(rows.displacement).all(axis=1)
 
 
 def equations_of(

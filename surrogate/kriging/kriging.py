@@ -54,7 +54,10 @@ ROUNDING_LOSS = 4 * float(np.finfo(float).eps)
 
 @dataclass(frozen=True, eq=False)
 class Kriging:
-    """The Gaussian process through a table's rows and their tangents; never changed once built."""
+    """The Gaussian process through a table's n rows and their tangents; never changed once built.
+
+    p is the number of an output's derivatives that a row can bring: value, slopes, second ones.
+    """
 
     settings: KrigingSettings
     scaling: Scaling
@@ -70,7 +73,7 @@ class Kriging:
     weights: Floats  # (n, p, 6), spreads
     coefficients: Floats  # (7, 6), spreads
     deviation: Floats  # (6,), spreads: process standard deviation
-    # (6,), spreads: what answers may lose to it. Long length scales leave the covariance nearly
+    # (6,), spreads: rounding error of answers. Long length scales leave the covariance nearly
     # singular, with weights up to 1e8 times their sum.
     rounding: Floats
     # (n, 6), spreads: of rows left out, each by itself; NaN where a row does not bring the output
@@ -92,17 +95,10 @@ class Kriging:
     ) -> Kriging:
         """Return the kriging of a table's rows inside the load range.
 
-        Parameters
-        ----------
-        observations : Observations, optional
-            Behind each row, of rows of distinct wrenches; else rows at one wrench are merged.
-
-        Raises
-        ------
-        TooFewRowsError
-            If too few rows lie in the load range.
-        SingularCovarianceError
-            If rows contradict each other so that no nugget makes the covariance regular.
+        `observations`: behind each row, of rows of distinct wrenches; without them rows at one
+        wrench are merged first.
+        Raises TooFewRowsError if too few rows lie in the load range, SingularCovarianceError if
+        rows contradict each other so that no nugget makes the covariance regular.
         """
         if observations is None:
             rows, _, observations = merge(rows, load_range).usable()
@@ -114,11 +110,12 @@ class Kriging:
     def _solved(cls, data: _TrainingData, model: _Model, settings: KrigingSettings) -> Kriging:
         """Solve for the weights of each output group, and calibrate its error bars."""
         equations, known = model.equations, model.equations.known
-        weights, (n_rows, n_outputs) = np.zeros(equations.data.shape), equations.measured.shape
+        n_rows, n_outputs = equations.measured.shape
+        weights = np.zeros(equations.data.shape)
         coefficients = np.empty((1 + equations.loads, n_outputs))
         deviation, rounding = np.empty((2, n_outputs))
         errors = np.full(equations.measured.shape, np.nan)
-        parts: list[tuple[Neighbourhoods, Calibration]] = []
+        neighbourhoods, calibrations = list[Neighbourhoods](), list[Calibration]()
         for factor, table in model.factors(settings):
             rows, outputs = factor.output_group.rows, factor.output_group.outputs
             # The weights among the values and derivatives of all rows.
@@ -130,22 +127,32 @@ class Kriging:
             rounding[outputs] = (ROUNDING_LOSS * value_rows @ np.abs(all_rows[known])).max(axis=0)
             leave_one_out = left_out(factor, np.arange(len(rows)))
             errors[np.ix_(rows, outputs)] = leave_one_out.errors
-            through, widening = bool(model.inducing), model.estimate.widening[outputs]
-            neighbours = Neighbourhoods(equations, factor, table, settings, of_all_rows=through)
-            calibration = (
-                of_posterior(factor, table, settings)
-                if through
-                else calibrated(neighbours, leave_one_out, data.scaling, data.kinds, widening)
-            )
-            parts.append((neighbours, calibration))
-        neighbourhoods, calibrations = zip(*parts, strict=True)
-        noises = model.observation_variance, model.estimate.noise_widening
-        groups = equations, neighbourhoods, calibrations
-        arrays = weights, coefficients, deviation, rounding, errors
-        limits = data.span, data.secondary_limits
-        tangent = data.mean_tangent()
+            is_inducing = bool(model.inducing)
+            near = Neighbourhoods(equations, factor, table, settings, of_all_rows=is_inducing)
+            if is_inducing:
+                calibration = of_posterior(factor, table, settings)
+            else:
+                widening = model.estimate.widening[outputs]
+                calibration = calibrated(near, leave_one_out, data.scaling, data.kinds, widening)
+            neighbourhoods.append(near)
+            calibrations.append(calibration)
         return cls(
-            settings, data.scaling, *noises, tangent, *groups, *arrays, *limits, model.detail
+            settings=settings,
+            scaling=data.scaling,
+            observation_variance=model.observation_variance,
+            noise_widening=model.estimate.noise_widening,
+            tangent=data.mean_tangent(),
+            equations=equations,
+            neighbourhoods=tuple(neighbourhoods),
+            calibrations=tuple(calibrations),
+            weights=weights,
+            coefficients=coefficients,
+            deviation=deviation,
+            rounding=rounding,
+            errors=errors,
+            span=data.span,
+            secondary_limits=data.secondary_limits,
+            detail=model.detail,
         )
 
     @property
@@ -216,13 +223,13 @@ class Kriging:
         return (slice(start, start + size) for start in range(0, count, size))
 
     def sigma_with(self, pending: Floats, at: Floats) -> Floats:
-        """Return the error bars (n, 6), m and rad, at wrenches if others were solved too.
+        """Return the error bars (n, 6), m and rad, at wrenches once pending ones are solved too.
 
-        As far as they are known or not: a design goes where they are not. Pending solves lower all
-        bars in the ratio of the factor over the most rows.
+        The bars are estimates also where errors are not known, since a design goes there. Pending
+        solves lower the bars of all outputs in the ratio of the factor over the most rows.
 
-        `pending`, `at` (m, 6) and (n, 6), N and N·m: what is being solved (with slopes, if rows
-        bring them), and where the bars are wanted.
+        `pending` (m, 6), N and N·m: wrenches that are being solved, with slopes if rows bring them.
+        `at` (n, 6), N and N·m: wrenches of the error bars.
         """
         others, x = self.scaling.loads(pending), self.scaling.loads(at)
         bars = np.empty((len(x), len(self.scaling.spread)))
@@ -316,7 +323,7 @@ class _TrainingData(NamedTuple):
     def mean_tangent(self) -> Floats:
         """Return the mean tangent of the rows, (6, 6), SI: see `Kriging.tangent`."""
         compliance = self.rows.compliance
-        tangents = compliance[np.isfinite(compliance).all(axis=(1, 2))]
+        tangents = compliance[self.rows.has_tangent]
         if len(tangents):
             return tangents.mean(axis=0)
         is_varied = np.ptp(self.equations.x, axis=0) > NEAR

@@ -41,7 +41,8 @@ from .factor import (
 from .gradient import contracted
 from .settings import KrigingSettings
 
-REFUSED = 1e10  # of a covariance that cannot be factorised: more than any likelihood's logarithm
+# Half the negative log likelihood of a covariance that has no factor: above any other.
+REFUSED = 1e10
 TINY = 1e-30  # variance, spreads squared, below any rounding
 
 
@@ -173,15 +174,13 @@ def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings
 
 
 class Posterior(NamedTuple):
-    """Of ratios of noise and process variance: half the negative logarithm, and what it is of."""
+    """The posterior at g ratios of noise over process variance, for outputs (k,)."""
 
-    # values, variance, noise: (g, k): variances of the process and of D, spreads squared, at each
-    # of g ratios
-    values: Floats
-    variance: Floats
-    noise: Floats
-    inverse: Floats  # (g, m): 1 / (l + r d)
-    # (g, k): half the derivative of values by the sum of squares, times the process variance
+    values: Floats  # (g, k): half the negative logarithm
+    variance: Floats  # (g, k), spreads squared: of the process
+    noise: Floats  # (g, k), spreads squared: of a row where D is 1
+    inverse: Floats  # (g, m): 1 / (l + r d), d 1 of rows with noise and 0 of others
+    # (g, k): half the derivative of `values` by the sum of squares, times the process variance
     by_square: Floats
 
 
@@ -221,14 +220,15 @@ def negative_log_posterior(
         except SingularCovarianceError:
             return REFUSED, np.zeros(len(logarithms))
         result = posterior(rows, eigen, settings)
+        # The posterior probability of each ratio, (g, k).
         least = result.values.min(axis=0)
-        share = np.exp(least - result.values)
-        total += float((least - np.log(share.mean(axis=0))).sum())
-        share /= share.sum(axis=0)
+        probability = np.exp(least - result.values)
+        total += float((least - np.log(probability.mean(axis=0))).sum())
+        probability /= probability.sum(axis=0)
         solved = (result.inverse[:, :, None] * eigen.data).transpose(1, 0, 2)
-        solved = solved.reshape(len(eigen.data), share.size)
-        weight = (share / result.variance * result.by_square).ravel()
-        middle = np.diag(share.sum(axis=1) @ result.inverse) - (solved * weight) @ solved.T
+        solved = solved.reshape(len(eigen.data), probability.size)
+        weight = (probability / result.variance * result.by_square).ravel()
+        middle = np.diag(probability.sum(axis=1) @ result.inverse) - (solved * weight) @ solved.T
         sensitivity = eigen.rotation.T @ middle @ eigen.rotation
         if not eigen.terms:
             by = contracted(sensitivity, rows.equations, kernel, settings.nugget)
@@ -279,7 +279,8 @@ def estimate_noise(
     for limit in (settings.search_equations, settings.likelihood_equations):
         chosen = _evenly(equations, every, limit)
         # Of few readings among many solves an even choice may have none.
-        if (missed := noisy.any(axis=0) & ~noisy[chosen].any(axis=0)).any():
+        missed = noisy.any(axis=0) & ~noisy[chosen].any(axis=0)
+        if missed.any():
             readings = np.flatnonzero(noisy[:, missed].any(axis=1))
             chosen = np.union1d(chosen, _evenly(equations, readings, limit // 2))
         parts.append(noisy_rows(equations.take(chosen), scaling, settings))
@@ -348,7 +349,7 @@ def _fitted_kernel(
             variance[output] = size = variance_of(each[chosen], index, mean_noise)
             mean, known = _answers(rows, index, kernels[chosen], mean_noise, size, points, settings)
             total = np.zeros(len(points))
-            used = np.flatnonzero(of_kernels > settings.least_share)
+            used = np.flatnonzero(of_kernels > settings.min_probability)
             for k in used:
                 size = variance_of(each[k], index, means[k])
                 answers = _answers(rows, index, kernels[k], means[k], size, points, settings)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class KrigingSettings:
-    """The constants of a kriging: what it estimates with, what it keeps, when it goes local.
+    """The constants of a kriging: of its estimates, its sizes, its calibration.
 
     Lengths are in half ranges of the loads, variances in those of the outputs' own spread.
     """
@@ -52,7 +52,7 @@ class KrigingSettings:
     # Noise is averaged over the most likely kernel and these, of shorter and longer lengths: e to
     # half of it times. Those of less than a fiftieth of the posterior change nothing.
     length_shifts: tuple[float, ...] = (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0)
-    least_share: float = 0.02
+    min_probability: float = 0.02
     # Lengths of an output are searched for with so many equations, noise with the number below.
     search_equations: int = 210
     # The likelihood costs the cube of its equations some fifty times over, and is flat: 420

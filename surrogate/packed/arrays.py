@@ -231,8 +231,11 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
         described = {} if block is None else {array.name: array for array in block.arrays}
         lacking = {array.name for array in described.values() if not array.optional} - names
         if names - set(described) or lacking:
-            wrong = sorted((names - set(described)) | lacking)
-            raise PackedTableError(f"arrays of {start} are missing or unknown: {wrong}")
+            what, wrong = "lacks", lacking
+            if not lacking:
+                what, wrong = "has unknown arrays:", names - set(described)
+            listed = ", ".join(sorted(wrong))
+            raise PackedTableError(f"{start} {what} {listed}; build the table again")
         sizes = dict(table)
         for name in sorted(names):  # the same array is named each time
             array, values = described[name], arrays[start + name]
@@ -243,13 +246,16 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
                 same &= symbol == "x" or stated == size
             if not same:
                 raise PackedTableError(
-                    f"array {start}{name} cannot be {values.dtype} of shape {values.shape}; build "
-                    "the table again"
+                    f"array {start}{name} is {values.dtype} of shape {values.shape}, not "
+                    f"{array.type} of shape ({array.shape}); build the table again"
                 )
         # Factors have the rows of their kriging.
         kriging = re.sub(r"factor\d+/$", "", start)
         if "s" in sizes and rows.setdefault(kriging, sizes["s"]) != sizes["s"]:
-            raise PackedTableError(f"{start} has {sizes['s']} rows, but others {rows[kriging]}")
+            raise PackedTableError(
+                f"{start} has {sizes['s']} rows, other blocks of {kriging} have {rows[kriging]}; "
+                "build the table again"
+            )
     return arrays
 
 

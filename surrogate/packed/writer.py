@@ -22,6 +22,7 @@ from ..kernel.format import pieces
 from ..kriging import Kriging
 from ..kriging.calibration import Calibration
 from ..kriging.factor import Neighbourhoods
+from ..solver_error import SolverError
 from ..table.rows import LONGEST, TRANSLATION_LIMIT, ZERO_LOAD, Floats
 from .arrays import check, named
 from .axes_arrays import axes_arrays, buckets_of
@@ -116,12 +117,11 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
 
 def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
     """Yield the solver's part of errors."""
-    error, (m, n) = table.solver_error, table.groups[0].fit.matrix.shape
+    error, n = table.solver_error, len(table.load_range.low)
     by_tangent, known, linear, linearity_known = False, table.bars_are_complete, False, True
-    arrays = {"mesh": np.zeros((m, n)), "stiffness": np.zeros((n, m))}
-    arrays |= {"linearity": np.zeros(m), "one_over": np.zeros(n)}
+    arrays = SolverError({"loads": [0.0] * n}).packed
     if error is not None:
-        arrays |= error.packed
+        arrays = error.packed
         by_tangent, known = error.stiffness is not None, error.mesh is not None
         linear, linearity_known = "linearity" in error.values, error.linearity is not None
     flags = [by_tangent, known, linear, linearity_known, table.bars_are_complete]
@@ -175,8 +175,7 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     # The numbers of the rows that the compliance comes from.
     members = group.members
     if group.fit.origin == "stored":
-        sloped = np.flatnonzero(np.isfinite(group.used.compliance).all(axis=(1, 2)))
-        members = tuple(members[row] for row in sloped.tolist())
+        members = tuple(members[row] for row in np.flatnonzero(group.used.has_tangent))
     yield "fit/rows", np.array(sorted(chain.from_iterable(members)), dtype=np.int64)
     # The rows that answer at their wrenches, in the order of a key.
     index, merged = group.row_index, group.merged.rows

@@ -1,6 +1,6 @@
-"""The scene plan: what one simulation needs of a component, and what is left out.
+"""The scene plan: the requirements of one simulation on a component, and the way to meet them.
 
-Filling, downloading and the reply of the server all follow what is decided here.
+Filling and downloading a table and the reply of the server follow the decision made here.
 """
 
 from __future__ import annotations
@@ -124,11 +124,12 @@ def need_of(
         entry = limits.space.inputs[load]
         least, most = min(limits.low[load], entry.zero), max(limits.high[load], entry.zero)
         if low > high:
-            message = f"the low end of {entry.name}, {low:g}, must be below the high, {high:g}"
+            ends_given = f"{low:g} {entry.unit}, must not be above the high end, {high:g}"
+            message = f"the low end of {entry.name}, {ends_given}; swap the two"
             mistakes.append((load, message))
         elif load not in idle and (low < least - slack[load] or high > most + slack[load]):
             within = f"{least:g} to {most:g} {entry.unit}, the load range"
-            message = f"{entry.name} must lie within {within}"
+            message = f"{entry.name} must lie within {within}, not {low:g} to {high:g}"
             mistakes.append((load, message))
     if mistakes:
         raise NeedError(mistakes)
@@ -141,38 +142,37 @@ def need_of(
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """The requirements of a scene on a component."""
+    """How a component takes part in a scene, and why."""
 
     need: Need
-    decision: Decision  # leave it out; one compliance answers; its table does
+    decision: Decision  # "rigid": left out; "linear": one compliance answers; "table": its table
     reason: str
-    # (m,), m and rad: what the displacement does not exceed within the scene; NaN where nothing
-    # determines it
+    # (m,), m and rad: largest size of each output within the scene; NaN where nothing determines it
     bound: Floats
-    # (m, n), SI: with ``linear``, where it is known: the displacement is it times the wrench. Zero
-    # by loads that cannot occur.
+    # (m, n), SI: of a "linear" decision, if known: the displacement is it times the wrench. Columns
+    # of loads that cannot occur are 0.
     compliance: Floats | None
-    # of the first design, from an empty table: for the full load range, and for the scene
+    # numbers of solves of the first design, from an empty table: for the load range, for the scene
     solves: tuple[int, int]
 
 
 def plan_of(table: Table, need: Need, *, solved: bool = True) -> ScenePlan:
-    """Return the plan of a scene's need of a component, from the rows there are, if any.
+    """Return the plan that meets a scene's need of a component, by the rows of its table, if any.
 
-    `solved`: whether finite elements answer, which move by nothing where there is no load.
+    `solved`: whether the rows are solves, which are not displaced at zero load.
     """
     solves = first_solves(table, table.load_range), first_solves(table, need.span)
     need, space = replace(need, tolerance=need.tolerance or table.tolerance), need.span.space
-    hangs = any(group.fit.offset.any() for group in table.groups)
-    if solved and not need.occurring.any() and not hangs:
+    moves_unloaded = any(group.fit.offset.any() for group in table.groups)  # weight, temperature
+    if solved and not need.occurring.any() and not moves_unloaded:
         still = np.zeros(len(space.outputs))
         return ScenePlan(need, "rigid", NO_LOAD, still, None, (solves[0], 0))
     bound, why = _bound(table, need)
     if need.tolerance is not None:
         allowed = allowed_by(need.tolerance, space)
-        parts = [bound[output] / allowed[output] for output in need.outputs]
-        if all(part <= 1.0 for part in parts):
-            worst = need.outputs[int(np.argmax(parts))]
+        ratios = [bound[output] / allowed[output] for output in need.outputs]
+        if all(ratio <= 1.0 for ratio in ratios):
+            worst = need.outputs[int(np.argmax(ratios))]
             name, unit = space.outputs[worst].name, space.outputs[worst].unit
             reason = (
                 f"it does not move by more than the tolerance: {name} at most {bound[worst]:.2g} "
@@ -183,7 +183,8 @@ def plan_of(table: Table, need: Need, *, solved: bool = True) -> ScenePlan:
         is_known = "it is known" if table.groups[0].fit.complete else "one solve gives it"
         reason = f"the component is linear: one compliance answers, and {is_known}"
         compliance = None
-        if table.groups[0].fit.known[need.occurring].all() and not hangs:  # C w alone is no answer
+        # A displacement at zero load is missing in the compliance times the wrench.
+        if table.groups[0].fit.known[need.occurring].all() and not moves_unloaded:
             compliance = np.where(need.occurring, table.groups[0].fit.matrix, 0.0)
         return ScenePlan(need, "linear", reason, bound, compliance, solves)
     if not space.is_default:
@@ -228,44 +229,54 @@ def first_solves(table: Table, span: LoadRange) -> int:
 def _bound(table: Table, need: Need) -> tuple[Floats, str]:
     """Return upper bounds of the displacement, (m,), m and rad, and the reason of unknown ones.
 
-    The larger of two: the answers with their errors at corners and wrenches of the scene; and the
-    compliance's sum over the loads with its error, which is one for the full load range, or what
-    the steepest slopes of the scene's wrenches allow, if that is less.
+    A bound is the larger of the answers with their error bars at wrenches of the scene, and of the
+    compliance's sum over the loads with its error, or what the slopes allow if that is less: see
+    `_by_answers`. NaN where it is unknown.
     """
-    count = len(need.span.space.outputs)
-    bound, why = np.full(count, np.nan), NO_ROWS
-    largest_loads = np.maximum(np.abs(need.span.low), np.abs(need.span.high))
-    solver = np.zeros(count)
+    space, largest_loads = need.span.space, need.span.largest
+    bound, why = np.full(len(space.outputs), np.nan), NO_ROWS
+    if not table.linear and not space.is_default:
+        return bound, LOOKED_UP  # many inputs have too many corners
+    solver = np.zeros(len(bound))
     if table.solver_error is not None:  # it is largest where the loads are
         parts = table.solver_error.parts(largest_loads).values()
         solver = solver + sum(np.array(part) for part in parts if part is not None)
-    if not table.linear and not need.span.space.is_default:
-        return bound, LOOKED_UP  # many inputs have too many corners
-    sample = np.zeros((0, len(largest_loads))) if table.linear else _sample(need)
-    answers = None if table.linear else packed_of(table).batch(sample)
-    for surrogate in table.groups:
-        outputs, fit = list(surrogate.outputs), surrogate.fit
-        if not len(surrogate.used):
+    answered, by_slopes = np.zeros_like(bound), np.full_like(bound, np.nan)
+    if not table.linear:
+        answered, by_slopes = _by_answers(table, need)
+    for group in table.groups:
+        outputs, fit = list(group.outputs), group.fit
+        if not len(group.used):
             continue
         unknown = np.flatnonzero(need.occurring & ~fit.known)
         if len(unknown):
-            names = [need.span.space.input_names[load] for load in unknown]
+            names = [space.input_names[load] for load in unknown]
             why = f"no row shows the influence of {', '.join(names)}"
             continue
-        most = np.abs(fit.matrix) @ largest_loads + np.abs(fit.offset) + fit.error + solver
-        if answers is not None:
-            if not answers.coverage.any():  # slopes of a table that is thin here prove nothing
-                # The steepest slopes reach so far from the scene's middle to its ends (mean value
-                # theorem): where loads are small the component moves little, however far it bends
-                # from one compliance at its largest.
-                middle = (need.span.low + need.span.high) / 2
-                there = packed_of(table).batch(middle[None])
-                steepest = np.abs(packed_of(table).derivatives(sample)).max(axis=0)
-                by_slopes = np.abs(there.outputs[0]) + steepest @ (need.span.high - middle)
-                most = np.fmin(most, by_slopes + there.errors[0] + answers.errors.max(axis=0))
-            most = np.maximum(most, (np.abs(answers.outputs) + answers.errors).max(axis=0))
-        bound[outputs], why = most[outputs], UNKNOWN_ERROR if np.isnan(most[outputs]).any() else ""
+        by_fit = np.abs(fit.matrix) @ largest_loads + np.abs(fit.offset) + fit.error + solver
+        bound[outputs] = np.maximum(np.fmin(by_fit, by_slopes), answered)[outputs]
+        why = UNKNOWN_ERROR if np.isnan(bound[outputs]).any() else ""
     return bound, why if np.isnan(bound[list(need.outputs)]).any() else ""
+
+
+def _by_answers(table: Table, need: Need) -> tuple[Floats, Floats]:
+    """Return two bounds of a nonlinear table's displacement in the scene, (m,) each, m and rad.
+
+    The largest answer with its error bar at `_sample`. And the answer in the scene's middle plus
+    the steepest slopes of the sample up to the ends (mean value theorem): where loads are small the
+    component moves little, however far it bends from one compliance at its largest. Slopes of a
+    table that does not cover the sample prove nothing: NaN.
+    """
+    packed, sample = packed_of(table), _sample(need)
+    answers = packed.batch(sample)
+    answered = (np.abs(answers.outputs) + answers.errors).max(axis=0)
+    if answers.coverage.any():  # thin or outside
+        return answered, np.full_like(answered, np.nan)
+    middle = (need.span.low + need.span.high) / 2
+    there = packed.batch(middle[None])
+    steepest = np.abs(packed.derivatives(sample)).max(axis=0)
+    by_slopes = np.abs(there.outputs[0]) + steepest @ (need.span.high - middle)
+    return answered, by_slopes + there.errors[0] + answers.errors.max(axis=0)
 
 
 def _sample(need: Need) -> Floats:
@@ -279,8 +290,8 @@ def _sample(need: Need) -> Floats:
 def _single_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
     """Return the compliance (6, 6), SI, that answers within the tolerance, if one does, and why.
 
-    The least-squares one through the answers at wrenches of the scene; it must miss each of them,
-    with its error bar, by no more than the tolerance.
+    It is fitted by least squares to the answers at `_sample`. Its error at each of them plus the
+    answer's error bar must be within the tolerance.
     """
     if need.tolerance is None:
         return None, "its table is used, because no tolerance says what may be left out; set one"

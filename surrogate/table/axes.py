@@ -17,11 +17,12 @@ from .rows import ZERO_LOAD, Floats, LoadRange, Rows
 
 OffAxis = Literal["correct", "ignore", "exclude"]
 
-# Through three values, -1, 0 and 1 say, any response that is odd, as most are, is straight: rows
-# that are left out err by nothing there, and answers between them by a quarter of the range.
+# Values of a load that show its curvature. An odd response, as most are, is straight through
+# three, such as -1, 0 and 1: left-out rows have no error there, and answers between them have a
+# quarter of the range.
 LEVELS = 4
-# Of the range: what a load cell scatters by is no value of its own. Loads of a composite design
-# that scattered by 1e-6 to 1e-3 of the range made everything covered, 97 % of it outside the bars.
+# Of the range: the scatter of a load cell is no value of its own. Loads of a composite design that
+# scattered by 1e-6 to 1e-3 of the range made everything covered, 97 % of it outside the bars.
 MIN_STEP = 0.05
 
 
@@ -97,28 +98,20 @@ class AxisRows:
 _FOREIGN = np.array([[load in axis.others for axis in AXES] for load in range(6)])
 
 
-def single_axis_wrenches(
-    wrenches: Floats, load_range: LoadRange, least: float = ZERO_LOAD
+def single_axis_rows(
+    rows: Rows, load_range: LoadRange, min_load: float = ZERO_LOAD
 ) -> NDArray[np.bool_]:
-    """Return, shape (n, 3), which wrenches (n, 6), N and N·m, load which axis alone.
+    """Return which rows load which axis alone, by its inputs, shape (n, 3).
 
-    `least`: of the range: smaller loads are none.
+    `min_load`: part of the range below which a load counts as none.
     """
-    loaded = np.abs(wrenches) > least * load_range.scale
+    loaded = np.abs(rows.wrench) > min_load * load_range.scale
     return ~(loaded @ _FOREIGN)
 
 
 def count_multi_axis(rows: Rows, load_range: LoadRange) -> int:
     """Return how many rows load more than one axis, by more than a load cell scatters."""
-    return int((~single_axis_wrenches(rows.wrench, load_range, MIN_STEP).any(axis=1)).sum())
-
-
-def single_axis_rows(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
-    """Return which rows load which axis alone: no load but the axis' inputs.
-
-    Shape (n, 3), dimensionless.
-    """
-    return single_axis_wrenches(rows.wrench, load_range)
+    return int((~single_axis_rows(rows, load_range, MIN_STEP).any(axis=1)).sum())
 
 
 def axis_rows(

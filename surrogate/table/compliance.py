@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 from ..calibration import conformal_factor
 from .rows import SMALLEST, Floats, LoadRange, Rows
 
-RANK = 1e-9  # relative singular value below which the rows do not determine a load
-LONE = 1e-6  # of a row's weight in its prediction: below it the other rows do not determine it
-ROUNDING = 1e-15  # of the largest displacement of its kind: rounding, the least bar of any answer
+RANK = 1e-9  # relative singular value below which the rows do not determine a direction
+# Squared length that a load's unit vector may lack in the span of the rows' wrenches: rounding.
+OFF_SPAN = 1e-6
+MIN_FREE = 1e-6  # one less a row's leverage: below it the other rows do not determine the row
+ROUNDING = 1e-15  # of the largest displacement of its kind: the smallest error bar of any answer
 SAME_LINE = 1e-5  # a linear deck's gap to its compliance: fea/deck/solving.py refuses more
+UNCHECKED = 0.1  # of the largest displacement: error of measured rows as many as the unknowns
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,10 @@ class ComplianceFit:
     matrix: Floats
     known: NDArray[np.bool_]  # (6,): which loads' columns the rows determine
     error: Floats  # (6,), m and rad: 95 % error bar of `matrix @ wrench` on the rows
-    origin: str  # "stored" (mean of the rows' compliances), "fitted" or "none"
+    # "stored": mean of the rows' compliances. "fitted": least squares of their displacements.
+    # "none": no row is loaded. In the last two, columns of loads that no row determines are those
+    # of the mean of the stored tangents, if there are any.
+    origin: str
     # (6,), m and rad, or () for none: the displacement where all inputs are 0: that of the
     # component's weight, if a linear solve stored it, and of a reference temperature that is not 0
     offset: Floats = field(default_factory=lambda: np.zeros(()))
@@ -47,44 +53,48 @@ def fit_compliance(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compli
     if not len(rows):
         return fit
     # Rounding errs too: no bar is 0.
-    largest_loads = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
-    moved = np.maximum(np.abs(rows.displacement).max(axis=0), np.abs(fit.matrix) @ largest_loads)
+    by_fit = np.abs(fit.matrix) @ load_range.largest
+    moved = np.maximum(np.abs(rows.displacement).max(axis=0), by_fit)
     kinds = load_range.space.largest_of_kind(moved)
     least = np.maximum(ROUNDING * kinds, SMALLEST)
     return replace(fit, error=np.maximum(fit.error, least))
 
 
 def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
-    known = np.isfinite(rows.compliance).all(axis=(1, 2))
-    stored = rows.compliance[known]
-    if linear and len(stored):
-        # The displacement at zero load, (6,), of the row whose loads move it least. What is
-        # within `SAME_LINE` of the row's motion is its rounding.
-        wrench = rows.wrench[known]
-        moved = (stored @ wrench[:, :, None])[:, :, 0]
-        sizes = (np.abs(stored) @ np.abs(wrench)[:, :, None])[:, :, 0]
-        least = int(sizes.max(axis=1).argmin())
-        offset = rows.displacement[known][least] - moved[least]
-        # Translation and rotation of each.
-        kinds = offset.reshape(-1, 3), sizes[least].reshape(-1, 3)
-        same = np.abs(kinds[0]).max(axis=1) <= SAME_LINE * kinds[1].max(axis=1)
-        offset = np.zeros_like(offset) if same.all() else offset
-        # The mean of stored compliances; their spread, times the full loads, is the bar.
-        spread = np.ptp(stored, axis=0) / 2
-        loads = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
-        known = np.ones(len(load_range.low), dtype=bool)
-        fit = ComplianceFit(stored.mean(axis=0), known, spread @ loads, "stored")
-        return replace(fit, offset=offset)
-    fit = _from_rows(rows, load_range, linear=linear)
-    if len(stored) and not fit.complete:
-        matrix = np.where(fit.known, fit.matrix, stored.mean(axis=0))
-        offset = 0.0 - matrix @ load_range.space.zero
-        known = np.ones(len(load_range.low), dtype=bool)
-        return ComplianceFit(matrix, known, fit.error, fit.origin, offset)
-    return fit
+    """Return the compliance of the rows, whose error bar may be 0."""
+    with_tangent = rows.take(rows.has_tangent)
+    if linear and len(with_tangent):
+        return _stored(with_tangent, load_range)
+    fit = _from_displacements(rows, load_range, linear=linear)
+    if fit.complete or not len(with_tangent):
+        return fit
+    matrix = np.where(fit.known, fit.matrix, with_tangent.compliance.mean(axis=0))
+    offset = 0.0 - matrix @ load_range.space.zero
+    return replace(fit, matrix=matrix, known=np.ones_like(fit.known), offset=offset)
 
 
-def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
+def _stored(rows: Rows, load_range: LoadRange) -> ComplianceFit:
+    """Return the mean of the rows' compliances; half their spread, at full loads, is the bar."""
+    # The displacement at zero load, (6,), is that of the row whose loads move it least. What is
+    # within `SAME_LINE` of the row's motion is its rounding.
+    moved = (rows.compliance @ rows.wrench[:, :, None])[:, :, 0]
+    sizes = (np.abs(rows.compliance) @ np.abs(rows.wrench)[:, :, None])[:, :, 0]
+    row = int(sizes.max(axis=1).argmin())
+    offset = rows.displacement[row] - moved[row]
+    # Translations and rotations, (2, 3), of each interface.
+    of_kinds, sizes_of_kinds = offset.reshape(-1, 3), sizes[row].reshape(-1, 3)
+    is_rounding = np.abs(of_kinds).max(axis=1) <= SAME_LINE * sizes_of_kinds.max(axis=1)
+    error = np.ptp(rows.compliance, axis=0) / 2 @ load_range.largest
+    return ComplianceFit(
+        matrix=rows.compliance.mean(axis=0),
+        known=np.ones(len(load_range.low), dtype=bool),
+        error=error,
+        origin="stored",
+        offset=np.zeros_like(offset) if is_rounding.all() else offset,
+    )
+
+
+def _from_displacements(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
     """Fit the columns that the rows determine: least squares on scaled loads from their zeros."""
     zero = load_range.space.zero
     scaled = (rows.wrench - zero) / load_range.scale
@@ -95,7 +105,7 @@ def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compliance
     basis, sizes, directions = np.linalg.svd(scaled, full_matrices=False)
     basis, spanned = basis[:, sizes > RANK * sizes[0]], directions[sizes > RANK * sizes[0]]
     # A load is determined if its unit vector lies in the span of the rows' wrenches.
-    known = (spanned**2).sum(axis=0) > 1 - 1e-6
+    known = (spanned**2).sum(axis=0) > 1 - OFF_SPAN
     columns, *_ = np.linalg.lstsq(scaled, rows.displacement, rcond=RANK)
     residual = rows.displacement - scaled @ columns
     matrix = np.where(known, columns.T / load_range.scale, 0.0)
@@ -106,16 +116,16 @@ def _from_rows(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compliance
     # and then needs no bar; for anything else a tenth of the largest displacement is assumed.
     if linear and spare > 0:
         error = 2 * np.sqrt((residual**2).sum(axis=0) / spare) + stored
-    elif linear and ((rows.source == "fea").all() or stored.any()):
+    elif linear and (rows.is_solved.all() or stored.any()):
         error = stored
     elif linear:
-        error = 0.1 * np.abs(rows.displacement).max(axis=0)
+        error = UNCHECKED * np.abs(rows.displacement).max(axis=0)
     else:
         # The error bar of the secant of a nonlinear table, (6,), m and rad. It holds 95 % of the
         # rows, each predicted from the others (PRESS residuals: Allen 1974). A row that the
         # others do not span shows nothing: there the bar is what the row moved.
-        room = 1.0 - (basis**2).sum(axis=1)[:, None]
-        alone = room < LONE
-        deleted = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, room))
+        free = 1.0 - (basis**2).sum(axis=1)[:, None]
+        alone = free < MIN_FREE
+        deleted = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, free))
         error = conformal_factor(np.abs(deleted)) + stored
     return ComplianceFit(matrix, known, error, "fitted", offset)

@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar, cast, get_args
 
 import h5py
 import numpy as np
@@ -36,15 +36,19 @@ from .rows import LoadRange, Rows, Tolerance, unknown_column
 from .space import DEFAULT, LOAD_UNITS, OUTPUT_UNITS, Space
 
 T = TypeVar("T")
+M = TypeVar("M", h5py.Group, h5py.Dataset)
 
 FORMAT = "wrenchbook table"
 # What an upload may unpack to. A row takes 450 bytes, so that this is two million rows; a
 # compressed file of a few bytes can declare any size.
-MAX_FOREIGN_BYTES = 1024 * 1024 * 1024
+MIB = 1024 * 1024
+MAX_FOREIGN_BYTES = 1024 * MIB
 MAX_DEPTH = 8  # groups above the columns; a file may link a group to itself
-MAX_CHUNK_BYTES = 64 * 1024 * 1024  # a chunk is unpacked in full, however little is read of it
+MAX_CHUNK_BYTES = 64 * MIB  # a chunk is unpacked in full, however little is read of it
 MAX_STRING_BYTES = 1024  # of a source or a fingerprint; each takes as much as the longest
 FOREIGN_PIECE = 20_000  # rows read at once
+MAX_LISTED = 8  # names in a message: more hide its remedy
+MAX_SHOWN = 100  # characters of a value in a message
 
 KEY_DIGITS = 32  # of a row's content key, 16 bytes
 
@@ -197,8 +201,11 @@ def _check_schema(file: h5py.File, source: Path) -> None:
 
 def _read_meta(file: h5py.File) -> TableMeta:
     low, high = (_numbers(file, f"load_range/{name}") for name in ("low", "high"))
-    space, off_axis_values = _read_space(file), {word: word for word in get_args(OffAxis)}
-    attributes: Any = file.attrs
+    space, attributes = _read_space(file), cast("Any", file.attrs)
+    off_axis = str(attributes.get("off_axis", "correct"))
+    if off_axis not in get_args(OffAxis):
+        choices = ", ".join(get_args(OffAxis))
+        raise ValueError(f"its attribute off_axis is {off_axis!r}, not one of {choices}")
     tolerance = attributes.get("tolerance")  # files of 0.1 say nothing of these three
     return TableMeta(
         component=str(attributes["component"]),
@@ -211,7 +218,7 @@ def _read_meta(file: h5py.File) -> TableMeta:
         ledger=str(attributes.get("ledger", "")),
         tolerance=Tolerance(*map(float, tolerance)) if tolerance is not None else None,
         linear=bool(attributes.get("linear", False)),
-        off_axis=off_axis_values[str(attributes.get("off_axis", "correct"))],
+        off_axis=cast("OffAxis", off_axis),
         edits=_read_edits(file),
         solver_error=json.loads(str(attributes.get("solver_error", "null"))),
         locked=tuple(map(space.output_names.index, str(attributes.get("locked", "")).split())),
@@ -274,7 +281,7 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
         with h5py.File(path, "r") as file:
             _check_contained(file)
         if not is_as_written(source):
-            raise _unreadable(source, "its checksum is wrong: the file is damaged")
+            raise TableFileError("is damaged: its checksum is wrong; send it again")
         with h5py.File(path, "r") as file:
             _check_schema(file, source)
             _read_meta(file)
@@ -288,37 +295,67 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
     except TableFileError:
         raise
     except Exception as error:  # h5py has no base of what it raises on a file that is not sound
-        raise TableFileError(f"cannot be read ({error}); export the table again") from error
+        raise TableFileError(
+            f"cannot be read as a wrenchbook table ({error}); export the table again"
+        ) from error
 
 
 def _check_contained(file: h5py.File) -> None:
     """Refuse data outside of the file, and datasets that unpack to more than memory should hold."""
     room = MAX_FOREIGN_BYTES
-    for folder in ("rows", "load_range", *(("edits",) if "edits" in file.keys() else ())):  # noqa: SIM118
-        group = file[folder] if isinstance(file.get(folder, getlink=True), h5py.HardLink) else None
-        if not isinstance(group, h5py.Group):
+    present = list(file)  # the names: `in file` would follow a link out of the file
+    for folder in ("rows", "load_range", *(("edits",) if "edits" in present else ())):
+        if folder not in present:
             raise TableFileError(f"has no group {folder}; send a file that wrenchbook wrote")
+        group = _own_member(file, folder, h5py.Group)
         for name in group:
-            dataset = (
-                group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
-            )
-            if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual:
-                raise TableFileError(
-                    f"has {folder}/{name} in another file or not as a dataset; send a file that "
-                    "wrenchbook wrote"
-                )
+            place = f"{folder}/{name}"
+            dataset = _own_member(file, place, h5py.Dataset)
+            _check_chunks(place, dataset)
             size = dataset.dtype.itemsize
-            if dataset.chunks and np.prod(dataset.chunks, dtype=float) * size > MAX_CHUNK_BYTES:
-                raise TableFileError(f"has chunks over {MAX_CHUNK_BYTES >> 20} MiB; write smaller")
-            if name != "note" and (dataset.dtype.hasobject or size > MAX_STRING_BYTES):
+            if name != "note" and dataset.dtype.hasobject:
                 raise TableFileError(
-                    f"has text of variable length, or over {MAX_STRING_BYTES} bytes, in "
-                    f"{folder}/{name}; send a file that wrenchbook wrote"
+                    f"has text of variable length in {place}; send a file that wrenchbook wrote"
+                )
+            if name != "note" and size > MAX_STRING_BYTES:
+                raise TableFileError(
+                    f"has texts of {size} bytes in {place}, the limit is {MAX_STRING_BYTES}; "
+                    "shorten them"
                 )
             room -= dataset.nbytes
+    _check_room(room)
+
+
+def _own_member(file: h5py.File, name: str, kind: type[M]) -> M:
+    """Return a group or a dataset whose data are in this file; refuse one that is elsewhere."""
+    member = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
+    if member is None or (
+        isinstance(member, h5py.Dataset) and (member.external or member.is_virtual)
+    ):
+        raise TableFileError(f"has {name} in another file or behind a link; copy it into this file")
+    if not isinstance(member, kind):
+        raise TableFileError(
+            f"has {name} not as a {kind.__name__.lower()}; send a file that wrenchbook wrote"
+        )
+    return member
+
+
+def _check_chunks(name: str, dataset: h5py.Dataset) -> None:
+    """Refuse a dataset whose chunks take too much memory: each is unpacked in full."""
+    size = np.prod(dataset.chunks or (0,), dtype=float) * dataset.dtype.itemsize
+    if size > MAX_CHUNK_BYTES:
+        raise TableFileError(
+            f"has chunks of {size / MIB:.0f} MiB in {name}, the limit is "
+            f"{MAX_CHUNK_BYTES // MIB}; write smaller chunks"
+        )
+
+
+def _check_room(room: int) -> None:
+    """Refuse a file that unpacks to more than `MAX_FOREIGN_BYTES`, of which `room` are left."""
     if room < 0:
         raise TableFileError(
-            f"unpacks to more than {MAX_FOREIGN_BYTES >> 20} MiB; send the table in parts"
+            f"unpacks to {(MAX_FOREIGN_BYTES - room) / MIB:.0f} MiB, the limit is "
+            f"{MAX_FOREIGN_BYTES // MIB}; send the table in parts"
         )
 
 
@@ -344,15 +381,20 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
     Raises TableFileError if the file is damaged, points to other files, is larger when read than
     `MAX_FOREIGN_BYTES`, or has no such columns of one length.
     """
-    if leads_out(path):
-        raise TableFileError("refers to data in other files; copy the data into this file")
+    if outside := leads_out(path):
+        names = ", ".join(outside[:MAX_LISTED])
+        raise TableFileError(f"refers to data in other files ({names}); copy them into this file")
     try:
         with h5py.File(path, "r") as file:
             columns = _named_columns(file)
+            if not columns:
+                raise TableFileError(
+                    "has no columns; write each one as a one-dimensional dataset of numbers"
+                )
             lengths = {len(dataset) for _, dataset, _ in columns}
             if len(lengths) != 1:
-                sizes = ", ".join(f"{name}: {len(dataset)}" for name, dataset, _ in columns[:8])
-                raise TableFileError(f"needs columns of one length ({sizes or 'no datasets'})")
+                sizes = (f"{name}: {len(dataset)}" for name, dataset, _ in columns[:MAX_LISTED])
+                raise TableFileError(f"needs columns of one length ({', '.join(sizes)})")
             names = [name for name, _, _ in columns]
             for start in range(0, lengths.pop(), FOREIGN_PIECE):
                 some = slice(start, start + FOREIGN_PIECE)
@@ -364,7 +406,7 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
 
 
 NamedColumn = tuple[str, Any, Callable[[np.ndarray], np.ndarray]]
-"""A label, the dataset, and what takes the column from a piece of it."""
+"""A label, the dataset, and the function that returns the column of a slice of the dataset."""
 
 
 class _Vector:
@@ -417,20 +459,18 @@ def _named_columns(file: h5py.File) -> list[NamedColumn]:
         if len(inside) == 1 and isinstance(inside[0], h5py.Group):
             group, inside = inside[0], list(inside[0].values())
     if inside and all(isinstance(member, h5py.Group) for member in inside):
-        groups = ", ".join(list(group)[:8])
-        raise TableFileError(f"has columns in several groups ({groups}); send one as a file")
+        groups = ", ".join(list(group)[:MAX_LISTED])
+        raise TableFileError(
+            f"has columns in several groups ({groups}); send each as a file of its own"
+        )
     columns: list[NamedColumn] = []
     room = MAX_FOREIGN_BYTES
     for name, dataset in group.items():
         if not isinstance(dataset, h5py.Dataset) or dataset.ndim == 0:
             continue
         room -= dataset.nbytes
-        chunk = np.prod(dataset.chunks or (0,), dtype=float) * dataset.dtype.itemsize
-        if room < 0 or chunk > MAX_CHUNK_BYTES:
-            raise TableFileError(
-                f"unpacks to more than {MAX_FOREIGN_BYTES >> 20} MiB, or has chunks over "
-                f"{MAX_CHUNK_BYTES >> 20} MiB; write smaller chunks, or send the table in parts"
-            )
+        _check_room(room)
+        _check_chunks(name, dataset)
         columns += _columns_of(name, dataset)
     return columns
 
@@ -480,7 +520,8 @@ def _texts(dataset: h5py.Group | h5py.Dataset, *keys: str) -> list[str]:
     ]
 
 
-_PACKING = ("scale_factor", "add_offset", "_FillValue", "missing_value")
+_SCALING = ("scale_factor", "add_offset")
+_BLANK = ("_FillValue", "missing_value")
 _VALID = ("valid_min", "valid_max", "valid_range")
 
 
@@ -495,34 +536,34 @@ def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndar
     integers are packed and their valid range is no integers.
     """
     stored_type = dataset.dtype[part] if isinstance(part, str) else dataset.dtype
-    keys = [key for key in (*_PACKING, *_VALID, "_Unsigned") if key in dataset.attrs]
+    keys = [key for key in (*_SCALING, *_BLANK, *_VALID, "_Unsigned") if key in dataset.attrs]
     attributes: dict[str, np.ndarray] = {
         key: np.ravel(np.asarray(dataset.attrs[key])) for key in keys
     }
-    packed = stored_type.kind in "iu" and not attributes.keys().isdisjoint(_PACKING[:2])
+    packed = stored_type.kind in "iu" and not attributes.keys().isdisjoint(_SCALING)
     for key, values in attributes.items():
         count = {"missing_value": len(values) or 1, "valid_range": 2}.get(key, 1)
-        numeric = values.dtype.kind in "iuf" and len(values) == count
-        if not numeric or (key in _PACKING[:2] and not np.isfinite(values).all()):
+        is_numeric = values.dtype.kind in "iuf" and len(values) == count
+        if not is_numeric or (key in _SCALING and not np.isfinite(values).all()):
             raise TableFileError(
-                f"holds {name} with the attribute {key} = {str(values.tolist())[:100]}, not "
+                f"holds {name} with the attribute {key} = {str(values.tolist())[:MAX_SHOWN]}, not "
                 f"{'two numbers' if count == 2 else 'one number'}; unpack the values and remove "
                 f"{key}"
             )
         # The netCDF guide reads such limits as unpacked values, netCDF4 for Python as packed ones.
         if key in _VALID and packed and values.dtype.kind == "f":
             raise TableFileError(
-                f"has packed integers {name} with {key} = {str(values.tolist())[:100]}, which is "
-                f"ambiguous; write {key} as a packed integer, or remove it"
+                f"has packed integers {name} with {key} = {str(values.tolist())[:MAX_SHOWN]}, "
+                f"which is ambiguous; write {key} as a packed integer, or remove it"
             )
     if not attributes:
         return lambda piece: piece[part]
-    factor, offset = (
-        float(attributes.get(k, [v])[0]) for k, v in zip(_PACKING[:2], (1, 0), strict=True)
-    )
-    blanks = [value for key in _PACKING[2:] for value in attributes.get(key, ())]
-    valid = attributes.get("valid_range", [-np.inf, np.inf])
-    low, high = attributes.get("valid_min", valid)[0], attributes.get("valid_max", valid[::-1])[0]
+    factor = float(attributes.get("scale_factor", [1])[0])
+    offset = float(attributes.get("add_offset", [0])[0])
+    blanks = [*attributes.get("_FillValue", ()), *attributes.get("missing_value", ())]
+    valid_low, valid_high = attributes.get("valid_range", [-np.inf, np.inf])
+    low = attributes.get("valid_min", [valid_low])[0]
+    high = attributes.get("valid_max", [valid_high])[0]
     if stored_type.kind == "f":  # 0.1 of 32 bits is larger than 0.1 of 64 bits
         low, high = stored_type.type(low), stored_type.type(high)
 
@@ -536,15 +577,15 @@ def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndar
     return unpacked
 
 
-def leads_out(path: Path) -> bool:
-    """Whether an HDF5 file of any kind refers to data in another file.
+def leads_out(path: Path) -> list[str]:
+    """Return the names in an HDF5 file of any kind that refer to data in another file.
 
     A mesh is such a file too; one of a stranger must not have this machine's files read.
 
     Raises TableFileError if not all of it can be looked through.
     """
     if not h5py.is_hdf5(path):
-        return False
+        return []
     outside: list[str] = []
 
     def check(name: str, thing: h5py.Group | h5py.Dataset) -> None:
@@ -561,4 +602,4 @@ def leads_out(path: Path) -> bool:
             file.visititems(check)
     except Exception as error:
         raise TableFileError(f"cannot be searched as HDF5 ({error}); write it again") from error
-    return bool(outside)
+    return outside

@@ -17,21 +17,21 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from .rows import NEAR, ZERO_LOAD, Floats, LoadRange, Rows
+from .rows import NEAR, SOLVED, ZERO_LOAD, Floats, LoadRange, Rows
 
-DIRECTIONS = 3  # each leaves about a tenth of 30,000 rows
-ALONG = 1 + 1e-6  # of a distance along a direction, whose ends are of size 1 (2e-16 over 1e-6)
-EQUAL = 12  # decimals of scaled loads to which rows are one before any distance is measured
+DIRECTIONS = 3  # along each, nine tenths of 30,000 rows have no other row near
+ALONG = 1 + 1e-6  # factor on a distance along a direction: rounding, 2e-16 over a distance of 1e-6
+EQUAL = 12  # decimals of scaled loads: rows that are equal to them are one, without a distance
 MAX_PAIRS = 10_000_000  # of rows near each other, each counted twice: 80 MB
-SOLVED = "fea"  # the source of a row that repeats exactly
-# Wrenches that are near each other are so along any direction; of others few are. The parts
-# are roots of primes, of which no two loads' steps cancel, and their sum is 1, so that what is
-# within `NEAR` in each load is so along it.
+# The key of a wrench is its position along a direction. Wrenches that are near each other are near
+# along any direction; of others few are. The direction's parts are roots of primes, so that the
+# steps of no two loads cancel; their sum is 1, so that wrenches within `NEAR` in each load are
+# within it along the direction.
 _PRIMES = [k for k in range(2, 90) if all(k % part for part in range(2, k))]
 WINDOW = NEAR * ALONG
 
 AGREE = 1e-6  # of an output's range: what rounding in a file may do
-MAX_LISTED = 50
+MAX_LISTED = 50  # conflicts in a summary, which counts all of them
 
 
 class Observations(NamedTuple):
@@ -79,8 +79,8 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     sizes = np.bincount(owner)
     several = np.flatnonzero(sizes > 1)
     present = np.isfinite(rows.displacement)
-    solved = (rows.source == SOLVED) | np.isfinite(rows.compliance).all(axis=(1, 2))
-    is_known = present & ((rows.uncertainty > 0) | solved[:, None])
+    is_exact = rows.is_solved | rows.has_tangent
+    is_known = present & ((rows.uncertainty > 0) | is_exact[:, None])
     number = np.where(present & ~is_known, 1.0, 0.0)
     observations = Observations(number, np.zeros_like(number))
     if not len(several):
@@ -97,7 +97,7 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     low = np.minimum.reduceat(np.where(present, part.displacement, np.inf), starts)
     largest = np.maximum.reduceat(np.nan_to_num(part.uncertainty), starts)
     # Solves repeat exactly; a merged row does only if all do.
-    measured = np.where(part.source != SOLVED, np.arange(len(part)), len(part))
+    measured = np.where(part.is_solved, len(part), np.arange(len(part)))
     columns = {
         "displacement": mean,
         "uncertainty": np.maximum(np.where(high > low, high - low, 0.0) / 2, largest),
@@ -136,7 +136,6 @@ class RowIndex:
 
     def __init__(self, wrenches: Floats, scale: Floats) -> None:
         self._wrenches, self._scale = wrenches, scale
-        # A direction whose parts have no common measure, shape (n,).
         roots = np.sqrt(np.array(_PRIMES[: len(scale)], dtype=float))
         self.rates = (roots / roots.sum()) / scale
         keys = wrenches @ self.rates

@@ -29,9 +29,10 @@ NEGATIVE = 1e-6  # of the largest eigenvalue, or of an output: rounding of solve
 # an output's largest value, so that small steps are not judged by rounding.
 TANGENT, SMALL_STEP = 0.5, 0.05
 NEIGHBOURS = 3  # of each row, with which it is compared
+MAX_FARTHEST = 5  # rows that deviate most from one matrix, as examples
 NEAR = 1.0  # half load ranges: over longer steps a tangent changes by more than `TANGENT`
 NEGLIGIBLE = 1e-2  # of the largest translation or rotation: outputs below it are not judged
-MAX_LISTED = 50
+MAX_LISTED = 50  # rows that a check names
 
 
 def check_physics(
@@ -121,7 +122,7 @@ def _symmetric(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[st
     energies = _energies(fit.matrix, load_range)
     loads = fit.known[: len(energies)]
     asymmetry = float(_asymmetry(np.where(np.outer(loads, loads), energies, 0.0)))
-    known, solved = np.isfinite(rows.compliance).all(axis=(1, 2)), rows.source == "fea"
+    known, solved = rows.has_tangent, rows.is_solved
     wrong = np.zeros(len(rows), dtype=bool)
     wrong[known] = _asymmetry(_energies(rows.compliance[known], load_range)) > ASYMMETRY
     solves = _solved_asymmetry(rows.take(known & solved), load_range)
@@ -150,7 +151,7 @@ def _positive(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str
     least, most = _extreme_eigenvalues(energies) if len(known) else (np.float64(0), np.float64(1))
     # The fit's asymmetry is an error of the fit; an eigenvalue can be negative by as much.
     fitted = min(ASYMMETRY, float(_asymmetry(energies))) if len(known) else 0.0
-    with_tangent = np.isfinite(rows.compliance).all(axis=(1, 2))
+    with_tangent = rows.has_tangent
     wrong = np.zeros(len(rows), dtype=bool)
     low, high = _extreme_eigenvalues(_energies(rows.compliance[with_tangent], load_range))
     wrong[with_tangent] = low < -NEGATIVE * high
@@ -174,7 +175,7 @@ def _linear(rows: Rows, space: Space, fit: ComplianceFit) -> dict[str, Any]:
     )
     residual = np.where(known[:, None], residual, 0.0)
     index = float(residual.max())
-    farthest = np.argsort(-residual.max(axis=1))[:5]
+    farthest = np.argsort(-residual.max(axis=1))[:MAX_FARTHEST]
     ok = index <= LINEAR
     matrix = "one 6x6 compliance" if space.is_default else "one compliance"
     says = f"{matrix} describes all rows within {index:.2%} of each output's largest value"
@@ -220,7 +221,7 @@ def _work(rows: Rows, load_range: LoadRange, uncertain: Floats) -> dict[str, Any
 
 def _tangents(rows: Rows, load_range: LoadRange, uncertain: Floats) -> dict[str, Any]:
     """Check that the mean of two neighbours' tangents leads from one to the other."""
-    with_tangent = np.flatnonzero(np.isfinite(rows.compliance).all(axis=(1, 2)))
+    with_tangent = np.flatnonzero(rows.has_tangent)
     some = rows.take(with_tangent)
     pairs = _neighbours(some, load_range) if len(with_tangent) > 1 else np.empty((0, 2), dtype=int)
     if not len(pairs):

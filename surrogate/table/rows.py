@@ -21,6 +21,7 @@ from .space import DEFAULT, Floats, Space
 ZERO_LOAD = 1e-9  # a smaller load counts as none, and as little beyond an end as on it (rounding)
 NEAR = 1e-6  # wrenches closer than this are the same
 ROUNDING = 1e-12  # of a number's size: what its computation loses; no error bar is smaller
+SOLVED = "fea"  # the source of a row that a solver gave
 SMALLEST = 1e-30  # m and rad: an error bar where nothing moves at all; its square is a number
 
 # Limits of every displacement: what no row of a table may exceed, and no estimate is given beyond.
@@ -62,16 +63,26 @@ class LoadRange:
         for name in ("low", "high"):
             bound = np.array(getattr(self, name), dtype=float)
             count = len(self.space.inputs)
-            if bound.shape != (count,) or not np.isfinite(bound).all():
+            if bound.shape != (count,):
                 raise RowError(
-                    f"load range: {name} needs {count} finite numbers, not {str(bound)[:99]}"
+                    f"load range: {name} needs {count} numbers, one for each input, not an array "
+                    f"of shape {bound.shape}"
                 )
+            if not np.isfinite(bound).all():
+                at = int(np.argmin(np.isfinite(bound)))
+                load = self.space.input_names[at]
+                raise RowError(f"load range: {name} of {load} must be finite, not {bound[at]}")
             object.__setattr__(self, name, bound)
         if (self.low > self.high).any():
             at = int(np.argmax(self.low > self.high))
             ends = f"its high end, {self.low[at]:g} > {self.high[at]:g}; swap the two"
             load = self.space.input_names[at]
             raise RowError(f"load range: the low end of {load} must not be above {ends}")
+
+    @property
+    def largest(self) -> Floats:
+        """The size of each load at its larger end, shape (n,), N and N·m."""
+        return np.maximum(np.abs(self.low), np.abs(self.high))
 
     @cached_property
     def scale(self) -> Floats:
@@ -81,9 +92,8 @@ class LoadRange:
         zero.
         """
         half = (self.high - self.low) / 2
-        size = np.maximum(np.abs(self.low), np.abs(self.high))
         # Read-only, since it is cached and returned again.
-        array = np.where(half > 0, half, np.where(size > 0, size, 1.0))
+        array = np.where(half > 0, half, np.where(self.largest > 0, self.largest, 1.0))
         array.flags.writeable = False
         return array
 
@@ -136,9 +146,12 @@ class Tolerance:
     rotation: float  # rad
 
     def __post_init__(self) -> None:
-        if not (self.translation > 0 and self.rotation > 0):
-            values = f"{self.translation} m and {self.rotation} rad"
-            raise RowError(f"tolerance: translation and rotation must be above zero, not {values}")
+        for name, limit, unit in (
+            ("translation", self.translation, "m"),
+            ("rotation", self.rotation, "rad"),
+        ):
+            if not limit > 0:
+                raise RowError(f"tolerance: {name} must be above 0 {unit}, not {limit:g}")
 
 
 @dataclass(frozen=True)
@@ -194,9 +207,11 @@ class Rows:
                 )
         broken = ~np.isfinite(self.curvature).all(axis=1) & ~absent.all(axis=1)
         if broken.any():
+            row = int(np.argmax(broken))
+            finite = int(np.isfinite(self.curvature[row]).sum())
             raise RowError(
-                f"row {self.seq[np.argmax(broken)]}: curvature must be {absent.shape[1]} finite "
-                "numbers, or all NaN"
+                f"row {self.seq[row]}: curvature must be {absent.shape[1]} finite numbers, or all "
+                f"NaN; {finite} of them are finite"
             )
         unmeasured = np.isnan(self.displacement)
         self._refuse(~np.isfinite(self.wrench), self.wrench, self.space.input_names)
@@ -209,7 +224,20 @@ class Rows:
         if wrong.any():
             row, column = np.argwhere(wrong)[0]
             value = values[row, column]
-            raise RowError(f"row {self.seq[row]}: {names[column]} must be finite, not {value}")
+            raise RowError(
+                f"row {self.seq[row]}: {names[column]} must be finite, not {value}; correct it, or "
+                "leave the row out"
+            )
+
+    @property
+    def has_tangent(self) -> NDArray[np.bool_]:
+        """Which rows have a complete tangent, shape (n,)."""
+        return np.asarray(np.isfinite(self.compliance).all(axis=(1, 2)))
+
+    @property
+    def is_solved(self) -> NDArray[np.bool_]:
+        """Which rows are solves, whose displacements repeat exactly, shape (n,)."""
+        return np.asarray(self.source == SOLVED)
 
     @property
     def partial(self) -> bool:

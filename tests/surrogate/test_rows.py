@@ -56,7 +56,9 @@ def test_a_load_range_scale_is_never_zero() -> None:
 def test_a_load_range_must_be_finite_and_in_order() -> None:
     with pytest.raises(RowError, match="fy"):
         LoadRange(np.array([0.0, 1, 0, 0, 0, 0]), np.zeros(6))
-    with pytest.raises(RowError, match="6 finite"):
+    with pytest.raises(RowError, match="low of fx must be finite, not nan"):
+        LoadRange(np.array([np.nan, 0, 0, 0, 0, 0]), np.zeros(6))
+    with pytest.raises(RowError, match=r"low needs 6 numbers, .* of shape \(5,\)"):
         LoadRange(np.zeros(5), np.zeros(6))
 
 
@@ -98,7 +100,7 @@ def test_third_derivatives_of_another_number_are_refused() -> None:
 def test_an_infinite_or_missing_third_derivative_is_refused_by_row(wrong: float) -> None:
     thirds = THIRDS.copy()
     thirds[1, 7] = wrong
-    with pytest.raises(RowError, match="row 2: curvature must be 56 finite numbers"):
+    with pytest.raises(RowError, match=r"row 2: curvature must be 56 finite .*; 55 of them"):
         Rows.of(np.eye(6)[:2], np.eye(6)[:2], curvature=thirds)
 
 

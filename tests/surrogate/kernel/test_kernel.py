@@ -56,10 +56,12 @@ def test_many_python_threads_share_a_table():
 def test_what_is_no_wrench_or_method_is_refused():
     packed = packed_of("solved")
     for wrong in ([1.0] * 5, [1.0] * 7, [float("nan")] * 6, [float("inf")] + [0.0] * 5, ["x"] * 6):
-        with pytest.raises(ValueError, match="wrench"):
+        with pytest.raises(ValueError, match=r"wrench must be 6 numbers|fx must be finite"):
             packed.answer(wrong)
-    with pytest.raises(ValueError, match="finite"):
-        packed.batch([[np.inf] * 6])
+    with pytest.raises(ValueError, match="wrench 1: fy must be finite, not inf"):
+        packed.batch([[0.0] * 6, [0.0, np.inf, 0.0, 0.0, 0.0, 0.0]])
+    with pytest.raises(ValueError, match=r"tolerance must be 6 numbers .*, not 2"):
+        packed.answer([0.0] * 6, (1e-6, 1e-5))
     for method in ("cubic", "tangent", "nearest"):
         with pytest.raises(UnknownMethodError, match="one of griddata, additive, kriging, linear"):
             packed.answer([0.0] * 6, None, method)
@@ -124,10 +126,20 @@ def test_the_inverse_leaves_locked_loads_zero():
 def test_a_displacement_without_a_wrench_is_refused():
     with pytest.raises(InverseError, match=r"not known|singular|no wrench"):
         packed_of("one row").inverse([1.0] * 6)
-    with pytest.raises(InverseError):
+    with pytest.raises(InverseError, match=r"nearest one is .*fx = .* N"):
         packed_of("solved").inverse([1e3] * 6)
-    with pytest.raises(ValueError, match="finite"):
-        packed_of("solved").inverse([np.nan] * 6)
+    with pytest.raises(ValueError, match="uy must be finite, not nan"):
+        packed_of("solved").inverse([0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match=r"start wrench must be 6 numbers, not of shape \(5,\)"):
+        packed_of("solved").inverse([0.0] * 6, start=[0.0] * 5)
+
+
+def test_a_rate_of_a_joint_without_a_mass_names_the_matrix():
+    unit = np.eye(6)
+    with pytest.raises(ValueError, match=r"stiffness .* entry \[0, 1\] is nan"):
+        PackedTable.joint_rate(np.where(np.eye(6, k=1), np.nan, unit), unit, 1e-3, 0.0)
+    with pytest.raises(ValueError, match=r"smallest eigenvalue -1; give every freedom"):
+        PackedTable.joint_rate(unit, -unit, 1e-3, 0.0)
 
 
 def test_a_closed_table_answers_no_more():

@@ -228,8 +228,8 @@ def test_a_load_on_a_locked_freedom_is_none_of_the_scenes() -> None:
 @pytest.mark.parametrize(
     ("ends", "told"),
     [
-        ((1.0, -1.0), "the low end of fx, 1000, must be below the high, -1000"),
-        ((-1.0, 1.5), "fx must lie within -1000 to 1000 N, the load range"),
+        ((1.0, -1.0), "the low end of fx, 1000 N, must not be above the high end, -1000"),
+        ((-1.0, 1.5), "within -1000 to 1000 N, the load range, not -1000 to 1500"),
         ((-1.5, 0.0), "fx must lie within -1000 to 1000 N, the load range"),
     ],
 )
