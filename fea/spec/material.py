@@ -155,10 +155,17 @@ class Orthotropic(Solid):
 
     def __post_init__(self) -> None:
         if not self.stable:
-            message = (
-                "must not let any strain release energy: each |nu_ij| must be below sqrt(E_i / "
-                "E_j); nu12 is the strain along 2 when pulled along 1 (nu21 = nu12 E2 / E1)"
-            )
+            rule = "must not let any strain release energy:"
+            for (i, j), ratio in zip(((1, 2), (1, 3), (2, 3)), self.poisson_ratios, strict=True):
+                bound = np.sqrt(self.youngs_moduli[i - 1] / self.youngs_moduli[j - 1])
+                if abs(ratio) >= bound:
+                    limit = f"|nu{i}{j}| must be below sqrt(E{i} / E{j}) = {bound:.4g}"
+                    used = f"if nu{j}{i} was meant, nu{i}{j} = nu{j}{i} E{i} / E{j}"
+                    message = f"{rule} {limit}, not {abs(ratio):.4g}; {used}"
+                    raise MistakesError(("poisson_ratio", message))
+            volume = np.linalg.det(self._compliance) * np.prod(self.youngs_moduli)
+            sum_of = "1 - nu12 nu21 - nu13 nu31 - nu23 nu32 - 2 nu12 nu23 nu31"
+            message = f"{rule} {sum_of} is {volume:.3g}, but must be above 0; lower the ratios"
             raise MistakesError(("poisson_ratio", message))
         if (ratio := self.isotropic_ratio) > MAX_ISOTROPIC_RATIO:
             message = (

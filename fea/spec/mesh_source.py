@@ -80,8 +80,10 @@ class Selector:
 
 
 def _box(corners: tuple[Any, Any]) -> tuple[Any, Any]:
-    if any(low > high for low, high in zip(*corners, strict=True)):
-        raise ValueError("must be the low corner, then the high corner; swap the numbers")
+    for axis, low, high in zip("xyz", *corners, strict=True):
+        if low > high:
+            numbers = f"swap {axis}, {low:g} and {high:g}"
+            raise ValueError(f"must be the low corner, then the high corner; {numbers}")
     return corners
 
 
@@ -125,14 +127,14 @@ class FaceSelector(Selector):
 
     def __post_init__(self) -> None:
         if self.plane is None and self.at is not None:
-            message = 'is missing; "at" is a position along plane = "x", "y" or "z"'
+            message = 'is missing; "at" is a position along it: write plane = "x", "y" or "z"'
             raise MistakesError(("plane", message))
         for name, of in (("radius", "cylinder"), ("normal", "angle")):
             if getattr(self, name) is None and getattr(self, of) is not None:
                 raise MistakesError((name, f'is missing; write it, or leave "{of}" out'))
         super().__post_init__()
         if self.plane is not None and self.at is None:
-            raise MistakesError(("at", "is missing; write a number in m"))
+            raise MistakesError(("at", "is missing; write where the plane is, in m: at = 0.0"))
 
 
 @table
