@@ -429,14 +429,22 @@ def section_warnings(component: ComponentModel) -> list[BundleProblem]:
             problems.append(BundleProblem(key, message))
         inside = np.setdiff1d(section.node_ids, surface)
         if inside.size:
-            message = f"{inside.size} of its nodes are inside the body; name nodes of its surface"
+            message = (
+                f"{inside.size} of its nodes, such as the one at "
+                f"{point_text(mesh.points[inside[0]])} m, are inside the body; name nodes of its "
+                "surface"
+            )
             problems.append(BundleProblem(key, message))
         constrained = np.union1d(constrained, section.node_ids)
-    between = sum(int(np.isin(block.nodes, constrained).all(axis=1).sum()) for block in mesh.blocks)
-    if between:
+    rigid_cells = [
+        block.nodes[np.isin(block.nodes, constrained).all(axis=1), 0] for block in mesh.blocks
+    ]
+    corners = np.concatenate(rigid_cells)  # one node of each
+    if corners.size:
         message = (
-            f"{between} cells cannot deform, because all their nodes are fixed or in the section; "
-            "mesh more cells between section and supports"
+            f"{corners.size} cells cannot deform, such as one near "
+            f"{point_text(mesh.points[corners[0]])} m, because all their nodes are fixed or in the "
+            "section; mesh more cells between section and supports"
         )
         problems.append(BundleProblem("mesh", message))
     return problems

@@ -131,13 +131,16 @@ class CalculixDat:
         name = f"{run.job}.dat"
         path = run.folder / name
         if not path.is_file():
-            raise OutputError(f"The solver wrote no file {name}.")
+            raise OutputError(
+                f'The solver wrote no file {name}; add "*NODE PRINT, NSET={options["point"]}" and '
+                '"U" to the step.'
+            )
         last = {key: _last(path, name, options[key]) for key in self.keys}
         times = {time for time, _ in last.values()}
         if len(times) > 1:
             ends = ", ".join(f"{options[key]} at {time}" for key, (time, _) in last.items())
             raise OutputError(
-                f"{name} ends with the sets {ends}; give both *NODE PRINT cards the same FREQUENCY"
+                f"{name} ends with the sets {ends}; give both *NODE PRINT cards the same FREQUENCY."
             )
         (_, translation), (_, rotation) = last["point"], last["rotation"]
         counts = _UNKNOWNS.findall(_text(run.printed))
@@ -181,25 +184,31 @@ class CalculixDat:
 
 def _last(path: Path, name: str, node_set: str) -> tuple[str, tuple[float, ...]]:
     """Return time and motion of the last block that `path` has of a set."""
-    time, rows = "", []
+    time, rows, others = "", [], dict[str, None]()
     inside = False
     with path.open(encoding="utf-8", errors="replace") as lines:
         for line in lines:
             head = _HEAD.match(line)
             if head is not None:
                 inside = head[1].upper() == node_set.upper()
+                others[head[1]] = None
                 time, rows = (head[2], []) if inside else (time, rows)
             elif inside and line.strip():
                 inside = line.split()[0].isdigit()
                 rows += [line.split()[1:]] if inside else []
-    if len(rows) != 1:
-        count = f"{len(rows)} nodes" if rows else "no displacement"
+    if not rows:
+        printed = f"; it has {', '.join(others)}" if others else ""
         raise OutputError(
-            f'{name} has {count} of the set "{node_set}", but must have one; correct the set.'
+            f'{name} has no displacement of the set "{node_set}"{printed}. Name a set in '
+            f'[deck.output], or add "*NODE PRINT, NSET={node_set}" and "U" to the step.'
         )
+    if len(rows) > 1:
+        count = f"{len(rows)} nodes of the set"
+        raise OutputError(f'{name} has {count} "{node_set}"; leave one node in the set.')
     if len(rows[0]) != 3:
-        raise OutputError(f'{name} ends within the set "{node_set}"; look at the log.')
-    return time, tuple(number(word, name) for word in rows[0])
+        missing = f"with {len(rows[0])} of 3 displacements"
+        raise OutputError(f'{name} ends within the set "{node_set}", {missing}; look at the log.')
+    return time, tuple(number(word, f'{name}, set "{node_set}",') for word in rows[0])
 
 
 def _errors(text: str) -> Iterator[str]:
@@ -236,10 +245,15 @@ class NumbersReader:
         name = options["file"].replace("{job}", run.job)
         try:
             texts = (run.folder / name).read_text(encoding="utf-8").replace(",", " ").split()
-        except (OSError, UnicodeDecodeError):
-            raise OutputError(f"The command wrote no text file {name}.") from None
+        except OSError as error:
+            raise OutputError(f"The command wrote no {name} to read ({error.strerror}).") from None
+        except UnicodeDecodeError:
+            raise OutputError(f"{name} is not UTF-8 text; let the command write text.") from None
         if len(texts) != 6:
-            raise OutputError(f"{name} has {len(texts)} numbers; the command must write six.")
+            raise OutputError(
+                f"{name} has {len(texts)} numbers; the command must write six: translation and "
+                "rotation vector."
+            )
         return Reading(tuple(number(word, name) for word in texts))
 
     def complaint(self, run: DeckRun) -> Complaint | None:

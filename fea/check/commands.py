@@ -108,8 +108,12 @@ def condense(options: argparse.Namespace) -> Reply:
     """Write a part as stiffness and mass of its frames and modes."""
     wanted = f"{options.out}: name a file that ends in .npz, .pch (Nastran) or .mtx (Abaqus)"
     _check_output(options, options.out, (".npz", ".pch", ".mtx"), wanted)
-    if not (0 <= options.damping < 1 and 0 < options.first <= _MAX_FIRST_NODE):
-        options.usage_error("--damping must be a ratio such as 0.01, --first a number from 1")
+    if not 0 <= options.damping < 1:
+        example = f"a ratio such as 0.01, from 0 to below 1, not {options.damping:g}"
+        options.usage_error(f"--damping must be {example}")
+    if not 0 < options.first <= _MAX_FIRST_NODE:
+        limits = f"1 to {_MAX_FIRST_NODE}, not {options.first}"
+        options.usage_error(f"--first must be a node number from {limits}")
     part = Solver(read_bundle(options.folder)).craig_bampton(options.modes)
     content = reduced.arrays(part, options.damping)
     if options.out.suffix.lower() == ".npz":

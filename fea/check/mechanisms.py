@@ -54,8 +54,8 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     """
     if bodies.count > _MAX_BODIES:
         message = (
-            f"consists of {bodies.count} parts that share no face; if they are one body, merge "
-            "their nodes in the mesher and export the mesh again"
+            f"consists of {bodies.count} parts that share no face, more than the {_MAX_BODIES} that "
+            "are checked; if they are one body, merge their nodes in the mesher, else leave some out"
         )
         return [BundleProblem("mesh", message)]
     motions = free_motions(component, bodies)

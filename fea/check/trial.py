@@ -14,7 +14,7 @@ from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.recovery.stress import integration_points, nodal_masses, small_stress
 from wrenchbook.fea.solve import MAX_DEGREES, Solver
 from wrenchbook.fea.solver.vibration import Riding
-from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
 from wrenchbook.fea.tensors import von_mises
 
 Array = np.ndarray
@@ -200,9 +200,13 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[Bundle
         warnings.append(BundleProblem("material", message))
     try:
         vibration = solver.vibration(carried)
-    except (ValueError, SolveFailed) as error:
+    except SolveFailed as failure:
+        why = f"the natural frequency is unknown: {failure.message} {failure.remedy}"
+        return {}, [*warnings, BundleProblem(_WHERE.get(failure.kind, "mesh"), why)]
+    except ValueError as error:
+        where = "material" if riding is None else "interface"
         why = f"the natural frequency is unknown: {error}"
-        return {}, [*warnings, BundleProblem("material", why)]
+        return {}, [*warnings, BundleProblem(where, why)]
     result: Swing = {
         "mass": vibration.mass if len(without_density) < len(component.materials) else None,
         "first_frequency": vibration.frequency,
@@ -246,6 +250,7 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
 
 
 _MAX_CORNERS = 4096  # of two interfaces' twelve loads: 0.2 s for 30,000 points
+_STRESS_ROUNDOFF = 1e-9  # relative: a bound below the stress it bounds only by roundoff
 _FIRST_POINTS = 64  # by the bound of `_worst`; their stresses exclude most other points
 
 
@@ -262,8 +267,9 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[LargestStress], list
         return [], []
     try:
         stresses = _first_order_stresses(solver)
-    except SolveFailed as error:
-        return [], [BundleProblem("material", f"its stresses are unknown: {error}")]
+    except SolveFailed as failure:
+        why = f"its stresses are unknown: {failure.message} {failure.remedy}"
+        return [], [BundleProblem("material", why)]
     except ValueError as error:
         return [], [BundleProblem("material", f"its largest stress is unknown: {error}")]
     warnings: list[BundleProblem] = []
@@ -282,9 +288,11 @@ def _first_order_stresses(solver: Solver) -> list[LargestStress]:
     """
     component = solver.component
     corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
-    if len(corners) > _MAX_CORNERS * 2 ** len(component.further):
+    limit = _MAX_CORNERS * 2 ** len(component.further)
+    if len(corners) > limit:
         raise ValueError(
-            f"[range] has {len(corners)} corners, too many; give some loads the range 0"
+            f"[range] has {len(corners)} corners, at most {limit} are compared; write 0 as the "
+            "range of loads that do not act"
         )
     unit, loads = solver.unit_stresses(), corners
     if component.analysis.gravity or component.bolts:  # a load that is always there
@@ -325,7 +333,7 @@ def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
     bound = sum(load * von_mises(unit[:, :, i]) for i, load in enumerate(loads))
     top = unit[np.argsort(bound)[-_FIRST_POINTS:]]
     reached = max(von_mises(top @ corner).max() for corner in corners)
-    points = np.flatnonzero(bound >= (1 - 1e-9) * reached)  # less than it only by roundoff
+    points = np.flatnonzero(bound >= (1 - _STRESS_ROUNDOFF) * reached)
     candidates, worst_so_far = unit[points], (-1.0, 0, 0)
     for i, corner in enumerate(corners):
         equivalent = von_mises(candidates @ corner)
@@ -343,8 +351,12 @@ def _replace_by_nonlinear(solver: Solver, stresses: list[LargestStress]) -> list
     for i, linear in enumerate(stresses):
         try:
             stress = solver.stresses(solver.solve([*linear.wrench, *linear.further.values()]))
-        except SolveFailed as error:
-            message = f'are linear: the solve at a corner of [range] fails ("{error}")'
+        except SolveFailed as failure:
+            loads = ", ".join(f"{load:g}" for load in linear.wrench)
+            message = (
+                f"are linear: the solve of a corner of [range], ({loads}) in N and N·m, fails "
+                f"({failure.message} {failure.remedy})"
+            )
             return [BundleProblem("stresses", message)]
         equivalent = np.where(numbers == regions.index(linear.region), von_mises(stress), -1.0)
         point = int(equivalent.argmax())
@@ -367,9 +379,10 @@ def _yielding(component: ComponentModel, stresses: list[LargestStress]) -> list[
         for stress in stresses:
             if stress.region == material.region and stress.largest > strength:
                 message = (
-                    f"is exceeded at the full range: the stress is {stress.largest:.4g} Pa, "
-                    f"{stress.largest / strength:.2g} times as high. The solver has no plasticity, "
-                    "so its answers are too stiff. Narrow [range], or strengthen the part"
+                    f"is exceeded at the full range: the stress near {point_text(stress.at)} m is "
+                    f"{stress.largest:.4g} Pa, {stress.largest / strength:.2g} times as high. The "
+                    "solver has no plasticity, so its answers are too stiff. Narrow [range], or "
+                    "strengthen the part"
                 )
                 problems.append(BundleProblem(key, message))
     return problems

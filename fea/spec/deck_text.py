@@ -63,10 +63,10 @@ def deck_text(path: Path) -> DeckText:
         parts.append(part)
         lines += part.count("\n")
 
-    def take(file: Path, stack: tuple[Path, ...]) -> None:
+    def take(file: Path, text: str, stack: tuple[Path, ...]) -> None:
         nonlocal size
         name = "" if len(stack) == 1 else file.relative_to(folder).as_posix()
-        text, end, line = _plain(file), 0, 1
+        end, line = 0, 1
         size += len(text)
         named = [(match, _file_name(match, text)) for match in pattern.finditer(text)]
         beside = ", ".join(dict.fromkeys(inner for _, inner in named if inner))
@@ -75,23 +75,31 @@ def deck_text(path: Path) -> DeckText:
                 continue
             at = line + text.count("\n", end, match.start())
             try:
-                if size > _MAX_CHARACTERS or len(stack) > _MAX_DEPTH or len(included) > _MAX_FILES:
-                    most = f"{_MAX_CHARACTERS >> 20} MiB, {_MAX_FILES} in all and {_MAX_DEPTH} deep"
-                    raise ValueError(f"which exceeds the limit: {most}; include fewer files")
+                for count, limit, unit in (
+                    (size, _MAX_CHARACTERS, "characters in all files"),
+                    (len(stack), _MAX_DEPTH, "files in each other"),
+                    (len(included), _MAX_FILES, "files"),
+                ):
+                    if count > limit:
+                        raise ValueError(f"which exceeds the limit, {limit} {unit}; include less")
                 included.append(_inside(folder, stack[-1].parent, inner, beside))
                 if included[-1] in stack:
                     raise ValueError("which includes itself; remove one of the two lines")
+                content = _plain(included[-1])
             except (OSError, RuntimeError, ValueError) as error:
                 where = f"line {at} of {name}: " if name else f"line {at}: "
                 word = "*" * (pattern is _ABAQUS) + match[1].upper()
-                raise MeshFileError(f'{where}{word} names "{inner[:100]}", {error}') from None
+                why = str(error)
+                if isinstance(error, OSError):
+                    why = f"which cannot be read ({error.strerror})"
+                raise MeshFileError(f'{where}{word} names "{inner[:100]}", {why}') from None
             rows = "" if match[1].upper() == "INCLUDE" else _INPUT.sub("", match[0]) + "\n"
             put(text[end : match.start()] + rows, name, line)
-            take(included[-1], (*stack, included[-1]))
+            take(included[-1], content, (*stack, included[-1]))
             line, end = at + match[0].count("\n"), match.end()
         put(text[end:], name, line)
 
-    take(path, (path.resolve(),))
+    take(path, _plain(path), (path.resolve(),))
     joined = DeckText("".join(parts))
     joined.included, joined.pieces = tuple(included), tuple(pieces)
     return joined
@@ -115,9 +123,11 @@ def _inside(folder: Path, here: Path, name: str, beside: str) -> Path:
     if re.match(r"/|\w:", name) or not inside:  # whatever is there: no sender may know
         raise ValueError("which is outside the folder of the deck; move the file into it")
     files = [path for path in inside if path.is_file()]
-    if len(files) != 1:
-        why = "of which there are two" if files else "which is not there"
-        raise ValueError(f"{why}; these must lie beside the deck: {beside}")
+    if not files:
+        raise ValueError(f"which is not there; these must lie beside the deck: {beside}")
+    if len(files) > 1:
+        both = " and ".join(file.relative_to(folder).as_posix() for file in files)
+        raise ValueError(f"of which there are two, {both}; rename or remove one")
     return files[0]
 
 

@@ -397,12 +397,9 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
         return f"must name at least {context['min_length']}, but the list is empty{example}"
     if (noun := _noun(info)).startswith("a whole number") or extra.get("write"):
         return f"must be {noun}, not {shown(value)}"
-    if "gt" in context:
-        return f"must be above {context['gt']:g} ({unit}), not {value:g}"
-    if "ge" in context:
-        return f"must be at least {context['ge']:g} ({unit}), not {value:g}"
-    if "lt" in context:
-        return f"must be below {context['lt']:g} ({unit}), not {value:g}"
+    for bound, side in (("gt", "above"), ("ge", "at least"), ("lt", "below")):
+        if bound in context:
+            return f"must be {side} {context[bound]:g} ({unit}), not {value:g}"
     if error == "count":
         names = f" {names}" if (names := context["names"]) else ""
         return f"must be a list of {context['count']} numbers{names} in {unit}, not {shown(value)}"

@@ -193,8 +193,8 @@ def _stiffness(numbers: tuple[Any, ...]) -> Array:
         raise ValueError(f"must have no negative stiffness, but {freedom}; write 0 or more")
     if (least := np.linalg.eigvalsh(scaled)[0]) < -_ROUNDING:
         raise ValueError(
-            f"must have no negative eigenvalue, or it would release energy; the least is {least:.2g} "
-            "of the diagonal: reduce the numbers off the diagonal"
+            f"must have no negative eigenvalue, or it would release energy; the least is "
+            f"{least:.2g} of the diagonal: reduce the numbers off the diagonal"
         )
     if not matrix.any():
         raise ValueError("is zero, so nothing resists; write a stiffness, or leave the table out")
