@@ -9,7 +9,7 @@ import numpy as np
 
 from wrenchbook.fea.check.cost import Cost
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.coupling.coupling import each_interface, largest_rotation
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE, each_interface, largest_rotation
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.recovery.stress import integration_points, nodal_masses, small_stress
 from wrenchbook.fea.solve import MAX_DEGREES, Solver
@@ -82,7 +82,7 @@ def solver_of(component: ComponentModel) -> Solver:
 
 
 def trial(solver: Solver, cost: Cost) -> tuple[Trial, list[BundleProblem]]:
-    """Solve six unit loads; return size, mass and deflection, and problems that stop a solve.
+    """Solve for unit inputs; return size, mass and deflection, and problems that stop a solve.
 
     solver: the component's.
     cost: of one solve; above `_MAX_SECONDS` or `_MAX_BYTES` nothing is solved.
@@ -218,13 +218,14 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[Bundle
 
 
 def sag_per_gravity(solver: Solver) -> Array:
-    """Return the interface's displacement by gravity, (6, 3), m and rad over m/s^2, first order.
+    """Return the interfaces' displacement by gravity, (6 i, 3), m and rad over m/s^2, first order.
 
-    By reciprocity: the work of the weight on the fields of the unit loads. Gravity is in the
-    interface frame; materials without a density weigh nothing.
+    By reciprocity: the work of the weight on the fields of the unit loads. Gravity is in the frame
+    of the first interface; materials without a density weigh nothing.
     """
     masses = nodal_masses(solver.component, solver.body)
-    return np.einsum("n,nji->ij", masses, solver.linear.fields)
+    loads = len(solver.compliance)
+    return np.einsum("n,nji->ij", masses, solver.linear.fields[:, :, :loads])
 
 
 def weight_warnings(solver: Solver) -> list[BundleProblem]:
@@ -234,15 +235,18 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     known = all(material.density is not None for material in component.materials)
     if component.analysis.gravity or component.accelerated or limit is None or not known:
         return []
-    by_gravity = _STANDARD_GRAVITY * sag_per_gravity(solver)
-    moved, turned = (np.linalg.svd(half)[1][0] for half in (by_gravity[:3], by_gravity[3:]))
+    # The worst direction of gravity for each interface: the largest singular value of 3x3 matrices.
+    by_gravity = _STANDARD_GRAVITY * sag_per_gravity(solver).reshape(-1, PER_INTERFACE, 3)
+    _, translations, directions = np.linalg.svd(by_gravity[:, :3])
+    _, rotations, _ = np.linalg.svd(by_gravity[:, 3:])
+    moved, turned = translations.max(), rotations.max()
     if moved <= limit.translation and turned <= limit.rotation:
         return []
-    direction = np.linalg.svd(by_gravity[:3])[2][0] @ component.axes
+    direction = directions[translations[:, 0].argmax(), 0] @ component.axes
     down = -np.sign(direction[np.abs(direction).argmax()]) * direction * _STANDARD_GRAVITY
     gravity = ", ".join(f"{number + 0.0:.3g}" for number in np.round(down, 6))
     message = (
-        f"is missing: self-weight moves the interface by up to {moved:.2g} m and {turned:.2g} rad "
+        f"is missing: self-weight moves an interface by up to {moved:.2g} m and {turned:.2g} rad "
         f"(worst under [{gravity}] m/s^2), more than the tolerance. Write gravity = [0, 0, -9.81] "
         "under [analysis], or [inputs.acceleration] for a rotating part"
     )
@@ -307,17 +311,16 @@ def _first_order_stresses(solver: Solver) -> list[LargestStress]:
         stress, corner, point = _worst(unit[points], loads)
         material = component.materials[number]
         pairs = zip(component.further, corners[corner][count:].tolist(), strict=True)
-        stresses.append(
-            LargestStress(
-                material.region,
-                stress,
-                coordinates[points[point]].tolist(),
-                corners[corner][:count].tolist(),
-                {scalar.name: value + scalar.reference for scalar, value in pairs},
-                material.yield_strength,
-                component.analysis.nonlinear,
-            )
+        largest_stress = LargestStress(
+            region=material.region,
+            largest=stress,
+            at=coordinates[points[point]].tolist(),
+            wrench=corners[corner][:count].tolist(),
+            further={scalar.name: value + scalar.reference for scalar, value in pairs},
+            yield_strength=material.yield_strength,
+            first_order=component.analysis.nonlinear,
         )
+        stresses.append(largest_stress)
     return stresses
 
 

@@ -30,10 +30,13 @@ EXPANDING = ("isotropic", "orthotropic")  # the laws whose cells have a thermal 
 MAX_ISOTROPIC_RATIO = 0.4
 """Of `Orthotropic.isotropic_ratio`: the least at which any kind of cells locks."""
 _LARGEST_MODULUS = 1e100  # Pa: products of three, and of their inverses, are numbers
+_DIRECTION_LENGTHS = 1e-6, 1e6  # differences of two points in any length unit
+_LEAST_EIGENVALUE = 1e-9  # of the scaled compliance: below it only roundoff makes it stable
 _LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
 
 
 def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Refuse coefficients, 1/K, that lack their factor of 1e-6."""
     if (most := max(map(abs, expansion))) > _LARGEST_EXPANSION:
         end = f"{_LARGEST_EXPANSION:g} 1/K, not {most:g}"
         raise ValueError(f"must be at most {end} (aluminium has 23e-6)")
@@ -41,11 +44,13 @@ def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 def _alike(expansion: float | tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return one coefficient as that of all three directions."""
     return _small(expansion if isinstance(expansion, tuple) else (expansion, expansion, expansion))
 
 
 def _no_list(expansion: object) -> object:
-    if isinstance(expansion, list):  # a file's; a tuple is of a material that was read
+    """Refuse a list, which a file has; a tuple comes from a material that was read before."""
+    if isinstance(expansion, list):
         raise ValueError("must be one finite number in 1/K; only an orthotropic material has three")
     return expansion
 
@@ -70,8 +75,11 @@ _Moduli = tuple[Modulus, Modulus, Modulus]
 
 
 def _direction(axis: tuple[float, float, float]) -> tuple[float, float, float]:
-    if not 1e-6 < np.sqrt(sum(x * x for x in axis)) < 1e6:
-        raise ValueError(f"must be a direction of a length from 1e-6 to 1e6, not {list(axis)}")
+    """Return a direction's unit vector; refuse one of nearly no length, or of a huge one."""
+    low, high = _DIRECTION_LENGTHS
+    if not low < np.sqrt(sum(x * x for x in axis)) < high:
+        wanted = f"a direction of a length from {low:g} to {high:g}"
+        raise ValueError(f"must be {wanted}, such as [0, 0, 1], not {list(axis)}")
     return unit_vector(axis)
 
 
@@ -221,7 +229,7 @@ class Orthotropic(Solid):
         scale = np.sqrt(np.array(self.youngs_moduli))
         with np.errstate(over="ignore"):
             scaled = self._compliance * np.outer(scale, scale)
-        return bool(np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled)[0] > 1e-9)
+        return bool(np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled)[0] > _LEAST_EIGENVALUE)
 
     @property
     def isotropic_ratio(self) -> float:

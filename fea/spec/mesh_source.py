@@ -39,6 +39,7 @@ UNITS: Mapping[str, float] = {
 }
 """Length units a mesh file may be in, each in metres."""
 LengthUnit = Literal["m", "dm", "cm", "mm", "um", "in", "ft"]
+CELLS_ROUND_A_CIRCLE = 7  # at least: gmsh's default
 GEOMETRY_ENDINGS = (".step", ".stp")
 """Endings of files that hold geometry to be meshed, not a mesh."""
 
@@ -191,9 +192,9 @@ class GeometryMeshing:
         "", "{steel = {bodies = [1]}}", default=dict, absent="none"
     )
     """STEP: named cell groups, each `[mesh.regions.NAME]`"""
-    # Least number of cells round a full circle, however small; 7 is gmsh's default. For coarser and
-    # finer meshes of a bundle; no key of a file.
-    circle: SkipJsonSchema[int] = field(default=7, init=False)
+    # Least number of cells round a full circle, however small. For coarser and finer meshes of a
+    # bundle; no key of a file.
+    circle: SkipJsonSchema[int] = field(default=CELLS_ROUND_A_CIRCLE, init=False)
 
     def sized(self, size: float, circle: int) -> Self:
         """Return a copy with cells of another size, m, and least number round a circle."""
