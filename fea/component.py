@@ -253,23 +253,19 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
 
 def _mesh_source(bundle: Bundle) -> MeshSource:
     """Return the mesh of a bundle; raise BundleError if there is nothing to solve."""
-    if bundle.mesh is None and bundle.deck is not None:
+    tables = {  # beside a [deck], any of them may be missing
+        "mesh": bundle.mesh,
+        "material": bundle.materials,
+        "interface": bundle.interface,
+        "supports": bundle.supports or any(each.held for each in bundle.interfaces),
+    }
+    lacking = next((name for name, value in tables.items() if not value), None)
+    if bundle.mesh is not None and lacking is None:
+        return bundle.mesh
+    message = f"is missing; to solve this component, add a [{lacking}]"
+    if lacking == "mesh" and bundle.deck is not None:
         message = "is missing; name a component with a [mesh], not a [deck]"
-        raise BundleError([BundleProblem("mesh", message)])
-    if bundle.mesh is None:
-        message = "is missing; to solve this component, add a [mesh]"
-        raise BundleError([BundleProblem("mesh", message)])
-    # The tables that `read_bundle` does not ask for beside a [deck].
-    has_supports = bundle.supports is not None or any(each.held for each in bundle.interfaces)
-    for table, is_there in (
-        ("material", bundle.materials),
-        ("interface", bundle.interfaces),
-        ("supports", has_supports),
-    ):
-        if not is_there:
-            message = "is missing; the embedded solver needs it beside [mesh]: add it"
-            raise BundleError([BundleProblem(table, message)])
-    return bundle.mesh
+    raise BundleError([BundleProblem(lacking or "mesh", message)])
 
 
 def _materials(bundle: Bundle) -> tuple[AnyMaterial, ...]:
@@ -521,11 +517,9 @@ def _free_sliding(
         message = f"{slide}, which are all, so their mean is not free; let fewer nodes slide"
         problems.append(BundleProblem(attached.where, message))
     elif off > _ZERO * max(np.abs(arms).max(), 1.0):
-        only_interfaces = ", or lock those motions with locked"
-        message = (
-            f"{slide}, but its free motions would move them off; let none of them slide"
-            f"{only_interfaces if attached.key.startswith('interface') else ''}"
-        )
+        message = f"{slide}, but its free motions would move them off; let none of them slide"
+        if attached.key.startswith("interface"):  # others have no locked freedoms
+            message += ", or lock those motions with locked"
         problems.append(BundleProblem(attached.where, message))
     return nodes[~shared], projectors[~shared]
 

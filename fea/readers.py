@@ -55,7 +55,10 @@ class Complaint:
 
 
 class DeckReader(Protocol):
-    """A reader of an outside solver's output; made without arguments."""
+    """A reader of an outside solver's output; made without arguments.
+
+    A class that inherits it needs `moment`, `keys` and `read` alone.
+    """
 
     moment: str
     """The usual moment of this solver: see `fea.spec.schema.Deck`."""
@@ -67,16 +70,16 @@ class DeckReader(Protocol):
         ...
 
     def complaint(self, run: DeckRun) -> Complaint | None:
-        """Return the errors the solver reported, None if it reported none."""
-        ...
+        """Return the errors the solver reported; None if its exit code alone shows a failure."""
+        return None
 
     def stage(self, run: DeckRun) -> tuple[float, str] | None:
         """Return how far a run is, 0 to 1 and a message; None if that is unknown."""
-        ...
+        return None
 
     def mistakes(self, text: str, deck: Deck) -> list[str]:
         """Return mistakes in the text of a deck and its files that show without a run."""
-        ...
+        return []
 
 
 def number(word: str, where: str) -> float:
@@ -230,7 +233,7 @@ def _text(path: Path) -> str:
         return ""
 
 
-class NumbersReader:
+class NumbersReader(DeckReader):
     """Reader "numbers": a text file of six numbers, written by the command itself.
 
     ``file`` names it; ``{job}`` stands for the deck's name without its ending. The numbers are the
@@ -255,18 +258,6 @@ class NumbersReader:
                 "rotation vector."
             )
         return Reading(tuple(number(word, name) for word in texts))
-
-    def complaint(self, run: DeckRun) -> Complaint | None:
-        """Return None: the exit code shows a failure."""
-        return None
-
-    def stage(self, run: DeckRun) -> tuple[float, str] | None:
-        """Return None: nothing is known of the command."""
-        return None
-
-    def mistakes(self, text: str, deck: Deck) -> list[str]:
-        """Return nothing: the deck's language is not known."""
-        return []
 
 
 ENTRY_POINTS = "wrenchbook.deck_readers"

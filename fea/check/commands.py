@@ -203,10 +203,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         status, reply, text = options.run(options)
     except options.errors as error:
-        text = str(error)
+        text = _text_of(error)
         status, reply = 1, {"error": {"title": type(error).__name__, "detail": text}}
     print(json.dumps(reply) if options.json else text)
     return status
+
+
+def _text_of(error: Exception) -> str:
+    if isinstance(error, MemoryError):
+        return "the memory is not enough; mesh the part coarser, or use a machine with more"
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -106,15 +106,11 @@ class Temperature:
     largest; all others rise in proportion"""
 
     def __post_init__(self) -> None:
-        zero = _ABSOLUTE_ZERO[self.unit]
-        mistakes = [
-            (
-                name,
-                f"{lowest:g} {self.unit} is below {zero:g} {self.unit}, absolute zero; correct it",
-            )
-            for name, lowest in (("range", self.range[0]), ("reference", self.reference))
-            if lowest < zero
-        ]
+        zero, mistakes = _ABSOLUTE_ZERO[self.unit], []
+        for name, lowest in (("range", self.range[0]), ("reference", self.reference)):
+            if lowest < zero:
+                bound = f"below {zero:g} {self.unit}, absolute zero"
+                mistakes.append((name, f"{lowest:g} {self.unit} is {bound}; correct it"))
         if mistakes:
             raise MistakesError(*mistakes)
 
