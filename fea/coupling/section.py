@@ -54,10 +54,7 @@ class Rigid(SectionCoupling):
         return Border(constraint, np.zeros_like(constraint), block)
 
     def wrench_columns(self, state: CoupledState) -> Array:
-        """Return minus the derivative of the border's residual by the wrench.
-
-        Shape (6, 6), dimensionless.
-        """
+        """Return what `SectionCoupling` says, shape (6, 6)."""
         columns = np.eye(PER_INTERFACE)
         columns[3:, 3:] = spin_per_vector(state.interface[3:]).T
         return columns
@@ -196,10 +193,7 @@ class Distributed(SectionCoupling):
         return Border(np.zeros_like(columns), columns, block)
 
     def wrench_columns(self, state: CoupledState) -> Array:
-        """Return minus the derivative of the border's residual by the wrench.
-
-        Shape (12, 6), dimensionless; the rows of the six constraints are zero.
-        """
+        """Return what `SectionCoupling` says, shape (12, 6)."""
         columns = np.zeros((2 * PER_INTERFACE, PER_INTERFACE))
         columns[:3, :3] = np.eye(3)
         columns[3:6, 3:] = spin_per_vector(state.interface[3:]).T

@@ -211,9 +211,12 @@ def static_shapes(inertia: Inertia) -> tuple[Array, Array]:
 
 
 class Inertia:
-    """The mass matrix over free nodes, active interface freedoms and anchors, and K^-1.
+    """The mass matrix M over free nodes, active interface freedoms and anchors, and K^-1.
 
-    `first` is where the interface freedoms begin among the `size` unknowns.
+    mass: shape (n, n), kg: of the nodes, the same for the three components.
+    interface_mass: shape (6 i, 6 i), kg to kg·m^2: of what the interfaces carry.
+    active: indices of the freedoms that are not locked; they begin at `first` among the `size`
+    unknowns.
     """
 
     def __init__(self, system: System, mass: csr_array, interface_mass: Array) -> None:
@@ -430,6 +433,7 @@ def _rigid(arms: Array) -> Array:
 _MODES = 8
 _ITERATIONS = 12  # a ratio of 0.5 leaves 2e-4 of the vectors' error
 _CONVERGED = 1e-4  # relative change: factors are judged by their first two digits
+_DEPENDENT = 1e-12  # of the largest eigenvalue: motions that depend on the others but for roundoff
 _BUCKLING_SEED = 20170726  # of the start vectors: the same bundle gives the same digits
 
 
@@ -458,7 +462,7 @@ def buckling_factors(
         geometric = moved @ np.stack([stressed.times(motion) for motion in moved]).T
         # The best eigenvalues in a space of motions, and those of K-length one.
         size, vectors_of = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
-        significant = size > 1e-12 * size.max(initial=0.0)
+        significant = size > _DEPENDENT * size.max(initial=0.0)
         basis = vectors_of[:, significant] / np.sqrt(size[significant])
         values, vectors = np.linalg.eigh(basis.T @ (0.5 * (geometric + geometric.T)) @ basis)
         motions = (basis @ vectors).T @ moved
@@ -486,4 +490,5 @@ def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
 
 
 def _factor(value: float) -> float:
+    """Return the multiple of the load of an eigenvalue of K^-1 (-G); infinite of one below 0."""
     return 1.0 / float(value) if value > 0 else np.inf
