@@ -90,7 +90,7 @@ def checked_wrench(
         inputs = np.empty(0)
     if inputs.shape == (count,) and np.isfinite(inputs).all():
         return inputs
-    given = str(np.array(values, dtype=object).tolist())[:100]
+    given = str(inputs.tolist() if inputs.size else values)[:100]
     if len(names) == 1 and not further:
         raise ValueError(f"a wrench must be six finite numbers (force, moment), not {given}")
     order = [f"force (N) and moment (N·m){name and ' of ' + name}" for name in names]

@@ -97,19 +97,14 @@ def read_bundle(folder: str | Path) -> Bundle:
 
 def _syntax_problem(reason: str, text: str) -> BundleProblem:
     """Place of a mistake in TOML, with the line as it is written."""
-    lines = text.splitlines() or [""]
-    at = _LINE.search(reason)
-    if at is not None:
-        number, column = int(at[1]), f" (column {at[2]})"
-        reason = reason.replace(at[0], "").strip()
-    elif _END in reason:
-        number, column = len(lines), " (at its end)"
-        reason = reason.replace(_END, "").strip()
-    else:  # Python's own refusal of such an integer, without its place
+    lines, at = text.splitlines() or [""], _LINE.search(reason)
+    if at is None and _END not in reason:  # Python's own refusal of such an integer
         message = "has an integer of more than 4300 digits; write it with an exponent, such as 2e9"
         return BundleProblem(FILE_NAME, message)
-    message = f"is not valid TOML: {reason}{column}; correct {shown(lines[number - 1].strip())}"
-    return BundleProblem(f"line {number}", message)
+    number, place = (int(at[1]), f"column {at[2]}") if at else (len(lines), "at its end")
+    reason = reason.replace(at[0] if at else _END, "").strip()
+    line = shown(lines[number - 1].strip())
+    return BundleProblem(f"line {number}", f"is not valid TOML: {reason} ({place}); correct {line}")
 
 
 def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
@@ -326,10 +321,7 @@ class _Reader:
         if type(table) is not dict or "integration" in table:
             return analysis
         if len(of_deck) > 1:
-            message = (
-                'is missing, and the deck has both C3D20 and C3D20R; write integration = "full" or '
-                'integration = "reduced" for all of them'
-            )
+            message = 'is missing, but the deck has C3D20 and C3D20R; write "full" or "reduced"'
             self.wrong("analysis.integration", message)
         elif of_deck and analysis is not None:
             return replace(analysis, integration=of_deck[0])
@@ -366,9 +358,7 @@ class _Reader:
         """Note tables that need each other; an interface that is held stands in for supports."""
         for name in ("tie", "bolt", "spring"):
             if name in self.table and "deck" in self.table:
-                self.wrong(
-                    name, "cannot go with a [deck]; define it in the deck, leave it out here"
-                )
+                self.wrong(name, "cannot go with a [deck]; define it in the deck, not here")
             elif name in self.table and "mesh" not in self.table:
                 self.wrong(name, "needs a [mesh], whose groups it names; add one, or leave it out")
         if "deck" in self.table:
@@ -425,10 +415,7 @@ class _Reader:
                 message = "is missing; with [inputs.temperature] every material needs it, in 1/K"
                 self.wrong(f"material[{i}].thermal_expansion", f"{message}, such as 23e-6")
             if material is not None and material.law not in EXPANDING:
-                message = (
-                    f'"{material.law}" cannot go with [inputs.temperature]; write law = '
-                    '"isotropic", or leave that input out'
-                )
+                message = f'"{material.law}" cannot go with [inputs.temperature]; write "isotropic"'
                 self.wrong(f"material[{i}].law", message)
         if ACCELERATIONS[0] in names:
             self.check_densities(materials, "[inputs.acceleration]")

@@ -109,11 +109,9 @@ def condense(options: argparse.Namespace) -> Reply:
     wanted = f"{options.out}: name a file that ends in .npz, .pch (Nastran) or .mtx (Abaqus)"
     _check_output(options, options.out, (".npz", ".pch", ".mtx"), wanted)
     if not 0 <= options.damping < 1:
-        example = f"a ratio such as 0.01, from 0 to below 1, not {options.damping:g}"
-        options.usage_error(f"--damping must be {example}")
+        options.usage_error(f"--damping must be a ratio such as 0.01, not {options.damping:g}")
     if not 0 < options.first <= _MAX_FIRST_NODE:
-        limits = f"1 to {_MAX_FIRST_NODE}, not {options.first}"
-        options.usage_error(f"--first must be a node number from {limits}")
+        options.usage_error(f"--first must be 1 to {_MAX_FIRST_NODE}, not {options.first}")
     part = Solver(read_bundle(options.folder)).craig_bampton(options.modes)
     content = reduced.arrays(part, options.damping)
     if options.out.suffix.lower() == ".npz":

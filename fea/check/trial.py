@@ -294,10 +294,8 @@ def _first_order_stresses(solver: Solver) -> list[LargestStress]:
     corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
     limit = _MAX_CORNERS * 2 ** len(component.further)
     if len(corners) > limit:
-        raise ValueError(
-            f"[range] has {len(corners)} corners, at most {limit} are compared; write 0 as the "
-            "range of loads that do not act"
-        )
+        end = f"at most {limit} are compared; write 0 as the range of loads that do not act"
+        raise ValueError(f"[range] has {len(corners)} corners, {end}")
     unit, loads = solver.unit_stresses(), corners
     if component.analysis.gravity or component.bolts:  # a load that is always there
         sag = small_stress(solver.body, solver.at_rest[1][:, :, None])

@@ -78,10 +78,8 @@ class Riding:
         moments = np.zeros(3) if inertia is None else np.asarray(inertia, dtype=float)
         position = np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
         if moments.shape not in ((3,), (6,)):
-            raise ValueError(
-                "the inertia must be xx, yy, zz or xx, yy, zz, xy, xz, yz, in kg·m^2, not "
-                f"{moments.size} numbers"
-            )
+            wanted = "xx, yy, zz or xx, yy, zz, xy, xz, yz, in kg·m^2"
+            raise ValueError(f"the inertia must be {wanted}, not {moments.size} numbers")
         if position.shape != (3,):
             raise ValueError(
                 f"the centre of mass must be 3 numbers x,y,z in m, not {position.size}"
@@ -349,11 +347,8 @@ def craig_bampton(
     (_, origin, _), *moving = frames
     freedoms = inertia.active.size
     if freedoms != PER_INTERFACE * len(moving):
-        locked = PER_INTERFACE * len(moving) - freedoms
-        raise ValueError(
-            f"{locked} freedoms are locked, but a condensed mass needs all six of an interface; "
-            "leave locked out of [interface]"
-        )
+        locked = f"{PER_INTERFACE * len(moving) - freedoms} freedoms are locked"
+        raise ValueError(f"{locked}, but a condensed mass needs all six; leave locked out")
     if not mass.nnz:
         raise ValueError("no material has a density; write density, in kg/m^3, in [[material]]")
     if not 0 < modes < inertia.size - freedoms:
