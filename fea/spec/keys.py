@@ -395,14 +395,15 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
     if error == "too_short":
         example = f"; write for example {extra['toml']}" if "toml" in extra else ""
         return f"must name at least {context['min_length']}, but the list is empty{example}"
-    if (noun := _noun(info)).startswith("a whole number") or extra.get("write"):
+    noun = _noun(info)
+    if noun.startswith("a whole number") or "write" in extra:
         return f"must be {noun}, not {shown(value)}"
     for bound, side in (("gt", "above"), ("ge", "at least"), ("lt", "below")):
         if bound in context:
             return f"must be {side} {context[bound]:g} ({unit}), not {value:g}"
     if error == "count":
-        names = f" {names}" if (names := context["names"]) else ""
-        return f"must be a list of {context['count']} numbers{names} in {unit}, not {shown(value)}"
+        numbers = f"{context['count']} numbers {context['names']}".rstrip()
+        return f"must be a list of {numbers} in {unit}, not {shown(value)}"
     return f"must be a finite number in {unit}, not {shown(value)}"
 
 

@@ -129,7 +129,7 @@ def test_a_component_of_a_deck_names_the_table_that_the_embedded_solver_lacks(tm
         build(bundle_of(table, tmp_path))
     (tmp_path / "hex20_41.msh").write_bytes((FILES / "hex20_41.msh").read_bytes())
     table |= {key: BLOCKS[key] for key in ("mesh", "material", "interface")}
-    with pytest.raises(BundleError, match=r"supports: is missing; to solve this component, add a \[supports\]"):
+    with pytest.raises(BundleError, match=r"supports: is missing; .* add a \[supports\]"):
         build(bundle_of(table, tmp_path))
 
 
