@@ -347,9 +347,7 @@ def _material_numbers(
         before = np.concatenate([block[c] for block, c in zip(numbers, cells, strict=True)])
         if (taken := before[before >= 0]).size:
             other = f'material[{taken[0]}], "{materials[taken[0]].region}"'
-            message = (
-                f'"{material.region}" shares {taken.size} cells with {other}; give each cell one'
-            )
+            message = f'"{material.region}" has {taken.size} cells of {other}; give each cell one'
             problems.append(BundleProblem(key, message))
         for block, chosen in zip(numbers, cells, strict=True):
             block[chosen] = i
@@ -379,10 +377,8 @@ def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) 
     if not groups or supports.sliding or supports.bushings:  # `fea.check.mechanisms` looks at all
         return nodes
     if all(len(ids) for ids in groups) and not _spans_a_plane(mesh.points[nodes]):
-        message = (
-            f"its {len(nodes)} nodes lie on one line, so the component can rotate; fix at least "
-            "three that do not"
-        )
+        on_line = f"its {len(nodes)} nodes lie on one line, so the component can rotate"
+        message = f"{on_line}; fix at least three that do not"
         problems.append(BundleProblem("supports.fixed", message))
     return nodes
 
@@ -396,10 +392,8 @@ def _attach(
         section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     else:
         if not _spans_a_plane(mesh.points[nodes]):
-            message = (
-                f'"{interface.section}" lies on one line, so it has no rotation: {len(nodes)} '
-                f"nodes near {point_text(mesh.points[nodes[0]])} m; name the group of a face"
-            )
+            on_line = f'"{interface.section}" lies on one line, so it has no rotation'
+            message = f"{on_line}: it has {len(nodes)} nodes; name the group of a face"
             problems.append(BundleProblem(key, message))
         if interface.section in mesh.facet_groups:
             section = section_of_facets(mesh.points, mesh.facet_groups[interface.section])
@@ -482,10 +476,8 @@ def _weights(
             total = f"the deck weights add up to {weights.sum():g}, not above 0"
             message = f'{total}; correct them, or write "area" or "equal"'
         elif not _spans_a_plane(mesh.points[nodes[weights != 0]]):
-            message = (
-                f"the {np.count_nonzero(weights)} nodes that the deck weights lie on one line; "
-                'weight three that do not, or write "area"'
-            )
+            on_line = f"the {np.count_nonzero(weights)} nodes with weights lie on one line"
+            message = f'{on_line}; weight three that do not, or write "area"'
     problems += [BundleProblem(f"{key}.weights", message)] if message else []
     return weights
 

@@ -253,10 +253,8 @@ class NumbersReader(DeckReader):
         except UnicodeDecodeError:
             raise OutputError(f"{name} is not UTF-8 text; let the command write text.") from None
         if len(texts) != 6:
-            raise OutputError(
-                f"{name} has {len(texts)} numbers; the command must write six: translation and "
-                "rotation vector."
-            )
+            six = "six, translation and rotation vector"
+            raise OutputError(f"{name} has {len(texts)} numbers; the command must write {six}.")
         return Reading(tuple(number(word, name) for word in texts))
 
 

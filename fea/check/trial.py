@@ -354,10 +354,8 @@ def _replace_by_nonlinear(solver: Solver, stresses: list[LargestStress]) -> list
             stress = solver.stresses(solver.solve([*linear.wrench, *linear.further.values()]))
         except SolveFailed as failure:
             loads = ", ".join(f"{load:g}" for load in linear.wrench)
-            message = (
-                f"are linear: the solve of a corner of [range], ({loads}) in N and N·m, fails "
-                f"({failure.message} {failure.remedy})"
-            )
+            corner = f"the solve of a corner of [range], ({loads}) in N and N·m, fails"
+            message = f"are linear: {corner} ({failure.message} {failure.remedy})"
             return [BundleProblem("stresses", message)]
         equivalent = np.where(numbers == regions.index(linear.region), von_mises(stress), -1.0)
         point = int(equivalent.argmax())
