@@ -139,7 +139,7 @@ def find_equilibrium(
         if iteration == 1:
             tangent.release()  # the caller keeps it: its factor would be there with each next
         tangent = system.linearise(balance, None if consistent else step.aim)
-    last = f"the last correction was {step.size:.0e} of the displacement"
+    last = f"the last correction was {corrections[-1][0]:.0e} of the displacement"
     raise Stuck(f"there is no equilibrium after {max_iterations} iterations; {last}")
 
 
