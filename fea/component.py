@@ -215,10 +215,12 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
 
     problems = cell_problems(mesh) + problems
     _check_disjoint(mesh, fixed, attached, problems)
-    occupied = [fixed, *(nodes for _, nodes in sections)]
-    if mesh.dependents is not None:
-        occupied += [tied, mesh.dependents.map[tied].indices]  # with the nodes that they follow
-    _check_bolts(mesh, bolts, np.concatenate(occupied), sliding, problems)
+    occupied = [("supports.fixed", fixed), *sections]
+    if mesh.dependents is not None:  # tied nodes, with those that they follow
+        leading = [mesh.dependents.map[tie.nodes].indices for tie in ties]
+        both = [np.append(tie.nodes, nodes) for tie, nodes in zip(ties, leading, strict=True)]
+        occupied += [(f"tie[{i}]", nodes) for i, nodes in enumerate(both)]
+    _check_bolts(mesh, bolts, occupied, sliding, problems)
     _check_locked(bundle, interfaces, problems)
     if problems:
         raise BundleError(problems)
@@ -251,13 +253,19 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
 
 def _mesh_source(bundle: Bundle) -> MeshSource:
     """Return the mesh of a bundle; raise BundleError if there is nothing to solve."""
-    has_supports = bundle.supports is not None or any(each.held for each in bundle.interfaces)
-    if bundle.mesh is not None and bundle.interface is not None and has_supports:
+    tables = {  # beside a [deck], any of them may be missing
+        "mesh": bundle.mesh,
+        "material": bundle.materials,
+        "interface": bundle.interface,
+        "supports": bundle.supports or any(each.held for each in bundle.interfaces),
+    }
+    lacking = next((name for name, value in tables.items() if not value), None)
+    if bundle.mesh is not None and lacking is None:
         return bundle.mesh
-    message = "is missing; to solve this component, add a [mesh]"
-    if bundle.deck is not None:
+    message = f"is missing; to solve this component, add a [{lacking}]"
+    if lacking == "mesh" and bundle.deck is not None:
         message = "is missing; name a component with a [mesh], not a [deck]"
-    raise BundleError([BundleProblem("mesh", message)])
+    raise BundleError([BundleProblem(lacking or "mesh", message)])
 
 
 def _materials(bundle: Bundle) -> tuple[AnyMaterial, ...]:
@@ -336,17 +344,25 @@ def _material_numbers(
             problems.append(missing(key, material.region, "cell group", groups))
             continue
         cells = mesh.regions[material.region]
-        if any((block[chosen] >= 0).any() for block, chosen in zip(numbers, cells, strict=True)):
-            message = f'"{material.region}" has cells of another material; give each cell one'
+        before = np.concatenate([block[c] for block, c in zip(numbers, cells, strict=True)])
+        if (taken := before[before >= 0]).size:
+            other = f'material[{taken[0]}], "{materials[taken[0]].region}"'
+            message = f'"{material.region}" has {taken.size} cells of {other}; give each cell one'
             problems.append(BundleProblem(key, message))
         for block, chosen in zip(numbers, cells, strict=True):
             block[chosen] = i
     general = [i for i, material in enumerate(materials) if material.region == "all"]
     if len(general) > 1:
-        problems.append(BundleProblem(f"material[{general[1]}].region", 'repeats "all"; keep one'))
+        message = f'repeats "all" of material[{general[0]}]; keep one of the two'
+        problems.append(BundleProblem(f"material[{general[1]}].region", message))
     count = sum(int((block < 0).sum()) for block in numbers)
     if count and not general:
-        message = f'{count} cells have no material; add a [[material]] for "all" or for them'
+        pairs = zip(mesh.blocks, numbers, strict=True)
+        nodes = np.concatenate([block.nodes[number < 0, 0] for block, number in pairs])
+        message = (
+            f"{count} cells have no material, one of them near {point_text(mesh.points[nodes[0]])} "
+            'm; add a [[material]] with region = "all", or with their region'
+        )
         problems.append(BundleProblem("material", message))
     for block in numbers:
         block[block < 0] = general[0] if general else 0
@@ -361,7 +377,8 @@ def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) 
     if not groups or supports.sliding or supports.bushings:  # `fea.check.mechanisms` looks at all
         return nodes
     if all(len(ids) for ids in groups) and not _spans_a_plane(mesh.points[nodes]):
-        message = "its nodes lie on one line, so the component can rotate; fix more nodes"
+        on_line = f"its {len(nodes)} nodes lie on one line, so the component can rotate"
+        message = f"{on_line}; fix at least three that do not"
         problems.append(BundleProblem("supports.fixed", message))
     return nodes
 
@@ -375,7 +392,8 @@ def _attach(
         section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     else:
         if not _spans_a_plane(mesh.points[nodes]):
-            message = f'"{interface.section}" lies on one line, so it has no rotation; name a face'
+            on_line = f'"{interface.section}" lies on one line, so it has no rotation'
+            message = f"{on_line}: it has {len(nodes)} nodes; name the group of a face"
             problems.append(BundleProblem(key, message))
         if interface.section in mesh.facet_groups:
             section = section_of_facets(mesh.points, mesh.facet_groups[interface.section])
@@ -416,19 +434,24 @@ def _join(mesh: Mesh, key: str, joint: Joint, problems: list[BundleProblem]) -> 
 def _check_bolts(
     mesh: Mesh,
     bolts: tuple[BoltCut, ...],
-    occupied: Array,
+    occupied: list[tuple[str, Array]],
     sliding: tuple[Array, Array],
     problems: list[BundleProblem],
 ) -> None:
-    """Note cuts whose nodes are in another set, or do not slide along the cut's axis."""
+    """Note cuts with nodes that a key of `occupied` names too, or that are held along their axis.
+
+    sliding: as `ComponentModel.sliding`.
+    """
     for bolt in bolts:
         along = np.abs(sliding[1] @ bolt.axis).max(axis=1, initial=0.0) > _ZERO
-        shared = np.intersect1d(bolt.nodes, np.append(occupied, sliding[0][along]))
-        if shared.size:
+        for key, nodes in (*occupied, ("supports.sliding", sliding[0][along])):
+            shared = np.intersect1d(bolt.nodes, nodes)
+            if not shared.size:
+                continue
+            away = "move the cut with point" if bolt.bolt.region else "name other facets as group"
             message = (
                 f"{shared.size} nodes of its cut, such as the one at "
-                f"{point_text(mesh.points[shared[0]])} m, are fixed along its axis by [supports], "
-                "or belong to an interface, a spring or a tie; move the cut with point"
+                f"{point_text(mesh.points[shared[0]])} m, also belong to {key}; {away}"
             )
             problems.append(BundleProblem(bolt.key, message))
 
@@ -449,8 +472,12 @@ def _weights(
         weights[np.searchsorted(nodes, ids[inside])] = sizes[inside]
         if sizes[~inside].any():
             message = f"{(~inside).sum()} nodes are in no solid cell; remove their weights"
-        elif not (weights.sum() > 0 and _spans_a_plane(mesh.points[nodes[weights != 0]])):
-            message = "the deck's weights add up to 0 or lie on one line; weight nodes of a plane"
+        elif not weights.sum() > 0:
+            total = f"the deck weights add up to {weights.sum():g}, not above 0"
+            message = f'{total}; correct them, or write "area" or "equal"'
+        elif not _spans_a_plane(mesh.points[nodes[weights != 0]]):
+            on_line = f"the {np.count_nonzero(weights)} nodes with weights lie on one line"
+            message = f'{on_line}; weight three that do not, or write "area"'
     problems += [BundleProblem(f"{key}.weights", message)] if message else []
     return weights
 
@@ -477,11 +504,14 @@ def _free_sliding(
     motion = active * _ANY_MOTION
     moved = motion[:3] + arms @ rotation_less_identity(motion[3:]).T
     off = np.abs(projectors[shared] @ (moved @ attached.axes)[:, :, None]).max()
-    if attached.coupling == "distributed" or off > _ZERO * max(np.abs(arms).max(), 1.0):
-        message = (
-            f"{shared.sum()} of its nodes slide by [supports], but its free motions would move "
-            "them off; name fewer nodes, or lock these motions of a rigid interface with locked"
-        )
+    slide = f"{shared.sum()} of its nodes slide by [supports]"
+    if attached.coupling == "distributed":
+        message = f"{slide}, which are all, so their mean is not free; let fewer nodes slide"
+        problems.append(BundleProblem(attached.where, message))
+    elif off > _ZERO * max(np.abs(arms).max(), 1.0):
+        message = f"{slide}, but its free motions would move them off; let none of them slide"
+        if attached.key.startswith("interface"):  # others have no locked freedoms
+            message += ", or lock those motions with locked"
         problems.append(BundleProblem(attached.where, message))
     return nodes[~shared], projectors[~shared]
 
@@ -520,15 +550,15 @@ def _check_locked(
     analysis = bundle.analysis
     if not (bundle.bolts and analysis.nonlinear and analysis.zero == "preloaded"):
         return
-    message = (
-        "a single locked rotation leaves the motion from the tightened state undefined; lock "
-        'none or two, or write zero = "untightened" under [analysis]'
-    )
-    problems += [
-        BundleProblem(f"{interface.key}.locked", message)
-        for interface in interfaces
-        if sum(name.startswith("r") for name in interface.locked) == 1
-    ]
+    for interface in interfaces:
+        rotations = [name for name in interface.locked if name.startswith("r")]
+        if len(rotations) == 1:
+            message = (
+                f"{rotations[0]}, a single locked rotation, leaves the motion from the tightened "
+                "state undefined; lock none or two rotations, or write "
+                'zero = "untightened" under [analysis]'
+            )
+            problems.append(BundleProblem(f"{interface.key}.locked", message))
 
 
 def _spans_a_plane(points: Array) -> bool:

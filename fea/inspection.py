@@ -266,7 +266,7 @@ def gap(mesh: Mesh, nodes: Array, others: Array) -> float:
     return float(tree.query(mesh.points[others])[0].min())
 
 
-_MAX_REPORTED = 5
+_MAX_REPORTED = 5  # pairs of bodies with unmerged nodes
 # Pa: soft rubber to nearly diamond (1.1e12). kg/m^3: light foam (15) to more than osmium (22,600);
 # steel in MPa, GPa or g/cm^3 (7.85) is far below.
 _USUAL = {
@@ -429,14 +429,22 @@ def section_warnings(component: ComponentModel) -> list[BundleProblem]:
             problems.append(BundleProblem(key, message))
         inside = np.setdiff1d(section.node_ids, surface)
         if inside.size:
-            message = f"{inside.size} of its nodes are inside the body; name nodes of its surface"
+            message = (
+                f"{inside.size} of its nodes, such as the one at "
+                f"{point_text(mesh.points[inside[0]])} m, are inside the body; name nodes of its "
+                "surface"
+            )
             problems.append(BundleProblem(key, message))
         constrained = np.union1d(constrained, section.node_ids)
-    between = sum(int(np.isin(block.nodes, constrained).all(axis=1).sum()) for block in mesh.blocks)
-    if between:
+    rigid_cells = [
+        block.nodes[np.isin(block.nodes, constrained).all(axis=1), 0] for block in mesh.blocks
+    ]
+    corners = np.concatenate(rigid_cells)  # one node of each
+    if corners.size:
         message = (
-            f"{between} cells cannot deform, because all their nodes are fixed or in the section; "
-            "mesh more cells between section and supports"
+            f"{corners.size} cells cannot deform, such as one near "
+            f"{point_text(mesh.points[corners[0]])} m, because all their nodes are fixed or in the "
+            "section; mesh more cells between section and supports"
         )
         problems.append(BundleProblem("mesh", message))
     return problems
@@ -459,27 +467,30 @@ def support_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings on nodes that a tie leaves loose, gaps that it closes, and a coarse side."""
-    texts, dependents = [], component.mesh.dependents
+    problems, dependents = [], component.mesh.dependents
     for i, tie in enumerate(component.ties):
+        texts = []
         loose = f"{tie.untied} secondary nodes are not tied"
         if tie.beyond and tie.untied:
             off = f"facets up to {tie.beyond:.3g} m off are beyond the distance, {tie.distance:.3g}"
-            texts.append((i, f"{off} m: {loose}; write a larger distance if they belong together"))
+            texts.append(f"{off} m: {loose}; write a larger distance if they belong together")
         elif tie.cut and tie.untied:
             ends = f"the main surface ends within {tie.cut} facets, and the tie at their edges"
-            texts.append((i, f"{ends}: {loose}; split the surface there, or swap the two groups"))
+            texts.append(f"{ends}: {loose}; split the surface there, or swap the two groups")
         elif tie.untied:
             why = "they are held, or the main surface does not cover them"
-            texts.append((i, f"{loose}: {why}; extend the main surface, or hold fewer nodes"))
+            texts.append(f"{loose}: {why}; extend the main surface, or hold fewer nodes")
         if tie.within > _WIDE:
-            texts.append((i, "main facets are larger than the tie: mesh them finer there"))
+            wide = f"a main facet is {tie.within:.2g} times as large as the tie"
+            texts.append(f"{wide}, over {_WIDE:g}: mesh the main surface finer there")
         if tie.gap > _CLOSED * tie.distance:
             gap = f"closes gaps of up to {tie.gap:.3g} m by moving nodes"
-            texts.append((i, f"{gap}; write a smaller distance if the gaps are real"))
+            texts.append(f"{gap}; write a smaller distance if the gaps are real")
         if dependents is not None and dependents.map[tie.nodes].nnz > _FINER * len(tie.nodes):
             swap = "swap the two groups, which is faster and more exact"
-            texts.append((i, f"the secondary surface is coarser than the main surface: {swap}"))
-    return [BundleProblem(f"tie[{i}]", text) for i, text in texts]
+            texts.append(f"the secondary surface is coarser than the main surface: {swap}")
+        problems += [BundleProblem(f"tie[{i}]", text) for text in texts]
+    return problems
 
 
 def unit_warnings(component: ComponentModel) -> list[BundleProblem]:

@@ -55,7 +55,10 @@ class Complaint:
 
 
 class DeckReader(Protocol):
-    """A reader of an outside solver's output; made without arguments."""
+    """A reader of an outside solver's output; made without arguments.
+
+    A class that inherits it needs `moment`, `keys` and `read` alone.
+    """
 
     moment: str
     """The usual moment of this solver: see `fea.spec.schema.Deck`."""
@@ -67,16 +70,16 @@ class DeckReader(Protocol):
         ...
 
     def complaint(self, run: DeckRun) -> Complaint | None:
-        """Return the errors the solver reported, None if it reported none."""
-        ...
+        """Return the errors the solver reported; None if its exit code alone shows a failure."""
+        return None
 
     def stage(self, run: DeckRun) -> tuple[float, str] | None:
         """Return how far a run is, 0 to 1 and a message; None if that is unknown."""
-        ...
+        return None
 
     def mistakes(self, text: str, deck: Deck) -> list[str]:
         """Return mistakes in the text of a deck and its files that show without a run."""
-        ...
+        return []
 
 
 def number(word: str, where: str) -> float:
@@ -131,13 +134,16 @@ class CalculixDat:
         name = f"{run.job}.dat"
         path = run.folder / name
         if not path.is_file():
-            raise OutputError(f"The solver wrote no file {name}.")
+            raise OutputError(
+                f'The solver wrote no file {name}; add "*NODE PRINT, NSET={options["point"]}" and '
+                '"U" to the step.'
+            )
         last = {key: _last(path, name, options[key]) for key in self.keys}
         times = {time for time, _ in last.values()}
         if len(times) > 1:
             ends = ", ".join(f"{options[key]} at {time}" for key, (time, _) in last.items())
             raise OutputError(
-                f"{name} ends with the sets {ends}; give both *NODE PRINT cards the same FREQUENCY"
+                f"{name} ends with the sets {ends}; give both *NODE PRINT cards the same FREQUENCY."
             )
         (_, translation), (_, rotation) = last["point"], last["rotation"]
         counts = _UNKNOWNS.findall(_text(run.printed))
@@ -181,25 +187,31 @@ class CalculixDat:
 
 def _last(path: Path, name: str, node_set: str) -> tuple[str, tuple[float, ...]]:
     """Return time and motion of the last block that `path` has of a set."""
-    time, rows = "", []
+    time, rows, others = "", [], dict[str, None]()
     inside = False
     with path.open(encoding="utf-8", errors="replace") as lines:
         for line in lines:
             head = _HEAD.match(line)
             if head is not None:
                 inside = head[1].upper() == node_set.upper()
+                others[head[1]] = None
                 time, rows = (head[2], []) if inside else (time, rows)
             elif inside and line.strip():
                 inside = line.split()[0].isdigit()
                 rows += [line.split()[1:]] if inside else []
-    if len(rows) != 1:
-        count = f"{len(rows)} nodes" if rows else "no displacement"
+    if not rows:
+        printed = f"; it has {', '.join(others)}" if others else ""
         raise OutputError(
-            f'{name} has {count} of the set "{node_set}", but must have one; correct the set.'
+            f'{name} has no displacement of the set "{node_set}"{printed}. Name a set in '
+            f'[deck.output], or add "*NODE PRINT, NSET={node_set}" and "U" to the step.'
         )
+    if len(rows) > 1:
+        count = f"{len(rows)} nodes of the set"
+        raise OutputError(f'{name} has {count} "{node_set}"; leave one node in the set.')
     if len(rows[0]) != 3:
-        raise OutputError(f'{name} ends within the set "{node_set}"; look at the log.')
-    return time, tuple(number(word, name) for word in rows[0])
+        missing = f"with {len(rows[0])} of 3 displacements"
+        raise OutputError(f'{name} ends within the set "{node_set}", {missing}; look at the log.')
+    return time, tuple(number(word, f'{name}, set "{node_set}",') for word in rows[0])
 
 
 def _errors(text: str) -> Iterator[str]:
@@ -221,7 +233,7 @@ def _text(path: Path) -> str:
         return ""
 
 
-class NumbersReader:
+class NumbersReader(DeckReader):
     """Reader "numbers": a text file of six numbers, written by the command itself.
 
     ``file`` names it; ``{job}`` stands for the deck's name without its ending. The numbers are the
@@ -236,23 +248,14 @@ class NumbersReader:
         name = options["file"].replace("{job}", run.job)
         try:
             texts = (run.folder / name).read_text(encoding="utf-8").replace(",", " ").split()
-        except (OSError, UnicodeDecodeError):
-            raise OutputError(f"The command wrote no text file {name}.") from None
+        except OSError as error:
+            raise OutputError(f"The command wrote no {name} to read ({error.strerror}).") from None
+        except UnicodeDecodeError:
+            raise OutputError(f"{name} is not UTF-8 text; let the command write text.") from None
         if len(texts) != 6:
-            raise OutputError(f"{name} has {len(texts)} numbers; the command must write six.")
+            six = "six, translation and rotation vector"
+            raise OutputError(f"{name} has {len(texts)} numbers; the command must write {six}.")
         return Reading(tuple(number(word, name) for word in texts))
-
-    def complaint(self, run: DeckRun) -> Complaint | None:
-        """Return None: the exit code shows a failure."""
-        return None
-
-    def stage(self, run: DeckRun) -> tuple[float, str] | None:
-        """Return None: nothing is known of the command."""
-        return None
-
-    def mistakes(self, text: str, deck: Deck) -> list[str]:
-        """Return nothing: the deck's language is not known."""
-        return []
 
 
 ENTRY_POINTS = "wrenchbook.deck_readers"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -82,36 +82,41 @@ def checked_wrench(
     Raises ValueError if there are not six finite numbers an interface and one a further input, an
     interface is unknown, or a further input is missing.
     """
-    if isinstance(wrench, Mapping):
-        every = (*names, *further)
-        for name in wrench:
-            if name not in every:
-                known = ", ".join(filter(None, every))
-                raise ValueError(f'"{name}" is unknown; give {known}{suggest(name, every)}')
-        for name in further:
-            if name not in wrench:
-                raise ValueError(f'"{name}" is missing; give its value, a number')
-        loads = [
-            np.asarray(wrench.get(name, np.zeros(PER_INTERFACE)), dtype=float) for name in names
-        ]
-        wrench = np.concatenate(
-            loads + [np.ravel(np.asarray(wrench[name], dtype=float)) for name in further]
-        )
-    inputs = np.array(wrench, dtype=float)
+    values = _in_order(wrench, names, further) if isinstance(wrench, Mapping) else wrench
     count = PER_INTERFACE * len(names) + len(further)
+    try:
+        inputs = np.array(values, dtype=float)
+    except (TypeError, ValueError):  # words, or lists of several lengths
+        inputs = np.empty(0)
     if inputs.shape == (count,) and np.isfinite(inputs).all():
         return inputs
-    if further:
-        which = ", then ".join(
-            f"force (N) and moment (N·m){name and ' of ' + name}" for name in names
-        )
-        raise ValueError(
-            f"the inputs must be {count} finite numbers: {which}, then {', '.join(further)}"
-        )
-    if len(names) == 1:
-        given = str(inputs.tolist())[:100]
+    given = str(inputs.tolist() if inputs.size else values)[:100]
+    if len(names) == 1 and not further:
         raise ValueError(f"a wrench must be six finite numbers (force, moment), not {given}")
-    raise ValueError(
-        f"the loads of {len(names)} interfaces must be {count} finite numbers: force (N) and "
-        f"moment (N·m) of {', '.join(names)}"
-    )
+    order = [f"force (N) and moment (N·m){name and ' of ' + name}" for name in names]
+    order += [", ".join(further)] if further else []
+    which = ", then ".join(order)
+    raise ValueError(f"the inputs must be {count} finite numbers: {which}; not {given}")
+
+
+def _in_order(
+    wrench: Mapping[str, Any], names: Sequence[str], further: Sequence[str]
+) -> list[object]:
+    """List inputs by name in the order of `checked_wrench`, not yet checked to be numbers."""
+    every = (*names, *further)
+    for name in wrench:
+        if name not in every:
+            known = ", ".join(filter(None, every)) or "six numbers in a list, without a name"
+            raise ValueError(f'"{name}" is unknown; give {known}{suggest(name, every)}')
+    values: list[object] = []
+    for name in names:
+        loads = np.ravel(np.asarray(wrench.get(name, np.zeros(PER_INTERFACE)), dtype=object))
+        if loads.size != PER_INTERFACE:
+            message = f'"{name}" must be six finite numbers, force (N) and moment (N·m)'
+            raise ValueError(f"{message}, not {str(loads.tolist())[:100]}")
+        values += loads.tolist()
+    for name in further:
+        if name not in wrench:
+            raise ValueError(f'"{name}" is missing; give its value, a number')
+        values.append(wrench[name])
+    return values

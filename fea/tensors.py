@@ -14,8 +14,9 @@ ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
 
 _DERIVATIVE_TERMS = 30
 """Terms of exp: at 2 rad, the most that Newton's method lets pass, 2^26 / 26! is below 1e-18."""
-_SERIES_TERMS = 12
-_SERIES_LIMIT = 1.0  # of the squared angle; the series is exact to roundoff below it
+_SERIES_TERMS = 12  # of sin t / t and its like: the next is below 1/24! = 2e-24
+_SERIES_LIMIT = 1.0  # rad^2: of the squared angle; below it the closed forms cancel
+_COMPLEX_STEP = 1e-30  # rad: its square vanishes against any number here
 
 
 def skew(vector: Array) -> Array:
@@ -62,12 +63,11 @@ def spin_per_vector(vector: Array) -> Array:
 
 def spin_slope(vector: Array, moment: Array) -> Array:
     """Return d(J(r)^T m)/dr for a fixed m, shape (3, 3); exact to roundoff by complex steps."""
-    step = 1e-30
     columns = []
     for axis in range(3):
         shifted = np.asarray(vector, dtype=complex).copy()
-        shifted[axis] += 1j * step
-        columns.append(np.imag(spin_per_vector(shifted).T @ moment) / step)
+        shifted[axis] += 1j * _COMPLEX_STEP
+        columns.append(np.imag(spin_per_vector(shifted).T @ moment) / _COMPLEX_STEP)
     return np.stack(columns, axis=1)
 
 
@@ -114,11 +114,8 @@ def _coefficients(vector: Array) -> tuple[complex, complex, complex]:
 
 
 def _series(square: complex, start: int) -> complex:
-    """Sum (-1)^k s^k / (2k + start)! over k."""
-    term = 1.0 if start < 3 else 1.0 / 6.0
-    if start == 2:
-        term = 0.5
-    total = term
+    """Sum (-1)^k s^k / (2k + start)! over k, for a start of 1 to 3."""
+    total = term = (1.0, 0.5, 1.0 / 6.0)[start - 1]
     for k in range(1, _SERIES_TERMS):
         term = -term * square / ((2 * k + start - 1) * (2 * k + start))
         total = total + term

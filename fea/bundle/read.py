@@ -30,6 +30,7 @@ from wrenchbook.fea.spec.schema import (
     ALL_INPUTS,
     FREEDOMS,
     MAX_INPUTS,
+    RANGE_EXAMPLE,
     TEMPERATURE,
     Analysis,
     Bundle,
@@ -45,7 +46,8 @@ __all__ = ["Bundle", "BundleError", "BundleProblem", "bundle_of", "read_bundle"]
 
 FILE_NAME = "component.toml"
 
-_LINE = re.compile(r"\(at line (\d+), column (\d+)\)")
+_LINE = re.compile(r"\(at line (\d+), column (\d+)\)")  # of messages of tomllib
+_END = "(at end of document)"  # in its place
 _MAX_BYTES = 256 * 1024  # hundreds of faces chosen by number, of a geometry file
 # Begins where a word does, so that a long word is scanned once.
 _LONG_KEY = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){32}""")
@@ -85,14 +87,24 @@ def read_bundle(folder: str | Path) -> Bundle:
         line = content[: error.start].count(b"\n") + 1
         message = "is not UTF-8 text; save the file as UTF-8"
         raise BundleError([BundleProblem(f"line {line}", message)]) from None
-    except (ValueError, RecursionError) as error:
-        if (at := _LINE.search(str(error))) is None:
-            problem = BundleProblem(FILE_NAME, f"is not valid TOML: {error}; correct it")
-        else:
-            message = f"is not valid TOML: {_LINE.sub('', str(error)).strip()} (column {at[2]})"
-            problem = BundleProblem(f"line {at[1]}", message)
-        raise BundleError([problem]) from None
+    except RecursionError:
+        message = "nests lists or tables too deeply, which no key does; remove the inner brackets"
+        raise BundleError([BundleProblem(FILE_NAME, message)]) from None
+    except ValueError as error:
+        raise BundleError([_syntax_problem(str(error), content.decode("utf-8"))]) from None
     return bundle_of(table, folder)
+
+
+def _syntax_problem(reason: str, text: str) -> BundleProblem:
+    """Place of a mistake in TOML, with the line as it is written."""
+    lines, at = text.splitlines() or [""], _LINE.search(reason)
+    if at is None and _END not in reason:  # Python's own refusal of such an integer
+        message = "has an integer of more than 4300 digits; write it with an exponent, such as 2e9"
+        return BundleProblem(FILE_NAME, message)
+    number, place = (int(at[1]), f"column {at[2]}") if at else (len(lines), "at its end")
+    reason = reason.replace(at[0] if at else _END, "").strip()
+    line = shown(lines[number - 1].strip())
+    return BundleProblem(f"line {number}", f"is not valid TOML: {reason} ({place}); correct {line}")
 
 
 def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
@@ -140,8 +152,11 @@ class _Reader:
         values = self.table.get(name, [])
         if type(values) is not list:
             self.wrong(name, f"must be a list, not {shown(values)}; write it in brackets: [...]")
-        elif name in self.table and (not values or any(type(each) is not dict for each in values)):
-            self.wrong(name, f"must be one or more tables, each under [[{name}]]")
+        elif name in self.table and not values:
+            self.wrong(name, f"is an empty list; write one or more tables, each under [[{name}]]")
+        elif wrong := [i for i, each in enumerate(values) if type(each) is not dict]:
+            value = shown(values[wrong[0]])
+            self.wrong(f"{name}[{wrong[0]}]", f"must be a table under [[{name}]], not {value}")
         else:
             paths = [f"{name}[{i}]" for i in range(len(values))]
             pairs = zip(values, paths, strict=True)
@@ -175,12 +190,13 @@ class _Reader:
         if loads is not None:
             count = len(loads.low) + len(further)
             if count > ALL_INPUTS:
-                message = f"has {count} inputs with the other interfaces, at most {ALL_INPUTS} fit"
-                self.wrong("interface", f"{message}; leave out interfaces")
+                parts = f"{len(interfaces)} interfaces and {len(further)} further inputs"
+                message = f"{parts} are {count} inputs, at most {ALL_INPUTS} fit; leave some out"
+                self.wrong("interface", message)
             vary = len(further) + int((loads.low < loads.high).sum())
             if vary > MAX_INPUTS:
-                message = f"{vary} inputs vary, at most {MAX_INPUTS} may; give some the range 0"
-                self.wrong("interface", message)
+                zero = f"write 0 in the ranges for {vary - MAX_INPUTS} or more loads"
+                self.wrong("interface", f"{vary} inputs vary, at most {MAX_INPUTS} may; {zero}")
         return {
             "name": self.read("name"),
             "title": self.read("title"),
@@ -222,7 +238,8 @@ class _Reader:
         table = self.table.get("mesh")
         if type(table) is dict and "generator" in table:
             if "file" in table:
-                self.wrong("mesh.generator", 'give either "file" or "generator", not both')
+                message = 'give either "file" or "generator", not both; leave one of them out'
+                self.wrong("mesh.generator", message)
                 return None
             name = table["generator"]
             if type(name) is not str or name not in GENERATORS:
@@ -250,18 +267,22 @@ class _Reader:
         if len(interfaces) == 1:
             message = "is the only one; write [interface] without a name, or add another"
             self.wrong("interface", message)
-        valid = [interface for interface in interfaces if interface is not None]
-        if len({interface.name for interface in valid}) < len(valid):
-            self.wrong("interface", "has one name twice; give each interface a name of its own")
-        if sum(interface.held for interface in valid) > 1:
-            message = "more than one is held; write held = true under only one [[interface]]"
-            self.wrong("interface", message)
+        first_of: dict[str, int] = {}
+        held = [i for i, interface in enumerate(interfaces) if interface and interface.held]
+        for i, interface in enumerate(interfaces):
+            if interface is not None and first_of.setdefault(interface.name, i) != i:
+                there = f"interface[{first_of[interface.name]}]"
+                message = f'repeats "{interface.name}" of {there}; give each a name of its own'
+                self.wrong(f"interface[{i}].name", message)
+        for i in held[1:]:
+            message = f"interface[{held[0]}] is held already; write held = true under only one"
+            self.wrong(f"interface[{i}].held", message)
         return interfaces
 
     def range(self, several: list[Any]) -> DeclaredRange | None:
         """Return ``[range]``, or the ranges of several interfaces in their order."""
         if "range" in self.table and several:
-            message = "belongs under each [[interface]]; write range = {force, moment} there"
+            message = f"belongs under each [[interface]]; write there range = {RANGE_EXAMPLE}"
             self.wrong("range", message)
         if several:
             ranges = [interface and interface.range for interface in several]
@@ -272,9 +293,11 @@ class _Reader:
             for name, unit in (("force", "N"), ("moment", "N·m")):
                 for i, ends in enumerate(getattr(ranges[0], name)):
                     if ends == (0.0, 0.0):
-                        self.wrong(f"range.{name}[{i}]", f"must be above 0 ({unit}), not 0")
+                        message = f"must be above 0 ({unit}), not 0; or write [low, high]"
+                        self.wrong(f"range.{name}[{i}]", message)
         else:
-            self.wrong("range", "is missing; write [range] with force and moment")
+            example = "force = [20, 20, 200] (N) and moment = [5, 5, 5] (N·m)"
+            self.wrong("range", f"is missing; write [range] with, for example, {example}")
             return None
         none = ((0.0, 0.0),) * len(FREEDOMS)  # of an interface that is held
         ends = [(*loads.force, *loads.moment) if loads else none for loads in ranges]
@@ -298,7 +321,7 @@ class _Reader:
         if type(table) is not dict or "integration" in table:
             return analysis
         if len(of_deck) > 1:
-            message = 'is missing; the deck has C3D20 and C3D20R, so write "full" or "reduced"'
+            message = 'is missing, but the deck has C3D20 and C3D20R; write "full" or "reduced"'
             self.wrong("analysis.integration", message)
         elif of_deck and analysis is not None:
             return replace(analysis, integration=of_deck[0])
@@ -323,7 +346,8 @@ class _Reader:
         known = ("reader", *reader.keys)
         for each in known:
             if each not in output:
-                self.wrong(f"deck.output.{each}", "is missing; write a text")
+                needs = f'the reader "{name}" needs {" and ".join(reader.keys)}'
+                self.wrong(f"deck.output.{each}", f"is missing; {needs}, each a text in quotes")
         for each in output:
             if each not in known:
                 message = f"is an unknown key; known: {', '.join(known)}{suggest(each, known)}"
@@ -333,8 +357,10 @@ class _Reader:
     def check_tables(self) -> None:
         """Note tables that need each other; an interface that is held stands in for supports."""
         for name in ("tie", "bolt", "spring"):
-            if name in self.table and ("mesh" not in self.table or "deck" in self.table):
-                self.wrong(name, "needs a [mesh] and no [deck]; add the one, remove the other")
+            if name in self.table and "deck" in self.table:
+                self.wrong(name, "cannot go with a [deck]; define it in the deck, not here")
+            elif name in self.table and "mesh" not in self.table:
+                self.wrong(name, "needs a [mesh], whose groups it names; add one, or leave it out")
         if "deck" in self.table:
             return
         interfaces = self.table.get("interface")
@@ -347,7 +373,7 @@ class _Reader:
                     more = _OR_HELD if key == "supports" and several else ""
                     self.wrong(key, f"is missing; a component with a [mesh] needs {brackets}{more}")
             elif key in self.table and not (key == "interface" and several):
-                message = "needs a [mesh] as well; write one, or leave it out for a mere table"
+                message = "needs a [mesh]; add one, or leave it out of a component without a solver"
                 self.wrong(key, message)
 
     def check_deck(self, analysis: Analysis | None, interfaces: list[Interface | None]) -> None:
@@ -380,16 +406,16 @@ class _Reader:
         if further and further[0].field is not None and "mesh" not in self.table:
             message = "needs a [mesh], because a measured part has no nodes; leave it out"
             self.wrong("inputs.temperature.field", message)
-        for interface in interfaces:
+        for i, interface in enumerate(interfaces):
             if interface is not None and interface.name in names:
-                message = f'has the name "{interface.name}" of an input; choose another'
-                self.wrong("interface", message)
+                message = f'"{interface.name}" is the name of an input; choose another'
+                self.wrong(f"interface[{i}].name", message)
         for i, material in enumerate(materials if TEMPERATURE in names else ()):
             if material is not None and material.thermal_expansion is None:
                 message = "is missing; with [inputs.temperature] every material needs it, in 1/K"
-                self.wrong(f"material[{i}].thermal_expansion", message)
+                self.wrong(f"material[{i}].thermal_expansion", f"{message}, such as 23e-6")
             if material is not None and material.law not in EXPANDING:
-                message = 'cannot go with [inputs.temperature]; write law = "isotropic"'
+                message = f'"{material.law}" cannot go with [inputs.temperature]; write "isotropic"'
                 self.wrong(f"material[{i}].law", message)
         if ACCELERATIONS[0] in names:
             self.check_densities(materials, "[inputs.acceleration]")
@@ -399,4 +425,4 @@ class _Reader:
         for i, material in enumerate(materials):
             if material is not None and material.density is None:
                 message = f"is missing; {key} needs the density of each material, in kg/m^3"
-                self.wrong(f"material[{i}].density", message)
+                self.wrong(f"material[{i}].density", f"{message}, such as 2700.0")

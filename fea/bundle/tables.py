@@ -29,11 +29,13 @@ from wrenchbook.fea.spec.schema import (
 
 
 def _kind_of_mesh(mesh: Mapping[str, Any]) -> type:
+    """Return the class of a parsed ``[mesh]``: by its generator, or by its file's ending."""
     if "generator" in mesh:
         name = mesh["generator"]
         return GENERATORS.get(name if isinstance(name, str) else "", Bar)
-    ending = Path(file).suffix.lower() if isinstance(file := mesh.get("file"), str) else ""
-    return GeometryFile if ending in GEOMETRY_ENDINGS else MeshFile
+    file = mesh.get("file")
+    is_geometry = isinstance(file, str) and Path(file).suffix.lower() in GEOMETRY_ENDINGS
+    return GeometryFile if is_geometry else MeshFile
 
 
 def _kind_of_material(material: Mapping[str, Any]) -> type:

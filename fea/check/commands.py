@@ -108,8 +108,10 @@ def condense(options: argparse.Namespace) -> Reply:
     """Write a part as stiffness and mass of its frames and modes."""
     wanted = f"{options.out}: name a file that ends in .npz, .pch (Nastran) or .mtx (Abaqus)"
     _check_output(options, options.out, (".npz", ".pch", ".mtx"), wanted)
-    if not (0 <= options.damping < 1 and 0 < options.first <= _MAX_FIRST_NODE):
-        options.usage_error("--damping must be a ratio such as 0.01, --first a number from 1")
+    if not 0 <= options.damping < 1:
+        options.usage_error(f"--damping must be a ratio such as 0.01, not {options.damping:g}")
+    if not 0 < options.first <= _MAX_FIRST_NODE:
+        options.usage_error(f"--first must be 1 to {_MAX_FIRST_NODE}, not {options.first}")
     part = Solver(read_bundle(options.folder)).craig_bampton(options.modes)
     content = reduced.arrays(part, options.damping)
     if options.out.suffix.lower() == ".npz":
@@ -199,10 +201,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         status, reply, text = options.run(options)
     except options.errors as error:
-        text = str(error)
+        text = _text_of(error)
         status, reply = 1, {"error": {"title": type(error).__name__, "detail": text}}
     print(json.dumps(reply) if options.json else text)
     return status
+
+
+def _text_of(error: Exception) -> str:
+    if isinstance(error, MemoryError):
+        return "the memory is not enough; mesh the part coarser, or use a machine with more"
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
 
 
 def _parser() -> argparse.ArgumentParser:

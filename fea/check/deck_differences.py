@@ -21,11 +21,12 @@ from wrenchbook.fea.mesh.deck_content import (
 from wrenchbook.fea.mesh.facets import group_nodes
 from wrenchbook.fea.spec.material import Cylinder, Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 
 _SAME = 1e-3  # relative: decks write constants to three digits and more
-_MOST = 0.5  # of nodes at which directions differ: those on a cylinder's axis have none
+_MAX_TURNED = 0.5  # part of nodes whose directions may differ: on a cylinder's axis any are right
 _NEAR = 1e-6  # of the mesh's size: two points coincide
 _SOLID = re.compile(r"(C3D\d+)([A-Z]*)")
 _COMPARED = (
@@ -132,6 +133,7 @@ def _other_material(
 
 
 def _listed(values: Any, digits: int = 4) -> str:
+    """Write a number, or the entries of an array, separated by commas."""
     return ", ".join(f"{value:.{digits}g}" for value in np.ravel(values))
 
 
@@ -148,7 +150,7 @@ def _turned(
     else:
         other = replace(material, axes=np.reshape(axes, (3, 3)), cylinder=None)
     same = np.abs((material.directions(points) * other.directions(points)).sum(axis=-1))
-    if (same < 1 - _SAME).any(axis=-1).mean() > _MOST:
+    if (same < 1 - _SAME).any(axis=-1).mean() > _MAX_TURNED:
         yield f"{start} in other directions than the component: see its *ORIENTATION"
 
 
@@ -156,15 +158,15 @@ def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
     """Yield the number of nodes that are free in a direction in which the deck holds them."""
     nodes = group_nodes(component.mesh, "", group.group, [])  # none if the mesh has no such group
     nodes = np.setdiff1d(nodes, component.fixed_nodes)
-    held_ones = [attached for attached in component.interfaces if len(attached.locked) == 6]
-    for interface in (*held_ones, *(bushing for bushing, _ in component.bushings)):
+    held = [attached for attached in component.interfaces if attached.locked == FREEDOMS]
+    for interface in (*held, *(bushing for bushing, _ in component.bushings)):
         nodes = np.setdiff1d(nodes, interface.section.node_ids)
-    held = np.zeros((len(component.mesh.points), 3, 3))
+    held_along = np.zeros((len(component.mesh.points), 3, 3))
     sliding, projectors = component.sliding
-    held[sliding] = projectors
+    held_along[sliding] = projectors
     axes = np.reshape(group.axes or np.eye(3), (3, 3))
     directions = axes[["xyz".index(letter) for letter in group.directions]]
-    parts_held = np.einsum("di,nij,dj->nd", directions, held[nodes], directions)
+    parts_held = np.einsum("di,nij,dj->nd", directions, held_along[nodes], directions)
     if free := int((parts_held < 1 - _NEAR).any(axis=1).sum()):
         yield (
             f'{group.where} holds "{group.group}" along {", ".join(group.directions)}; {free} of '

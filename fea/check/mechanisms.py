@@ -54,8 +54,8 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     """
     if bodies.count > _MAX_BODIES:
         message = (
-            f"consists of {bodies.count} parts that share no face; if they are one body, merge "
-            "their nodes in the mesher and export the mesh again"
+            f"consists of {bodies.count} parts that share no face, but at most {_MAX_BODIES} are "
+            "checked; if they are one body, merge their nodes in the mesher, else leave some out"
         )
         return [BundleProblem("mesh", message)]
     motions = free_motions(component, bodies)
@@ -131,6 +131,7 @@ _ZERO = 1e-7
 """Singular value, relative to the largest, that counts as none."""
 
 _ZERO_STIFFNESS = 1e-14  # eigenvalue relative to the largest; smaller ones are roundoff
+_ZERO_PART = 1e-6  # of a motion of length 1: smaller parts of it are roundoff of the null space
 
 
 def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
@@ -154,7 +155,7 @@ def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
     motions = []
     for number in range(bodies.count):
         _, size, rows = np.linalg.svd(free[:, 6 * number : 6 * number + 6])
-        motions.append(rows[: int((size > 1e-6).sum())])
+        motions.append(rows[: int((size > _ZERO_PART).sum())])
     return motions
 
 
@@ -164,13 +165,13 @@ def describe(motion: Array, centre: Array, extent: float) -> str:
     The motion has shape (6,), m, the mesh's centre (3,), m; the mesh's size is in m.
     """
     shift, rotation = motion[:3], motion[3:] / extent
-    if np.linalg.norm(motion[3:]) < 1e-6:
+    if np.linalg.norm(motion[3:]) < _ZERO_PART:
         return f"slide along {_direction(shift)}"
     square = rotation @ rotation
     at = centre + np.cross(rotation, shift) / square
     pitch = shift @ rotation / square
     line = f"turn about the line through {point_text(at)} m along {_direction(rotation)}"
-    return line if abs(pitch) < 1e-6 * extent else f"{line}, sliding along it"
+    return line if abs(pitch) < _ZERO_PART * extent else f"{line}, sliding along it"
 
 
 def simplest(motions: Array) -> Array:
@@ -183,7 +184,7 @@ def simplest(motions: Array) -> Array:
         if done == len(rows):
             break
         best = done + int(np.abs(rows[done:, column]).argmax())
-        if abs(rows[best, column]) < 1e-6:
+        if abs(rows[best, column]) < _ZERO_PART:
             continue
         rows[[done, best]] = rows[[best, done]]
         rows[done] /= rows[done, column]
@@ -194,7 +195,11 @@ def simplest(motions: Array) -> Array:
 
 
 class _Equations:
-    """Rows of a matrix over the motions of all bodies, interfaces and bushings."""
+    """Rows of a matrix over the motions of all bodies, interfaces and frames, six columns each.
+
+    centre, extent: of the mesh, (3,), m, and m; rows: the matrix so far, each part (k, columns).
+    owner: shape (n,): the body of each node, the first of several; -1 for a node of none.
+    """
 
     def __init__(self, component: ComponentModel, bodies: Bodies) -> None:
         self.component = component
@@ -208,6 +213,7 @@ class _Equations:
             self.owner[bodies.nodes[number]] = number
 
     def hold_supports(self) -> None:
+        """Hold fixed nodes, and sliding ones along their held directions."""
         for number, nodes in enumerate(self.bodies.nodes):
             fixed = nodes[np.isin(nodes, self.component.fixed_nodes)]
             if fixed.size:
@@ -219,6 +225,7 @@ class _Equations:
                 self._add({number: _condensed(rows.reshape(-1, 6))})
 
     def join_bodies(self) -> None:
+        """Let shared nodes move alike in their bodies, and dependent ones as what they follow."""
         if self.bodies.count == 1:
             return
         if (dependents := self.component.uncut_mesh.dependents) is not None:
@@ -282,12 +289,14 @@ class _Equations:
         return np.concatenate([attached.axes @ self._moves_of(attached.point[None]), turns])
 
     def null_space(self) -> Array:
+        """Return orthonormal motions that satisfy all rows, shape (k, columns)."""
         matrix = np.concatenate(self.rows)
         _, size, rows = np.linalg.svd(matrix, full_matrices=True)
         rank = int((size > _ZERO * size[0]).sum())
         return rows[rank:]
 
     def _moves(self, nodes: Array) -> Array:
+        """Return N of each node, stacked, shape (3 k, 6)."""
         return self._moves_of(self.component.mesh.points[nodes])
 
     def _moves_of(self, points: Array) -> Array:

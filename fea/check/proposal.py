@@ -55,7 +55,12 @@ _EXACT = 15  # digits of points, axes and stiffnesses: as many as a double holds
 
 
 class _Proposal:
-    """The lines of a component, and what is open: `decide` and `skipped`, as text."""
+    """The lines of a component, and what is open.
+
+    mesh, deck, unit: the deck's mesh, its other contents, and its length unit.
+    groups: names of facet and node groups of the mesh. case: the load case that is taken over.
+    decide: values that the deck does not give. skipped: contents that are not taken over.
+    """
 
     def __init__(self, mesh: Mesh, unit: str, case: str | None) -> None:
         self.mesh, self.unit = mesh, unit

@@ -227,7 +227,8 @@ def _inspect_mesh(
     summary["solver_error"] = accuracy_or_why(solver)
     if summary["solver_error"]["mesh"] is None:
         why = f"the discretisation error is unknown: {summary['solver_error']['mesh_basis']}"
-        warnings.append(BundleProblem("mesh", why))
+        measure = "`wrenchbook converge FOLDER` measures it on finer meshes"
+        warnings.append(BundleProblem("mesh", f"{why}; {measure}"))
     warnings += straight_edges(summary["solver_error"])
     if (limit := bundle.tolerance) is not None:
         warnings += over_tolerance(summary["solver_error"], limit.translation, limit.rotation)

@@ -9,12 +9,12 @@ import numpy as np
 
 from wrenchbook.fea.check.cost import Cost
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.coupling.coupling import each_interface, largest_rotation
+from wrenchbook.fea.coupling.coupling import PER_INTERFACE, each_interface, largest_rotation
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.recovery.stress import integration_points, nodal_masses, small_stress
 from wrenchbook.fea.solve import MAX_DEGREES, Solver
 from wrenchbook.fea.solver.vibration import Riding
-from wrenchbook.fea.spec.problems import BundleError, BundleProblem
+from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
 from wrenchbook.fea.tensors import von_mises
 
 Array = np.ndarray
@@ -82,7 +82,7 @@ def solver_of(component: ComponentModel) -> Solver:
 
 
 def trial(solver: Solver, cost: Cost) -> tuple[Trial, list[BundleProblem]]:
-    """Solve six unit loads; return size, mass and deflection, and problems that stop a solve.
+    """Solve for unit inputs; return size, mass and deflection, and problems that stop a solve.
 
     solver: the component's.
     cost: of one solve; above `_MAX_SECONDS` or `_MAX_BYTES` nothing is solved.
@@ -200,9 +200,13 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[Bundle
         warnings.append(BundleProblem("material", message))
     try:
         vibration = solver.vibration(carried)
-    except (ValueError, SolveFailed) as error:
+    except SolveFailed as failure:
+        why = f"the natural frequency is unknown: {failure.message} {failure.remedy}"
+        return {}, [*warnings, BundleProblem(_WHERE.get(failure.kind, "mesh"), why)]
+    except ValueError as error:
+        where = "material" if riding is None else "interface"
         why = f"the natural frequency is unknown: {error}"
-        return {}, [*warnings, BundleProblem("material", why)]
+        return {}, [*warnings, BundleProblem(where, why)]
     result: Swing = {
         "mass": vibration.mass if len(without_density) < len(component.materials) else None,
         "first_frequency": vibration.frequency,
@@ -214,13 +218,14 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[Bundle
 
 
 def sag_per_gravity(solver: Solver) -> Array:
-    """Return the interface's displacement by gravity, (6, 3), m and rad over m/s^2, first order.
+    """Return the interfaces' displacement by gravity, (6 i, 3), m and rad over m/s^2, first order.
 
-    By reciprocity: the work of the weight on the fields of the unit loads. Gravity is in the
-    interface frame; materials without a density weigh nothing.
+    By reciprocity: the work of the weight on the fields of the unit loads. Gravity is in the frame
+    of the first interface; materials without a density weigh nothing.
     """
     masses = nodal_masses(solver.component, solver.body)
-    return np.einsum("n,nji->ij", masses, solver.linear.fields)
+    loads = len(solver.compliance)
+    return np.einsum("n,nji->ij", masses, solver.linear.fields[:, :, :loads])
 
 
 def weight_warnings(solver: Solver) -> list[BundleProblem]:
@@ -230,15 +235,18 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     known = all(material.density is not None for material in component.materials)
     if component.analysis.gravity or component.accelerated or limit is None or not known:
         return []
-    by_gravity = _STANDARD_GRAVITY * sag_per_gravity(solver)
-    moved, turned = (np.linalg.svd(half)[1][0] for half in (by_gravity[:3], by_gravity[3:]))
+    # The worst direction of gravity for each interface: the largest singular value of 3x3 matrices.
+    by_gravity = _STANDARD_GRAVITY * sag_per_gravity(solver).reshape(-1, PER_INTERFACE, 3)
+    _, translations, directions = np.linalg.svd(by_gravity[:, :3])
+    _, rotations, _ = np.linalg.svd(by_gravity[:, 3:])
+    moved, turned = translations.max(), rotations.max()
     if moved <= limit.translation and turned <= limit.rotation:
         return []
-    direction = np.linalg.svd(by_gravity[:3])[2][0] @ component.axes
+    direction = directions[translations[:, 0].argmax(), 0] @ component.axes
     down = -np.sign(direction[np.abs(direction).argmax()]) * direction * _STANDARD_GRAVITY
     gravity = ", ".join(f"{number + 0.0:.3g}" for number in np.round(down, 6))
     message = (
-        f"is missing: self-weight moves the interface by up to {moved:.2g} m and {turned:.2g} rad "
+        f"is missing: self-weight moves an interface by up to {moved:.2g} m and {turned:.2g} rad "
         f"(worst under [{gravity}] m/s^2), more than the tolerance. Write gravity = [0, 0, -9.81] "
         "under [analysis], or [inputs.acceleration] for a rotating part"
     )
@@ -246,6 +254,7 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
 
 
 _MAX_CORNERS = 4096  # of two interfaces' twelve loads: 0.2 s for 30,000 points
+_STRESS_ROUNDOFF = 1e-9  # relative: a bound below the stress it bounds only by roundoff
 _FIRST_POINTS = 64  # by the bound of `_worst`; their stresses exclude most other points
 
 
@@ -262,8 +271,9 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[LargestStress], list
         return [], []
     try:
         stresses = _first_order_stresses(solver)
-    except SolveFailed as error:
-        return [], [BundleProblem("material", f"its stresses are unknown: {error}")]
+    except SolveFailed as failure:
+        why = f"its stresses are unknown: {failure.message} {failure.remedy}"
+        return [], [BundleProblem("material", why)]
     except ValueError as error:
         return [], [BundleProblem("material", f"its largest stress is unknown: {error}")]
     warnings: list[BundleProblem] = []
@@ -282,10 +292,10 @@ def _first_order_stresses(solver: Solver) -> list[LargestStress]:
     """
     component = solver.component
     corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
-    if len(corners) > _MAX_CORNERS * 2 ** len(component.further):
-        raise ValueError(
-            f"[range] has {len(corners)} corners, too many; give some loads the range 0"
-        )
+    limit = _MAX_CORNERS * 2 ** len(component.further)
+    if len(corners) > limit:
+        end = f"at most {limit} are compared; write 0 as the range of loads that do not act"
+        raise ValueError(f"[range] has {len(corners)} corners, {end}")
     unit, loads = solver.unit_stresses(), corners
     if component.analysis.gravity or component.bolts:  # a load that is always there
         sag = small_stress(solver.body, solver.at_rest[1][:, :, None])
@@ -299,17 +309,16 @@ def _first_order_stresses(solver: Solver) -> list[LargestStress]:
         stress, corner, point = _worst(unit[points], loads)
         material = component.materials[number]
         pairs = zip(component.further, corners[corner][count:].tolist(), strict=True)
-        stresses.append(
-            LargestStress(
-                material.region,
-                stress,
-                coordinates[points[point]].tolist(),
-                corners[corner][:count].tolist(),
-                {scalar.name: value + scalar.reference for scalar, value in pairs},
-                material.yield_strength,
-                component.analysis.nonlinear,
-            )
+        largest_stress = LargestStress(
+            region=material.region,
+            largest=stress,
+            at=coordinates[points[point]].tolist(),
+            wrench=corners[corner][:count].tolist(),
+            further={scalar.name: value + scalar.reference for scalar, value in pairs},
+            yield_strength=material.yield_strength,
+            first_order=component.analysis.nonlinear,
         )
+        stresses.append(largest_stress)
     return stresses
 
 
@@ -325,7 +334,7 @@ def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
     bound = sum(load * von_mises(unit[:, :, i]) for i, load in enumerate(loads))
     top = unit[np.argsort(bound)[-_FIRST_POINTS:]]
     reached = max(von_mises(top @ corner).max() for corner in corners)
-    points = np.flatnonzero(bound >= (1 - 1e-9) * reached)  # less than it only by roundoff
+    points = np.flatnonzero(bound >= (1 - _STRESS_ROUNDOFF) * reached)
     candidates, worst_so_far = unit[points], (-1.0, 0, 0)
     for i, corner in enumerate(corners):
         equivalent = von_mises(candidates @ corner)
@@ -343,8 +352,10 @@ def _replace_by_nonlinear(solver: Solver, stresses: list[LargestStress]) -> list
     for i, linear in enumerate(stresses):
         try:
             stress = solver.stresses(solver.solve([*linear.wrench, *linear.further.values()]))
-        except SolveFailed as error:
-            message = f'are linear: the solve at a corner of [range] fails ("{error}")'
+        except SolveFailed as failure:
+            loads = ", ".join(f"{load:g}" for load in linear.wrench)
+            corner = f"the solve of a corner of [range], ({loads}) in N and N·m, fails"
+            message = f"are linear: {corner} ({failure.message} {failure.remedy})"
             return [BundleProblem("stresses", message)]
         equivalent = np.where(numbers == regions.index(linear.region), von_mises(stress), -1.0)
         point = int(equivalent.argmax())
@@ -367,9 +378,10 @@ def _yielding(component: ComponentModel, stresses: list[LargestStress]) -> list[
         for stress in stresses:
             if stress.region == material.region and stress.largest > strength:
                 message = (
-                    f"is exceeded at the full range: the stress is {stress.largest:.4g} Pa, "
-                    f"{stress.largest / strength:.2g} times as high. The solver has no plasticity, "
-                    "so its answers are too stiff. Narrow [range], or strengthen the part"
+                    f"is exceeded at the full range: the stress near {point_text(stress.at)} m is "
+                    f"{stress.largest:.4g} Pa, {stress.largest / strength:.2g} times as high. The "
+                    "solver has no plasticity, so its answers are too stiff. Narrow [range], or "
+                    "strengthen the part"
                 )
                 problems.append(BundleProblem(key, message))
     return problems

@@ -131,26 +131,21 @@ class SectionCoupling(ABC):
 
 
 class _Attachment(NamedTuple):
-    """A section's indices in the body and in the border.
-
-    `rotation` times a vector of the body is the interface's, None if equal; `freedoms` are those of
-    this interface among all; `chosen` are the unknowns among the section's border, and `border`
-    where these are in the body's.
-    """
+    """A section's indices in the body and in the border."""
 
     section: SectionCoupling
-    nodes: Array
-    rotation: Array | None
-    freedoms: slice
-    chosen: Array
-    border: Array
+    nodes: Array  # shape (s,): of the section
+    rotation: Array | None  # (3, 3): times a vector of the body, the interface's; None if equal
+    freedoms: slice  # of this interface among all
+    chosen: Array  # which of the section's border are unknowns: locked freedoms are not
+    border: Array  # where these are in the border of all
 
     def inwards(self, field: Array) -> Array:
         """Take a nodal field (n, 3, ...) of the body to the section: (s, 3, ...), in its axes."""
         local = field[self.nodes]
-        return (
-            local if self.rotation is None else np.einsum("ij,sj...->si...", self.rotation, local)
-        )
+        if self.rotation is None:
+            return local
+        return np.einsum("ij,sj...->si...", self.rotation, local)
 
     def outwards(self, field: Array) -> Array:
         """Turn a field of the section, (s, 3) or (s, 3, k), into the body's axes."""
@@ -359,10 +354,8 @@ class Coupling:
         """
         total, (motions, _) = np.zeros((border.shape[1],) * 3), self._unknowns(state)
         for at, where, spring in self._springs:
-            tensor, moved = (
-                spring_motion.energy_third_derivatives(motions[at], spring),
-                border[where],
-            )
+            tensor = spring_motion.energy_third_derivatives(motions[at], spring)
+            moved = border[where]
             total += np.einsum("ijk,ia,jb,kc->abc", tensor, moved, moved, moved, optimize=True)
         origins = np.append(origin, np.zeros(self._sprung))
         for attached, local in self._parts(state):
@@ -387,15 +380,11 @@ class Coupling:
         return rows
 
     def _parts(self, state: CoupledState) -> Iterator[tuple[_Attachment, CoupledState]]:
+        """Yield each section with the state of its nodes, in its interface's frame."""
         motions, multipliers = self._unknowns(state)
         for attached in self._attachments:
-            freedoms = attached.freedoms
-            yield (
-                attached,
-                CoupledState(
-                    attached.inwards(state.nodes), motions[freedoms], multipliers[freedoms]
-                ),
-            )
+            nodes, freedoms = attached.inwards(state.nodes), attached.freedoms
+            yield attached, CoupledState(nodes, motions[freedoms], multipliers[freedoms])
 
     def _unknowns(self, state: CoupledState) -> tuple[Array, Array]:
         """Return copies of the motions and multipliers of interfaces and bushings, six of each."""

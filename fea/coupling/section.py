@@ -28,9 +28,9 @@ class Rigid(SectionCoupling):
         return interface[:3] + self.points @ R_minus_I.T
 
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return nothing for the nodes, (s, 3), N, and what is out of balance, (6,), N and N·m.
+        """Return zero forces at the nodes, (s, 3), and the resultants less the wrench, (6,).
 
-        The section's forces have shape (s, 3), N, the wrench (6,), N and N·m.
+        forces: shape (s, 3), N: internal, at the section's nodes. wrench: shape (6,), N and N·m.
         """
         moment = np.cross(self._turned(state), forces).sum(axis=0)
         spin = spin_per_vector(state.interface[3:])
@@ -38,9 +38,9 @@ class Rigid(SectionCoupling):
         return np.zeros_like(forces), border
 
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
-        """Return the constraint, and what turning the arms adds to the moment.
+        """Return the constraint, (s, 3, 6), and the block, (6, 6): moments by the arms' rotation.
 
-        Forces have shape (s, 3), N, the wrench shape (6,), N and N·m.
+        forces: shape (s, 3), N: internal, at the section's nodes. wrench: shape (6,), N and N·m.
         """
         arms = self._turned(state)
         spin = spin_per_vector(state.interface[3:])
@@ -54,10 +54,7 @@ class Rigid(SectionCoupling):
         return Border(constraint, np.zeros_like(constraint), block)
 
     def wrench_columns(self, state: CoupledState) -> Array:
-        """Return minus the derivative of the border's residual by the wrench.
-
-        Shape (6, 6), dimensionless.
-        """
+        """Return what `SectionCoupling` says, shape (6, 6)."""
         columns = np.eye(PER_INTERFACE)
         columns[3:, 3:] = spin_per_vector(state.interface[3:]).T
         return columns
@@ -74,6 +71,7 @@ class Rigid(SectionCoupling):
         return moments, changes, np.zeros((3, 3, border.shape[1], border.shape[1]))
 
     def _turned(self, state: CoupledState) -> Array:
+        """Return R x_i of the nodes, shape (s, 3), m."""
         return self.points + self.points @ rotation_less_identity(state.interface[3:]).T
 
 
@@ -100,7 +98,7 @@ def section_of_facets(
 
     points: shape (n, 3), m.
     group: at least one facet.
-    node_ids: the section's nodes if it has more than the facets do; the others get no weight.
+    node_ids: the section's nodes if it has more than the facets; the others get the weight 0.
     """
     covered, areas = area_weights(points, group)
     ids = covered if node_ids is None else np.unique(node_ids)
@@ -116,7 +114,7 @@ def section_of_nodes(points: Array, node_ids: Array) -> InterfaceSection:
     """Return the section of nodes that bound no facet: each counts the same.
 
     points: shape (n, 3), m.
-    node_ids: shape (k,), int64; in any order, twice if so.
+    node_ids: shape (k,), int64; in any order, and repeated ones count once.
     """
     ids = np.unique(node_ids)
     weights = np.full(len(ids), 1.0 / len(ids))
@@ -195,10 +193,7 @@ class Distributed(SectionCoupling):
         return Border(np.zeros_like(columns), columns, block)
 
     def wrench_columns(self, state: CoupledState) -> Array:
-        """Return minus the derivative of the border's residual by the wrench.
-
-        Shape (12, 6), dimensionless; the rows of the six constraints are zero.
-        """
+        """Return what `SectionCoupling` says, shape (12, 6)."""
         columns = np.zeros((2 * PER_INTERFACE, PER_INTERFACE))
         columns[:3, :3] = np.eye(3)
         columns[3:6, 3:] = spin_per_vector(state.interface[3:]).T
@@ -224,7 +219,11 @@ class Distributed(SectionCoupling):
 
 
 class _Turned:
-    """The section's quantities at one state."""
+    """Quantities of a distributed section at one state, from the interface point.
+
+    spin: shape (3, 3): J(r). arms: b_i, shape (s, 3), m. centre: R c, shape (3,), m.
+    points: x_i + u_i, shape (s, 3), m. force, moment: the multipliers l, N, and m, N/m, (3,) each.
+    """
 
     def __init__(self, coupling: Distributed, state: CoupledState) -> None:
         R_minus_I = rotation_less_identity(state.interface[3:])
@@ -236,10 +235,10 @@ class _Turned:
         self.force, self.moment = state.multipliers[:3], state.multipliers[3:]
 
     def inertia(self) -> Array:
-        """Return sum w (x b^T - (b . x) I), shape (3, 3)."""
+        """Return sum w (x b^T - (b . x) I), shape (3, 3), m^2."""
         outer = (self.points * self.weights[:, None]).T @ self.arms
         return outer - np.trace(outer) * np.eye(3)
 
     def carried_moment(self) -> Array:
-        """Return the moment about the interface point that the multipliers balance."""
+        """Return the moment about the interface point that the multipliers balance, (3,), N·m."""
         return -np.cross(self.centre, self.force) + self.inertia() @ self.moment

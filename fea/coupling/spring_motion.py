@@ -15,8 +15,8 @@ from wrenchbook.fea.tensors import rotation, rotation_vector, skew, spin_per_vec
 
 Array = np.ndarray
 
-_COMPLEX_STEP = 2.0**-100
-_STEP = 1e-3  # rad
+_COMPLEX_STEP = 2.0**-100  # m or rad: its square vanishes against any number here
+_STEP = 1e-3  # rad: differences of fourth order leave out its fourth power
 _SLOPE = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}  # weights of a first derivative
 
 
@@ -43,10 +43,8 @@ def energy_third_derivatives(motions: Array, stiffness: Array) -> Array:
     tensor = np.zeros((len(motions),) * 3)
     for turn in (3, 4, 5, 9, 10, 11) if len(motions) == 12 else ():
         unit = _STEP * np.eye(12)[turn]
-        slope = (
-            sum(w * energy_hessian(motions + n * unit, stiffness) for n, w in _SLOPE.items())
-            / _STEP
-        )
+        hessians = (w * energy_hessian(motions + n * unit, stiffness) for n, w in _SLOPE.items())
+        slope = sum(hessians) / _STEP
         tensor[turn], tensor[:, turn], tensor[:, :, turn] = slope, slope, slope
     return tensor
 

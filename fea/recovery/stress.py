@@ -13,6 +13,8 @@ from wrenchbook.fea.tensors import COLUMNS, ROWS, von_mises
 
 Array = np.ndarray
 
+_HALF_KELVIN = 0.5  # K: the difference's error is the square of the thermal strain in it, 1e-10
+
 
 def integration_points(component: ComponentModel, points: Array) -> tuple[Array, Array]:
     """Return points and materials of the integration, in the order of `ElasticBody.parts`.
@@ -78,7 +80,7 @@ def cauchy_stress(
         no_fields = tangents[:, :, :0]
         warmer, cooler = (
             cauchy_stress(body, displacement, no_fields, temperature + step)[0]
-            for step in (0.5, -0.5)
+            for step in (_HALF_KELVIN, -_HALF_KELVIN)
         )
         slopes[:, :, loads] += warmer - cooler
     return stress_field, slopes

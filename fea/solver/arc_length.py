@@ -29,6 +29,7 @@ _MAX_NODE_STEP = 0.01  # of the part's size: the furthest that a node may go in 
 _LONGEST = 8.0  # times the first step
 _SAMPLES = 201  # of the cubic between two points, whose maximum is the critical load
 _MIN_COSINE = 0.7  # cosine of a path that bends no more than it should in one step
+_NO_MOTION = 1e-300  # in place of a motion of 0, by which nothing can be divided
 
 
 class Ending(NamedTuple):
@@ -43,12 +44,13 @@ class Ending(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """One equilibrium on the path; `rate` is the motion per unit of the load's size."""
+    """One equilibrium on the path."""
 
-    size: float
+    size: float  # of its load, in the unit of `ArcPath`'s `full`
     equilibrium: Equilibrium
+    # Motion per unit of the load's size: free nodes, (n, 3), m, and border, (border,)
     rate: tuple[Array, Array]
-    speed: float
+    speed: float  # Euclidean norm of all nodes' motion in it, m
 
 
 class ArcPath:
@@ -79,7 +81,8 @@ class ArcPath:
         self._point = self._point_at(factor * full, start)
         furthest = _MAX_NODE_STEP * system.body.extent * self._point.speed
         farthest_node = np.abs(self._field(self._point)).max(initial=0.0)
-        self._first = min(step * full * self._point.speed, furthest / max(farthest_node, 1e-300))
+        longest = furthest / max(farthest_node, _NO_MOTION)
+        self._first = min(step * full * self._point.speed, longest)
         self._length = self._first
 
     def follow(self, accept: Callable[[Equilibrium, float], None]) -> Ending:
@@ -100,24 +103,14 @@ class ArcPath:
                 self._length *= 0.5
                 continue
             past_limit = course < 0
-            if past_limit or not ahead.equilibrium.tangent.stable:
-                if not past_limit and self._length > _FINE * self._first:
+            if past_limit:
+                return Ending("limit", self._limit_before(ahead), self._point.equilibrium)
+            if not ahead.equilibrium.tangent.stable:
+                if self._length > _FINE * self._first:
                     self._length *= 0.5
                     continue
-                # Place the critical factor between two points, by a cubic in the path's length.
-                if not past_limit:
-                    middle = 0.5 * (self._point.size + ahead.size) / self._full
-                    return Ending("bifurcation", middle, self._point.equilibrium)
-                length = float(np.linalg.norm(self._between(ahead)))
-                s = np.linspace(0.0, 1.0, _SAMPLES)
-                start, end = length / self._point.speed, -length / ahead.speed
-                cubic = (
-                    self._point.size * (1 + 2 * s) * (1 - s) ** 2
-                    + start * s * (1 - s) ** 2
-                    + ahead.size * s**2 * (3 - 2 * s)
-                    + end * s**2 * (s - 1)
-                )
-                return Ending("limit", float(cubic.max()) / self._full, self._point.equilibrium)
+                middle = 0.5 * (self._point.size + ahead.size) / self._full
+                return Ending("bifurcation", middle, self._point.equilibrium)
             if ahead.size >= self._full:
                 return Ending("reached", 1.0, ahead.equilibrium)
             accept(ahead.equilibrium, ahead.size / self._full)
@@ -125,6 +118,22 @@ class ArcPath:
             if ahead.equilibrium.iterations <= _FEW_ITERATIONS:
                 self._length = min(_GROWTH * self._length, _LONGEST * self._first)
         return Ending("lost", self._point.size / self._full, self._point.equilibrium)
+
+    def _limit_before(self, ahead: _Point) -> float:
+        """Return the largest load factor up to a point beyond it, by a cubic in the path's length.
+
+        The cubic (Hermite's) has the sizes and slopes of both points, the last one falling.
+        """
+        length = float(np.linalg.norm(self._between(ahead)))
+        s = np.linspace(0.0, 1.0, _SAMPLES)
+        start, end = length / self._point.speed, -length / ahead.speed
+        cubic = (
+            self._point.size * (1 + 2 * s) * (1 - s) ** 2
+            + start * s * (1 - s) ** 2
+            + ahead.size * s**2 * (3 - 2 * s)
+            + end * s**2 * (s - 1)
+        )
+        return float(cubic.max()) / self._full
 
     def _step(self) -> _Point | None:
         """Find the next point; None, with the length halved, if there is none that near."""
@@ -183,7 +192,9 @@ class ArcPath:
         return _Point(size, equilibrium, rate, float(np.linalg.norm(field)))
 
     def _field(self, point: _Point) -> Array:
+        """Return all nodes' motion per unit of the load's size at a point, shape (n, 3), m."""
         return point.rate[0] + point.equilibrium.tangent.border.constraint @ point.rate[1]
 
     def _between(self, ahead: _Point) -> Array:
+        """Return the nodes' motion from the last accepted point to another, shape (n, 3), m."""
         return ahead.equilibrium.balance.state.nodes - self._point.equilibrium.balance.state.nodes

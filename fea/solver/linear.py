@@ -62,9 +62,10 @@ def linear_response(system: System) -> LinearResponse:
     if not max(asymmetry, energy_gap, condition * ROUNDOFF * correction) < _MAX_ERROR:
         raise SolveFailed(
             "ill_conditioned",
-            f"Roundoff limits this solve: the compliance is symmetric only to {asymmetry:.1e} and "
-            f"equal to its strain energies only to {energy_gap:.1e}. The last correction was "
-            f"{correction:.1e}, the scaled condition number is about {condition:.0e}.",
+            f"Roundoff limits this solve: the compliance is symmetric to {asymmetry:.1e} and equal "
+            f"to its strain energies to {energy_gap:.1e}, where {_MAX_ERROR:.0e} is required. The "
+            f"last correction was {correction:.1e}, the scaled condition number is about "
+            f"{condition:.0e}.",
         )
     compliance = 0.5 * (compliance + compliance.T)
     inputs = system.inputs

@@ -118,9 +118,11 @@ def find_equilibrium(
         balance = step.balance
         report(iteration, balance.norm)
         if not np.isfinite(balance.norm):
-            raise Stuck("the iteration diverged to forces that are not finite")
-        if largest_rotation(balance.state.interface) > _FAR_ROTATION:
-            raise Stuck("the iteration rotated the interface by more than 115 degrees")
+            raise Stuck(f"iteration {iteration} led to forces that are not finite")
+        rotation = largest_rotation(balance.state.interface)
+        if rotation > _FAR_ROTATION:
+            degrees = f"{np.degrees(rotation):.0f} degrees"
+            raise Stuck(f"iteration {iteration} rotated the interface by {degrees}")
         if consistent and step.converged:
             return Equilibrium(balance, tangent_after(system, step, tangent), iteration)
         corrections.append((step.size, step.energy))
@@ -128,16 +130,17 @@ def find_equilibrium(
         # Before the last iterations one norm may stay while the other shrinks: that is no roundoff.
         idle = (recent.min(axis=0) > 0.5 * recent.max(axis=0)).all()
         if len(recent) == _MAX_IDLE and idle and recent[:, 0].max() < _NEARLY:
-            raise Stuck(
-                f"corrections stay at {step.size:.0e} of the displacement, by roundoff",
-                at_roundoff=True,
-            )
+            reached = f"{step.size:.0e} of the displacement and {step.energy:.0e} in energy"
+            needed = f"{CONVERGED:.0e} and {CONVERGED_ENERGY:.0e}"
+            message = f"roundoff keeps the corrections at {reached}, above {needed}"
+            raise Stuck(message, at_roundoff=True)
         consistent = step.nearly
         balance = _settled(system, step, tangent) if consistent else balance
         if iteration == 1:
             tangent.release()  # the caller keeps it: its factor would be there with each next
         tangent = system.linearise(balance, None if consistent else step.aim)
-    raise Stuck(f"there is no equilibrium after {max_iterations} iterations")
+    last = f"the last correction was {corrections[-1][0]:.0e} of the displacement"
+    raise Stuck(f"there is no equilibrium after {max_iterations} iterations; {last}")
 
 
 def correct(
@@ -153,8 +156,10 @@ def correct(
     """
     change = nodes + tangent.border.constraint @ border
     largest = np.abs(change).max(initial=0.0)
-    if not (np.isfinite(border).all() and largest < _FAR * system.body.extent):
-        raise Stuck("the iteration diverged")
+    if not np.isfinite(border).all():
+        raise Stuck("the iteration diverged to a displacement that is not finite")
+    if not largest < _FAR * system.body.extent:
+        raise Stuck(f"the iteration diverged: it moved a node by {largest:.2g} m")
     state = system.coupling.moved(balance.state, nodes, border)
     after = system.balance(state, balance.wrench)
     work = abs(float(np.vdot(balance.nodal, nodes) + balance.border @ border))

@@ -36,6 +36,7 @@ from wrenchbook.fea.tensors import skew
 
 Array = np.ndarray
 
+_MOMENT_ROUNDOFF = 1e-9  # of the largest moment of inertia: a rod's least is 0 but for roundoff
 _SEED = 20170726  # of the first mode's start vector: the same bundle gives the same digits
 
 
@@ -53,19 +54,18 @@ class Riding:
     centre: Array
 
     def __post_init__(self) -> None:
-        numbers = np.concatenate([[self.mass], np.ravel(self.inertia), np.ravel(self.centre)])
-        if not np.isfinite(numbers).all():
-            raise ValueError(f"mass, inertia and centre must be finite numbers, not {numbers}")
+        for name in ("mass", "inertia", "centre"):
+            values = np.ravel(getattr(self, name)).tolist()
+            if not np.isfinite(values).all():
+                raise ValueError(f"the {name} must be finite, not {values}")
         if self.mass < 0:
             raise ValueError(f"the mass must be 0 or more, not {self.mass:g} kg")
         if not np.array_equal(self.inertia, self.inertia.T):
-            raise ValueError("the inertia must be symmetric; give six numbers instead")
+            raise ValueError("the inertia must be symmetric; give xx, yy, zz, xy, xz, yz instead")
         moments = np.linalg.eigvalsh(self.inertia)
-        if moments[0] < -1e-9 * max(moments[2], 0.0):
-            raise ValueError(
-                f"the principal moments of inertia are {moments.tolist()} kg·m^2, but none may be "
-                "negative; correct the inertia"
-            )
+        if moments[0] < -_MOMENT_ROUNDOFF * max(moments[2], 0.0):
+            least = f"the least principal moment of inertia is {moments[0]:.4g} kg·m^2"
+            raise ValueError(f"{least}, but none may be negative; correct the inertia")
 
     @classmethod
     def of(
@@ -78,9 +78,12 @@ class Riding:
         moments = np.zeros(3) if inertia is None else np.asarray(inertia, dtype=float)
         position = np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
         if moments.shape not in ((3,), (6,)):
-            raise ValueError("the inertia must be xx, yy, zz or xx, yy, zz, xy, xz, yz, in kg·m^2")
+            wanted = "xx, yy, zz or xx, yy, zz, xy, xz, yz, in kg·m^2"
+            raise ValueError(f"the inertia must be {wanted}, not {moments.size} numbers")
         if position.shape != (3,):
-            raise ValueError(f"the centre of mass must be 3 numbers, in m, not {position.size}")
+            raise ValueError(
+                f"the centre of mass must be 3 numbers x,y,z in m, not {position.size}"
+            )
         tensor = np.diag(moments[:3])
         if len(moments) == 6:
             xy, xz, yz = moments[3:]
@@ -173,7 +176,8 @@ def _lowest_mode_of_massless(inertia: Inertia) -> Array:
     values, vectors = np.linalg.eigh(lower.T @ carried @ lower)
     if not values[-1] > 0:
         raise ValueError(
-            "nothing that can move has a mass; give materials a density, or the scene a mass"
+            "nothing that can move has a mass; give materials a density in kg/m^3, or the "
+            "interface a mass along a freedom that is not locked"
         )
     return np.linalg.solve(compliance, lower @ vectors[:, -1]) @ moved.T
 
@@ -205,9 +209,12 @@ def static_shapes(inertia: Inertia) -> tuple[Array, Array]:
 
 
 class Inertia:
-    """The mass matrix over free nodes, active interface freedoms and anchors, and K^-1.
+    """The mass matrix M over free nodes, active interface freedoms and anchors, and K^-1.
 
-    `first` is where the interface freedoms begin among the `size` unknowns.
+    mass: shape (n, n), kg: of the nodes, the same for the three components.
+    interface_mass: shape (6 i, 6 i), kg to kg·m^2: of what the interfaces carry.
+    active: indices of the freedoms that are not locked; they begin at `first` among the `size`
+    unknowns.
     """
 
     def __init__(self, system: System, mass: csr_array, interface_mass: Array) -> None:
@@ -339,8 +346,9 @@ def craig_bampton(
     inertia = Inertia(system, mass, np.zeros((count, count)))
     (_, origin, _), *moving = frames
     freedoms = inertia.active.size
-    if freedoms != 6 * len(moving):
-        raise ValueError("a condensed mass needs six freedoms; leave locked out of the interface")
+    if freedoms != PER_INTERFACE * len(moving):
+        locked = f"{PER_INTERFACE * len(moving) - freedoms} freedoms are locked"
+        raise ValueError(f"{locked}, but a condensed mass needs all six; leave locked out")
     if not mass.nnz:
         raise ValueError("no material has a density; write density, in kg/m^3, in [[material]]")
     if not 0 < modes < inertia.size - freedoms:
@@ -420,6 +428,7 @@ def _rigid(arms: Array) -> Array:
 _MODES = 8
 _ITERATIONS = 12  # a ratio of 0.5 leaves 2e-4 of the vectors' error
 _CONVERGED = 1e-4  # relative change: factors are judged by their first two digits
+_DEPENDENT = 1e-12  # of the largest eigenvalue: motions that depend on the others but for roundoff
 _BUCKLING_SEED = 20170726  # of the start vectors: the same bundle gives the same digits
 
 
@@ -448,7 +457,7 @@ def buckling_factors(
         geometric = moved @ np.stack([stressed.times(motion) for motion in moved]).T
         # The best eigenvalues in a space of motions, and those of K-length one.
         size, vectors_of = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
-        significant = size > 1e-12 * size.max(initial=0.0)
+        significant = size > _DEPENDENT * size.max(initial=0.0)
         basis = vectors_of[:, significant] / np.sqrt(size[significant])
         values, vectors = np.linalg.eigh(basis.T @ (0.5 * (geometric + geometric.T)) @ basis)
         motions = (basis @ vectors).T @ moved
@@ -476,4 +485,5 @@ def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
 
 
 def _factor(value: float) -> float:
+    """Return the multiple of the load of an eigenvalue of K^-1 (-G); infinite of one below 0."""
     return 1.0 / float(value) if value > 0 else np.inf

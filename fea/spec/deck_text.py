@@ -51,50 +51,79 @@ def deck_text(path: Path) -> DeckText:
     Raises OSError if the deck cannot be read, MeshFileError with file and line if an included file
     is missing, outside the deck's folder or part of itself, or if there is too much of them.
     """
-    folder, ending = path.parent.resolve(), path.suffix.lower()
-    pattern = _NASTRAN if ending in _NASTRAN_ENDINGS else _ABAQUS if ending == ".inp" else _NONE
-    included, pieces, parts = list[Path](), list[tuple[int, str, int]](), list[str]()
-    lines, size = 1, 0
+    joining = _Joining(path)
+    joining.add_file(path, _plain(path), (path.resolve(),))
+    joined = DeckText("".join(joining.parts))
+    joined.included, joined.pieces = tuple(joining.included), tuple(joining.pieces)
+    return joined
 
-    def put(part: str, name: str, line: int) -> None:
-        nonlocal lines
+
+class _Joining:
+    """A deck's text so far: its parts, their places as of `DeckText.pieces`, and files in it."""
+
+    def __init__(self, path: Path) -> None:
+        ending = path.suffix.lower()
+        self.folder = path.parent.resolve()
+        self.pattern = _NONE
+        if ending in _NASTRAN_ENDINGS:
+            self.pattern = _NASTRAN
+        elif ending == ".inp":
+            self.pattern = _ABAQUS
+        self.parts: list[str] = []
+        self.pieces: list[tuple[int, str, int]] = []
+        self.included: list[Path] = []
+        self.line, self.characters = 1, 0  # the next line of the joined text; of all files
+
+    def add_part(self, part: str, name: str, line: int) -> None:
+        """Add a stretch of a file's text that begins at its line; end it with a newline."""
         part += "\n" if part and not part.endswith("\n") else ""
-        pieces.append((lines, name, line))
-        parts.append(part)
-        lines += part.count("\n")
+        self.pieces.append((self.line, name, line))
+        self.parts.append(part)
+        self.line += part.count("\n")
 
-    def take(file: Path, stack: tuple[Path, ...]) -> None:
-        nonlocal size
-        name = "" if len(stack) == 1 else file.relative_to(folder).as_posix()
-        text, end, line = _plain(file), 0, 1
-        size += len(text)
-        named = [(match, _file_name(match, text)) for match in pattern.finditer(text)]
+    def add_file(self, file: Path, text: str, stack: tuple[Path, ...]) -> None:
+        """Add a file with those that it includes; `stack` has it last, after those around it."""
+        name = "" if len(stack) == 1 else file.relative_to(self.folder).as_posix()
+        end, line = 0, 1  # of what is added: the index after it, and the line there
+        self.characters += len(text)
+        named = [(match, _file_name(match, text)) for match in self.pattern.finditer(text)]
         beside = ", ".join(dict.fromkeys(inner for _, inner in named if inner))
         for match, inner in named:
             if inner is None:
                 continue
             at = line + text.count("\n", end, match.start())
             try:
-                if size > _MAX_CHARACTERS or len(stack) > _MAX_DEPTH or len(included) > _MAX_FILES:
-                    most = f"{_MAX_CHARACTERS >> 20} MiB, {_MAX_FILES} in all and {_MAX_DEPTH} deep"
-                    raise ValueError(f"which exceeds the limit: {most}; include fewer files")
-                included.append(_inside(folder, stack[-1].parent, inner, beside))
-                if included[-1] in stack:
-                    raise ValueError("which includes itself; remove one of the two lines")
+                found, content = self.included_file(inner, stack, beside)
             except (OSError, RuntimeError, ValueError) as error:
+                why = str(error)
+                if isinstance(error, OSError):
+                    why = f"which cannot be read ({error.strerror})"
                 where = f"line {at} of {name}: " if name else f"line {at}: "
-                word = "*" * (pattern is _ABAQUS) + match[1].upper()
-                raise MeshFileError(f'{where}{word} names "{inner[:100]}", {error}') from None
+                word = "*" * (self.pattern is _ABAQUS) + match[1].upper()
+                raise MeshFileError(f'{where}{word} names "{inner[:100]}", {why}') from None
             rows = "" if match[1].upper() == "INCLUDE" else _INPUT.sub("", match[0]) + "\n"
-            put(text[end : match.start()] + rows, name, line)
-            take(included[-1], (*stack, included[-1]))
+            self.add_part(text[end : match.start()] + rows, name, line)
+            self.add_file(found, content, (*stack, found))
             line, end = at + match[0].count("\n"), match.end()
-        put(text[end:], name, line)
+        self.add_part(text[end:], name, line)
 
-    take(path, (path.resolve(),))
-    joined = DeckText("".join(parts))
-    joined.included, joined.pieces = tuple(included), tuple(pieces)
-    return joined
+    def included_file(self, name: str, stack: tuple[Path, ...], beside: str) -> tuple[Path, str]:
+        """Return the file of a name in the last of `stack`, and its text.
+
+        Raises OSError if it cannot be read, ValueError with the end of a sentence if it must not.
+        """
+        for count, limit, unit in (
+            (self.characters, _MAX_CHARACTERS, "characters in all files"),
+            (len(stack), _MAX_DEPTH, "files in each other"),
+            (len(self.included), _MAX_FILES, "files"),
+        ):
+            if count > limit:
+                raise ValueError(f"which exceeds the limit, {limit} {unit}; include less")
+        found = _inside(self.folder, stack[-1].parent, name, beside)
+        self.included.append(found)
+        if found in stack:
+            raise ValueError("which includes itself; remove one of the two lines")
+        return found, _plain(found)
 
 
 def _file_name(match: re.Match[str], text: str) -> str | None:
@@ -115,13 +144,16 @@ def _inside(folder: Path, here: Path, name: str, beside: str) -> Path:
     if re.match(r"/|\w:", name) or not inside:  # whatever is there: no sender may know
         raise ValueError("which is outside the folder of the deck; move the file into it")
     files = [path for path in inside if path.is_file()]
-    if len(files) != 1:
-        why = "of which there are two" if files else "which is not there"
-        raise ValueError(f"{why}; these must lie beside the deck: {beside}")
+    if not files:
+        raise ValueError(f"which is not there; these must lie beside the deck: {beside}")
+    if len(files) > 1:
+        both = " and ".join(file.relative_to(folder).as_posix() for file in files)
+        raise ValueError(f"of which there are two, {both}; rename or remove one")
     return files[0]
 
 
 def _plain(path: Path) -> str:
+    """Return a file's text by its encoding, with newlines alone."""
     raw = path.read_bytes()
     encoding = "utf-8-sig"
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):

@@ -17,7 +17,13 @@ import numpy as np
 
 from wrenchbook.fea.spec.deck_text import deck_text
 from wrenchbook.fea.spec.material import AnyMaterial, Orthotropic
-from wrenchbook.fea.spec.mesh_source import BodySelector, FaceSelector, MeshFile, MeshSource
+from wrenchbook.fea.spec.mesh_source import (
+    CELLS_ROUND_A_CIRCLE,
+    BodySelector,
+    FaceSelector,
+    MeshFile,
+    MeshSource,
+)
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
     TEMPERATURE,
@@ -51,7 +57,11 @@ _GROUP = re.compile(r'"nodes_(?:held_in|with_forces)')  # of `fea.mesh.io.abaqus
 _KEYWORD = re.compile(rb"^[^\w*\n]*\*[ \t]*(BOUNDARY|CLOAD|STEP|LOAD CASE)\b([^*]*)", re.I | re.M)
 _NEW = re.compile(rb",\s*(?:OP\s*=\s*NEW|PERTURBATION)\b", re.I)
 _DROPPED = re.compile("[bB].*[sSl].*B|[sl].*S|S.*[sSl]|l.*l")
-"""What a case does not go on with, by initials of keywords, capital with `_NEW`: b and c are b."""
+"""Keywords after which the last case does not have the nodes of all cases.
+
+Each keyword of a deck is one letter: b of *BOUNDARY and *CLOAD, s of *STEP, l of *LOAD CASE; a
+capital where `_NEW` drops what came before.
+"""
 
 
 def fingerprint(parts: Mapping[str, Any]) -> str:
@@ -103,6 +113,7 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
 
 
 def _mesh(source: MeshSource | None) -> object:
+    """Return all of ``[mesh]`` that changes the mesh: files by their bytes, not their names."""
     if source is None:
         return None
     if source.file is not None:
@@ -115,19 +126,26 @@ def _mesh(source: MeshSource | None) -> object:
             content["follow"] = True
         if source.geometry is not None:
             meshing = source.geometry
-            keys = {"size": meshing.size, "curvature": meshing.curvature or 0}
-            keys |= {} if meshing.circle == 7 else {"circle": meshing.circle}
-            keys |= {"groups": {name: _chosen(each) for name, each in meshing.groups.items()}}
-            keys |= {"regions": {name: _chosen(each) for name, each in meshing.regions.items()}}
+            keys: dict[str, object] = {
+                "size": meshing.size,
+                "curvature": meshing.curvature or 0,
+                "groups": {name: _chosen(each) for name, each in meshing.groups.items()},
+                "regions": {name: _chosen(each) for name, each in meshing.regions.items()},
+            }
+            if meshing.circle != CELLS_ROUND_A_CIRCLE:
+                keys["circle"] = meshing.circle
             return content | {"geometry": keys}
-        order = {} if source.order is None else {"order": source.order}
-        chosen = source.groups.items() if isinstance(source, MeshFile) else ()
-        named = {"groups": {name: _chosen(each) for name, each in chosen}} if chosen else {}
-        return content | {"unit": source.unit} | order | named
+        content["unit"] = source.unit
+        if source.order is not None:
+            content["order"] = source.order
+        if isinstance(source, MeshFile) and source.groups:
+            content["groups"] = {name: _chosen(each) for name, each in source.groups.items()}
+        return content
     return {"generator": source.generator, "parameters": dict(source.parameters or {})}
 
 
 def _chosen(choice: FaceSelector | BodySelector) -> object:
+    """Return the keys of a group by geometry; those added to the format later only if given."""
     if isinstance(choice, BodySelector):
         return {"numbers": choice.bodies, "near": choice.near, "plane": None, "radius": None}
     plane = choice.plane
@@ -217,4 +235,5 @@ def _deck(deck: Deck | None) -> object:
 
 
 def _bytes(path: Path) -> str:
+    """Return the hash of a file's bytes."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

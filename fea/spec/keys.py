@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field, is_dataclass
 from functools import cache
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, cast, dataclass_transform, get_args, get_origin
 
@@ -33,8 +34,9 @@ from wrenchbook.fea.spec.problems import STEERING, BundleProblem, suggest
 
 Array = np.ndarray
 
-MAX_COUNT = 10**9
-_QUOTED = re.compile("'([^']*)'")
+MAX_COUNT = 10**9  # of cells, layers and face numbers: far above any mesh, within an int32
+_ORTHONORMAL = 1e-6  # axes are written to six digits and more
+_QUOTED = re.compile("'([^']*)'")  # the words of a choice in pydantic's ``expected``
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
 _T = TypeVar("_T")
@@ -141,7 +143,9 @@ def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
         raise ValueError(f'"{name}" is outside the bundle; put the file into its folder')
     if not there:
         known = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
-        raise ValueError(f'there is no file "{name}" in the bundle, only {", ".join(known)}')
+        there_are = f"only {', '.join(known)}" if known else "which has no files"
+        near = suggest(name, known) or "; correct the name, or add the file"
+        raise ValueError(f'there is no file "{name}" in the bundle, {there_are}{near}')
     return path
 
 
@@ -238,13 +242,24 @@ def _cross(a: Sequence[float], b: Sequence[float]) -> list[float]:
 
 
 def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
-    """Return three directions exactly orthonormal, shape (3, 3), dimensionless."""
-    axes = np.array(rows)
-    # A direction that is far from a unit's length would overflow in the product.
-    if np.abs(axes).max() > 2.0 or np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6:
-        raise ValueError("must be three directions of length 1 at right angles, to 1e-6")
+    """Three directions made exactly orthonormal, shape (3, 3), dimensionless.
+
+    Raises ValueError if they are not, to `_ORTHONORMAL`, or are left-handed.
+    """
+    axes, wanted = np.array(rows), "must be three directions of length 1 at right angles"
+    for number, length in enumerate(np.hypot.reduce(axes, axis=1).tolist(), start=1):
+        if abs(length - 1.0) > 0.5 * _ORTHONORMAL:  # its square differs by twice as much
+            raise ValueError(
+                f"{wanted}; direction {number} has length {length:.8g}: divide it by it"
+            )
+    for i, j in combinations(range(3), 2):
+        if abs(cosine := float(axes[i] @ axes[j])) > _ORTHONORMAL:
+            angle = f"{math.degrees(math.acos(max(-1.0, min(cosine, 1.0)))):.6g} degrees"
+            raise ValueError(
+                f"{wanted}; directions {i + 1} and {j + 1} are at {angle}: correct one"
+            )
     if np.linalg.det(axes) < 0.0:
-        raise ValueError("must be right-handed; reverse one direction")
+        raise ValueError("must be right-handed, but z is against x cross y; reverse one direction")
     # An exact frame with the same x, in plain floats: the digits go into the fingerprint, so
     # they must not depend on a machine's linear algebra library.
     first, second, _ = axes.tolist()
@@ -378,16 +393,17 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
         among = extra.get("among") or _QUOTED.findall(context["expected"])
         return f'must be one of {", ".join(among)}, not "{value}"{suggest(value, among)}'
     if error == "too_short":
-        return f"must name at least {context['min_length']}"
-    if (noun := _noun(info)).startswith("a whole number") or extra.get("write"):
+        example = f"; write for example {extra['toml']}" if "toml" in extra else ""
+        return f"must name at least {context['min_length']}, but the list is empty{example}"
+    noun = _noun(info)
+    if noun.startswith("a whole number") or "write" in extra:
         return f"must be {noun}, not {shown(value)}"
-    if "gt" in context or "ge" in context:
-        return f"must be above {context.get('gt', context.get('ge')):g} ({unit}), not {value:g}"
-    if "lt" in context:
-        return f"must be below {context['lt']:g} ({unit}), not {value:g}"
+    for bound, side in (("gt", "above"), ("ge", "at least"), ("lt", "below")):
+        if bound in context:
+            return f"must be {side} {context[bound]:g} ({unit}), not {value:g}"
     if error == "count":
-        names = f" {names}" if (names := context["names"]) else ""
-        return f"must be a list of {context['count']} numbers{names} in {unit}, not {shown(value)}"
+        numbers = f"{context['count']} numbers {context['names']}".rstrip()
+        return f"must be a list of {numbers} in {unit}, not {shown(value)}"
     return f"must be a finite number in {unit}, not {shown(value)}"
 
 

@@ -30,10 +30,13 @@ EXPANDING = ("isotropic", "orthotropic")  # the laws whose cells have a thermal 
 MAX_ISOTROPIC_RATIO = 0.4
 """Of `Orthotropic.isotropic_ratio`: the least at which any kind of cells locks."""
 _LARGEST_MODULUS = 1e100  # Pa: products of three, and of their inverses, are numbers
+_DIRECTION_LENGTHS = 1e-6, 1e6  # differences of two points in any length unit
+_LEAST_EIGENVALUE = 1e-9  # of the scaled compliance: below it only roundoff makes it stable
 _LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
 
 
 def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Refuse coefficients, 1/K, that lack their factor of 1e-6."""
     if (most := max(map(abs, expansion))) > _LARGEST_EXPANSION:
         end = f"{_LARGEST_EXPANSION:g} 1/K, not {most:g}"
         raise ValueError(f"must be at most {end} (aluminium has 23e-6)")
@@ -41,11 +44,13 @@ def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 def _alike(expansion: float | tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return one coefficient as that of all three directions."""
     return _small(expansion if isinstance(expansion, tuple) else (expansion, expansion, expansion))
 
 
 def _no_list(expansion: object) -> object:
-    if isinstance(expansion, list):  # a file's; a tuple is of a material that was read
+    """Refuse a list, which a file has; a tuple comes from a material that was read before."""
+    if isinstance(expansion, list):
         raise ValueError("must be one finite number in 1/K; only an orthotropic material has three")
     return expansion
 
@@ -70,8 +75,11 @@ _Moduli = tuple[Modulus, Modulus, Modulus]
 
 
 def _direction(axis: tuple[float, float, float]) -> tuple[float, float, float]:
-    if not 1e-6 < np.sqrt(sum(x * x for x in axis)) < 1e6:
-        raise ValueError(f"must be a direction of a length from 1e-6 to 1e6, not {list(axis)}")
+    """Return a direction's unit vector; refuse one of nearly no length, or of a huge one."""
+    low, high = _DIRECTION_LENGTHS
+    if not low < np.sqrt(sum(x * x for x in axis)) < high:
+        wanted = f"a direction of a length from {low:g} to {high:g}"
+        raise ValueError(f"must be {wanted}, such as [0, 0, 1], not {list(axis)}")
     return unit_vector(axis)
 
 
@@ -155,10 +163,17 @@ class Orthotropic(Solid):
 
     def __post_init__(self) -> None:
         if not self.stable:
-            message = (
-                "must not let any strain release energy: each |nu_ij| must be below sqrt(E_i / "
-                "E_j); nu12 is the strain along 2 when pulled along 1 (nu21 = nu12 E2 / E1)"
-            )
+            rule = "must not let any strain release energy:"
+            for (i, j), ratio in zip(((1, 2), (1, 3), (2, 3)), self.poisson_ratios, strict=True):
+                bound = np.sqrt(self.youngs_moduli[i - 1] / self.youngs_moduli[j - 1])
+                if abs(ratio) >= bound:
+                    limit = f"|nu{i}{j}| must be below sqrt(E{i} / E{j}) = {bound:.4g}"
+                    used = f"if nu{j}{i} was meant, nu{i}{j} = nu{j}{i} E{i} / E{j}"
+                    message = f"{rule} {limit}, not {abs(ratio):.4g}; {used}"
+                    raise MistakesError(("poisson_ratio", message))
+            volume = np.linalg.det(self._compliance) * np.prod(self.youngs_moduli)
+            sum_of = "1 - nu12 nu21 - nu13 nu31 - nu23 nu32 - 2 nu12 nu23 nu31"
+            message = f"{rule} {sum_of} is {volume:.3g}, but must be above 0; lower the ratios"
             raise MistakesError(("poisson_ratio", message))
         if (ratio := self.isotropic_ratio) > MAX_ISOTROPIC_RATIO:
             message = (
@@ -214,7 +229,7 @@ class Orthotropic(Solid):
         scale = np.sqrt(np.array(self.youngs_moduli))
         with np.errstate(over="ignore"):
             scaled = self._compliance * np.outer(scale, scale)
-        return bool(np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled)[0] > 1e-9)
+        return bool(np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled)[0] > _LEAST_EIGENVALUE)
 
     @property
     def isotropic_ratio(self) -> float:

@@ -39,6 +39,7 @@ UNITS: Mapping[str, float] = {
 }
 """Length units a mesh file may be in, each in metres."""
 LengthUnit = Literal["m", "dm", "cm", "mm", "um", "in", "ft"]
+CELLS_ROUND_A_CIRCLE = 7  # at least: gmsh's default
 GEOMETRY_ENDINGS = (".step", ".stp")
 """Endings of files that hold geometry to be meshed, not a mesh."""
 
@@ -80,8 +81,10 @@ class Selector:
 
 
 def _box(corners: tuple[Any, Any]) -> tuple[Any, Any]:
-    if any(low > high for low, high in zip(*corners, strict=True)):
-        raise ValueError("must be the low corner, then the high corner; swap the numbers")
+    for axis, low, high in zip("xyz", *corners, strict=True):
+        if low > high:
+            numbers = f"swap {axis}, {low:g} and {high:g}"
+            raise ValueError(f"must be the low corner, then the high corner; {numbers}")
     return corners
 
 
@@ -125,14 +128,14 @@ class FaceSelector(Selector):
 
     def __post_init__(self) -> None:
         if self.plane is None and self.at is not None:
-            message = 'is missing; "at" is a position along plane = "x", "y" or "z"'
+            message = 'is missing; "at" is a position along it: write plane = "x", "y" or "z"'
             raise MistakesError(("plane", message))
         for name, of in (("radius", "cylinder"), ("normal", "angle")):
             if getattr(self, name) is None and getattr(self, of) is not None:
                 raise MistakesError((name, f'is missing; write it, or leave "{of}" out'))
         super().__post_init__()
         if self.plane is not None and self.at is None:
-            raise MistakesError(("at", "is missing; write a number in m"))
+            raise MistakesError(("at", "is missing; write where the plane is, in m: at = 0.0"))
 
 
 @table
@@ -189,9 +192,9 @@ class GeometryMeshing:
         "", "{steel = {bodies = [1]}}", default=dict, absent="none"
     )
     """STEP: named cell groups, each `[mesh.regions.NAME]`"""
-    # Least number of cells round a full circle, however small; 7 is gmsh's default. For coarser and
-    # finer meshes of a bundle; no key of a file.
-    circle: SkipJsonSchema[int] = field(default=7, init=False)
+    # Least number of cells round a full circle, however small. For coarser and finer meshes of a
+    # bundle; no key of a file.
+    circle: SkipJsonSchema[int] = field(default=CELLS_ROUND_A_CIRCLE, init=False)
 
     def sized(self, size: float, circle: int) -> Self:
         """Return a copy with cells of another size, m, and least number round a circle."""

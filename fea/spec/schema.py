@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import product
@@ -107,15 +106,11 @@ class Temperature:
     largest; all others rise in proportion"""
 
     def __post_init__(self) -> None:
-        zero = _ABSOLUTE_ZERO[self.unit]
-        mistakes = [
-            (
-                name,
-                f"{lowest:g} {self.unit} is below {zero:g} {self.unit}, absolute zero; correct it",
-            )
-            for name, lowest in (("range", self.range[0]), ("reference", self.reference))
-            if lowest < zero
-        ]
+        zero, mistakes = _ABSOLUTE_ZERO[self.unit], []
+        for name, lowest in (("range", self.range[0]), ("reference", self.reference)):
+            if lowest < zero:
+                bound = f"below {zero:g} {self.unit}, absolute zero"
+                mistakes.append((name, f"{lowest:g} {self.unit} is {bound}; correct it"))
         if mistakes:
             raise MistakesError(*mistakes)
 
@@ -172,21 +167,33 @@ class Sliding:
         return self.axes[["xyz".index(name) for name in sorted(self.along)]]
 
 
-_ROUNDING = 1e-9  # of a stiffness, relative to its diagonal
+_ROUNDING = 1e-9  # of a stiffness, relative to its diagonal: decks write nine digits and more
 
 
 def _stiffness(numbers: tuple[Any, ...]) -> Array:
     """Return six stiffnesses, or 6 x 6, as a matrix whose energy is never negative."""
     matrix = np.array(numbers) if isinstance(numbers[0], tuple) else np.diag(numbers)
-    scale = np.sqrt(np.where(np.diagonal(matrix) > 0, np.diagonal(matrix), 1.0))
+    diagonal = np.diagonal(matrix)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     scaled = matrix / scale / scale[:, None]
-    if np.abs(scaled - scaled.T).max() > _ROUNDING:
-        raise ValueError("must be symmetric; make row i, column j equal to row j, column i")
+    asymmetry = np.abs(scaled - scaled.T)
+    if asymmetry.max() > _ROUNDING:
+        i, j = divmod(int(asymmetry.argmax()), len(matrix))
+        raise ValueError(
+            f"must be symmetric, but row {i + 1}, column {j + 1} is {matrix[i, j]:.10g} and row "
+            f"{j + 1}, column {i + 1} is {matrix[j, i]:.10g}; make the two equal"
+        )
+    if diagonal.min() < 0:
+        i = int(diagonal.argmin())
+        freedom = f"that of {FREEDOMS[i]} is {diagonal[i]:.4g}"
+        raise ValueError(f"must have no negative stiffness, but {freedom}; write 0 or more")
     if (least := np.linalg.eigvalsh(scaled)[0]) < -_ROUNDING:
-        raise ValueError(f"must have no negative eigenvalue ({least:.2g}): it would release energy")
+        size = f"{least:.2g} of the diagonal, would release energy"
+        message = f"must have no negative eigenvalue: {size}; reduce the off-diagonal numbers"
+        raise ValueError(message)
     if not matrix.any():
-        raise ValueError("is zero; write a stiffness, or leave the bushing out")
-    return 0.5 * matrix + 0.5 * matrix.T  # the sum may be no number
+        raise ValueError("is zero, so nothing resists; write a stiffness, or leave the table out")
+    return 0.5 * matrix + 0.5 * matrix.T  # the sum of two near 1e308 would overflow
 
 
 _Rows = Annotated[tuple[Six, ...], counted(6)]
@@ -253,8 +260,10 @@ class Bolt:
     disc springs do"""
 
     def __post_init__(self) -> None:
-        if (self.region is None) == (self.group is None):
+        if self.region is None and self.group is None:
             raise MistakesError(("region", "is missing; write a region or a group"))
+        if self.region is not None and self.group is not None:
+            raise MistakesError(("region", "contradicts group; leave one of the two out"))
         if self.group is not None and self.point is not None:
             raise MistakesError(("point", "is for a region, not for a group; leave it out"))
 
@@ -275,11 +284,15 @@ class Joint(Attached):
     """in place of `stiffness`: both move as one rigid body; with `coupling = "rigid"`"""
 
     def __post_init__(self) -> None:
-        if self.rigid == (self.stiffness is not None):
-            message = "must be given, or rigid = true, but not both; write one of the two"
+        if self.stiffness is None and not self.rigid:
+            message = "is missing; write a stiffness, or rigid = true for a rigid joint"
+            raise MistakesError(("stiffness", message))
+        if self.stiffness is not None and self.rigid:
+            message = "contradicts rigid = true, which has no stiffness; leave one of the two out"
             raise MistakesError(("stiffness", message))
         if self.rigid and self.coupling != "rigid":
-            raise MistakesError(("coupling", 'must be "rigid" if rigid = true'))
+            message = f'is "{self.coupling}", but a rigid joint needs "rigid"; write that'
+            raise MistakesError(("coupling", message))
 
 
 @table
@@ -372,6 +385,9 @@ class Range:
     """Mx, My, Mz: each plus and minus a number, or [low, high]"""
 
 
+RANGE_EXAMPLE = "{force = [20, 20, 200], moment = [5, 5, 5]}"
+
+
 @array_table
 class MeasuredInterface(Interface):
     """One of several interfaces of a measured part, which has no section."""
@@ -385,7 +401,7 @@ class MeasuredInterface(Interface):
     locked: SkipJsonSchema[Any] = field(default=(), init=False)
     name: Name = key("", '"left"')
     """its name"""
-    range: Range = key("", "{force = [20, 20, 200], moment = [5, 5, 5]}")
+    range: Range = key("", RANGE_EXAMPLE)
     """the loads expected"""
 
 
@@ -398,21 +414,22 @@ class NamedInterface(Interface):
     """of several interfaces each must have its own: a-z, 0-9, _ and -"""
     held: Flag = key("", "true", default=False, kw_only=True)
     """of several, one may be: it does not move, and the others move relative to it"""
-    range: Range | None = key(
-        "", "{force = [20, 20, 200], moment = [5, 5, 5]}", default=None, kw_only=True
-    )
+    range: Range | None = key("", RANGE_EXAMPLE, default=None, kw_only=True)
     """of several, each that is not held: as `[range]`"""
 
     def __post_init__(self) -> None:
         if not self.held:
             super().__post_init__()
             if self.range is None:
-                raise MistakesError(("range", "is missing; write range = {force, moment}"))
-        elif self.locked not in ((), FREEDOMS) or self.range is not None:
-            message = "cannot be combined with locked or range; leave them out"
-            raise MistakesError(("held", message))
-        else:
-            object.__setattr__(self, "locked", FREEDOMS)
+                message = f"is missing; write range = {RANGE_EXAMPLE}, in N and N·m"
+                raise MistakesError(("range", message))
+            return
+        if self.range is not None:
+            raise MistakesError(("range", "has no effect with held = true; leave one of them out"))
+        if self.locked not in ((), FREEDOMS):
+            message = "has no effect with held = true, which locks all; leave one of them out"
+            raise MistakesError(("locked", message))
+        object.__setattr__(self, "locked", FREEDOMS)
 
 
 @table
@@ -448,11 +465,13 @@ class DeclaredRange:
     def corners(self) -> Array:
         """Return the corners of the range, shape (k, 6 i), N and N·m.
 
-        Raises ValueError if there are more than 2^18: three interfaces have so many.
+        Raises ValueError if more than `MAX_INPUTS` inputs vary.
         """
         ends = [tuple(dict.fromkeys(pair)) for pair in zip(self.low, self.high, strict=True)]
-        if math.prod(len(pair) for pair in ends) > 2**MAX_INPUTS:
-            raise ValueError(f"has more than {MAX_INPUTS} loads that vary; give some the range 0")
+        varying = sum(len(pair) > 1 for pair in ends)
+        if varying > MAX_INPUTS:
+            limit = f"at most {MAX_INPUTS} may; write 0 as the range of loads that do not act"
+            raise ValueError(f"[range] has {varying} inputs that vary, {limit}")
         return np.array(list(product(*ends)))
 
 

@@ -11,7 +11,8 @@ from tests.fea.geometry import draw_bracket
 from tests.refusals import GOOD, assert_told, tables
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.component import build
-from wrenchbook.fea.spec.problems import BundleError
+from wrenchbook.fea.spec.deck_text import deck_text
+from wrenchbook.fea.spec.problems import BundleError, MeshFileError
 
 CASES = [
     pytest.param(good, case, id=name)
@@ -60,6 +61,20 @@ def test_a_mesh_file_that_is_a_link_astray_is_refused(bundle, target, words):
     (folder / "link.msh").symlink_to(target)
     with pytest.raises(BundleError, match=rf"mesh\.file: .*{words}"):
         read_bundle(folder)
+
+
+def test_an_included_file_that_is_there_twice_or_cannot_be_read_is_refused(tmp_path):
+    deck, folder = tmp_path / "deck.inp", tmp_path / "sub"
+    folder.mkdir()
+    deck.write_text("*INCLUDE, INPUT=sub/a.inc\n")
+    (folder / "a.inc").write_text("*INCLUDE, INPUT=b.inc\n")
+    for place in (tmp_path, folder):
+        (place / "b.inc").write_text("**\n")
+    with pytest.raises(MeshFileError, match=r"of which there are two, b\.inc and sub/b\.inc; re"):
+        deck_text(deck)
+    deck.write_text(f"*INCLUDE, INPUT={'a' * 300}\n")
+    with pytest.raises(MeshFileError, match=r'"a+", which cannot be read \(File name too long\)$'):
+        deck_text(deck)
 
 
 @pytest.mark.parametrize(("good", "case"), CASES)

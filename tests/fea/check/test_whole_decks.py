@@ -326,7 +326,7 @@ def test_an_rbe3_spreads_a_wrench_by_its_weights_as_these_forces_do_in_calculix(
         (
             f"{TIP[3]}, 1\n",
             f"{TIP[3]}, -99.\n",
-            "interface.weights: the deck's weights add up to 0",
+            "interface.weights: the deck weights add up to -79, not above 0",
         ),
     ],
 )

@@ -290,7 +290,12 @@ def test_an_unknown_interface_is_named_with_those_there_are():
     solver = Solver(link())
     with pytest.raises(ValueError, match=r'"rigth" is unknown; give .* did you mean "right"'):
         solver.solve({"rigth": np.zeros(6)})
-    with pytest.raises(ValueError, match=r"12 finite numbers.* of left, right"):
+    with pytest.raises(ValueError, match=r"12 finite numbers.* of left, then .* of right; not \[0"):
         solver.solve(np.zeros(6))
     with pytest.raises(ValueError, match="12 finite numbers"):
         solver.solve(np.append(np.zeros(11), np.nan))
+    for loads in ([1.0] * 5, [1.0] * 7, "push"):
+        with pytest.raises(ValueError, match='"left" must be six finite numbers'):
+            solver.solve({"left": loads, "right": [1.0] * (12 - len(loads))})
+    with pytest.raises(ValueError, match=r"12 finite numbers.*not .*'push'"):
+        solver.solve({"left": ["push", 0, 0, 0, 0, 0]})

@@ -238,7 +238,7 @@ def test_a_link_has_a_frame_at_each_end():
 @pytest.mark.parametrize(
     ("density", "locked", "modes", "words"),
     [
-        (LIGHT, ("ux",), 2, "six freedoms"),
+        (LIGHT, ("ux",), 2, "1 freedoms are locked"),
         (None, (), 2, "density"),
         (LIGHT, (), 0, "modes"),
     ],

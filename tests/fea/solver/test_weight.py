@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from tests.fea.components import component
-from wrenchbook.fea.bundle.read import BundleError, bundle_of
-from wrenchbook.fea.check.trial import sag_per_gravity
+from tests.fea.two_interfaces import rod_between_loads
+from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
+from wrenchbook.fea.check.trial import sag_per_gravity, weight_warnings
 from wrenchbook.fea.component import build
 from wrenchbook.fea.mesh.generators import GENERATORS
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.material import Material
-from wrenchbook.fea.spec.schema import Analysis
+from wrenchbook.fea.spec.schema import Analysis, DeclaredTolerance
 
 YOUNG, DENSITY, GRAVITY = 70e9, 2700.0, 9.81
 LENGTH, SIDE = 1.0, 0.02
@@ -100,3 +101,21 @@ def test_gravity_and_density_change_the_fingerprint_and_no_gravity_does_not(tmp_
         created.add(bundle_of(own, tmp_path).fingerprint)
         assert build(bundle_of(own, tmp_path)).analysis.gravity == (0.0, 0.0, down)
     assert len(created) == 4
+
+
+def test_the_warning_of_self_weight_is_of_the_worst_of_two_interfaces(tmp_path):
+    part = build(read_bundle(rod_between_loads(tmp_path)))
+    bundle = replace(part.bundle, tolerance=DeclaredTolerance(1e-9, 1e-9))
+    materials = (replace(part.materials[0], density=DENSITY),)
+    part = replace(part, materials=materials, bundle=bundle)
+    (warning,) = weight_warnings(Solver(part))
+    sags = []
+    for gravity in (GRAVITY * np.eye(3)).tolist():
+        pulled = replace(part, analysis=Analysis(nonlinear=False, gravity=tuple(gravity)))
+        sags.append(Solver(pulled).linear.sag_displacement)
+    by_interface = np.array(sags).T.reshape(2, 6, 3)
+    moved, turned = (
+        max(np.linalg.norm(half, 2) for half in by_interface[:, rows])
+        for rows in (slice(3), slice(3, 6))
+    )
+    assert f"by up to {moved:.2g} m and {turned:.2g} rad" in warning.message
