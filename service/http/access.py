@@ -20,10 +20,11 @@ from starlette.types import Scope as HttpScope
 
 from wrenchbook.service.actors import ANONYMOUS, ANY, CALLER, LOCAL, USER, Caller
 from wrenchbook.service.events import Listener
-from wrenchbook.service.http.body import counted
+from wrenchbook.service.http.body import counted, too_large
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.proxy import PEER, PEER_FIELD, ProxyTrust
 from wrenchbook.service.keys import MAX_KEYS, OWN_KEY, Key, Keyring, Scope, digest_of, is_loopback
+from wrenchbook.service.tables.rows import iso_time
 
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 PERMISSION: Final = "wrenchbook.permission"  # its key in a request's scope
@@ -62,7 +63,8 @@ _TWO_USERS: Final = HttpProblemError(
     400,
     "users",
     "More than one user",
-    "The header of the user or of the groups is there twice. Let the proxy replace it.",
+    "The header of the user or of the groups is there twice; nothing was changed. Let the proxy "
+    "replace the caller's header, not add its own.",
 )
 
 _NOTHING: Final = b"default-src 'none'; frame-ancestors 'none'; sandbox"
@@ -302,7 +304,7 @@ class AccessControl:
         CALLER.set(permission_of(scope).caller)
         key = permission_of(scope).key
         if key is not None and b"transfer-encoding" in head:
-            receive = counted(receive, key.megabytes << 20)
+            receive = counted(receive, key.megabytes << 20, _beyond_key(key))
         return receive, send
 
     def check(
@@ -332,21 +334,14 @@ class AccessControl:
                 "rate",
                 "The key is used too often",
                 f"The key {permission.key.name!r} allows {permission.key.rate:g} requests a "
-                "second; nothing was changed. Send requests more slowly, or many wrenches at once "
-                "with POST .../displacements.",
+                f"second; nothing was changed. Repeat the request in {ceil(seconds)} s, or send "
+                "many wrenches at once with POST .../displacements.",
                 headers={"Retry-After": str(ceil(seconds))},
             )
         length = head.get(b"content-length", b"0")
-        if permission.key is not None and length.isdigit():
-            megabytes = permission.key.megabytes
-            if int(length[:20]) > megabytes << 20:
-                raise HttpProblemError(
-                    413,
-                    "too-large",
-                    "The body is too large",
-                    f"This key may send at most {megabytes} MiB at once; nothing was changed. Send "
-                    "the data in parts.",
-                )
+        key = permission.key
+        if key is not None and length.isdigit() and int(length[:20]) > key.megabytes << 20:
+            raise _beyond_key(key)
         if method not in _READING and (length != b"0" or b"transfer-encoding" in head):
             _check_kind(path, head)
         return permission
@@ -358,13 +353,13 @@ class AccessControl:
         host = head.get(b"host", b"").decode("latin-1").lower()
         name = host[1:].partition("]")[0] if host.startswith("[") else host.partition(":")[0]
         if name not in self.security.hosts:
-            raise HttpProblemError(
-                403,
-                "host",
-                "The host is not allowed",
+            why = (
                 f"Host {name[:100]!r} is not allowed. If it is a name of this server, start it "
-                "with: wrenchbook serve --allow-host NAME",
+                f"with: wrenchbook serve --allow-host {name[:100]}"
             )
+            if not name:
+                why = "The request has no Host. Send the header Host with the name of this server."
+            raise HttpProblemError(403, "host", "The host is not allowed", why)
 
     def _check_origin(self, head: Mapping[bytes, bytes]) -> None:
         """Refuse a request of another site's page, unless `allow-origin` lists the site.
@@ -395,17 +390,24 @@ class AccessControl:
             if len(self._users) >= MAX_KEYS:
                 self._users.clear()
             return self._users.setdefault((user.name, user.scope), Permission(user, self._rates))
-        word, _, secret = head.get(b"authorization", b"").decode("latin-1").partition(" ")
+        sent = head.get(b"authorization", b"").decode("latin-1")
+        word, _, secret = sent.partition(" ")
         secret = secret.strip()
         if word.lower() != "bearer" or not secret:
-            raise _no_key("This server needs a key, and the request has none.")
+            why = "This server needs a key, and the request has none."
+            if sent:  # it may be a secret: not quoted
+                why = "The header Authorization of the request is not Bearer and a key."
+            raise _no_key(why)
         permission = self._permissions.get(secret)
         if permission is None:
             server_key = (self.security.server_key or "").encode()
             is_server_key = bool(server_key) and compare_digest(secret.encode(), server_key)
             key = self._server_key if is_server_key else self.keyring.find(secret)
             if key is None:
-                raise _no_key("The key of the request is unknown, revoked or expired.")
+                raise _no_key("The key of the request is unknown here: mistyped, or revoked.")
+            if not key.is_valid():
+                end = iso_time(key.expires or 0.0)
+                raise _no_key(f"The key {key.name!r} of the request expired at {end}.")
             stored = None if is_server_key else self.keyring
             permission = self._permissions[secret] = Permission(key, self._rates, stored)
         return permission
@@ -432,19 +434,26 @@ class AccessControl:
 def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:
     """Return the refusal of a call that needs another scope."""
     assert permission.key is not None
-    also, name = "", permission.key.name
-    more = f"Create another key with: wrenchbook keys add NAME --scope {needed}"
+    name, scope = permission.key.name, permission.key.scope
+    holder = "key"
+    remedy = f"Create another key with: wrenchbook keys add NAME --scope {needed}"
     if name.startswith(USER):
-        more = "The server's --trust-proxy-scopes sets the scopes of groups"
+        holder = "user"
+        remedy = f"Start the server with: wrenchbook serve --trust-proxy-scopes GROUP={needed}"
     if needed == "write":
-        also = " A displacement with on_thin 'estimate' or 'reject' needs only read."
-    return HttpProblemError(
-        403,
-        "scope",
-        "The key's scope does not allow this",
-        f"The {'user' if more[0] == 'T' else 'key'} {name!r} has the scope {permission.key.scope}, "
-        f"but this call needs {needed}; nothing was changed.{also} {more}",
+        remedy = f"A displacement with on_thin 'estimate' or 'reject' needs only read. {remedy}"
+    why = f"The {holder} {name!r} has the scope {scope}, but this call needs {needed}"
+    title = f"The {holder}'s scope does not allow this"
+    return HttpProblemError(403, "scope", title, f"{why}; nothing was changed. {remedy}")
+
+
+def _beyond_key(key: Key) -> HttpProblemError:
+    """Return the refusal of a body that is larger than a key may send."""
+    remedy = (
+        f"Send it in parts, or with another key: wrenchbook keys add NAME --megabytes "
+        f"{2 * key.megabytes}"
     )
+    return too_large(key.megabytes << 20, f"the limit of the key {key.name!r}", remedy)
 
 
 def _check_components(caller: Caller, method: str, path: str) -> None:
@@ -456,13 +465,15 @@ def _check_components(caller: Caller, method: str, path: str) -> None:
     limited = path in _LIMITED or path.startswith(_LIMITED_NAMED) or is_read_rig
     if limited and (name is None or caller.touches(name)):
         return
+    concern, command = "the whole server", "wrenchbook keys add NAME"
+    if name is not None:
+        concern, command = repr(name[:100]), "wrenchbook keys add NAME --component PATTERN"
     raise HttpProblemError(
         403,
         "components",
         "The key is not for this component",
         f"The key {caller.actor!r} is for {', '.join(caller.components)}, but this call concerns "
-        f"{'the whole server' if name is None else repr(name[:100])}; nothing was changed. Create "
-        "another key with: wrenchbook keys add NAME --component PATTERN",
+        f"{concern}; nothing was changed. Create another key with: {command}",
     )
 
 

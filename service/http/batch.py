@@ -47,8 +47,11 @@ WRITTEN: Final = 20_000  # wrenches laid out at once, in hundredths of a second
 _COLUMNS: Final = {"displacements", "errors", "coverage", "within_tolerance", "derivatives"}
 _WRENCHES: Final = b'"wrenches"'
 LARGE: Final = 50_000  # wrenches: beyond it, an answer is tens of MB in several forms at once
-WAIT_S: Final = 60.0
-_slots = asyncio.Semaphore(2)
+WAIT_S: Final = 60.0  # of a large batch for its turn
+AT_ONCE: Final = 2  # large batches: each takes a core and some 100 MB
+MAX_OTHER_LISTS: Final = 64  # of a batch's JSON, beside its wrenches
+MAX_OBJECTS: Final = 1024  # of a batch's JSON, which needs two: itself and its tolerance
+_slots = asyncio.Semaphore(AT_ONCE)
 
 BINARY_TYPE: Final = "application/octet-stream"
 _Bar = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -101,8 +104,15 @@ def read_batch_body(body: Spooled, inputs: int = PER_INTERFACE) -> tuple[np.ndar
 def batch_parts(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.ndarray]:
     """Return the checked options of a JSON batch, and its wrenches, (n, inputs)."""
     # Before a parser makes 64 bytes of each list.
-    if body.count(b"[") > MAX_BATCH + 64 or body.count(b"{") > 1024:
-        raise too_many_wrenches(MAX_BATCH)
+    lists, objects = body.count(b"["), body.count(b"{")
+    if lists > MAX_BATCH + MAX_OTHER_LISTS:
+        raise too_many_wrenches(lists - 1, MAX_BATCH)
+    if objects > MAX_OBJECTS:
+        message = (
+            f"has {objects} JSON objects, at most {MAX_OBJECTS} are read; send one object with the "
+            "list wrenches, each wrench a list of numbers"
+        )
+        raise bad_body([{"loc": "body", "msg": message}])
     fields = parsed_json(body)
     wrenches, full = with_wrenches(BatchBody, fields, inputs, LARGEST_LOAD, MAX_BATCH)
     return full, wrenches
@@ -151,21 +161,24 @@ def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.n
         place = cut
     wrenches = np.concatenate(blocks)
     if len(wrenches) > MAX_BATCH:
-        raise too_many_wrenches(MAX_BATCH)
+        raise too_many_wrenches(len(wrenches), MAX_BATCH)
     full, _ = batch_parts(rest, inputs)
     return full, wrenches + 0.0
 
 
 @asynccontextmanager
 async def few_large(wrenches: int) -> AsyncIterator[None]:
-    """Wait until at most one other large batch is being answered; 503 after WAIT_S."""
+    """Wait until fewer than `AT_ONCE` large batches are being answered; 503 after `WAIT_S`."""
     if wrenches < LARGE:
         yield
         return
     try:
         await asyncio.wait_for(_slots.acquire(), WAIT_S)
     except TimeoutError:
-        raise busy() from None
+        raise busy(
+            f"{AT_ONCE} batches of {LARGE} wrenches or more, the limit, are being answered, and "
+            f"this one waited {WAIT_S:g} s"
+        ) from None
     try:
         yield
     finally:
@@ -208,17 +221,24 @@ def read_wrenches(
     """
     inputs = len(space.inputs)
     if len(body) % (8 * inputs):
-        message = f"{len(body)} bytes must be a multiple of {8 * inputs}, the bytes of a wrench"
+        message = (
+            f"has {len(body)} bytes, which is no multiple of {8 * inputs}, the bytes of a wrench; "
+            f"send {inputs} little-endian float64 a wrench"
+        )
         raise bad_body([{"loc": "body", "msg": message}])
-    if len(body) > count * 8 * inputs:
-        raise too_many_wrenches(count)
+    if (sent := len(body) // (8 * inputs)) > count:
+        raise too_many_wrenches(sent, count)
     wrenches = np.frombuffer(body, dtype="<f8").reshape(-1, inputs).astype(float) + 0.0
     bad = np.argwhere(~(np.isfinite(wrenches) & (np.abs(wrenches) <= largest)))
     if len(bad):
         row, load = bad[0].tolist()
-        value = wrenches[row, load]
-        why = f"beyond {largest:g}" if np.isfinite(value) else "not finite"
-        message = f"{space.input_names[load]} is {value}, which is {why}; write a smaller number"
+        value, unit = wrenches[row, load], space.inputs[load].unit
+        message = f"{space.input_names[load]} is {value}, not a finite number; give one in {unit}"
+        if np.isfinite(value):
+            message = (
+                f"{space.input_names[load]} is {value:g} {unit}, beyond the limit of {largest:g} "
+                f"{unit}; give a smaller number"
+            )
         raise bad_body([{"loc": f"wrenches.{row}.{load}", "msg": message}])
     return wrenches
 

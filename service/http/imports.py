@@ -18,6 +18,7 @@ from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.messages import ImportFinding, PreviewRow, RowMistake, RowMistakes
 
 _MAX_COLUMNS = 1000
+_MAPPING_FORM = '{"column in the file": "fz [N]"}'
 # Options of files, which a block is not.
 _OF_FILES = {"tare", "preview", "sheet", "time_offset_s", "max_gap_s", "filename"}
 _OF_FILES |= {"skip_cycles", "branch", "thin", "mean_cycles"}
@@ -85,7 +86,11 @@ class ImportQuery(Body):
     def _can_be_appended(self) -> ImportQuery:
         others = self.model_fields_set & _OF_FILES
         if self.append is not None and others:
-            raise ValueError(f"append does not allow {', '.join(sorted(others))}; leave them out")
+            names = ", ".join(sorted(others))
+            raise ValueError(
+                f"append does not allow {names}: it adds rows as they are; leave them out, or "
+                "import the file without append"
+            )
         return self
 
     @field_validator("note", "filename", "rig", "append")
@@ -101,7 +106,10 @@ class ImportQuery(Body):
         others = profile.model_fields_set & _OF_FILES
         if self.append is not None and others:
             names = ", ".join(sorted(others))
-            raise RigError(f"append cannot go with {names} of this rig; name a rig without them")
+            raise RigError(
+                f"append cannot go with {names} of this rig: it adds rows as they are; name a rig "
+                "without them, or import the file without append"
+            )
         mapped, mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
         ignore = set(profile.ignore) - mapped.keys()
         query = profile.model_copy(update=self.model_dump(include=self.model_fields_set))
@@ -131,11 +139,20 @@ def _pairs(text: str) -> dict[str, str]:
     try:
         pairs = orjson.loads(text)
     except orjson.JSONDecodeError as error:
-        raise ValueError(f"is not JSON ({error}); correct it") from None
-    if not isinstance(pairs, dict) or not all(isinstance(name, str) for name in pairs.values()):
-        raise ValueError('must have the form {"column in the file": "fz [N]"}')
+        raise ValueError(f"is not JSON ({error}); write {_MAPPING_FORM}") from None
+    if not isinstance(pairs, dict):
+        raise ValueError(f"must be a JSON object of the form {_MAPPING_FORM}")
+    for column, name in pairs.items():
+        if not isinstance(name, str):
+            raise ValueError(
+                f"maps the column {column[:100]!r} to {name!r:.100}, which is no text; write "
+                f"{_MAPPING_FORM}"
+            )
     if len(pairs) > _MAX_COLUMNS:
-        raise ValueError(f"names {len(pairs)} columns, at most {_MAX_COLUMNS} fit; leave some out")
+        raise ValueError(
+            f"names {len(pairs)} columns, but may name at most {_MAX_COLUMNS}; leave out columns "
+            "that the table does not need"
+        )
     return pairs
 
 

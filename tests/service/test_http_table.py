@@ -413,5 +413,5 @@ def test_a_table_that_is_too_large_is_413_without_a_declared_length(rig, monkeyp
     pieces = (b"#" * 65536 for _ in range(17))
     reply = rig.post(CALL, content=pieces, headers={"content-type": "text/csv"})
     assert reply.status_code == 413
-    assert "Send at most 1 MiB" in reply.json()["detail"]
+    assert "more than 1 MiB, the limit of this call" in reply.json()["detail"]
     assert reply.headers["content-type"] == "application/problem+json"
