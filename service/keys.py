@@ -51,14 +51,7 @@ _MAX_PATTERNS: Final = 100
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
 _MAX_NAMED: Final = 20  # keys in a message
 _MAX_OVERLAP_S: Final = 1e9  # 30 years: a time in milliseconds is a mistake
-_MIN_RATE: Final = 1e-6  # requests a second
-_MAX_RATE: Final = 1e9
-_MAX_MEGABYTES: Final = 1 << 20  # MiB
-_MAX_EXPIRES_S: Final = 1e11  # in the year 5138: a time in milliseconds is a mistake
-_FULL: Final = (
-    f"{MAX_KEYS} keys exist, the limit of a data directory; revoke one with: "
-    "wrenchbook keys revoke NAME"
-)
+_FULL: Final = f"{MAX_KEYS} keys, the limit, exist; revoke one with: wrenchbook keys revoke NAME"
 _WITHOUT_KEYS: Final = (
     "other machines can reach {host}, but {folder} has no keys, so anybody there could change "
     "tables. Create a key (wrenchbook keys add NAME --scope admin --data {folder}), start with "
@@ -205,20 +198,16 @@ class Keyring:
             if len(keys) >= MAX_KEYS:
                 raise KeysFullError(_FULL)
             if any(key.name == name for key in keys.values()):
-                raise KeysError(
-                    f"a key {name!r} exists; choose another name, or revoke that key first with: "
-                    f"wrenchbook keys revoke {name}"
-                )
+                why = f"a key {name!r} exists; choose another name, or revoke it first with: "
+                raise KeysError(f"{why}wrenchbook keys revoke {name}")
             values = {"name": name, "scope": scope, "digest": digest_of(secret)}
             try:
                 key = _checked({**values, "created": time.time(), **limits})
             except ValueError as error:
                 raise KeysError(str(error)) from None
             if not key.is_valid():
-                raise KeysError(
-                    f"expires {key.expires:.0f} is in the past: now is {time.time():.0f} s since "
-                    "the epoch; give a later time, or leave it out"
-                )
+                why = f"expires {key.expires:.0f} is in the past: now is {time.time():.0f} s"
+                raise KeysError(f"{why} since the epoch; give a later time, or leave it out")
             keys[key.digest] = key
         return secret
 
@@ -231,15 +220,13 @@ class Keyring:
                 raise _unknown_key(name, keys.values())
             known = [key for key in named if key.is_valid()]
             if not known:
+                why = f"the key {name!r} has expired, so it cannot be rotated; replace it with: "
                 raise UnknownKeyError(
-                    f"the key {name!r} has expired, so it cannot be rotated; replace it with: "
-                    f"wrenchbook keys revoke {name}; wrenchbook keys add {name}"
+                    f"{why}wrenchbook keys revoke {name}; wrenchbook keys add {name}"
                 )
             if not 0.0 <= overlap_s < _MAX_OVERLAP_S:
-                raise KeysError(
-                    f"the overlap must be from 0 to {_MAX_OVERLAP_S / 3600.0:.0f} hours, not "
-                    f"{overlap_s / 3600.0:g}"
-                )
+                hours = overlap_s / 3600.0
+                raise KeysError(f"the overlap must be from 0 to 277777 hours, not {hours:g}")
             if len(keys) >= MAX_KEYS:
                 raise KeysFullError(_FULL)
             newest, now = max(known, key=lambda key: key.created), time.time()
@@ -267,9 +254,7 @@ class Keyring:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = take(self._path.with_name(f"{FILE}.lock"))
         if descriptor is None:
-            raise KeysBusyError(
-                f"another command is changing {self._path}; repeat yours in a second"
-            )
+            raise KeysBusyError(f"another command is changing {FILE}; repeat yours in a second")
         try:
             with self._lock:
                 self._read()
@@ -343,18 +328,16 @@ def _stored_keys(content: bytes) -> list[Key]:
     entries = document.get("keys") if isinstance(document, dict) else None
     if not isinstance(entries, list):
         raise ValueError('it has no list "keys"')
-    known, keys = {item.name for item in fields(Key)}, []
-    required = {item.name for item in fields(Key) if item.default is MISSING}
+    is_needed, keys = {item.name: item.default is MISSING for item in fields(Key)}, []
     for number, entry in enumerate(entries):
-        if not isinstance(entry, dict):
-            raise ValueError(f"keys[{number}] is no JSON object")
-        wrong = sorted(required - entry.keys()) or sorted(entry.keys() - known)
-        if wrong:
-            state = "lacks the field" if required - entry.keys() else "has the unknown field"
-            raise ValueError(f"keys[{number}] {state} {wrong[0]!r}")
-        if not isinstance(entry.get("components", []), list):
-            raise ValueError(f"keys[{number}].components must be a list of texts")
+        given = entry.keys() if isinstance(entry, dict) else ()
+        lacking = [name for name, needed in is_needed.items() if needed and name not in given]
+        wrong = lacking or [name for name in given if name not in is_needed]
         try:
+            if wrong:
+                raise ValueError(f"the field {wrong[0]!r} is {'missing' if lacking else 'unknown'}")
+            if not isinstance(entry.get("components", []), list):
+                raise ValueError("components must be a list of texts")
             keys.append(_checked(entry))
         except ValueError as error:
             raise ValueError(f"keys[{number}]: {error}") from None
@@ -371,32 +354,19 @@ def _checked(values: dict[str, Any]) -> Key:
         )
     if key.scope not in SCOPES:
         raise ValueError(f"the scope must be one of {', '.join(SCOPES)}, not {key.scope!r}")
-    if not (isinstance(key.rate, int | float) and _MIN_RATE <= key.rate < _MAX_RATE):
-        raise ValueError(
-            f"the rate must be from {_MIN_RATE:g} to below {_MAX_RATE:g} requests a second, not "
-            f"{key.rate!r}"
-        )
-    if not (isinstance(key.megabytes, int) and 0 < key.megabytes < _MAX_MEGABYTES):
-        raise ValueError(
-            f"the largest body must be a whole number of MiB from 1 to {_MAX_MEGABYTES - 1}, not "
-            f"{key.megabytes!r}"
-        )
+    if not (isinstance(key.rate, int | float) and 1e-6 <= key.rate < 1e9):
+        raise ValueError(f"the rate must be 1e-6 to 1e9 requests a second, not {key.rate!r}")
+    if not (isinstance(key.megabytes, int) and 0 < key.megabytes < 1 << 20):
+        raise ValueError(f"megabytes must be whole and 1 to 1048575, not {key.megabytes!r}")
     if not 0 < len(key.components) <= _MAX_PATTERNS:
-        raise ValueError(
-            f"a key has 1 to {_MAX_PATTERNS} patterns of components, not {len(key.components)}; "
-            "* allows all components"
-        )
-    for pattern in key.components:
-        if not _PATTERN.fullmatch(str(pattern)):
-            raise ValueError(
-                f"{pattern!r} is not a pattern of components; use 1 to 64 letters, digits, '_', "
-                "'-', * and ?, such as plate_*"
-            )
+        raise ValueError(f"give 1 to 100 patterns of components, not {len(key.components)}")
+    for name in key.components:
+        if not _PATTERN.fullmatch(str(name)):
+            raise ValueError(f"{name!r} is no pattern; use 1 to 64 letters, digits, _ - * and ?")
+    # Before the year 5138: a time in milliseconds is a mistake.
     end = 1 if key.expires is None else key.expires
-    if not (isinstance(end, int | float) and 0 < end < _MAX_EXPIRES_S):
-        raise ValueError(
-            f"expires must be in seconds since the epoch, {time.time():.0f} is now, not {end!r}"
-        )
+    if not (isinstance(end, int | float) and 0 < end < 1e11):
+        raise ValueError(f"expires must be s since the epoch, now {time.time():.0f}, not {end!r}")
     if not re.fullmatch(r"[0-9a-f]{64}", str(key.digest)):
         raise ValueError(f"digest must be 64 hexadecimal digits, not {key.digest!r}")
     return key

@@ -153,9 +153,12 @@ class Rates:
             weakref.finalize(self, os.close, self._file)
 
     def take(self, key: Key) -> tuple[int, float]:
-        """Take some requests of a key: their number, and the seconds until there is one."""
+        """Take some requests of a key: their number, and the seconds until there is one.
+
+        A bucket holds `burst_s` seconds of requests, and is full at the time `full`.
+        """
         name, rate, file = bytes.fromhex(key.digest[:16]), key.rate, self._file
-        at_once = max(_BURST_S, 1.0 / rate)
+        burst_s = max(_BURST_S, 1.0 / rate)
         content, now = b"", time.monotonic()  # the same clock in all processes
         if file is not None:
             for _ in range(_TRIES):
@@ -169,9 +172,11 @@ class Rates:
             key_name: full for key_name, full in _BUCKET.iter_unpack(content[:size]) if full > now
         }
         full = max(buckets.get(name, now), self._known.get(name, now))
-        if full > now + 2.0 * at_once:  # of an earlier start of the machine
+        if full > now + 2.0 * burst_s:  # of an earlier start of the machine
             full = now
-        count = min(int((now + at_once - full) * rate + 1e-6), max(1, int(_TAKEN * rate)))
+        # 1e-6: rounding does not withhold a request that is due.
+        due = int((now + burst_s - full) * rate + 1e-6)
+        count = min(due, max(1, int(_TAKEN * rate)))
         if count:
             buckets[name] = self._known[name] = full + count / rate
         if file is not None:
@@ -182,7 +187,7 @@ class Rates:
                 if len(written) < len(content):
                     os.ftruncate(file, len(written))
             fcntl.flock(file, fcntl.LOCK_UN)
-        return count, full + 1.0 / rate - at_once - now
+        return count, full + 1.0 / rate - burst_s - now
 
 
 class Permission:
@@ -329,15 +334,13 @@ class AccessControl:
         _check_components(permission.caller, method, path)
         if counts and (seconds := permission.wait()) > 0.0:
             assert permission.key is not None
-            raise HttpProblemError(
-                429,
-                "rate",
-                "The key is used too often",
+            why = (
                 f"The key {permission.key.name!r} allows {permission.key.rate:g} requests a "
                 f"second; nothing was changed. Repeat the request in {ceil(seconds)} s, or send "
-                "many wrenches at once with POST .../displacements.",
-                headers={"Retry-After": str(ceil(seconds))},
+                "many wrenches at once with POST .../displacements."
             )
+            retry = {"Retry-After": str(ceil(seconds))}
+            raise HttpProblemError(429, "rate", "The key is used too often", why, headers=retry)
         length = head.get(b"content-length", b"0")
         key = permission.key
         if key is not None and length.isdigit() and int(length[:20]) > key.megabytes << 20:
@@ -373,14 +376,13 @@ class AccessControl:
                 return
         elif head.get(b"sec-fetch-site", b"none") not in (b"cross-site", b"same-site"):
             return
-        raise HttpProblemError(
-            403,
-            "cross-site",
-            "Pages of other sites may not call this server",
+        why = (
             f"The request comes from a page of {site[:100]}; nothing was changed. If that page is "
             "yours, start the server with: wrenchbook serve --allow-origin "
-            f"{site[:100] if '://' in site else 'ORIGIN'}",
+            f"{site[:100] if '://' in site else 'ORIGIN'}"
         )
+        title = "Pages of other sites may not call this server"
+        raise HttpProblemError(403, "cross-site", title, why)
 
     def _permission(self, head: Mapping[bytes, bytes]) -> Permission:
         self.refresh()
@@ -468,13 +470,11 @@ def _check_components(caller: Caller, method: str, path: str) -> None:
     concern, command = "the whole server", "wrenchbook keys add NAME"
     if name is not None:
         concern, command = repr(name[:100]), "wrenchbook keys add NAME --component PATTERN"
-    raise HttpProblemError(
-        403,
-        "components",
-        "The key is not for this component",
+    why = (
         f"The key {caller.actor!r} is for {', '.join(caller.components)}, but this call concerns "
-        f"{concern}; nothing was changed. Create another key with: {command}",
+        f"{concern}; nothing was changed. Create another key with: {command}"
     )
+    raise HttpProblemError(403, "components", "The key is not for this component", why)
 
 
 def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
@@ -489,24 +489,20 @@ def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
         return
     accepted = (_JSON, _BYTES) if path.endswith(_BINARY) else (_JSON,)
     if kind not in accepted:
-        raise HttpProblemError(
-            415,
-            "media-type",
-            "Not a form this call takes",
+        why = (
             f"The content type is {kind.decode('latin-1')[:100] or 'missing'}. Send the header "
-            f"Content-Type: {b' or '.join(accepted).decode()} (curl: --json, or -H).",
+            f"Content-Type: {b' or '.join(accepted).decode()} (curl: --json, or -H)."
         )
+        raise HttpProblemError(415, "media-type", "Not a form this call takes", why)
 
 
 def _no_key(why: str) -> HttpProblemError:
-    return HttpProblemError(
-        401,
-        "key",
-        "A key is needed",
+    why = (
         f"{why} Send the header Authorization: Bearer KEY (client: key=; commands: variable "
-        "WRENCHBOOK_KEY). The server's operator creates a key with: wrenchbook keys add NAME",
-        headers={"WWW-Authenticate": 'Bearer realm="wrenchbook"'},
+        "WRENCHBOOK_KEY). The server's operator creates a key with: wrenchbook keys add NAME"
     )
+    headers = {"WWW-Authenticate": 'Bearer realm="wrenchbook"'}
+    return HttpProblemError(401, "key", "A key is needed", why, headers=headers)
 
 
 def sending(send: Send, path: str, origin: bytes | None) -> Send:

@@ -32,6 +32,7 @@ from wrenchbook.service.http.body import (
     too_many_wrenches,
     with_wrenches,
 )
+from wrenchbook.service.http.openapi import BODIES
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.messages import Displacements, WrenchJob
 from wrenchbook.service.query import BatchOutcome, Query, job_link, known_slopes
@@ -56,29 +57,9 @@ _slots = asyncio.Semaphore(AT_ONCE)
 BINARY_TYPE: Final = "application/octet-stream"
 _Bar = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
-BINARY_BODY: Final = {
-    BINARY_TYPE: {
-        "schema": {
-            "type": "string",
-            "format": "binary",
-            "description": "little-endian float64 (n, 6): force and moment, N and N·m; of several "
-            "interfaces and further inputs their number, in the order of the component's inputs",
-        }
-    }
-}
-BINARY_REPLY: Final = {
-    BINARY_TYPE: {
-        "schema": {
-            "type": "string",
-            "format": "binary",
-            "description": "little-endian float64 (n, 13): displacement and error bar, m and rad; "
-            "coverage 0 covered, 1 thin, 2 outside; NaN where nothing is known. With "
-            "derivatives=true then (n, 36): du/dw of each wrench, 6 x 6, an output a line (of n "
-            "inputs and m outputs 2m + 1 and m n numbers a wrench). The header "
-            "Wrenchbook-Tolerance has the tolerance for total error bars, m and rad",
-        }
-    }
-}
+_BYTES: Final = {"type": "string", "format": "binary"}
+BINARY_BODY: Final = {BINARY_TYPE: {"schema": {**_BYTES, "description": BODIES["wrenches"]}}}
+BINARY_REPLY: Final = {BINARY_TYPE: {"schema": {**_BYTES, "description": BODIES["displacements"]}}}
 
 
 def read_batch_body(body: Spooled, inputs: int = PER_INTERFACE) -> tuple[np.ndarray, Query]:
@@ -109,8 +90,7 @@ def batch_parts(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np
         raise too_many_wrenches(lists - 1, MAX_BATCH)
     if objects > MAX_OBJECTS:
         message = (
-            f"has {objects} JSON objects, at most {MAX_OBJECTS} are read; send one object with the "
-            "list wrenches, each wrench a list of numbers"
+            f"has {objects} JSON objects; send one with the list wrenches, of lists of numbers"
         )
         raise bad_body([{"loc": "body", "msg": message}])
     fields = parsed_json(body)
@@ -136,12 +116,13 @@ def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.n
     It takes nine times the text's memory at once. None if the body is not plain; `batch_parts` then
     finds what it is.
     """
-    at, end = body.find(_WRENCHES), body.rfind(b"]]") + 1
-    start = body.find(b"[", at)
-    if at < 0 or end <= start or body[at + len(_WRENCHES) : start].strip() != b":":
+    # The list of wrenches is body[start : end + 1], the options are all around it.
+    key, end = body.find(_WRENCHES), body.rfind(b"]]") + 1
+    start = body.find(b"[", key)
+    if key < 0 or end <= start or body[key + len(_WRENCHES) : start].strip() != b":":
         return None
-    rest = body[:start] + b"[]" + body[end + 1 :]
-    if len(rest) > PIECE or rest.count(_WRENCHES) != 1:
+    options = body[:start] + b"[]" + body[end + 1 :]
+    if len(options) > PIECE or options.count(_WRENCHES) != 1:
         return None
     blocks, place = [], start + 1
     while place < end:
@@ -162,7 +143,7 @@ def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.n
     wrenches = np.concatenate(blocks)
     if len(wrenches) > MAX_BATCH:
         raise too_many_wrenches(len(wrenches), MAX_BATCH)
-    full, _ = batch_parts(rest, inputs)
+    full, _ = batch_parts(options, inputs)
     return full, wrenches + 0.0
 
 
@@ -221,10 +202,8 @@ def read_wrenches(
     """
     inputs = len(space.inputs)
     if len(body) % (8 * inputs):
-        message = (
-            f"has {len(body)} bytes, which is no multiple of {8 * inputs}, the bytes of a wrench; "
-            f"send {inputs} little-endian float64 a wrench"
-        )
+        message = f"{len(body)} bytes must be a multiple of {8 * inputs}, the bytes of a wrench"
+        message += f"; send {inputs} little-endian float64 a wrench"
         raise bad_body([{"loc": "body", "msg": message}])
     if (sent := len(body) // (8 * inputs)) > count:
         raise too_many_wrenches(sent, count)
@@ -233,12 +212,10 @@ def read_wrenches(
     if len(bad):
         row, load = bad[0].tolist()
         value, unit = wrenches[row, load], space.inputs[load].unit
-        message = f"{space.input_names[load]} is {value}, not a finite number; give one in {unit}"
+        why = "not finite; give a finite number"
         if np.isfinite(value):
-            message = (
-                f"{space.input_names[load]} is {value:g} {unit}, beyond the limit of {largest:g} "
-                f"{unit}; give a smaller number"
-            )
+            why = f"beyond the limit of {largest:g} {unit}; give a smaller number"
+        message = f"{space.input_names[load]} is {value:g} {unit}, {why}"
         raise bad_body([{"loc": f"wrenches.{row}.{load}", "msg": message}])
     return wrenches
 

@@ -37,22 +37,17 @@ MAX_QUERY_BYTES: Final = 64 * 1024
 MAX_BATCH_BYTES: Final = 256 * 1024 * 1024
 MAX_SPOOLED: Final = 4 << 30  # bytes of bodies in files at once
 MIB: Final = 1 << 20
-MAX_FORM_FIELDS: Final = 8  # of a form, its files apart: no call reads one
 PIECE: Final = MIB  # bytes in memory: parsed in a hundredth of a second; more go to a file
 
 
 def too_large(
     most: int, limit: str = "the limit of this call", remedy: str = ""
 ) -> HttpProblemError:
-    """Return the refusal of a body of more than `most` bytes, which are the `limit` of something.
-
-    Without a `remedy` a small body is to lose what the call does not need, a large one to be sent
-    in parts.
-    """
-    size = f"{most >> 20} MiB" if most >= MIB else f"{most:,} bytes"
-    small = "Leave out what the call does not need, or send parts."
-    remedy = remedy or (small if most < MIB else "Send it in parts.")
-    detail = f"The body has more than {size}, {limit}; nothing was changed. {remedy}"
+    """Return the refusal of a body of more than `most` bytes, which are a `limit`."""
+    size, usual = f"{most:,} bytes", "Leave out what the call does not need, or send parts."
+    if most >= MIB:
+        size, usual = f"{most >> 20} MiB", "Send it in parts."
+    detail = f"The body has more than {size}, {limit}; nothing was changed. {remedy or usual}"
     return HttpProblemError(413, "too-large", "The body is too large", detail)
 
 
@@ -169,23 +164,16 @@ async def spooled(receive: Receive, most: int) -> AsyncIterator[Spooled]:
 async def form_of(
     request: Request, most: int, most_files: int, remedy: str = ""
 ) -> AsyncIterator[FormData]:
-    """Read a form of at most `most` bytes, its files into files of their own; else 413 or 422.
-
-    `remedy` is that of a form that is too large.
-    """
-    refusal = too_large(most, remedy=remedy)
-    request = Request(request.scope, counted(request.receive, most, refusal))
+    """Read a form of at most `most` bytes, its files into files; else 413 with `remedy`, or 422."""
+    request = Request(request.scope, counted(request.receive, most, too_large(most, remedy=remedy)))
     try:
-        form = await request.form(max_files=most_files, max_fields=MAX_FORM_FIELDS)
+        form = await request.form(max_files=most_files, max_fields=8)
     except (HTTPException, MultiPartException) as error:
         if isinstance(error, HttpProblemError):
             raise
-        message = (
-            f"cannot be read as a form ({getattr(error, 'detail', error)}); send "
-            f"multipart/form-data with its boundary, at most {most_files} file(s) and "
-            f"{MAX_FORM_FIELDS} fields (curl: -F)"
-        )
-        raise bad_body([{"loc": "body", "msg": message}]) from None
+        why = f"cannot be read as a form ({getattr(error, 'detail', error)})"
+        remedy = f"send multipart/form-data with at most {most_files} file(s) (curl: -F)"
+        raise bad_body([{"loc": "body", "msg": f"{why}; {remedy}"}]) from None
     try:
         yield form
     finally:
@@ -216,11 +204,8 @@ def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
     if not super(LoadsBody, body).is_empty():
         place = "moment" if body.force is None else "force"
         if space.several:
-            names = ", ".join(space.several)
-            message = (
-                f"the component has the interfaces {names}; give force and moment of each in "
-                f'loads: {{"loads": {{"{space.several[0]}": {{"force": [0, 0, 0]}}}}}}'
-            )
+            message = "give force and moment of each interface in loads: "
+            message += " or ".join(space.several)
             raise bad_body([{"loc": place, "msg": message}])
         if loads:
             message = "is given beside loads, which has the same wrench; leave one of the two out"
@@ -252,10 +237,7 @@ def with_wrenches(
     uneven = [place for place, wrench in enumerate(body.wrenches) if len(wrench) != inputs]
     if uneven:
         length = len(body.wrenches[uneven[0]])
-        message = (
-            f"has {length} numbers, but the component has {inputs} inputs; give one number for "
-            "each, in their order"
-        )
+        message = f"has {length} numbers, but the component has {inputs} inputs; give one for each"
         raise bad_body([{"loc": f"wrenches.{uneven[0]}", "msg": message}])
     return np.array(body.wrenches, dtype=float).reshape(-1, inputs) + 0.0, body
 
@@ -272,11 +254,8 @@ def parsed_json(body: bytes) -> Any:
     except orjson.JSONDecodeError as error:
         if "memory" in str(error).lower():
             raise MemoryError from None
-        remedy = "correct it"
-        if b"NaN" in body or b"Infinity" in body:
-            remedy = "JSON has no NaN and no Infinity: leave such wrenches out"
-        elif not body:
-            remedy = 'send a JSON object, {"force": [0, 0, -10]} for example'
+        has_nan = b"NaN" in body or b"Infinity" in body
+        remedy = "JSON has no NaN and no Infinity: leave them out" if has_nan else "correct it"
         message = f"is not valid JSON ({error}); {remedy}"
         raise bad_body([{"loc": "body", "msg": message}]) from None
 

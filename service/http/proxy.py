@@ -39,19 +39,15 @@ class ProxyTrust:
         if not sent or not self.trusts(head.get(PEER_FIELD, b"").decode()):
             return None
         if not _USER.fullmatch(sent):
-            raise _refused(
-                f"The proxy sent the user {sent[:100]!r}, not 1 to 128 letters, digits and "
-                ". _ @ + : / = | - that begin with a letter or digit. Let it send a mail address."
-            )
+            why = f"The proxy sent the user {sent[:100]!r}; let it send a mail address, or an id of"
+            raise _refused(f"{why} at most 128 letters and digits.")
         groups = head.get(self.groups, b"").decode("latin-1").split(",")[:_MAX_GROUPS]
         named = {"*", *(group.strip() for group in groups)}
         allowed: list[Scope] = [self.scopes[group] for group in named & self.scopes.keys()]
         if not allowed:
             listed = ", ".join(sorted(named - {"*", ""}))[:200] or "none"
-            raise _refused(
-                f"No group of {sent} has a scope here (groups: {listed}). Start the server with: "
-                "wrenchbook serve --trust-proxy-scopes GROUP=read"
-            )
+            why = f"No group of {sent} has a scope here (groups: {listed}). Start the server with:"
+            raise _refused(f"{why} wrenchbook serve --trust-proxy-scopes GROUP=read")
         name, scope = f"{USER}{sent}", max(allowed, key=SCOPES.index)
         return Key(name, scope, digest_of(name), 0.0)
 
@@ -71,10 +67,8 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
     if user is None:
         if settings.trust_proxy_from or groups:
             option = "from" if settings.trust_proxy_from else "groups"
-            raise SettingsError(
-                f"--trust-proxy-{option} needs the header that names the user; add "
-                "--trust-proxy-user X-Forwarded-User"
-            )
+            why = f"--trust-proxy-{option} needs the header that names the user"
+            raise SettingsError(f"{why}; add --trust-proxy-user X-Forwarded-User")
         return None
     _check_header("user", user)
     _check_header("groups", groups)
@@ -89,32 +83,22 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
         scopes[group] = SCOPES[SCOPES.index(word)]
     listed = [part.strip() for part in (settings.trust_proxy_from or "").split(",") if part.strip()]
     if not listed:
-        raise SettingsError(
-            "--trust-proxy-user needs the address of the proxy; add --trust-proxy-from 10.0.0.5"
-        )
+        raise SettingsError("--trust-proxy-user needs its address; add --trust-proxy-from ADDRESS")
     try:
         networks = tuple(ip_network(part) for part in listed)
     except ValueError as error:
-        raise SettingsError(
-            f"--trust-proxy-from: {error}; write addresses or networks such as 10.0.0.5,10.1.0.0/16"
-        ) from None
+        raise SettingsError(f"--trust-proxy-from: {error}; write such as 10.0.0.0/8") from None
     return ProxyTrust(user.lower().encode(), networks, (groups or "").lower().encode(), scopes)
 
 
 def _check_header(option: str, header: str | None) -> None:
     """Raise SettingsError for the name of a header that callers send, or that is not valid."""
-    if not header:
-        return
-    why = None
-    if header.lower() in _OF_CALLERS:
-        why = "is a header that callers send themselves"
-    elif not _HEADER.fullmatch(header):
-        why = "is not 1 to 64 letters, digits and '-'"
-    if why:
-        raise SettingsError(
-            f"--trust-proxy-{option}: {header!r} {why}; write the header that the proxy sets, such "
-            f"as X-Forwarded-{option.capitalize()}"
-        )
+    remedy = f"write the header that the proxy sets, such as X-Forwarded-{option.capitalize()}"
+    if header and header.lower() in _OF_CALLERS:
+        raise SettingsError(f"--trust-proxy-{option}: callers send {header!r} themselves; {remedy}")
+    if header and not _HEADER.fullmatch(header):
+        why = f"{header!r} is not 1 to 64 letters, digits and '-'"
+        raise SettingsError(f"--trust-proxy-{option}: {why}; {remedy}")
 
 
 def _refused(why: str) -> HttpProblemError:

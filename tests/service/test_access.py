@@ -3,6 +3,7 @@
 import errno
 import io
 import os
+import time
 import zipfile
 from pathlib import Path
 
@@ -211,6 +212,22 @@ def test_more_keys_than_there_can_be_are_a_conflict(locked, secrets_, monkeypatc
         assert reply.status_code == 409
         assert reply.json()["type"].endswith(":keys-full")
         assert "revoke one with: wrenchbook keys revoke NAME" in reply.json()["detail"]
+
+
+def test_a_key_that_is_missing_malformed_unknown_or_expired_is_refused_by_its_cause(place, locked):
+    secret = Keyring(place).add("late", "read", expires=time.time() + 0.2)
+    locked.app.state.access.keyring.refresh(0.0)
+    time.sleep(0.3)
+    for headers, why in (
+        ({}, "the request has none"),
+        ({"Authorization": secret}, "is not Bearer and a key"),
+        (bearer("wb_x"), "is unknown here"),
+        (bearer(secret), "The key 'late' of the request expired at 20"),
+    ):
+        refused = locked.get("/v1/jobs", headers=headers)
+        assert refused.status_code == 401
+        assert why in refused.json()["detail"]
+        assert secret not in refused.text
 
 
 def test_a_private_servers_own_key_is_good_for_all(locked):

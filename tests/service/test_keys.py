@@ -98,11 +98,11 @@ def test_a_key_is_rotated_while_it_is_valid(keyring):
         ("{", "it is not valid JSON"),
         ("[]", 'it has no list "keys"'),
         ('{"keys": 3}', 'it has no list "keys"'),
-        ('{"keys": [3]}', r"keys\[0\] is no JSON object"),
-        ('{"keys": [{"name": "x"}]}', r"keys\[0\] lacks the field 'created'"),
-        ("unknown field", r"keys\[0\] has the unknown field 'scope_'"),
+        ('{"keys": [3]}', r"keys\[0\]: the field 'name' is missing"),
+        ('{"keys": [{"name": "x"}]}', r"keys\[0\]: the field 'scope' is missing"),
+        ("unknown field", r"keys\[0\]: the field 'scope_' is unknown"),
         ("unknown scope", r"keys\[0\]: the scope must be one of read, write, admin, not 'root'"),
-        ("texts", r"keys\[0\].components must be a list"),
+        ("texts", r"keys\[0\]: components must be a list"),
     ],
 )
 def test_damaged_keys_let_nobody_in_and_are_told_of(tmp_path, content, why):
