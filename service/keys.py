@@ -198,16 +198,16 @@ class Keyring:
             if len(keys) >= MAX_KEYS:
                 raise KeysFullError(_FULL)
             if any(key.name == name for key in keys.values()):
-                why = f"a key {name!r} exists; choose another name, or revoke it first with: "
-                raise KeysError(f"{why}wrenchbook keys revoke {name}")
+                taken = f"a key {name!r} exists; choose another name, or revoke it first with: "
+                raise KeysError(taken + f"wrenchbook keys revoke {name}")
             values = {"name": name, "scope": scope, "digest": digest_of(secret)}
             try:
                 key = _checked({**values, "created": time.time(), **limits})
             except ValueError as error:
                 raise KeysError(str(error)) from None
             if not key.is_valid():
-                why = f"expires {key.expires:.0f} is in the past: now is {time.time():.0f} s"
-                raise KeysError(f"{why} since the epoch; give a later time, or leave it out")
+                past = f"expires {key.expires:.0f} is in the past: now is {time.time():.0f} s"
+                raise KeysError(past + " since the epoch; give a later time, or leave it out")
             keys[key.digest] = key
         return secret
 
@@ -222,7 +222,7 @@ class Keyring:
             if not known:
                 why = f"the key {name!r} has expired, so it cannot be rotated; replace it with: "
                 raise UnknownKeyError(
-                    f"{why}wrenchbook keys revoke {name}; wrenchbook keys add {name}"
+                    why + f"wrenchbook keys revoke {name}; wrenchbook keys add {name}"
                 )
             if not 0.0 <= overlap_s < _MAX_OVERLAP_S:
                 hours = overlap_s / 3600.0
@@ -316,7 +316,7 @@ def _unknown_key(name: str, keys: Iterable[Key]) -> UnknownKeyError:
     names = sorted({key.name for key in keys})
     known = ", ".join(names[:_MAX_NAMED]) + (", ..." if len(names) > _MAX_NAMED else "")
     remedy = f"name one of: {known}" if names else f"create it with: wrenchbook keys add {name}"
-    return UnknownKeyError(f"there is no key {name!r}; {remedy}")
+    return UnknownKeyError(f"there is no key {name!r}; " + remedy)
 
 
 def _stored_keys(content: bytes) -> list[Key]:

@@ -181,7 +181,7 @@ class Sandbox:
             server = self._free.get(timeout=WAIT_S)
         except queue.Empty:
             why = f"{AT_ONCE} other files, the limit, have been read for {WAIT_S:g} s"
-            raise SandboxBusyError(f"{why}; send this file again in a minute") from None
+            raise SandboxBusyError(why + "; send this file again in a minute") from None
         try:
             yield server
         finally:

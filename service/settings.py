@@ -160,7 +160,9 @@ def check_copies(settings: Settings) -> None:
             why = f"{scheme}:// is a server's and no storage's"
         if why:
             raise SettingsError(
-                f"{name}: {why}; write file:///FOLDER, s3://BUCKET/FOLDER or sftp://HOST/FOLDER"
+                f"{name}: "
+                + why
+                + "; write file:///FOLDER, s3://BUCKET/FOLDER or sftp://HOST/FOLDER"
             )
         folder = Path(path).resolve()
         inside = folder.is_relative_to(settings.data.resolve())

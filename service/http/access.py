@@ -153,12 +153,9 @@ class Rates:
             weakref.finalize(self, os.close, self._file)
 
     def take(self, key: Key) -> tuple[int, float]:
-        """Take some requests of a key: their number, and the seconds until there is one.
-
-        A bucket holds `burst_s` seconds of requests, and is full at the time `full`.
-        """
+        """Take some requests of a key: their number, and the seconds until there is one."""
         name, rate, file = bytes.fromhex(key.digest[:16]), key.rate, self._file
-        burst_s = max(_BURST_S, 1.0 / rate)
+        burst_s = max(_BURST_S, 1.0 / rate)  # that a full bucket lasts
         content, now = b"", time.monotonic()  # the same clock in all processes
         if file is not None:
             for _ in range(_TRIES):
@@ -214,8 +211,8 @@ class Permission:
         """Count one request: 0, or the seconds until there is one again."""
         if self.key is None or self._rates is None:
             return 0.0
-        if self._keyring is not None and (now := time.time()) >= self._note_at:
-            self._note_at = now + _USED_S
+        if self._keyring is not None and time.time() >= self._note_at:
+            self._note_at = time.time() + _USED_S
             self._keyring.note_use(self.key, _USED_S)
         if not self._remaining:
             self._remaining, seconds = self._rates.take(self.key)
@@ -327,8 +324,9 @@ class AccessControl:
         # Whether a displacement queues anything stands in its body, which is read later.
         is_query = path.startswith("/v1/components/") and path.endswith(_QUERIES)
         reads = method in _READING or (method == "POST" and is_query)
-        of_admin = any(path == call or path.startswith(f"{call}/") for call in _ADMIN)
-        needed: Scope = "admin" if of_admin else "read" if reads else "write"
+        needed: Scope = "read" if reads else "write"
+        if any(path == call or path.startswith(f"{call}/") for call in _ADMIN):
+            needed = "admin"
         if not permission.allows(needed):
             raise beyond_scope(permission, needed)
         _check_components(permission.caller, method, path)
@@ -388,7 +386,8 @@ class AccessControl:
         self.refresh()
         if not self.keys_needed:
             return OPEN
-        if self.security.proxy is not None and (user := self.security.proxy.key_of(head)):
+        user = self.security.proxy.key_of(head) if self.security.proxy else None
+        if user is not None:
             if len(self._users) >= MAX_KEYS:
                 self._users.clear()
             return self._users.setdefault((user.name, user.scope), Permission(user, self._rates))
@@ -446,7 +445,7 @@ def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:
         remedy = f"A displacement with on_thin 'estimate' or 'reject' needs only read. {remedy}"
     why = f"The {holder} {name!r} has the scope {scope}, but this call needs {needed}"
     title = f"The {holder}'s scope does not allow this"
-    return HttpProblemError(403, "scope", title, f"{why}; nothing was changed. {remedy}")
+    return HttpProblemError(403, "scope", title, why + "; nothing was changed. " + remedy)
 
 
 def _beyond_key(key: Key) -> HttpProblemError:

@@ -89,7 +89,7 @@ class ImportQuery(Body):
         if self.append is not None and others:
             names = ", ".join(sorted(others))
             why = f"append does not allow {names}: it adds rows as they are"
-            raise ValueError(f"{why}; leave them out, or import the file without append")
+            raise ValueError(why + "; leave them out, or import the file without append")
         return self
 
     @field_validator("note", "filename", "rig", "append")
@@ -108,7 +108,7 @@ class ImportQuery(Body):
         if self.append is not None and others:
             names = ", ".join(sorted(others))
             why = f"append cannot go with {names} of this rig: it adds rows as they are"
-            raise RigError(f"{why}; name a rig without them, or import the file without append")
+            raise RigError(why + "; name a rig without them, or import the file without append")
         own_mapping, rig_mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
         rig_ignore = set(profile.ignore) - own_mapping.keys()
         # A file may lack the columns that only the rig names.
@@ -142,7 +142,7 @@ def _pairs(text: str) -> dict[str, str]:
     for column, name in pairs.items():
         if not isinstance(name, str):
             why = f"maps the column {column[:100]!r} to {name!r:.100}, which is no text"
-            raise ValueError(f"{why}; write {_MAPPING_FORM}")
+            raise ValueError(why + f"; write {_MAPPING_FORM}")
     if len(pairs) > _MAX_COLUMNS:
         raise ValueError(f"names {len(pairs)} columns, at most {_MAX_COLUMNS} fit; leave some out")
     return pairs

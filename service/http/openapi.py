@@ -35,7 +35,6 @@ _WITH_BODY: Final = (413, 415)
 _REFERENCE: Final = "#/components/schemas/{model}"
 _TOML: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
 BODIES: Final[dict[str, str]] = _TOML["bodies"]
-"""Descriptions of bodies that are not JSON, or of no schema."""
 TEXTS: Final[dict[str, dict[str, str]]] = {
     **{name: _TOML[name] for name in ("fields", "parameters")},
     **{

@@ -40,6 +40,7 @@ CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was 
 MAX_ERRORS = 1000
 MAX_TEXT = 1000  # characters of a message
 MAX_PLACE = 200  # characters of a path or a key: a caller may send any
+MAX_VALUE = 40  # characters of a quoted value
 # By pydantic's type of an error, where its own text has no next action.
 _PLAIN = {
     "extra_forbidden": "is unknown; correct its name, or leave it out (see the fields at /docs)",
@@ -161,8 +162,9 @@ def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[s
         loc = ".".join(map(str, path))[:MAX_PLACE] or "body"
         text = _PLAIN.get(mistake["type"]) or mistake["msg"].removeprefix("Value error, ")
         text = text.replace("Input should be", "must be")
-        if text.startswith("must be") and isinstance(sent := mistake.get("input"), str | float):
-            text += f", not {str(sent)[:40]!r}"
+        sent = mistake.get("input")
+        if text.startswith("must be") and isinstance(sent, str | float):
+            text += f", not {str(sent)[:MAX_VALUE]!r}"
         mistakes.append({"loc": loc, "msg": text[:MAX_TEXT]})
     return mistakes
 

@@ -39,15 +39,15 @@ class ProxyTrust:
         if not sent or not self.trusts(head.get(PEER_FIELD, b"").decode()):
             return None
         if not _USER.fullmatch(sent):
-            why = f"The proxy sent the user {sent[:100]!r}; let it send a mail address, or an id of"
-            raise _refused(f"{why} at most 128 letters and digits.")
+            malformed = f"The proxy sent the user {sent[:100]!r}; let it send a mail address, or an"
+            raise _refused(malformed + " id of at most 128 letters and digits.")
         groups = head.get(self.groups, b"").decode("latin-1").split(",")[:_MAX_GROUPS]
         named = {"*", *(group.strip() for group in groups)}
         allowed: list[Scope] = [self.scopes[group] for group in named & self.scopes.keys()]
         if not allowed:
             listed = ", ".join(sorted(named - {"*", ""}))[:200] or "none"
             why = f"No group of {sent} has a scope here (groups: {listed}). Start the server with:"
-            raise _refused(f"{why} wrenchbook serve --trust-proxy-scopes GROUP=read")
+            raise _refused(why + " wrenchbook serve --trust-proxy-scopes GROUP=read")
         name, scope = f"{USER}{sent}", max(allowed, key=SCOPES.index)
         return Key(name, scope, digest_of(name), 0.0)
 
@@ -68,7 +68,7 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
         if settings.trust_proxy_from or groups:
             option = "from" if settings.trust_proxy_from else "groups"
             why = f"--trust-proxy-{option} needs the header that names the user"
-            raise SettingsError(f"{why}; add --trust-proxy-user X-Forwarded-User")
+            raise SettingsError(why + "; add --trust-proxy-user X-Forwarded-User")
         return None
     _check_header("user", user)
     _check_header("groups", groups)
@@ -97,8 +97,7 @@ def _check_header(option: str, header: str | None) -> None:
     if header and header.lower() in _OF_CALLERS:
         raise SettingsError(f"--trust-proxy-{option}: callers send {header!r} themselves; {remedy}")
     if header and not _HEADER.fullmatch(header):
-        why = f"{header!r} is not 1 to 64 letters, digits and '-'"
-        raise SettingsError(f"--trust-proxy-{option}: {why}; {remedy}")
+        raise SettingsError(f"--trust-proxy-{option}: {header!r} is no header's name; {remedy}")
 
 
 def _refused(why: str) -> HttpProblemError:

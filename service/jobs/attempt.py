@@ -214,10 +214,8 @@ def read_outcome(attempt: Attempt) -> Outcome | None:
         content = json.loads(path.read_bytes())
     except FileNotFoundError:
         return None
-    except OSError as error:
-        raise BadOutcomeError(f"{path} cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise BadOutcomeError(f"{path} is not valid JSON ({error})") from error
+    except (OSError, ValueError) as error:
+        raise BadOutcomeError(f"{path} cannot be read as JSON ({error})") from error
     if not isinstance(content, dict) or not {"digest", "asked", "status"} <= content.keys():
         raise BadOutcomeError(f"{path} is no outcome: it lacks digest, asked or status")
     if content.pop("digest") != _digest(content):

@@ -242,7 +242,8 @@ class DaskEngine(attempts.Listeners):
 
     async def _connected(self, ready: Callable[[], bool]) -> Client:
         while True:
-            if (client := self._client) is not None and client.status == "running" and ready():
+            client = self._client
+            if client is not None and client.status == "running" and ready():
                 return client
             await asyncio.sleep(WAIT_SECONDS)
 

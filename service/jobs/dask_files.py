@@ -83,7 +83,7 @@ def unpack(content: bytes, name: str, folder: Path) -> None:
     """
     if digest(content) != name:
         why = f"their digest is {digest(content)}, but was {name} when they were sent"
-        raise BadPayloadError(f"the component's files were damaged on the way: {why}")
+        raise BadPayloadError("the component's files were damaged on the way: " + why)
     partial = folder / f".{name}.{os.getpid()}.{threading.get_ident()}"
     try:
         write_files(pickle.loads(content), partial)

@@ -320,7 +320,7 @@ def _named_solver() -> Solve | None:
         except AttributeError:
             why = f"the module {module} has no function {function!r}"
     remedy = "set it to package.module:function, importable by the solvers, or unset it"
-    raise SolveRefusedError("no_solver", f"{SOLVE_VARIABLE}={name!r}: {why}", remedy)
+    raise SolveRefusedError("no_solver", f"{SOLVE_VARIABLE}={name!r}: " + why, remedy)
 
 
 def _checked(numbers: Mapping[str, Any]) -> Outcome:
@@ -334,10 +334,10 @@ def _checked(numbers: Mapping[str, Any]) -> Outcome:
     elif len(displacement) < 6:
         why = f"has {len(displacement)} numbers, not 6 an interface"
     elif None in displacement:
-        why = f"is not finite at position {displacement.index(None)}"
+        why = f"has numbers that are not finite: {numbers['displacement']!s:.200}"
         remedy = "check the component's mesh and supports; see log.txt among the job's files"
     if why:
-        raise SolveRefusedError("bad_answer", f"the solver's displacement {why}", remedy)
+        raise SolveRefusedError("bad_answer", "the solver's displacement " + why, remedy)
     if any(None in line for line in outcome.compliance or ()):
         outcome.compliance = None
     if None in (outcome.curvature or ()):

@@ -119,7 +119,7 @@ class LocalEngine(attempts.Listeners):
             why = (
                 f"a solver already works in {attempt.folder}; wait for its end, or end the process"
             )
-            raise attempts.EngineError(f"{why} that its file {LOCK} names")
+            raise attempts.EngineError(why + f" that its file {LOCK} names")
         environment = _ENVIRONMENT | dict(os.environ) | self._environment
         try:
             with (attempt.folder / LOG).open("ab") as log:

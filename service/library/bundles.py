@@ -228,7 +228,8 @@ def faces(folder: Path) -> Iterator[Part]:
     reporting = importlib.import_module("wrenchbook.fea.check.reporting")
     commands = importlib.import_module("wrenchbook.fea.check.commands")
     problems: list[BundleProblem] = []
-    if (surface := reporting.surface_in(folder, problems)) is None:
+    surface = reporting.surface_in(folder, problems)
+    if surface is None:
         if not problems:  # of the TOML text itself
             problems = [BundleProblem(**each) for each in reporting.report(folder)["problems"]]
             problems = [each for each in problems if each.where.startswith(("component", "line"))]

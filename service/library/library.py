@@ -34,9 +34,7 @@ from wrenchbook.service.library.component import (
 log = logging.getLogger(__name__)
 
 POLL_SECONDS = 1.0  # between polls of files that were edited while no request reads them
-# A folder's time of change is that of the kernel's last tick, 10 ms at most: what came within ten
-# of them may have left it as it was.
-TICK_NS = 100_000_000
+TICK_NS = 100_000_000  # ten ticks of the kernel: within one a folder's time of change may stay
 _DECKS_REFUSED = (
     "A deck names a command for the server's solvers, and this server accepts no uploaded decks. "
     "Ask its operator for serve --allow-decks, or to put the bundle's folder into the data "

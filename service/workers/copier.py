@@ -103,7 +103,9 @@ def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
             faults = [f.problem for f in examine(Path(scratch) / "data") if f.kind == "fault"]
             if faults:
                 why = f"{file.name}, restored for a test, has {len(faults)} faults: {faults[0]}"
-                raise RuntimeError(f"{why}. Examine the data with: wrenchbook doctor --data {data}")
+                raise RuntimeError(
+                    why + f". Examine the data with: wrenchbook doctor --data {data}"
+                )
     except BaseException:
         for former in folder.glob("wrenchbook-*.failed"):  # it is tried again every minute
             former.unlink(missing_ok=True)

@@ -71,4 +71,4 @@ def private_server(folder: Path, solvers: int) -> Iterator[Client]:
 def _did_not_start(log: TextIO) -> ServerDidNotStartError:
     log.seek(0)
     why = "The server of this command did not start; remove the cause that its log ends with"
-    return ServerDidNotStartError(f"{why}:\n{log.read()[-2000:]}")
+    return ServerDidNotStartError(why + f":\n{log.read()[-2000:]}")

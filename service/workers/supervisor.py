@@ -261,7 +261,8 @@ def supervise(settings: Settings, *, as_json: bool = False) -> None:
     bound, address = bind_to(settings.host, settings.port)
     shared = settings.data / SHARED
     shared.mkdir(exist_ok=True)
-    if (lock := take(shared / _LOCK)) is None:  # held until this process ends
+    lock = take(shared / _LOCK)  # held until this process ends
+    if lock is None:
         raise WorkerFailedError(in_use(settings.data))
     os.truncate(lock, 0)
     os.write(lock, f"the server at {address} (process {os.getpid()})".encode())

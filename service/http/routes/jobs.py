@@ -190,9 +190,9 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
     job = workspace.ledger.job(job_id)
     path = _attempt_files(workspace, job) / LOG
     if path.is_symlink() or not path.is_file():  # a deck's command may have put a link there
-        why = f"Attempt {job.attempt} of job {job.id}, which is {job.status}, has no log.txt. "
-        why += f"Download its other files with GET /v1/jobs/{job.id}/files."
-        raise HttpProblemError(404, "no-files", "No log", why)
+        why = f"Attempt {job.attempt} of job {job.id}, which is {job.status}, has no log.txt. Read "
+        rest = f"its other files: GET /v1/jobs/{job.id}/files."
+        raise HttpProblemError(404, "no-files", "No log", why + rest)
     with path.open("rb") as log:
         size = log.seek(0, 2)
         log.seek(max(0, size - MAX_LOG_BYTES))
@@ -216,8 +216,9 @@ def _attempt_files(workspace: Workspace, job: JobRecord) -> pathlib.Path:
         why = f"{state}, and no solver began it. {retry}"
     else:
         title, place = "The files are gone", f"jobs/{folder.parent.name}/{folder.name}"
-        why = f"{state}, but its folder {place} was pruned (--keep-days), deleted or not copied."
-        why += " Its row needs no files." if job.status == "done" else f" {retry}"
+        remedy = "Its row needs no files." if job.status == "done" else retry
+        gone = f"{state}, but its folder {place} was pruned (--keep-days), deleted or not copied. "
+        why = gone + remedy
     raise HttpProblemError(404, "no-files", title, why)
 
 

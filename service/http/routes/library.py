@@ -358,10 +358,11 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
             f"/v1/components/{name}/copy."
         )
         raise HttpProblemError(409, "shipped", "A shipped component keeps its name", why)
-    if renamed and (newer := workspace.catalogue[name].renamed_to):
+    newer = workspace.catalogue[name].renamed_to
+    if renamed and newer:
         newer = CALLER.get().visible(newer) or "(another name)"
-        why = f"{name!r} is {newer!r} now. Rename that, or copy: POST /v1/components/{name}/copy."
-        raise HttpProblemError(409, "renamed", "The component was renamed already", why)
+        now = f"{name!r} is {newer!r} now. Rename that, or copy: POST /v1/components/{name}/copy."
+        raise HttpProblemError(409, "renamed", "The component was renamed already", now)
     copy = workspace.library.add_copy(name, body.name, body.title)
     card = workspace.catalogue[name]
     workspace.catalogue.change(copy.name, notes=card.notes, copied_from=name)

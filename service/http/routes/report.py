@@ -54,7 +54,7 @@ def make_report(
     while rows and tables.written(name) is None:
         if time.monotonic() > deadline:
             why = f"the table of {name!r} has been written for {CATCH_UP_S:g} s"
-            raise TableBehindError(f"{why}; send the request again in a minute")
+            raise TableBehindError(why + "; send the request again in a minute")
         time.sleep(POLL_S)
     try:
         workspace.reports.make(component, rows, wrenches, seed)

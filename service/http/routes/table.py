@@ -80,13 +80,9 @@ _CURRENT = "the version of If-None-Match is current"
 _TAKEN = frozenset(
     {
         *MEDIA_TYPES.values(),
-        "application/csv",
-        "application/x-matlab-data",
-        "application/gzip",
-        "application/x-gzip",
-        "application/octet-stream",
-        "application/vnd.ms-excel",  # what browsers on Windows say of a CSV
-        "multipart/form-data",
+        *("application/csv", "application/x-matlab-data", "application/octet-stream"),
+        *("application/gzip", "application/x-gzip", "multipart/form-data"),
+        "application/vnd.ms-excel",  # of a CSV, in browsers on Windows
     }
 )
 

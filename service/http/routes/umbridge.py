@@ -211,7 +211,7 @@ async def _read(request: Request, kind: type[_Kind]) -> tuple[_Kind, Space]:
         mistake = f"there is no component {str(name)[:MAX_QUOTED]!r}"
         if "name" not in fields:
             mistake = "the body has no 'name'"
-        raise UmBridgeError("ModelNotFound", f"{mistake}; name one of: {names}")
+        raise UmBridgeError("ModelNotFound", mistake + f"; name one of: {names}")
     space = workspace.library[name].space
     return kind.model_validate(fields, context={"space": space}), space
 
@@ -253,8 +253,8 @@ async def _product(
     product = (derivative.T if name == "sens" else derivative) @ np.array(vector)
     if not np.isfinite(product).all():
         largest = max(map(abs, vector))
-        message = f"{name} times the derivative is too large; give numbers far below {largest:g}"
-        raise UmBridgeError("InvalidInput", message)
+        too_large = f"{name} times the derivative is too large; give numbers far below {largest:g}"
+        raise UmBridgeError("InvalidInput", too_large)
     return _reply(outcome, product.tolist())
 
 
