@@ -102,7 +102,7 @@ def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
             restore(file, Path(scratch) / "data")
             faults = [f.problem for f in examine(Path(scratch) / "data") if f.kind == "fault"]
             if faults:
-                why = f"{file.name}, restored for a test, has {len(faults)} faults: {faults[0]}"
+                why = f"{file.name}, restored, has {len(faults)} faults, first: {faults[0]}"
                 raise RuntimeError(
                     why + f". Examine the data with: wrenchbook doctor --data {data}"
                 )

@@ -326,7 +326,7 @@ def test_a_rotated_key_has_two_secrets_until_the_old_one_ends(tmp_path):
     assert (keyring.find(old), keyring.find(new)) == (None, None)
     assert keyring.find(newest).expires is None
     for overlap, name, why in (
-        (-1.0, "ann", "from 0 to 277778 hours, not"),
+        (-1.0, "ann", "from 0 to 277777 hours, not"),
         (0.0, "eve", "no key .eve.; name one of: ann"),
     ):
         with pytest.raises(KeysError, match=why):

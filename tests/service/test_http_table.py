@@ -401,7 +401,9 @@ def test_two_slow_tables_of_one_key_do_not_block_the_imports_of_others(monkeypat
     async def read_slowly():
         async with table.reader_slot("ann"):
             await read("bob")
-            with pytest.raises(SandboxBusyError, match="Another table of this key is being read"):
+            with pytest.raises(
+                SandboxBusyError, match="Another table of this key or address is being read"
+            ):
                 await read("ann")
         await read("ann")
 
