@@ -59,12 +59,9 @@ _TRIES: Final = 1000  # for the lock, 1 ms; its holder was stopped in the middle
 
 Fields = tuple[tuple[bytes, bytes], ...]
 
-_TWO_USERS: Final = HttpProblemError(
-    400,
-    "users",
-    "More than one user",
+_TWO_USERS: Final = (
     "The header of the user or of the groups is there twice; nothing was changed. Let the proxy "
-    "replace the caller's header, not add its own.",
+    "replace the caller's header, not add its own."
 )
 
 _NOTHING: Final = b"default-src 'none'; frame-ancestors 'none'; sandbox"
@@ -296,7 +293,7 @@ class AccessControl:
             if PERMISSION not in scope:  # the fast path has admitted and counted it already
                 proxy, names = self.security.proxy, [name for name, _ in scope["headers"]]
                 if proxy and (names.count(proxy.user) > 1 or names.count(proxy.groups) > 1):
-                    raise _TWO_USERS
+                    raise HttpProblemError(400, "users", "More than one user", _TWO_USERS)
                 peer = scope.get(PEER) or (scope.get("client") or ("",))[0]
                 head[PEER_FIELD] = peer.encode()
                 scope[PERMISSION] = self.check(scope["method"], scope["path"], head)
