@@ -5,24 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final, Literal
 
-from wrenchbook.surrogate.answer import NAMES as COVERAGE
-from wrenchbook.surrogate.table.space import LOAD_UNITS, LOADS, OUTPUT_UNITS, OUTPUTS
+from wrenchbook.surrogate import answer
+from wrenchbook.surrogate.table import space
 
-__all__ = [
-    "CONTRACT",
-    "CONTRACT_TEXT",
-    "COVERAGE",
-    "LOADS",
-    "LOAD_UNITS",
-    "MAX_BATCH",
-    "MAX_BLOCK",
-    "MOMENT_POINT",
-    "OUTPUTS",
-    "OUTPUT_UNITS",
-    "Coverage",
-    "OnThin",
-    "by_part",
-]
+COVERAGE: Final = answer.NAMES
+LOADS, LOAD_UNITS = space.LOADS, space.LOAD_UNITS
+OUTPUTS, OUTPUT_UNITS = space.OUTPUTS, space.OUTPUT_UNITS
 
 Coverage = Literal["covered", "thin", "outside"]
 OnThin = Literal["queue", "wait", "estimate", "reject"]

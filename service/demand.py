@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -29,32 +29,37 @@ MAX_CELLS: Final = 2000  # of a component; a query that finds none is counted as
 MAX_LATEST: Final = 200
 MAX_OF_A_BATCH: Final = 10_000  # wrenches counted; of more, every k-th counts k times
 CELL: Final = 0.2  # of half a load's range: five cells to each side of zero
-_BEYOND: Final = 10  # cells; what lies farther off is in the outermost one
+_BEYOND: Final = 10  # cells from zero; queries farther off count in the outermost one
 SAVE_S: Final = 1.0  # between two additions of a process' counts to the database
 
 Cell = tuple[int, ...]
+
+
+class CellCount(NamedTuple):
+    """Numbers of the queries of a cell by their coverage."""
+
+    thin: float = 0
+    outside: float = 0
 
 
 @dataclass
 class QueryCounts:
     """The map of one component.
 
-    `since` is when the first query was counted, s since the epoch; `cells` has thin and outside
-    queries by cell, `elsewhere` those that found no cell any more, `latest` the newest wrenches.
+    `since` is when the first query was counted, s since the epoch; `cells` are the counts by cell,
+    `elsewhere` counts queries beyond `MAX_CELLS` cells, `latest` has the newest wrenches.
     """
 
     since: float | None = None
-    cells: dict[Cell, list[float]] = field(default_factory=dict)
+    cells: dict[Cell, CellCount] = field(default_factory=dict)
     elsewhere: int = 0
     latest: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MAX_LATEST))
 
     def count(self, cell: Cell, thin: float, outside: float) -> None:
-        """Add to a cell, as long as there is room for cells."""
-        counts = self.cells.get(cell)
-        if counts is not None:
-            self.cells[cell] = [counts[0] + thin, counts[1] + outside]
-        elif len(self.cells) < MAX_CELLS:
-            self.cells[cell] = [thin, outside]
+        """Add queries to a cell, or to `elsewhere` if there are `MAX_CELLS` others."""
+        if cell in self.cells or len(self.cells) < MAX_CELLS:
+            known = self.cells.get(cell, CellCount())
+            self.cells[cell] = CellCount(known.thin + thin, known.outside + outside)
         else:
             self.elsewhere += int(thin + outside)
 
@@ -94,10 +99,10 @@ class QueryStatistics:
         self, name: str, span: LoadRange, wrench: tuple[float, ...], coverage: str, count: int = 1
     ) -> None:
         """Count a wrench (n,), N and N·m, that was not covered."""
-        scale = span.scale.tolist()  # plain numbers: a tenth of what arrays of six take
+        # Plain numbers take a tenth of the time of arrays of six.
         cell = tuple(
-            max(-_BEYOND, min(_BEYOND, round(load / (CELL * of))))
-            for load, of in zip(wrench, scale, strict=True)
+            max(-_BEYOND, min(_BEYOND, round(load / (CELL * scale))))
+            for load, scale in zip(wrench, span.scale.tolist(), strict=True)
         )
         now = time.time()
         with self._lock:
@@ -208,7 +213,10 @@ def _saved(db: Connection, name: str) -> QueryCounts:
         return QueryCounts()
     try:
         read = json.loads(row[0])
-        cells = {tuple(map(int, cell)): [thin, outside] for *cell, thin, outside in read["cells"]}
+        cells = {
+            tuple(map(int, cell)): CellCount(thin, outside)
+            for *cell, thin, outside in read["cells"]
+        }
         latest = deque(read.get("latest", ()), maxlen=MAX_LATEST)
         return QueryCounts(float(read["since"]), cells, int(read["elsewhere"]), latest)
     except (ValueError, KeyError, TypeError) as error:

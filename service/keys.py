@@ -6,6 +6,7 @@ readers compare the file's date first.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import ipaddress
 import json
@@ -16,9 +17,9 @@ import re
 import secrets
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
@@ -48,7 +49,9 @@ MEGABYTES: Final = 512
 _PATTERN: Final = re.compile(r"[A-Za-z0-9_*?-]{1,64}")  # the same to fnmatch and to SQLite's GLOB
 _MAX_PATTERNS: Final = 100
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
-_FULL: Final = f"there are {MAX_KEYS} keys, the limit; run wrenchbook keys revoke"
+_MAX_NAMED: Final = 20  # keys in a message
+_MAX_OVERLAP_S: Final = 1e9  # 30 years: a time in milliseconds is a mistake
+_FULL: Final = f"{MAX_KEYS} keys, the limit, exist; revoke one with: wrenchbook keys revoke NAME"
 _WITHOUT_KEYS: Final = (
     "other machines can reach {host}, but {folder} has no keys, so anybody there could change "
     "tables. Create a key (wrenchbook keys add NAME --scope admin --data {folder}), start with "
@@ -142,10 +145,9 @@ class Keyring:
         return sorted(self._keys.values(), key=lambda key: key.name)
 
     def find(self, secret: str) -> Key | None:
-        """Return the key of a secret; None if there is none that is valid."""
+        """Return the key of a secret, expired or not; None if no key has it."""
         # Searched by digest: the time it takes reveals nothing about the secrets.
-        key = self._keys.get(digest_of(secret))
-        return key if key is not None and key.is_valid() else None
+        return self._keys.get(digest_of(secret))
 
     def has(self, key: Key) -> bool:
         """Return whether a key is one of these, with the same scope and limits."""
@@ -196,14 +198,16 @@ class Keyring:
             if len(keys) >= MAX_KEYS:
                 raise KeysFullError(_FULL)
             if any(key.name == name for key in keys.values()):
-                raise KeysError(f"there is a key {name!r}; revoke it or choose another name")
-            fields = {"name": name, "scope": scope, "digest": digest_of(secret)}
+                taken = f"a key {name!r} exists; choose another name, or revoke it first with: "
+                raise KeysError(taken + f"wrenchbook keys revoke {name}")
+            values = {"name": name, "scope": scope, "digest": digest_of(secret)}
             try:
-                key = _checked({**fields, "created": time.time(), **limits})
+                key = _checked({**values, "created": time.time(), **limits})
             except ValueError as error:
                 raise KeysError(str(error)) from None
             if not key.is_valid():
-                raise KeysError("the key would already have expired; give an end in the future")
+                past = f"expires {key.expires:.0f} is in the past: now is {time.time():.0f} s"
+                raise KeysError(past + " since the epoch; give a later time, or leave it out")
             keys[key.digest] = key
         return secret
 
@@ -211,12 +215,18 @@ class Keyring:
         """Make a new secret of a key and return it; the old one is valid for `overlap_s` more."""
         secret = PREFIX + secrets.token_urlsafe(32)
         with self._changing() as keys:
-            known = [key for key in keys.values() if key.name == name and key.is_valid()]
+            named = [key for key in keys.values() if key.name == name]
+            if not named:
+                raise _unknown_key(name, keys.values())
+            known = [key for key in named if key.is_valid()]
             if not known:
-                message = f"there is no valid key {name!r}; create one with: "
-                raise UnknownKeyError(f"{message}wrenchbook keys add {name}")
-            if not 0.0 <= overlap_s < 1e9:
-                raise KeysError(f"the overlap must be 0 or more hours, not {overlap_s / 3600.0:g}")
+                why = f"the key {name!r} has expired, so it cannot be rotated; replace it with: "
+                raise UnknownKeyError(
+                    why + f"wrenchbook keys revoke {name}; wrenchbook keys add {name}"
+                )
+            if not 0.0 <= overlap_s < _MAX_OVERLAP_S:
+                hours = overlap_s / 3600.0
+                raise KeysError(f"the overlap must be from 0 to 277777 hours, not {hours:g}")
             if len(keys) >= MAX_KEYS:
                 raise KeysFullError(_FULL)
             newest, now = max(known, key=lambda key: key.created), time.time()
@@ -234,8 +244,7 @@ class Keyring:
         with self._changing() as keys:
             digests = [digest for digest, key in keys.items() if key.name == name]
             if not digests:
-                names = ", ".join(sorted(key.name for key in keys.values())) or "none"
-                raise UnknownKeyError(f"there is no key {name!r}; name one of: {names}")
+                raise _unknown_key(name, keys.values())
             for digest in digests:
                 del keys[digest]
 
@@ -245,7 +254,7 @@ class Keyring:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = take(self._path.with_name(f"{FILE}.lock"))
         if descriptor is None:
-            raise KeysBusyError("another command is changing the keys; repeat yours")
+            raise KeysBusyError(f"another command is changing {FILE}; repeat yours in a second")
         try:
             with self._lock:
                 self._read()
@@ -255,9 +264,11 @@ class Keyring:
                 try:
                     write_atomically(self._path, content.encode(), mode=0o600)
                 except OSError as error:
+                    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+                    remedy = "make room on its disk" if full else "let this user write its folder"
                     raise KeysUnavailableError(
-                        f"{self._path} cannot be written ({error}); make it writable. No key "
-                        "changed"
+                        f"{self._path} cannot be written ({error.strerror}); {remedy}, then repeat "
+                        "the command. No key changed"
                     ) from error
                 self._read()
         finally:
@@ -266,12 +277,15 @@ class Keyring:
     def _read(self) -> None:
         stamp = self._file_stamp()
         try:
-            entries = [] if stamp is None else json.loads(self._path.read_bytes())["keys"]
-            keys = [_checked(entry) for entry in entries]
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            keys = [] if stamp is None else _stored_keys(self._path.read_bytes())
+        except OSError as error:
             raise KeysUnavailableError(
-                f"{self._path} cannot be read ({error}). Repair it, or move it away and create new "
-                "keys with: wrenchbook keys add NAME --scope admin"
+                f"{self._path} cannot be read ({error.strerror}); let the server's user read it"
+            ) from error
+        except ValueError as error:
+            raise KeysUnavailableError(
+                f"{self._path} is damaged: {error}. Correct it, or move it away and create new "
+                f"keys with: wrenchbook keys add NAME --scope admin --data {self._path.parent}"
             ) from error
         self._keys, self._stamp = {key.digest: key for key in keys}, stamp
         self.version, self._next_end = self.version + 1, 0.0
@@ -298,13 +312,41 @@ def require_keys(host: str, folder: Path) -> None:
         raise KeysNeededError(_WITHOUT_KEYS.format(host=host, folder=folder))
 
 
-def _checked(fields: dict[str, Any]) -> Key:
-    """Return the key of its fields; ValueError if a field is missing, unknown or invalid."""
+def _unknown_key(name: str, keys: Iterable[Key]) -> UnknownKeyError:
+    names = sorted({key.name for key in keys})
+    known = ", ".join(names[:_MAX_NAMED]) + (", ..." if len(names) > _MAX_NAMED else "")
+    remedy = f"name one of: {known}" if names else f"create it with: wrenchbook keys add {name}"
+    return UnknownKeyError(f"there is no key {name!r}; " + remedy)
+
+
+def _stored_keys(content: bytes) -> list[Key]:
+    """Return the keys of the file's JSON; ValueError with the place of what is wrong in it."""
     try:
-        key = Key(**{**fields, "components": tuple(fields.get("components", ANY))})
-    except TypeError as error:
-        wrong = str(error).removeprefix("Key.__init__() ")
-        raise ValueError(f"the key {fields.get('name')!r} {wrong}; restore keys.json") from None
+        document = json.loads(content)
+    except ValueError as error:
+        raise ValueError(f"it is not valid JSON ({error})") from None
+    entries = document.get("keys") if isinstance(document, dict) else None
+    if not isinstance(entries, list):
+        raise ValueError('it has no list "keys"')
+    is_needed, keys = {item.name: item.default is MISSING for item in fields(Key)}, []
+    for number, entry in enumerate(entries):
+        given = entry.keys() if isinstance(entry, dict) else ()
+        lacking = [name for name, needed in is_needed.items() if needed and name not in given]
+        wrong = lacking or [name for name in given if name not in is_needed]
+        try:
+            if wrong:
+                raise ValueError(f"the field {wrong[0]!r} is {'missing' if lacking else 'unknown'}")
+            if not isinstance(entry.get("components", []), list):
+                raise ValueError("components must be a list of texts")
+            keys.append(_checked(entry))
+        except ValueError as error:
+            raise ValueError(f"keys[{number}]: {error}") from None
+    return keys
+
+
+def _checked(values: dict[str, Any]) -> Key:
+    """Return the key of its fields; ValueError if the value of one is invalid."""
+    key = Key(**{**values, "components": tuple(values.get("components", ANY))})
     if not isinstance(key.name, str) or not _NAME.fullmatch(key.name):
         raise ValueError(
             f"{key.name!r} is not a valid key name; use 1 to 64 letters, digits, '.', '_', '@' and "
@@ -313,19 +355,18 @@ def _checked(fields: dict[str, Any]) -> Key:
     if key.scope not in SCOPES:
         raise ValueError(f"the scope must be one of {', '.join(SCOPES)}, not {key.scope!r}")
     if not (isinstance(key.rate, int | float) and 1e-6 <= key.rate < 1e9):
-        raise ValueError(f"the rate must be at least 1e-6 requests a second, not {key.rate!r}")
+        raise ValueError(f"the rate must be 1e-6 to 1e9 requests a second, not {key.rate!r}")
     if not (isinstance(key.megabytes, int) and 0 < key.megabytes < 1 << 20):
-        raise ValueError(f"the largest body must be above 0 MiB, not {key.megabytes!r}")
-    named = key.components[:_MAX_PATTERNS] == key.components != ()
-    if not (named and all(_PATTERN.fullmatch(str(part)) for part in key.components)):
-        raise ValueError(
-            f"{', '.join(key.components)!r} is not valid as patterns of components; use up to "
-            f"{_MAX_PATTERNS} of letters, digits, '_', '-', * and ?"
-        )
+        raise ValueError(f"megabytes must be whole and 1 to 1048575, not {key.megabytes!r}")
+    if not 0 < len(key.components) <= _MAX_PATTERNS:
+        raise ValueError(f"give 1 to 100 patterns of components, not {len(key.components)}")
+    for name in key.components:
+        if not _PATTERN.fullmatch(str(name)):
+            raise ValueError(f"{name!r} is no pattern; use 1 to 64 letters, digits, _ - * and ?")
     # Before the year 5138: a time in milliseconds is a mistake.
-    ends = 1 if key.expires is None else key.expires
-    if not (isinstance(ends, int | float) and 0 < ends < 1e11):
-        raise ValueError(f"expires must be seconds since the epoch, not {key.expires!r}")
+    end = 1 if key.expires is None else key.expires
+    if not (isinstance(end, int | float) and 0 < end < 1e11):
+        raise ValueError(f"expires must be s since the epoch, now {time.time():.0f}, not {end!r}")
     if not re.fullmatch(r"[0-9a-f]{64}", str(key.digest)):
-        raise ValueError("a digest must be 64 hexadecimal digits")
+        raise ValueError(f"digest must be 64 hexadecimal digits, not {key.digest!r}")
     return key

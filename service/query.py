@@ -23,14 +23,8 @@ from wrenchbook.service.contract import OnThin, by_part
 from wrenchbook.service.ledger import JobRecord, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.submission import Placement
-from wrenchbook.service.tables.mapped import (
-    ROW,
-    ROW_DETAIL,
-    ServedTable,
-    TableBehindError,
-    note_on_other_rows,
-    row_table,
-)
+from wrenchbook.service.tables import mapped
+from wrenchbook.service.tables.mapped import ServedTable, TableBehindError
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.findings.find import error_of_a_reading
 from wrenchbook.surrogate.kernel.explain import explain
@@ -186,7 +180,7 @@ def answered(workspace: Workspace, name: str, query: Query) -> Outcome:
     reply = answer(table, query)
     elapsed_us = (perf_counter_ns() - started) / 1e3
     if reply.coverage != "covered" and table.other_wrenches:
-        reply = reply._replace(reason=_also(reply.reason, note_on_other_rows(name, table)))
+        reply = reply._replace(reason=_also(reply.reason, mapped.note_on_other_rows(name, table)))
     outcome = Outcome(name, table, reply, elapsed_us)
     if query.derivatives or query.detail:
         _describe(workspace, query, outcome)
@@ -274,11 +268,10 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
             f"{beyond}"
         )
     else:
-        (placement,), limit = submission.queue(name, wrench), submission.queue_limit
-        why = f"no solve is queued: {limit} jobs of queries are open (serve --queue-limit), or the "
-        why += "caller's quota is used up; ask again when jobs have ended"
+        (placement,), why = submission.queue(name, wrench), ""
     outcome.job = placement.job
     if placement.job is None:
+        why = why or submission.refusal(component)
         reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
         outcome.reply = outcome.reply._replace(reason=_also(reason, why))
         return outcome
@@ -303,14 +296,19 @@ def _uncovered(workspace: Workspace, component: Component, query: Query, outcome
                 reason = _also(reason, f"{awaited}; ask again once it is done")
     outcome.reply = reply._replace(reason=reason)
     if query.on_thin == "reject":
-        solve = "'queue' or 'wait' to have it solved, or " if component.has_fea else ""
         raise NotCoveredError(
-            f"{reason}. Ask with on_thin {solve}'estimate' for the best guess.",
+            f"{reason}. {_other_ways(component)}",
             query.tolerance or table.tolerance,
             reason=reason,
             coverage=reply.coverage,
         )
     return rows
+
+
+def _other_ways(component: Component) -> str:
+    """Name the values of on_thin that answer a wrench which the table does not cover."""
+    solve = "'queue' or 'wait' for a solve, or " if component.has_fea else ""
+    return f"Ask with on_thin {solve}'estimate' for the best guess."
 
 
 def job_link(job: JobRecord, since: float | None = None) -> dict[str, Any]:
@@ -400,8 +398,8 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
     table = workspace.surrogate(name)
     outcome = answer_many(name, table, wrenches, query)
     coverage = outcome.replies.coverage
-    thin = np.flatnonzero(coverage)
-    if not len(thin):
+    uncovered = np.flatnonzero(coverage)
+    if not len(uncovered):
         return outcome
     component = workspace.library[name]
     count, new = workspace.unbuilt(name, table)
@@ -411,37 +409,37 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
     if query.on_thin == "estimate":
         return outcome
     if query.on_thin == "reject":
-        first = query._replace(wrench=tuple(wrenches[thin[0]].tolist()))
+        first = query._replace(wrench=tuple(wrenches[uncovered[0]].tolist()))
         reason = _also(answer(table, first).reason, soon)
         raise NotCoveredError(
-            f"{len(thin)} of {len(wrenches)} wrenches are not covered, the first is number "
-            f"{thin[0]}: {reason}. Ask with on_thin 'queue', 'wait' or 'estimate'.",
+            f"{len(uncovered)} of {len(wrenches)} wrenches are not covered, the first is number "
+            f"{uncovered[0]}: {reason}. {_other_ways(component)}",
             query.tolerance or table.tolerance,
             reason=reason,
-            uncovered=thin.tolist(),
+            uncovered=uncovered.tolist(),
         )
-    rows = _rows_at(component, new, acting[thin])
-    for place, row in zip(thin.tolist(), rows, strict=True):
+    rows = _rows_at(component, new, acting[uncovered])
+    for place, row in zip(uncovered.tolist(), rows, strict=True):
         if row is not None:
             _take_row(workspace, acting, query, outcome, place, row)
-    thin = thin[[row is None for row in rows]]
+    uncovered = uncovered[[row is None for row in rows]]
     component = workspace.submission.solvable(name, soon)
-    out = ~component.load_range.holds(acting[thin]) & (not query.beyond_range)
-    if out.any() and query.on_thin == "wait":
-        first = int(thin[out][0])
+    beyond = ~component.load_range.holds(acting[uncovered]) & (not query.beyond_range)
+    if beyond.any() and query.on_thin == "wait":
+        first = int(uncovered[beyond][0])
         raise BeyondRangeError(
-            f"{int(out.sum())} wrenches are outside the load range, the first is number {first}: "
-            f"{why_beyond(component.load_range, acting[first])}. Nothing was queued. To solve them "
-            "nevertheless, ask with beyond_range true (--beyond-range).",
-            beyond=thin[out].tolist(),
+            f"{int(beyond.sum())} wrenches are outside the load range, the first is number "
+            f"{first}: {why_beyond(component.load_range, acting[first])}. Nothing was queued. To "
+            "solve them nevertheless, ask with beyond_range true (--beyond-range).",
+            beyond=uncovered[beyond].tolist(),
         )
     place_jobs = workspace.submission.queue
     if query.on_thin == "wait":
         place_jobs = workspace.submission.each
-    placements = iter(place_jobs(name, acting[thin[~out]]))
+    placements = iter(place_jobs(name, acting[uncovered[~beyond]]))
     outcome.jobs = {
         place: Placement(None, exact=False, reason="beyond-range") if is_out else next(placements)
-        for place, is_out in zip(thin.tolist(), out.tolist(), strict=True)
+        for place, is_out in zip(uncovered.tolist(), beyond.tolist(), strict=True)
     }
     _take_rows(workspace, acting, query, outcome)
     return outcome
@@ -488,7 +486,7 @@ def _table_of_row(workspace: Workspace, name: str, row: Rows | int) -> ServedTab
         columns = {name: [getattr(stored, name)] for name in names}
         columns = {name: column for name, column in columns.items() if column[0] is not None}
         row = Rows.of(stored.wrench, stored.displacement, component.space, **columns)
-    return row_table(component, row, workspace.solver_error(name), newest)
+    return mapped.row_table(component, row, workspace.solver_error(name), newest)
 
 
 def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: Rows | int) -> Outcome:
@@ -522,11 +520,11 @@ def _describe(workspace: Workspace, query: Query, outcome: Outcome) -> None:
         details["derivative"] = known_slopes(table.packed.derivative(*options))
     if not query.detail:
         return
-    by_row = outcome.row is not None or reply.method == ROW
+    by_row = outcome.row is not None or reply.method == mapped.ROW
     # A row answers without the axes, which only a component of a single wrench has.
     by_axes = table.load_range.space.is_default and not by_row
     details["axes"] = explain(table.packed, *options) if by_axes else []
-    details["method_detail"] = ROW_DETAIL if by_row else table.method_detail(reply.method)
+    details["method_detail"] = mapped.ROW_DETAIL if by_row else table.method_detail(reply.method)
     has_fea = workspace.library.as_read(outcome.component).has_fea
     if reply.interpolation is not None:
         details["error_parts"] = _error_parts(table, reply, has_fea=has_fea)

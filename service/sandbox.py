@@ -180,8 +180,8 @@ class Sandbox:
         try:
             server = self._free.get(timeout=WAIT_S)
         except queue.Empty:
-            message = "other files are being read; send this file again in a minute"
-            raise SandboxBusyError(message) from None
+            why = f"{AT_ONCE} other files, the limit, have been read for {WAIT_S:g} s"
+            raise SandboxBusyError(why + "; send this file again in a minute") from None
         try:
             yield server
         finally:
@@ -285,14 +285,16 @@ def _read(descriptor: int) -> tuple[list[Part], dict[str, Any]]:
             arrays = {str(name): _read_array(content) for name in head["arrays"]}
             parts.append(Part(dict(head["fields"]), arrays))
         raise SandboxError(
-            "crash", f"The file gives more than {MAX_PARTS} blocks of rows; send it in parts."
+            "crash",
+            f"The file has more than {MAX_PARTS} blocks of rows, the limit; send it in parts.",
         )
     except SandboxError:
         raise
     except (ValueError, KeyError, TypeError) as error:
         raise SandboxError(
-            "crash", f"The file's reader failed ({error}); save it by another program."
-        ) from None
+            "crash",
+            "The file's reader gave no valid result. Write the file again with another program.",
+        ) from error
 
 
 def _read_array(content: mmap.mmap) -> np.ndarray:

@@ -31,6 +31,7 @@ _SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")  # that Dask connects to other mac
 _DONE, _FAILED = "folders of done attempts are kept", "folders of failed and cancelled ones"
 Count = Annotated[int, Ge(0)]
 Days = Annotated[float, Ge(0)]
+LogLevel = Literal["debug", "info", "warning", "error"]
 
 
 @dataclass(frozen=True)
@@ -43,63 +44,41 @@ class Settings:
     )
     host: Annotated[str, "address to listen on"] = "127.0.0.1"
     port: Annotated[int, Ge(0), Le(65535), "0 takes a free one"] = 8000
-    processes: Annotated[
-        int, Ge(1), Le(64), "that answer requests; one more builds tables and queues solves"
-    ] = 1
+    processes: Annotated[int, Ge(1), Le(64), "that answer requests; one more builds tables"] = 1
     engine: Annotated[str, "where solves run: local or dask"] = "local"
     scheduler: Annotated[str | None, "with --engine dask: tcp://HOST:8786, or tls://"] = None
-    allow_decks: Annotated[bool, "take uploaded bundles with a deck: solvers run its command"] = (
-        False
-    )
+    allow_decks: Annotated[bool, "take uploaded decks, whose command solvers run"] = False
     method: Annotated[
         Literal["griddata", "additive", "kriging", "linear"] | None,
         "answers where a request names none; by default each table's best",
     ] = None
     queue_limit: Annotated[Count, "open jobs of a component from queries"] = 64
     actor_jobs: Annotated[int | None, Ge(0), "open jobs of an actor; by default any number"] = None
-    actor_seconds: Annotated[
-        float | None, Ge(0), "solver seconds of an actor in 24 h; by default any number"
-    ] = None
-    table_memory: Annotated[Count, "MB of rows and numpy tables kept; packed tables are mapped"] = (
-        700
-    )
+    actor_seconds: Annotated[float | None, Ge(0), "solver seconds of an actor in 24 h"] = None
+    table_memory: Annotated[Count, "MB of rows and numpy tables that stay in memory"] = 700
     keep_days: Annotated[Days, f"days that {_DONE}"] = 30.0
     keep_count: Annotated[Count, f"most {_DONE}, 27 kB each"] = 2000
     keep_failed_days: Annotated[Days, f"days that {_FAILED} are kept"] = 180.0
     keep_failed_count: Annotated[Count, f"most {_FAILED} that are kept"] = 10_000
-    log_level: Annotated[Literal["debug", "info", "warning", "error"], "how much is logged"] = (
-        "info"
-    )
+    log_level: Annotated[LogLevel, "how much is logged"] = "info"
     log_format: Annotated[Literal["text", "json"], "lines for people or JSON for programs"] = "text"
     access_log: Annotated[bool, "a line a request; queries take no fast path then"] = False
-    allow_host: Annotated[
-        str | None, "further names of this server, with commas: a proxy's, say"
-    ] = None
-    allow_origin: Annotated[
-        str | None, "other sites whose pages may call: https://..., with commas"
-    ] = None
-    trust_proxy_user: Annotated[
-        str | None, "header in which a trusted proxy names the user, such as X-Forwarded-User"
-    ] = None
-    trust_proxy_from: Annotated[
-        str | None, "addresses or networks of trusted proxies, with commas"
-    ] = None
+    allow_host: Annotated[str | None, "further names of this server, with commas"] = None
+    allow_origin: Annotated[str | None, "sites whose pages may call, https://..., with commas"] = (
+        None
+    )
+    trust_proxy_user: Annotated[str | None, "a proxy's user header: X-Forwarded-User"] = None
+    trust_proxy_from: Annotated[str | None, "networks of trusted proxies, with commas"] = None
     trust_proxy_groups: Annotated[str | None, "header in which it lists the user's groups"] = None
-    trust_proxy_scopes: Annotated[
-        str, "scope of each group, * for all users: lab=write,ops=admin,*=read"
-    ] = "*=write"
+    trust_proxy_scopes: Annotated[str, "of groups, * for all: lab=write,*=read"] = "*=write"
     replicate: Annotated[
         str | None, "ship ledger, tables, bundles and surfaces to file:///FOLDER, s3://, sftp://"
     ] = None
-    replicate_interval: Annotated[
-        float, Ge(0.5), "s of accepted work that the loss of this machine may cost"
-    ] = 5.0
+    replicate_interval: Annotated[float, Ge(0.5), "s of work that a lost machine may cost"] = 5.0
     public_url: Annotated[str | None, "of this server, for writes that a replica's refuses"] = None
     read_only: Annotated[str | None, "URL of a replica to answer from; no writes, no solves"] = None
     backup_every: Annotated[Days, "hours between backups, each tested; 0: none"] = 0.0
-    backup_folder: Annotated[Path | None, "of these; by default backups in the data directory"] = (
-        None
-    )
+    backup_folder: Annotated[Path | None, "of these; by default DATA/backups"] = None
     backup_keep: Annotated[int, Ge(1), "newest backups that are kept"] = 7
     first_key: Annotated[bool, "make a key for admin if there is none; printed once"] = False
 
@@ -144,7 +123,8 @@ def read_settings(
             place = f"{name} in {file}"
         elif place == "command line":
             place = f"--{name.replace('_', '-')}"
-        raise SettingsError(f"{place}: {first['msg']}, not {first['input']!r}") from error
+        rule = first["msg"].replace("Input should be", "must be")
+        raise SettingsError(f"{place}: {rule}, not {first['input']!r}") from error
 
 
 def check_engine(name: str, scheduler: str | None) -> None:
@@ -171,9 +151,19 @@ def check_copies(settings: Settings) -> None:
     """Raise SettingsError for a replica or backup that cannot be."""
     for name in ("replicate", "read_only"):
         scheme, separator, path = (getattr(settings, name) or "file://").partition("://")
-        relative = scheme == "file" and path[:1] not in ("", "/")
-        if not separator or relative or scheme in ("http", "https"):  # of a server: no storage
-            raise SettingsError(f"{name}: write file:///FOLDER, s3://BUCKET/FOLDER or sftp://...")
+        why = ""  # without the URL, which may hold a password
+        if not separator:
+            why = "is no URL"
+        elif scheme == "file" and path[:1] not in ("", "/"):
+            why = f"file://{path} has no absolute path"
+        elif scheme in ("http", "https"):
+            why = f"{scheme}:// is a server's and no storage's"
+        if why:
+            raise SettingsError(
+                f"{name}: "
+                + why
+                + "; write file:///FOLDER, s3://BUCKET/FOLDER or sftp://HOST/FOLDER"
+            )
         folder = Path(path).resolve()
         inside = folder.is_relative_to(settings.data.resolve())
         if scheme == "file" and path and (inside or (folder / "ledger.sqlite").exists()):
@@ -200,13 +190,20 @@ def _read(file: Path, names: Iterable[str], *, named: bool) -> dict[str, Any]:
         values = tomllib.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
         if named:
-            raise SettingsError(f"there is no file {file}; create it") from None
+            raise SettingsError(
+                f"there is no file {file}; create it, or leave --config out"
+            ) from None
         return {}
     except NotADirectoryError:
         raise SettingsError(
-            f"{file.parent} must be a folder, but it or a part of its path is a file"
+            f"{file.parent} must be a folder, but it or a part of its path is a file; name another "
+            f"with {'--config' if named else '--data'}"
         ) from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except OSError as error:
+        raise SettingsError(
+            f"{file} cannot be read ({error.strerror}); let this user read it"
+        ) from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise SettingsError(f"{file} cannot be read as TOML ({error}); correct it") from error
     for name in values:
         if name not in names:

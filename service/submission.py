@@ -60,7 +60,7 @@ class _Open:
         """Return the open job's index within `radius` of each point (n, inputs); -1 for none."""
         if not self.jobs or not radius:
             return np.full(len(scaled), -1)
-        # The bound is exclusive; a job at just the radius is joined.
+        # The tree's bound is exclusive, but a job at just the radius, to rounding, is joined.
         bound = radius * (1 + 1e-12)
         _, place = self._tree.query(scaled, p=np.inf, distance_upper_bound=bound)
         return np.where(place < len(self.jobs), place, -1)
@@ -153,16 +153,25 @@ class Submission:
     def solvable(self, name: str, why: str = "") -> Component:
         """Return a component that solves can be queued for; raises NoSetupError for any other.
 
-        `why` a solve is asked for is part of its text.
+        `why` the table does not answer a query is part of its text.
         """
         component = self._library[name]
         if not component.has_fea:
+            remedy = f"Load rows into it with: wrenchbook import {name} FILE"
+            if why:
+                why, remedy = f": {why}", f"{remedy}, or ask with on_thin 'estimate'"
             raise NoSetupError(
                 f"{name!r} is a table of measured rows without a finite-element setup, so it "
-                f"cannot be solved{why and f': {why}'}. Load rows into it, or ask with "
-                "on_thin='estimate'."
+                f"cannot be solved{why}. {remedy}."
             )
         return component
+
+    def refusal(self, component: Component) -> str:
+        """Return why `queue` has placed no job: its limit, or the caller's quota."""
+        setup, why = (component.name, component.fingerprint), "the caller's quota is used up"
+        if self._open(*setup, component.load_range.scale).queries >= self.queue_limit:
+            why = f"{self.queue_limit} jobs of queries are open (serve --queue-limit)"
+        return f"no solve is queued: {why}; ask again when jobs have ended"
 
     def _place(self, component: Component, wrenches: Floats, radius: float) -> list[Placement]:
         """Place wrenches as they are: their jobs, open ones within `radius`, new ones.
@@ -178,30 +187,33 @@ class Submission:
             for key, job in self._ledger.jobs_for(*setup, set(keys)).items()
             if job.status != "cancelled"
         }
-        rest = [place for place, key in enumerate(keys) if key not in jobs]
-        if not rest:
+        unplaced = [place for place, key in enumerate(keys) if key not in jobs]
+        if not unplaced:
             return [Placement(jobs[key], exact=True) for key in keys]
-        scaled, near_by = wrenches[rest] / scale, self._open(*setup, scale)
-        if (near_by.near(scaled, radius) < 0).any() and near_by.queries < self.queue_limit:
+        points, candidates = wrenches[unplaced] / scale, self._open(*setup, scale)
+        if (candidates.near(points, radius) < 0).any() and candidates.queries < self.queue_limit:
 
             def choose(open_jobs: list[OpenJob]) -> list[bytes]:
-                nonlocal near_by
-                near_by = _Open(0, open_jobs, scale)
-                free = near_by.near(scaled, radius) < 0
-                room = self.queue_limit - near_by.queries
-                return packed(wrenches[rest][free][spread(scaled[free], radius, room)])
+                """Pick new wrenches, in the ledger's transaction, by its open jobs at that time."""
+                nonlocal candidates
+                candidates = _Open(0, open_jobs, scale)
+                free = candidates.near(points, radius) < 0
+                room = self.queue_limit - candidates.queries
+                return packed(wrenches[unplaced][free][spread(points[free], radius, room)])
 
-            more = {"asked_by": "query", "quota": self._quota}
-            accepted = self._ledger.accept_chosen(*setup, choose, **more)
-            new = packed(np.array([job.wrench for job in accepted]).reshape(-1, len(scale)))
-            jobs |= dict(zip(new, accepted, strict=True))
-            opened = [OpenJob(job.id, key, "query") for key, job in zip(new, accepted, strict=True)]
-            near_by = _Open(0, near_by.jobs + opened, scale)
+            accepted = self._ledger.accept_chosen(
+                *setup, choose, asked_by="query", quota=self._quota
+            )
+            new_keys = packed(np.array([job.wrench for job in accepted]).reshape(-1, len(scale)))
+            new = dict(zip(new_keys, accepted, strict=True))
+            jobs |= new
+            opened = [OpenJob(job.id, key, "query") for key, job in new.items()]
+            candidates = _Open(0, candidates.jobs + opened, scale)
         records = {job.id: job for job in jobs.values()}
         joined: dict[int, OpenJob] = {}
-        for place, near in zip(rest, near_by.near(scaled, radius).tolist(), strict=True):
+        for place, near in zip(unplaced, candidates.near(points, radius).tolist(), strict=True):
             if near >= 0:
-                joined[place] = job = near_by.jobs[near]
+                joined[place] = job = candidates.jobs[near]
                 if job.id not in records:
                     records[job.id] = self._ledger.job(job.id)
         placements = []

@@ -20,10 +20,11 @@ from starlette.types import Scope as HttpScope
 
 from wrenchbook.service.actors import ANONYMOUS, ANY, CALLER, LOCAL, USER, Caller
 from wrenchbook.service.events import Listener
-from wrenchbook.service.http.body import counted
+from wrenchbook.service.http.body import counted, too_large
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.proxy import PEER, PEER_FIELD, ProxyTrust
 from wrenchbook.service.keys import MAX_KEYS, OWN_KEY, Key, Keyring, Scope, digest_of, is_loopback
+from wrenchbook.service.tables.rows import iso_time
 
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 PERMISSION: Final = "wrenchbook.permission"  # its key in a request's scope
@@ -58,11 +59,9 @@ _TRIES: Final = 1000  # for the lock, 1 ms; its holder was stopped in the middle
 
 Fields = tuple[tuple[bytes, bytes], ...]
 
-_TWO_USERS: Final = HttpProblemError(
-    400,
-    "users",
-    "More than one user",
-    "The header of the user or of the groups is there twice. Let the proxy replace it.",
+_TWO_USERS: Final = (
+    "The header of the user or of the groups is there twice; nothing was changed. Let the proxy "
+    "replace the caller's header, not add its own."
 )
 
 _NOTHING: Final = b"default-src 'none'; frame-ancestors 'none'; sandbox"
@@ -153,7 +152,7 @@ class Rates:
     def take(self, key: Key) -> tuple[int, float]:
         """Take some requests of a key: their number, and the seconds until there is one."""
         name, rate, file = bytes.fromhex(key.digest[:16]), key.rate, self._file
-        at_once = max(_BURST_S, 1.0 / rate)
+        burst_s = max(_BURST_S, 1.0 / rate)  # that a full bucket lasts
         content, now = b"", time.monotonic()  # the same clock in all processes
         if file is not None:
             for _ in range(_TRIES):
@@ -167,9 +166,11 @@ class Rates:
             key_name: full for key_name, full in _BUCKET.iter_unpack(content[:size]) if full > now
         }
         full = max(buckets.get(name, now), self._known.get(name, now))
-        if full > now + 2.0 * at_once:  # of an earlier start of the machine
+        if full > now + 2.0 * burst_s:  # of an earlier start of the machine
             full = now
-        count = min(int((now + at_once - full) * rate + 1e-6), max(1, int(_TAKEN * rate)))
+        # 1e-6: rounding does not withhold a request that is due.
+        due = int((now + burst_s - full) * rate + 1e-6)
+        count = min(due, max(1, int(_TAKEN * rate)))
         if count:
             buckets[name] = self._known[name] = full + count / rate
         if file is not None:
@@ -180,7 +181,7 @@ class Rates:
                 if len(written) < len(content):
                     os.ftruncate(file, len(written))
             fcntl.flock(file, fcntl.LOCK_UN)
-        return count, full + 1.0 / rate - at_once - now
+        return count, full + 1.0 / rate - burst_s - now
 
 
 class Permission:
@@ -207,8 +208,8 @@ class Permission:
         """Count one request: 0, or the seconds until there is one again."""
         if self.key is None or self._rates is None:
             return 0.0
-        if self._keyring is not None and (now := time.time()) >= self._note_at:
-            self._note_at = now + _USED_S
+        if self._keyring is not None and time.time() >= self._note_at:
+            self._note_at = time.time() + _USED_S
             self._keyring.note_use(self.key, _USED_S)
         if not self._remaining:
             self._remaining, seconds = self._rates.take(self.key)
@@ -292,7 +293,7 @@ class AccessControl:
             if PERMISSION not in scope:  # the fast path has admitted and counted it already
                 proxy, names = self.security.proxy, [name for name, _ in scope["headers"]]
                 if proxy and (names.count(proxy.user) > 1 or names.count(proxy.groups) > 1):
-                    raise _TWO_USERS
+                    raise HttpProblemError(400, "users", "More than one user", _TWO_USERS)
                 peer = scope.get(PEER) or (scope.get("client") or ("",))[0]
                 head[PEER_FIELD] = peer.encode()
                 scope[PERMISSION] = self.check(scope["method"], scope["path"], head)
@@ -302,7 +303,7 @@ class AccessControl:
         CALLER.set(permission_of(scope).caller)
         key = permission_of(scope).key
         if key is not None and b"transfer-encoding" in head:
-            receive = counted(receive, key.megabytes << 20)
+            receive = counted(receive, key.megabytes << 20, _beyond_key(key))
         return receive, send
 
     def check(
@@ -320,33 +321,25 @@ class AccessControl:
         # Whether a displacement queues anything stands in its body, which is read later.
         is_query = path.startswith("/v1/components/") and path.endswith(_QUERIES)
         reads = method in _READING or (method == "POST" and is_query)
-        of_admin = any(path == call or path.startswith(f"{call}/") for call in _ADMIN)
-        needed: Scope = "admin" if of_admin else "read" if reads else "write"
+        needed: Scope = "read" if reads else "write"
+        if any(path == call or path.startswith(f"{call}/") for call in _ADMIN):
+            needed = "admin"
         if not permission.allows(needed):
             raise beyond_scope(permission, needed)
         _check_components(permission.caller, method, path)
         if counts and (seconds := permission.wait()) > 0.0:
             assert permission.key is not None
-            raise HttpProblemError(
-                429,
-                "rate",
-                "The key is used too often",
+            why = (
                 f"The key {permission.key.name!r} allows {permission.key.rate:g} requests a "
-                "second; nothing was changed. Send requests more slowly, or many wrenches at once "
-                "with POST .../displacements.",
-                headers={"Retry-After": str(ceil(seconds))},
+                f"second; nothing was changed. Repeat the request in {ceil(seconds)} s, or send "
+                "many wrenches at once with POST .../displacements."
             )
+            retry = {"Retry-After": str(ceil(seconds))}
+            raise HttpProblemError(429, "rate", "The key is used too often", why, headers=retry)
         length = head.get(b"content-length", b"0")
-        if permission.key is not None and length.isdigit():
-            megabytes = permission.key.megabytes
-            if int(length[:20]) > megabytes << 20:
-                raise HttpProblemError(
-                    413,
-                    "too-large",
-                    "The body is too large",
-                    f"This key may send at most {megabytes} MiB at once; nothing was changed. Send "
-                    "the data in parts.",
-                )
+        key = permission.key
+        if key is not None and length.isdigit() and int(length[:20]) > key.megabytes << 20:
+            raise _beyond_key(key)
         if method not in _READING and (length != b"0" or b"transfer-encoding" in head):
             _check_kind(path, head)
         return permission
@@ -358,13 +351,13 @@ class AccessControl:
         host = head.get(b"host", b"").decode("latin-1").lower()
         name = host[1:].partition("]")[0] if host.startswith("[") else host.partition(":")[0]
         if name not in self.security.hosts:
-            raise HttpProblemError(
-                403,
-                "host",
-                "The host is not allowed",
+            why = (
                 f"Host {name[:100]!r} is not allowed. If it is a name of this server, start it "
-                "with: wrenchbook serve --allow-host NAME",
+                f"with: wrenchbook serve --allow-host {name[:100]}"
             )
+            if not name:
+                why = "The request has no Host. Send the header Host with the name of this server."
+            raise HttpProblemError(403, "host", "The host is not allowed", why)
 
     def _check_origin(self, head: Mapping[bytes, bytes]) -> None:
         """Refuse a request of another site's page, unless `allow-origin` lists the site.
@@ -378,34 +371,41 @@ class AccessControl:
                 return
         elif head.get(b"sec-fetch-site", b"none") not in (b"cross-site", b"same-site"):
             return
-        raise HttpProblemError(
-            403,
-            "cross-site",
-            "Pages of other sites may not call this server",
+        why = (
             f"The request comes from a page of {site[:100]}; nothing was changed. If that page is "
             "yours, start the server with: wrenchbook serve --allow-origin "
-            f"{site[:100] if '://' in site else 'ORIGIN'}",
+            f"{site[:100] if '://' in site else 'ORIGIN'}"
         )
+        title = "Pages of other sites may not call this server"
+        raise HttpProblemError(403, "cross-site", title, why)
 
     def _permission(self, head: Mapping[bytes, bytes]) -> Permission:
         self.refresh()
         if not self.keys_needed:
             return OPEN
-        if self.security.proxy is not None and (user := self.security.proxy.key_of(head)):
+        user = self.security.proxy.key_of(head) if self.security.proxy else None
+        if user is not None:
             if len(self._users) >= MAX_KEYS:
                 self._users.clear()
             return self._users.setdefault((user.name, user.scope), Permission(user, self._rates))
-        word, _, secret = head.get(b"authorization", b"").decode("latin-1").partition(" ")
+        sent = head.get(b"authorization", b"").decode("latin-1")
+        word, _, secret = sent.partition(" ")
         secret = secret.strip()
         if word.lower() != "bearer" or not secret:
-            raise _no_key("This server needs a key, and the request has none.")
+            why = "This server needs a key, and the request has none."
+            if sent:  # it may be a secret: not quoted
+                why = "The header Authorization of the request is not Bearer and a key."
+            raise _no_key(why)
         permission = self._permissions.get(secret)
         if permission is None:
             server_key = (self.security.server_key or "").encode()
             is_server_key = bool(server_key) and compare_digest(secret.encode(), server_key)
             key = self._server_key if is_server_key else self.keyring.find(secret)
             if key is None:
-                raise _no_key("The key of the request is unknown, revoked or expired.")
+                raise _no_key("The key of the request is unknown here: mistyped, or revoked.")
+            if not key.is_valid():
+                end = iso_time(key.expires or 0.0)
+                raise _no_key(f"The key {key.name!r} of the request expired at {end}.")
             stored = None if is_server_key else self.keyring
             permission = self._permissions[secret] = Permission(key, self._rates, stored)
         return permission
@@ -432,19 +432,26 @@ class AccessControl:
 def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:
     """Return the refusal of a call that needs another scope."""
     assert permission.key is not None
-    also, name = "", permission.key.name
-    more = f"Create another key with: wrenchbook keys add NAME --scope {needed}"
+    name, scope = permission.key.name, permission.key.scope
+    holder = "key"
+    remedy = f"Create another key with: wrenchbook keys add NAME --scope {needed}"
     if name.startswith(USER):
-        more = "The server's --trust-proxy-scopes sets the scopes of groups"
+        holder = "user"
+        remedy = f"Start the server with: wrenchbook serve --trust-proxy-scopes GROUP={needed}"
     if needed == "write":
-        also = " A displacement with on_thin 'estimate' or 'reject' needs only read."
-    return HttpProblemError(
-        403,
-        "scope",
-        "The key's scope does not allow this",
-        f"The {'user' if more[0] == 'T' else 'key'} {name!r} has the scope {permission.key.scope}, "
-        f"but this call needs {needed}; nothing was changed.{also} {more}",
+        remedy = f"A displacement with on_thin 'estimate' or 'reject' needs only read. {remedy}"
+    why = f"The {holder} {name!r} has the scope {scope}, but this call needs {needed}"
+    title = f"The {holder}'s scope does not allow this"
+    return HttpProblemError(403, "scope", title, why + "; nothing was changed. " + remedy)
+
+
+def _beyond_key(key: Key) -> HttpProblemError:
+    """Return the refusal of a body that is larger than a key may send."""
+    remedy = (
+        f"Send it in parts, or with another key: wrenchbook keys add NAME --megabytes "
+        f"{2 * key.megabytes}"
     )
+    return too_large(key.megabytes << 20, f"the limit of the key {key.name!r}", remedy)
 
 
 def _check_components(caller: Caller, method: str, path: str) -> None:
@@ -456,14 +463,14 @@ def _check_components(caller: Caller, method: str, path: str) -> None:
     limited = path in _LIMITED or path.startswith(_LIMITED_NAMED) or is_read_rig
     if limited and (name is None or caller.touches(name)):
         return
-    raise HttpProblemError(
-        403,
-        "components",
-        "The key is not for this component",
+    concern, command = "the whole server", "wrenchbook keys add NAME"
+    if name is not None:
+        concern, command = repr(name[:100]), "wrenchbook keys add NAME --component PATTERN"
+    why = (
         f"The key {caller.actor!r} is for {', '.join(caller.components)}, but this call concerns "
-        f"{'the whole server' if name is None else repr(name[:100])}; nothing was changed. Create "
-        "another key with: wrenchbook keys add NAME --component PATTERN",
+        f"{concern}; nothing was changed. Create another key with: {command}"
     )
+    raise HttpProblemError(403, "components", "The key is not for this component", why)
 
 
 def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
@@ -478,24 +485,20 @@ def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
         return
     accepted = (_JSON, _BYTES) if path.endswith(_BINARY) else (_JSON,)
     if kind not in accepted:
-        raise HttpProblemError(
-            415,
-            "media-type",
-            "Not a form this call takes",
+        why = (
             f"The content type is {kind.decode('latin-1')[:100] or 'missing'}. Send the header "
-            f"Content-Type: {b' or '.join(accepted).decode()} (curl: --json, or -H).",
+            f"Content-Type: {b' or '.join(accepted).decode()} (curl: --json, or -H)."
         )
+        raise HttpProblemError(415, "media-type", "Not a form this call takes", why)
 
 
 def _no_key(why: str) -> HttpProblemError:
-    return HttpProblemError(
-        401,
-        "key",
-        "A key is needed",
+    why = (
         f"{why} Send the header Authorization: Bearer KEY (client: key=; commands: variable "
-        "WRENCHBOOK_KEY). The server's operator creates a key with: wrenchbook keys add NAME",
-        headers={"WWW-Authenticate": 'Bearer realm="wrenchbook"'},
+        "WRENCHBOOK_KEY). The server's operator creates a key with: wrenchbook keys add NAME"
     )
+    headers = {"WWW-Authenticate": 'Bearer realm="wrenchbook"'}
+    return HttpProblemError(401, "key", "A key is needed", why, headers=headers)
 
 
 def sending(send: Send, path: str, origin: bytes | None) -> Send:

@@ -57,22 +57,10 @@ _SUMMARY = (
     "finite-element results, with an error bar. Where the table is too thin, a solve is queued."
 )
 
+# In the order of the document.
 _PARTS = (
-    displacement,
-    components,
-    coverage,
-    deformed,
-    table,
-    rows,
-    rigs,
-    library,
-    report,
-    recording,
-    scenes,
-    jobs,
-    events,
-    keys,
-    audit,
+    *(displacement, components, coverage, deformed, table, rows, rigs, library),
+    *(report, recording, scenes, jobs, events, keys, audit),
 )
 
 

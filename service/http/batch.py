@@ -32,6 +32,7 @@ from wrenchbook.service.http.body import (
     too_many_wrenches,
     with_wrenches,
 )
+from wrenchbook.service.http.openapi import BODIES
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.messages import Displacements, WrenchJob
 from wrenchbook.service.query import BatchOutcome, Query, job_link, known_slopes
@@ -47,35 +48,18 @@ WRITTEN: Final = 20_000  # wrenches laid out at once, in hundredths of a second
 _COLUMNS: Final = {"displacements", "errors", "coverage", "within_tolerance", "derivatives"}
 _WRENCHES: Final = b'"wrenches"'
 LARGE: Final = 50_000  # wrenches: beyond it, an answer is tens of MB in several forms at once
-WAIT_S: Final = 60.0
-_slots = asyncio.Semaphore(2)
+WAIT_S: Final = 60.0  # of a large batch for its turn
+AT_ONCE: Final = 2  # large batches: each takes a core and some 100 MB
+MAX_OTHER_LISTS: Final = 64  # of a batch's JSON, beside its wrenches
+MAX_OBJECTS: Final = 1024  # of a batch's JSON, which needs two: itself and its tolerance
+_slots = asyncio.Semaphore(AT_ONCE)
 
 BINARY_TYPE: Final = "application/octet-stream"
 _Bar = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
-BINARY_BODY: Final = {
-    BINARY_TYPE: {
-        "schema": {
-            "type": "string",
-            "format": "binary",
-            "description": "little-endian float64 (n, 6): force and moment, N and N·m; of several "
-            "interfaces and further inputs their number, in the order of the component's inputs",
-        }
-    }
-}
-BINARY_REPLY: Final = {
-    BINARY_TYPE: {
-        "schema": {
-            "type": "string",
-            "format": "binary",
-            "description": "little-endian float64 (n, 13): displacement and error bar, m and rad; "
-            "coverage 0 covered, 1 thin, 2 outside; NaN where nothing is known. With "
-            "derivatives=true then (n, 36): du/dw of each wrench, 6 x 6, an output a line (of n "
-            "inputs and m outputs 2m + 1 and m n numbers a wrench). The header "
-            "Wrenchbook-Tolerance has the tolerance for total error bars, m and rad",
-        }
-    }
-}
+_BYTES: Final = {"type": "string", "format": "binary"}
+BINARY_BODY: Final = {BINARY_TYPE: {"schema": {**_BYTES, "description": BODIES["wrenches"]}}}
+BINARY_REPLY: Final = {BINARY_TYPE: {"schema": {**_BYTES, "description": BODIES["displacements"]}}}
 
 
 def read_batch_body(body: Spooled, inputs: int = PER_INTERFACE) -> tuple[np.ndarray, Query]:
@@ -101,8 +85,14 @@ def read_batch_body(body: Spooled, inputs: int = PER_INTERFACE) -> tuple[np.ndar
 def batch_parts(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.ndarray]:
     """Return the checked options of a JSON batch, and its wrenches, (n, inputs)."""
     # Before a parser makes 64 bytes of each list.
-    if body.count(b"[") > MAX_BATCH + 64 or body.count(b"{") > 1024:
-        raise too_many_wrenches(MAX_BATCH)
+    lists, objects = body.count(b"["), body.count(b"{")
+    if lists > MAX_BATCH + MAX_OTHER_LISTS:
+        raise too_many_wrenches(lists - 1, MAX_BATCH)
+    if objects > MAX_OBJECTS:
+        message = (
+            f"has {objects} JSON objects; send one with the list wrenches, of lists of numbers"
+        )
+        raise bad_body([{"loc": "body", "msg": message}])
     fields = parsed_json(body)
     wrenches, full = with_wrenches(BatchBody, fields, inputs, LARGEST_LOAD, MAX_BATCH)
     return full, wrenches
@@ -126,12 +116,13 @@ def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.n
     It takes nine times the text's memory at once. None if the body is not plain; `batch_parts` then
     finds what it is.
     """
-    at, end = body.find(_WRENCHES), body.rfind(b"]]") + 1
-    start = body.find(b"[", at)
-    if at < 0 or end <= start or body[at + len(_WRENCHES) : start].strip() != b":":
+    # The list of wrenches is body[start : end + 1], the options are all around it.
+    key, end = body.find(_WRENCHES), body.rfind(b"]]") + 1
+    start = body.find(b"[", key)
+    if key < 0 or end <= start or body[key + len(_WRENCHES) : start].strip() != b":":
         return None
-    rest = body[:start] + b"[]" + body[end + 1 :]
-    if len(rest) > PIECE or rest.count(_WRENCHES) != 1:
+    options = body[:start] + b"[]" + body[end + 1 :]
+    if len(options) > PIECE or options.count(_WRENCHES) != 1:
         return None
     blocks, place = [], start + 1
     while place < end:
@@ -151,21 +142,24 @@ def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.n
         place = cut
     wrenches = np.concatenate(blocks)
     if len(wrenches) > MAX_BATCH:
-        raise too_many_wrenches(MAX_BATCH)
-    full, _ = batch_parts(rest, inputs)
+        raise too_many_wrenches(len(wrenches), MAX_BATCH)
+    full, _ = batch_parts(options, inputs)
     return full, wrenches + 0.0
 
 
 @asynccontextmanager
 async def few_large(wrenches: int) -> AsyncIterator[None]:
-    """Wait until at most one other large batch is being answered; 503 after WAIT_S."""
+    """Wait until fewer than `AT_ONCE` large batches are being answered; 503 after `WAIT_S`."""
     if wrenches < LARGE:
         yield
         return
     try:
         await asyncio.wait_for(_slots.acquire(), WAIT_S)
     except TimeoutError:
-        raise busy() from None
+        raise busy(
+            f"{AT_ONCE} batches of {LARGE} wrenches or more, the limit, are being answered, and "
+            f"this one waited {WAIT_S:g} s"
+        ) from None
     try:
         yield
     finally:
@@ -209,16 +203,19 @@ def read_wrenches(
     inputs = len(space.inputs)
     if len(body) % (8 * inputs):
         message = f"{len(body)} bytes must be a multiple of {8 * inputs}, the bytes of a wrench"
+        message += f"; send {inputs} little-endian float64 a wrench"
         raise bad_body([{"loc": "body", "msg": message}])
-    if len(body) > count * 8 * inputs:
-        raise too_many_wrenches(count)
+    if (sent := len(body) // (8 * inputs)) > count:
+        raise too_many_wrenches(sent, count)
     wrenches = np.frombuffer(body, dtype="<f8").reshape(-1, inputs).astype(float) + 0.0
     bad = np.argwhere(~(np.isfinite(wrenches) & (np.abs(wrenches) <= largest)))
     if len(bad):
         row, load = bad[0].tolist()
-        value = wrenches[row, load]
-        why = f"beyond {largest:g}" if np.isfinite(value) else "not finite"
-        message = f"{space.input_names[load]} is {value}, which is {why}; write a smaller number"
+        value, unit = wrenches[row, load], space.inputs[load].unit
+        why = "not finite; give a finite number"
+        if np.isfinite(value):
+            why = f"beyond the limit of {largest:g} {unit}; give a smaller number"
+        message = f"{space.input_names[load]} is {value:g} {unit}, {why}"
         raise bad_body([{"loc": f"wrenches.{row}.{load}", "msg": message}])
     return wrenches
 

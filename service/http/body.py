@@ -36,23 +36,24 @@ MAX_QUERY_BYTES: Final = 64 * 1024
 # A million wrenches, the most of a batch, at 17 digits a number and some blanks.
 MAX_BATCH_BYTES: Final = 256 * 1024 * 1024
 MAX_SPOOLED: Final = 4 << 30  # bytes of bodies in files at once
-PIECE: Final = 1 << 20  # bytes in memory: parsed in a hundredth of a second; more go to a file
+MIB: Final = 1 << 20
+PIECE: Final = MIB  # bytes in memory: parsed in a hundredth of a second; more go to a file
 
 
-def too_large(most: int) -> HttpProblemError:
-    """Return the refusal of a body of more than `most` bytes."""
-    detail = f"Send at most {most >> 20} MiB: parts, or a gzipped table. Nothing was changed."
-    if most < 1 << 20:
-        detail = (
-            f"This call accepts at most {most:,} bytes; nothing was changed. Leave out what it "
-            "does not need, or send parts."
-        )
+def too_large(
+    most: int, limit: str = "the limit of this call", remedy: str = ""
+) -> HttpProblemError:
+    """Return the refusal of a body of more than `most` bytes, which are a `limit`."""
+    size, usual = f"{most:,} bytes", "Leave out what the call does not need, or send parts."
+    if most >= MIB:
+        size, usual = f"{most >> 20} MiB", "Send it in parts."
+    detail = f"The body has more than {size}, {limit}; nothing was changed. {remedy or usual}"
     return HttpProblemError(413, "too-large", "The body is too large", detail)
 
 
-def busy() -> HttpProblemError:
+def busy(why: str) -> HttpProblemError:
     """Return the refusal of a body while too many others are worked on."""
-    detail = "Nothing was changed; send it again in a minute."
+    detail = f"{why}; nothing was changed. Send it again in a minute."
     return HttpProblemError(503, "busy", "Too many large bodies at once", detail)
 
 
@@ -62,8 +63,8 @@ def content_type(request: Request) -> str:
     return kind[:100]  # registered types are shorter, and a refusal quotes it
 
 
-def counted(receive: Receive, most: int) -> Receive:
-    """Return a `receive` that raises 413 as soon as more than `most` bytes have arrived.
+def counted(receive: Receive, most: int, refusal: HttpProblemError | None = None) -> Receive:
+    """Return a `receive` that raises `refusal`, 413, once more than `most` bytes have arrived.
 
     Starlette's own limit refuses a call that reads no body only after it has acted.
     """
@@ -74,7 +75,7 @@ def counted(receive: Receive, most: int) -> Receive:
         message = await receive()
         total += len(message.get("body", b""))
         if total > most:
-            raise too_large(most)
+            raise refusal or too_large(most)
         return message
 
     return count
@@ -148,7 +149,7 @@ async def spooled(receive: Receive, most: int) -> AsyncIterator[Spooled]:
                 Spooled.stored += len(buffer)
                 size += len(buffer)
                 if Spooled.stored > MAX_SPOOLED:
-                    raise busy()
+                    raise busy(f"Bodies of {MAX_SPOOLED >> 30} GiB, the limit, are being read")
                 await run_in_threadpool(body.append, bytes(buffer))
                 buffer.clear()
         body.content = bytes(buffer)
@@ -160,16 +161,19 @@ async def spooled(receive: Receive, most: int) -> AsyncIterator[Spooled]:
 
 
 @asynccontextmanager
-async def form_of(request: Request, most: int, most_files: int) -> AsyncIterator[FormData]:
-    """Read a form of at most `most` bytes, its files into files of their own; else 413 or 422."""
-    request = Request(request.scope, counted(request.receive, most))
+async def form_of(
+    request: Request, most: int, most_files: int, remedy: str = ""
+) -> AsyncIterator[FormData]:
+    """Read a form of at most `most` bytes, its files into files; else 413 with `remedy`, or 422."""
+    request = Request(request.scope, counted(request.receive, most, too_large(most, remedy=remedy)))
     try:
         form = await request.form(max_files=most_files, max_fields=8)
     except (HTTPException, MultiPartException) as error:
         if isinstance(error, HttpProblemError):
             raise
         why = f"cannot be read as a form ({getattr(error, 'detail', error)})"
-        raise bad_body([{"loc": "body", "msg": f"{why}; send multipart/form-data"}]) from None
+        remedy = f"send multipart/form-data with at most {most_files} file(s) (curl: -F)"
+        raise bad_body([{"loc": "body", "msg": f"{why}; {remedy}"}]) from None
     try:
         yield form
     finally:
@@ -198,10 +202,14 @@ def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
     """
     loads = {name: wrench.wrench() for name, wrench in body.loads.items()}
     if not super(LoadsBody, body).is_empty():
-        if loads or space.several:
-            names = " or ".join(space.several) or "one of both"
-            message = f"give force and moment of each interface in loads: {names}"
-            raise bad_body([{"loc": "force", "msg": message}])
+        place = "moment" if body.force is None else "force"
+        if space.several:
+            message = "give force and moment of each interface in loads: "
+            message += " or ".join(space.several)
+            raise bad_body([{"loc": place, "msg": message}])
+        if loads:
+            message = "is given beside loads, which has the same wrench; leave one of the two out"
+            raise bad_body([{"loc": place, "msg": message}])
         loads = {space.interfaces[0]: body.wrench()}
     try:
         return space.vector(loads, {name: value + 0.0 for name, value in body.inputs.items()})
@@ -209,9 +217,10 @@ def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
         raise bad_body([{"loc": place, "msg": text} for place, text in error.mistakes]) from None
 
 
-def too_many_wrenches(most: int) -> HttpProblemError:
+def too_many_wrenches(count: int, most: int) -> HttpProblemError:
     """Return the refusal of a body of more than `most` wrenches."""
-    return bad_body([{"loc": "wrenches", "msg": f"more than {most} wrenches; send parts"}])
+    message = f"has {count} wrenches, but a request may have at most {most}; send parts"
+    return bad_body([{"loc": "wrenches", "msg": message}])
 
 
 def with_wrenches(
@@ -222,13 +231,13 @@ def with_wrenches(
     plain = plain_rows(wrenches, inputs, largest)
     if plain is not None:
         if len(plain) > most:
-            raise too_many_wrenches(most)
+            raise too_many_wrenches(len(plain), most)
         return plain + 0.0, checked(kind, {**fields, "wrenches": []})
     body = checked(kind, fields)
     uneven = [place for place, wrench in enumerate(body.wrenches) if len(wrench) != inputs]
     if uneven:
         length = len(body.wrenches[uneven[0]])
-        message = f"has {length} numbers, but the component has {inputs} inputs"
+        message = f"has {length} numbers, but the component has {inputs} inputs; give one for each"
         raise bad_body([{"loc": f"wrenches.{uneven[0]}", "msg": message}])
     return np.array(body.wrenches, dtype=float).reshape(-1, inputs) + 0.0, body
 
@@ -245,7 +254,9 @@ def parsed_json(body: bytes) -> Any:
     except orjson.JSONDecodeError as error:
         if "memory" in str(error).lower():
             raise MemoryError from None
-        message = f"is not valid JSON ({error}); correct it (JSON has no NaN or Infinity)"
+        has_nan = b"NaN" in body or b"Infinity" in body
+        remedy = "JSON has no NaN and no Infinity: leave them out" if has_nan else "correct it"
+        message = f"is not valid JSON ({error}); {remedy}"
         raise bad_body([{"loc": "body", "msg": message}]) from None
 
 
@@ -264,7 +275,8 @@ def both_tolerances(translation: float | None, rotation: float | None) -> Tolera
     if translation is rotation:
         return None
     missing = "rotation" if rotation is None else "translation"
-    raise bad_body([{"loc": missing, "msg": "a tolerance needs both translation and rotation"}])
+    message = "is missing; a tolerance needs both translation (m) and rotation (rad)"
+    raise bad_body([{"loc": missing, "msg": message}])
 
 
 def plain_rows(rows: Any, inputs: int, largest: float = LARGEST_LOAD) -> np.ndarray | None:

@@ -17,10 +17,13 @@ from wrenchbook.service.formats.rig import MAX_RIG, NAME, Rig, RigError, rig_tex
 from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.messages import ImportFinding, PreviewRow, RowMistake, RowMistakes
 
-_MAX_COLUMNS = 1000
-# Options of files, which a block is not.
-_OF_FILES = {"tare", "preview", "sheet", "time_offset_s", "max_gap_s", "filename"}
-_OF_FILES |= {"skip_cycles", "branch", "thin", "mean_cycles"}
+_MAX_COLUMNS = 1000  # of a mapping; a logger has some hundred
+_MAPPING_FORM = '{"column in the file": "fz [N]"}'
+# Options that read a file as a whole; the rows of an appended block are taken one by one.
+_OF_FILES = frozenset(
+    {"tare", "preview", "sheet", "time_offset_s", "max_gap_s", "filename"}
+    | {"skip_cycles", "branch", "thin", "mean_cycles"}
+)
 WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
 MAX_WAIT_S = 600.0  # a million rows take minutes
 _Text = Annotated[str, Field(max_length=1000)]
@@ -60,9 +63,8 @@ class ImportQuery(Body):
     @classmethod
     def _lag_is_the_offset(cls, values: Any) -> Any:
         if isinstance(values, dict) and "lag" in values and "time_offset_s" not in values:
-            return {
-                "time_offset_s" if name == "lag" else name: text for name, text in values.items()
-            }
+            values = dict(values)
+            values["time_offset_s"] = values.pop("lag")
         return values
 
     @field_validator("mapping")
@@ -85,38 +87,41 @@ class ImportQuery(Body):
     def _can_be_appended(self) -> ImportQuery:
         others = self.model_fields_set & _OF_FILES
         if self.append is not None and others:
-            raise ValueError(f"append does not allow {', '.join(sorted(others))}; leave them out")
+            names = ", ".join(sorted(others))
+            why = f"append does not allow {names}: it adds rows as they are"
+            raise ValueError(why + "; leave them out, or import the file without append")
         return self
 
     @field_validator("note", "filename", "rig", "append")
     @classmethod
     def _check_text(cls, text: str) -> str:
-        if problem := text_problem(text):
+        problem = text_problem(text)
+        if problem:
             raise ValueError(problem)
         return text
 
     def options(self, rig: str) -> Options:
-        """Return the options of reading the file; those of the profile `rig` where it has none."""
-        profile = profile_of(rig := self._with_axes(rig))
+        """Return the options of reading the file, else those of the profile `rig`; RigError."""
+        rig = self._with_axes(rig)
+        profile = profile_of(rig)
         others = profile.model_fields_set & _OF_FILES
         if self.append is not None and others:
             names = ", ".join(sorted(others))
-            raise RigError(f"append cannot go with {names} of this rig; name a rig without them")
-        mapped, mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
-        ignore = set(profile.ignore) - mapped.keys()
+            why = f"append cannot go with {names} of this rig: it adds rows as they are"
+            raise RigError(why + "; name a rig without them, or import the file without append")
+        own_mapping, rig_mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
+        rig_ignore = set(profile.ignore) - own_mapping.keys()
+        # A file may lack the columns that only the rig names.
+        only_of_rig = (rig_ignore | rig_mapping.keys()) - own_mapping.keys() - set(self.ignore)
         query = profile.model_copy(update=self.model_dump(include=self.model_fields_set))
-        same = query.model_dump(include={field.name for field in fields(Options)})
-        return Options(
-            **same
-            | {
-                "ignore": (*self.ignore, *ignore),
-                "mapping": mapping | mapped,
-                "optional": [*(ignore | mapping.keys()) - mapped.keys() - set(self.ignore)],
-                "optional_sheet": "sheet" not in self.model_fields_set,
-                "zero_rows": query.tare,
-                "rig": rig,
-            }
-        )
+        options = query.model_dump(include={field.name for field in fields(Options)})
+        options["ignore"] = (*self.ignore, *rig_ignore)
+        options["mapping"] = rig_mapping | own_mapping
+        options["optional"] = [*only_of_rig]
+        options["optional_sheet"] = "sheet" not in self.model_fields_set
+        options["zero_rows"] = query.tare
+        options["rig"] = rig
+        return Options(**options)
 
 
 def profile_of(text: str) -> ImportQuery:
@@ -131,9 +136,13 @@ def _pairs(text: str) -> dict[str, str]:
     try:
         pairs = orjson.loads(text)
     except orjson.JSONDecodeError as error:
-        raise ValueError(f"is not JSON ({error}); correct it") from None
-    if not isinstance(pairs, dict) or not all(isinstance(name, str) for name in pairs.values()):
-        raise ValueError('must have the form {"column in the file": "fz [N]"}')
+        raise ValueError(f"is not JSON ({error}); write {_MAPPING_FORM}") from None
+    if not isinstance(pairs, dict):
+        raise ValueError(f"must be a JSON object of the form {_MAPPING_FORM}")
+    for column, name in pairs.items():
+        if not isinstance(name, str):
+            why = f"maps the column {column[:100]!r} to {name!r:.100}, which is no text"
+            raise ValueError(why + f"; write {_MAPPING_FORM}")
     if len(pairs) > _MAX_COLUMNS:
         raise ValueError(f"names {len(pairs)} columns, at most {_MAX_COLUMNS} fit; leave some out")
     return pairs

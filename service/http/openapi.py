@@ -30,25 +30,11 @@ JSON: Final = "application/json"
 BYTES: Final[Schema] = {"schema": {"type": "string", "format": "binary"}}
 TEXT: Final[Schema] = {"schema": {"type": "string"}}
 _PROBLEM: Final = {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}
-_REFUSALS: Final[dict[int, str]] = {
-    401: "missing or unknown key",
-    403: "the key does not allow this call, or the request comes from a page of another site",
-    404: "unknown component, job, row, import, profile or key",
-    409: "conflict with the present state; `detail` gives the reason and the remedy",
-    410: "rows of that version are damaged on the disk",
-    413: "the body is too large",
-    415: "unsupported content type",
-    422: "the request has mistakes; nothing was changed",
-    424: "the solve of this wrench failed",
-    429: "the rate or the quota of the key is used up; see Retry-After",
-    500: "internal error of the server; the server's log has the traceback",
-    503: "the server cannot use its ledger or table at present; nothing was changed",
-    507: "the disk is full; nothing was changed",
-}
 _WITH_KEYS: Final = (401, 413, 429)
 _WITH_BODY: Final = (413, 415)
 _REFERENCE: Final = "#/components/schemas/{model}"
 _TOML: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
+BODIES: Final[dict[str, str]] = _TOML["bodies"]
 TEXTS: Final[dict[str, dict[str, str]]] = {
     **{name: _TOML[name] for name in ("fields", "parameters")},
     **{
@@ -80,7 +66,7 @@ def answers(model: Any, description: str, status: int = 200, **more: Any) -> Res
 
 def refused(*statuses: int, **texts: str) -> Responses:
     """Return FastAPI's `responses` of problems; `s409="..."` replaces a status's description."""
-    described = {status: _REFUSALS[status] for status in statuses}
+    described = {status: _TOML["refusals"][str(status)] for status in statuses}
     described |= {int(name[1:]): text for name, text in texts.items()}
     return {
         status: {"description": text, "content": _PROBLEM} for status, text in described.items()

@@ -17,7 +17,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 
 from wrenchbook.fea.bundle.read import BundleError
-from wrenchbook.service import keys
+from wrenchbook.service import keys, ledger
 from wrenchbook.service.actors import NotPermittedError
 from wrenchbook.service.events import TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
@@ -26,28 +26,7 @@ from wrenchbook.service.formats.cells import UnitError
 from wrenchbook.service.formats.rig import RigError
 from wrenchbook.service.formats.xlsx import SheetFullError
 from wrenchbook.service.jobs.waiting import TooManyPollsError
-from wrenchbook.service.ledger import (
-    AppendError,
-    BlockKeyError,
-    DamagedRowError,
-    ImportRunningError,
-    InvalidTransitionError,
-    LedgerFullError,
-    LedgerUnavailableError,
-    QuotaError,
-    ReadOnlyError,
-    RowStatusError,
-    UnknownImportError,
-    UnknownJobError,
-    UnknownRowError,
-    UnknownVersionError,
-)
-from wrenchbook.service.library.component import (
-    ComponentExistsError,
-    LibraryUnavailableError,
-    OneWrenchError,
-    UnknownComponentError,
-)
+from wrenchbook.service.library import component
 from wrenchbook.service.library.rigs import UnknownRigError
 from wrenchbook.service.ops.logs import REQUEST_ID
 from wrenchbook.service.query import BeyondRangeError, NotCoveredError, SolveFailedError, job_link
@@ -61,6 +40,7 @@ CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was 
 MAX_ERRORS = 1000
 MAX_TEXT = 1000  # characters of a message
 MAX_PLACE = 200  # characters of a path or a key: a caller may send any
+MAX_VALUE = 40  # characters of a quoted value
 # By pydantic's type of an error, where its own text has no next action.
 _PLAIN = {
     "extra_forbidden": "is unknown; correct its name, or leave it out (see the fields at /docs)",
@@ -68,20 +48,24 @@ _PLAIN = {
 }
 # Status, kind and title of each error; a subclass that is not here has those of its base.
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
-    UnknownComponentError: (404, "unknown-component", "No such component"),
-    ComponentExistsError: (409, "component-exists", "The name is taken"),
+    component.UnknownComponentError: (404, "unknown-component", "No such component"),
+    component.ComponentExistsError: (409, "component-exists", "The name is taken"),
     UnknownMethodError: (422, "method", "Not a method of this table"),
-    OneWrenchError: (409, "one-wrench", "The call takes one wrench alone"),
-    LibraryUnavailableError: (507, "disk", "The component cannot be written; nothing was added"),
+    component.OneWrenchError: (409, "one-wrench", "The call takes one wrench alone"),
+    component.LibraryUnavailableError: (
+        507,
+        "disk",
+        "The component cannot be written; nothing was added",
+    ),
     TableBehindError: (503, "table-behind", "The table is older than the ledger"),
-    DamagedRowError: (500, "damaged-row", "A row is damaged on the disk"),
+    ledger.DamagedRowError: (500, "damaged-row", "A row is damaged on the disk"),
     NoSetupError: (409, "no-fea-setup", "The component has no finite-element setup"),
-    UnknownJobError: (404, "unknown-job", "No such job"),
-    UnknownVersionError: (404, "unknown-version", "No such version of the table"),
-    AppendError: (409, "append", "Rows cannot be appended to this import"),
-    ImportRunningError: (503, "importing", "Another table is being imported"),
-    UnknownRowError: (404, "unknown-row", "No such row"),
-    UnknownImportError: (404, "unknown-import", "No such import"),
+    ledger.UnknownJobError: (404, "unknown-job", "No such job"),
+    ledger.UnknownVersionError: (404, "unknown-version", "No such version of the table"),
+    ledger.AppendError: (409, "append", "Rows cannot be appended to this import"),
+    ledger.ImportRunningError: (503, "importing", "Another table is being imported"),
+    ledger.UnknownRowError: (404, "unknown-row", "No such row"),
+    ledger.UnknownImportError: (404, "unknown-import", "No such import"),
     keys.UnknownKeyError: (404, "unknown-key", "No such key"),
     keys.KeysBusyError: (503, "busy", "The keys are being changed"),
     keys.KeysFullError: (409, "keys-full", "The server has as many keys as it can"),
@@ -92,20 +76,24 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     TooFarError: (409, "beyond-range", "Outside the component's load range"),
     NotCoveredError: (409, "not-covered", "The table does not cover this"),
     BeyondRangeError: (409, "beyond-range", "Outside the component's load range"),
-    BlockKeyError: (409, "block-key", "The block's key leaves open whether it was recorded"),
-    InvalidTransitionError: (409, "job-status", "The job's status does not allow this"),
+    ledger.BlockKeyError: (409, "block-key", "The block's key leaves open whether it was recorded"),
+    ledger.InvalidTransitionError: (409, "job-status", "The job's status does not allow this"),
     TooManyPollsError: (503, "busy", "Too many callers wait for jobs"),
     TooManyListenersError: (503, "too-many-listeners", "Too many listeners"),
     NotPermittedError: (403, "not-permitted", "The caller may not do this"),
-    QuotaError: (429, "quota", "The quota is used up"),
-    RowStatusError: (409, "row-status", "The row's state does not allow this"),
+    ledger.QuotaError: (429, "quota", "The quota is used up"),
+    ledger.RowStatusError: (409, "row-status", "The row's state does not allow this"),
     UnitError: (422, "unit", "Not a unit this export can use"),
     SheetFullError: (409, "export", "This export cannot be made"),
     SandboxError: (422, "too-costly", "The file cannot be read within its limits"),
     SandboxBusyError: (503, "busy", "Too many files are being read"),
-    ReadOnlyError: (403, "read-only", "This server takes no writes"),
-    LedgerFullError: (507, "disk", "The disk is full; nothing was accepted"),
-    LedgerUnavailableError: (503, "ledger", "The ledger cannot be written; nothing was accepted"),
+    ledger.ReadOnlyError: (403, "read-only", "This server takes no writes"),
+    ledger.LedgerFullError: (507, "disk", "The disk is full; nothing was accepted"),
+    ledger.LedgerUnavailableError: (
+        503,
+        "ledger",
+        "The ledger cannot be written; nothing was accepted",
+    ),
 }
 # Of a full disk, a quota and a limit of file sizes: bodies and parsed files are temporary files.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -174,8 +162,9 @@ def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[s
         loc = ".".join(map(str, path))[:MAX_PLACE] or "body"
         text = _PLAIN.get(mistake["type"]) or mistake["msg"].removeprefix("Value error, ")
         text = text.replace("Input should be", "must be")
-        if text.startswith("must be") and isinstance(sent := mistake.get("input"), str | float):
-            text += f", not {str(sent)[:40]!r}"
+        sent = mistake.get("input")
+        if text.startswith("must be") and isinstance(sent, str | float):
+            text += f", not {str(sent)[:MAX_VALUE]!r}"
         mistakes.append({"loc": loc, "msg": text[:MAX_TEXT]})
     return mistakes
 
@@ -208,7 +197,7 @@ def problem_of(error: Exception) -> HttpProblemError:
 
 def _retry_after(error: Exception) -> dict[str, str] | None:
     """Return the header that says when to repeat the request, of errors that end by themselves."""
-    if isinstance(error, QuotaError):
+    if isinstance(error, ledger.QuotaError):
         return {"Retry-After": str(ceil(error.retry_s))}
     return {"Retry-After": _BUILT_S} if isinstance(error, TableBehindError) else None
 

@@ -39,12 +39,15 @@ class ProxyTrust:
         if not sent or not self.trusts(head.get(PEER_FIELD, b"").decode()):
             return None
         if not _USER.fullmatch(sent):
-            raise _refused(f"The proxy sent the user {sent[:100]!r}; send a mail address or an id.")
+            malformed = f"The proxy sent the user {sent[:100]!r}; let it send a mail address, or an"
+            raise _refused(malformed + " id of at most 128 letters and digits.")
         groups = head.get(self.groups, b"").decode("latin-1").split(",")[:_MAX_GROUPS]
         named = {"*", *(group.strip() for group in groups)}
         allowed: list[Scope] = [self.scopes[group] for group in named & self.scopes.keys()]
         if not allowed:
-            raise _refused(f"No group of {sent} has a scope; add one to --trust-proxy-scopes.")
+            listed = ", ".join(sorted(named - {"*", ""}))[:200] or "none"
+            why = f"No group of {sent} has a scope here (groups: {listed}). Start the server with:"
+            raise _refused(why + " wrenchbook serve --trust-proxy-scopes GROUP=read")
         name, scope = f"{USER}{sent}", max(allowed, key=SCOPES.index)
         return Key(name, scope, digest_of(name), 0.0)
 
@@ -63,28 +66,38 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
     user, groups = settings.trust_proxy_user, settings.trust_proxy_groups
     if user is None:
         if settings.trust_proxy_from or groups:
-            raise SettingsError("the user's header is missing; add --trust-proxy-user HEADER")
+            option = "from" if settings.trust_proxy_from else "groups"
+            why = f"--trust-proxy-{option} needs the header that names the user"
+            raise SettingsError(why + "; add --trust-proxy-user X-Forwarded-User")
         return None
-    for header in filter(None, (user, groups)):
-        if not _HEADER.fullmatch(header) or header.lower() in _OF_CALLERS:
-            raise SettingsError(f"{header!r} cannot name users; write for example X-Forwarded-User")
+    _check_header("user", user)
+    _check_header("groups", groups)
     scopes: dict[str, Scope] = {}
     for part in settings.trust_proxy_scopes.split(","):
         group, _, word = part.strip().partition("=")
         if not group or word not in SCOPES:
             raise SettingsError(
-                f"--trust-proxy-scopes: {part!r} is not GROUP=SCOPE, with one of "
-                f"{', '.join(SCOPES)}"
+                f"--trust-proxy-scopes: {part!r} is not GROUP=SCOPE with one of the scopes "
+                f"{', '.join(SCOPES)}; write for example lab=write,*=read"
             )
         scopes[group] = SCOPES[SCOPES.index(word)]
     listed = [part.strip() for part in (settings.trust_proxy_from or "").split(",") if part.strip()]
     if not listed:
-        raise SettingsError("the proxy's address is missing; add --trust-proxy-from ADDRESS")
+        raise SettingsError("--trust-proxy-user needs its address; add --trust-proxy-from ADDRESS")
     try:
         networks = tuple(ip_network(part) for part in listed)
     except ValueError as error:
         raise SettingsError(f"--trust-proxy-from: {error}; write such as 10.0.0.0/8") from None
     return ProxyTrust(user.lower().encode(), networks, (groups or "").lower().encode(), scopes)
+
+
+def _check_header(option: str, header: str | None) -> None:
+    """Raise SettingsError for the name of a header that callers send, or that is not valid."""
+    remedy = f"write the header that the proxy sets, such as X-Forwarded-{option.capitalize()}"
+    if header and header.lower() in _OF_CALLERS:
+        raise SettingsError(f"--trust-proxy-{option}: callers send {header!r} themselves; {remedy}")
+    if header and not _HEADER.fullmatch(header):
+        raise SettingsError(f"--trust-proxy-{option}: {header!r} is no header's name; {remedy}")
 
 
 def _refused(why: str) -> HttpProblemError:

@@ -206,24 +206,25 @@ def write_outcome(attempt: Attempt, outcome: Outcome, *, durable: bool = True) -
 def read_outcome(attempt: Attempt) -> Outcome | None:
     """Return how an attempt ended; None if it has not.
 
-    Raises `BadOutcomeError` if the file is not byte for byte what `write_outcome` wrote, or answers
-    another question.
+    Raises `BadOutcomeError` if the file is not what `write_outcome` wrote, or answers another
+    question.
     """
     path = attempt.folder / OUTCOME
     try:
         content = json.loads(path.read_bytes())
-        digest = content.pop("digest")
-        if digest != _digest(content):
-            raise ValueError("its checksum is wrong: the file is damaged")
-        answered = content.pop("asked")
-        outcome = Outcome.of(content)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, AttributeError, TypeError) as error:
-        raise BadOutcomeError(f"{path} cannot be read: {error!r}") from error
-    if answered != attempt.question:
-        raise BadOutcomeError(f"{path} answers {answered}, not {attempt.question}")
-    return outcome
+    except (OSError, ValueError) as error:
+        raise BadOutcomeError(f"{path} cannot be read as JSON ({error})") from error
+    if not isinstance(content, dict) or not {"digest", "asked", "status"} <= content.keys():
+        raise BadOutcomeError(f"{path} is no outcome: it lacks digest, asked or status")
+    if content.pop("digest") != _digest(content):
+        raise BadOutcomeError(f"{path} is damaged: its checksum is wrong")
+    answered, asked = content.pop("asked"), attempt.question
+    if answered != asked:
+        names = ", ".join(name for name in asked if answered.get(name) != asked[name])
+        raise BadOutcomeError(f"{path} is the answer of another attempt: it differs in {names}")
+    return Outcome.of(content)
 
 
 def notes_of(attempt: Attempt) -> list[str]:
@@ -312,6 +313,8 @@ def pieces_of(file: IO[bytes]) -> Iterator[bytes]:
             yield piece
 
 
+# A solver's answers over its line: it has begun an attempt, it waits for work, it ends.
+TAKEN, FREE, LEAVES = b"t", b"e", b"r"
 State = Literal["submitted", "running", "finished", "lost"]
 ALIVE: tuple[State, ...] = ("submitted", "running")
 

@@ -242,7 +242,8 @@ class DaskEngine(attempts.Listeners):
 
     async def _connected(self, ready: Callable[[], bool]) -> Client:
         while True:
-            if (client := self._client) is not None and client.status == "running" and ready():
+            client = self._client
+            if client is not None and client.status == "running" and ready():
                 return client
             await asyncio.sleep(WAIT_SECONDS)
 
@@ -273,7 +274,8 @@ class DaskEngine(attempts.Listeners):
                 address: known.get(address) or _Worker.of(address, entry)
                 for address, entry in roster["workers"].items()
             }
-            now, unfit = time.monotonic(), [each for each in self._workers.values() if each.unfit]
+            now = time.monotonic()
+            unfit = [worker for worker in self._workers.values() if worker.unfit]
             due = [worker for worker in unfit if now > worker.probed + PROBE_AGAIN_SECONDS]
             for worker in due:
                 worker.probed = now
@@ -298,6 +300,8 @@ class DaskEngine(attempts.Listeners):
             # A worker that cannot import a function answers with the error as text.
             elif re.search("ModuleNotFoundError|ImportError|AttributeError", repr(answer)):
                 why = f"it lacks this program ({answer}); install wrenchbook[cluster,server] there"
+            elif isinstance(answer, TimeoutError):
+                why = f"it gave no answer within {PROBE_SECONDS:g} s; see its log"
             else:
                 why = f"its answer is invalid ({answer!r}); see its log"
             self._suspend(worker, why)
@@ -354,8 +358,10 @@ class DaskEngine(attempts.Listeners):
             goes_on = False
             try:
                 ended = await self._submit_once(task)
-            except (BadPayloadError, FileNotFoundError) as error:
-                remedy = "add the component again"
+            except BadPayloadError as error:
+                ended = await self._fail(task, "component_too_large", error, _TOO_LARGE_REMEDY)
+            except FileNotFoundError as error:
+                remedy = "add the component again, then retry the job"
                 ended = await self._fail(task, "component_missing", error, remedy)
             except FutureCancelled:
                 # With the connection, and it goes on, or it was lost with scheduler or bundle.
@@ -456,13 +462,15 @@ class DaskEngine(attempts.Listeners):
         memory, cores = task.attempt.memory or 0, task.attempt.cores
         while True:
             fit = self._fit
-            large = [each for each in fit if each.memory >= memory and each.cores >= cores]
+            large = [worker for worker in fit if worker.memory >= memory and worker.cores >= cores]
             if large:
                 break
+            most_memory = max((worker.memory for worker in fit), default=0)
+            most_cores = max((worker.cores for worker in fit), default=0)
             waits = (
                 f"a solve takes {memory / 1e9:.3g} GB and {cores} cores, but the largest Dask "
-                f"workers have {max((each.memory for each in fit), default=0) / 1e9:.3g} GB and "
-                f"{max((each.cores for each in fit), default=0):g} cores; start larger workers"
+                f"workers have {most_memory / 1e9:.3g} GB and {most_cores:g} cores; start larger "
+                "workers"
             )
             if waits != task.waits:
                 task.waits = waits
@@ -472,14 +480,13 @@ class DaskEngine(attempts.Listeners):
             await asyncio.sleep(WAIT_SECONDS)
         task.waits = None
         needs = [(CORES, cores), (MEMORY, memory)]
-        declared = [each.resources for each in large]
         resources = {
             name: float(need)
             for name, need in needs
-            if need and all(name in each for each in declared)
+            if need and all(name in worker.resources for worker in large)
         }
         everywhere = len(large) == len(self._workers)
-        return None if everywhere else [each.address for each in large], resources
+        return None if everywhere else [worker.address for worker in large], resources
 
     async def _send(self, client: Client, folder: str) -> tuple[str, Future]:
         """Return digest and content of a component's files on the cluster, sent once a change."""
@@ -524,4 +531,5 @@ _KILLED_REMEDY = (
     "all workers that ran it died. See their logs, give them more memory or declare it "
     "(--resources wrenchbook_memory=BYTES), and retry the job"
 )
+_TOO_LARGE_REMEDY = "remove files that its component.toml does not name, then retry the job"
 _FAULT_REMEDY = "see the logs of scheduler and workers; retry the job once the cluster works"

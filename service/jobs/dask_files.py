@@ -64,7 +64,10 @@ def pack(folder: Path, limit: int) -> bytes:
         raise FileNotFoundError(f"there is no folder {folder}")
     files, too_large = read_files(folder, limit)
     if too_large:
-        raise BadPayloadError(f"{folder} holds more than {limit} bytes")
+        raise BadPayloadError(
+            f"the component's folder {folder} holds more than {limit >> 20} MiB, the limit for "
+            f"Dask workers; the first file beyond it is {too_large[0]}"
+        )
     return pickle.dumps(files)
 
 
@@ -79,7 +82,8 @@ def unpack(content: bytes, name: str, folder: Path) -> None:
     Raises `BadPayloadError` if they were damaged in transit, OSError if they cannot be written.
     """
     if digest(content) != name:
-        raise BadPayloadError(f"the files arrived as {digest(content)}, but were sent as {name}")
+        why = f"their digest is {digest(content)}, but was {name} when they were sent"
+        raise BadPayloadError("the component's files were damaged on the way: " + why)
     partial = folder / f".{name}.{os.getpid()}.{threading.get_ident()}"
     try:
         write_files(pickle.loads(content), partial)

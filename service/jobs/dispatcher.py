@@ -1,23 +1,19 @@
 """The dispatcher: brings waiting jobs to an engine and their answers to the ledger.
 
-Engines, `local` and `dask`, execute; the ledger decides. Several threads may call an engine, one at
-a time; no call waits for another machine. ``name`` stands in the ledger: only dispatchers with this
-engine take its attempts over. ``slots`` is how many attempts it takes at the same time, ``trouble``
-what keeps it from running any.
+Engines, `local` and `dask`, run attempts; the ledger decides which. Any thread may call an engine,
+one at a time, and no call waits for another machine. An engine has:
 
-- ``submit`` starts or queues an attempt; OSError or `EngineError` says that nothing runs then.
-- ``attach`` takes over an attempt of another dispatcher, which has died. If nothing of the task is
-  known any more, it is ``lost``, or submitted again under the same key.
-- ``poll`` returns ``submitted`` until a solver works on the attempt, then ``running``, ``finished``
-  once its folder holds a result.json and the other artifacts. ``lost`` is final: no solver lives
-  that could still write one there. A death of workers, scheduler or machines is no state: the
-  engine runs the attempt again. An engine that ends an attempt itself, at its deadline for example,
-  writes the result.json in the solver's stead, once the solver is dead. The cause of a solver's
-  death, as far as it is known, is the last line of the attempt's log.
-- ``cancel`` has the solver end soon; `poll` shows when it counts as ended. It may be repeated, and
-  the attempt may be one that was neither submitted nor attached here.
-- ``forget`` drops what is kept of an attempt that is recorded, or that another dispatcher has;
-  ``close`` releases the engine's resources, and running attempts go on.
+- ``name``, in the ledger: only dispatchers with this engine take over its attempts.
+- ``slots``, the attempts that it takes at once, and ``trouble``, why it can run none (or None).
+- ``submit`` starts or queues an attempt; after OSError or `EngineError` nothing runs.
+- ``attach`` follows an attempt of a dead dispatcher; one that the engine does not know is ``lost``,
+  or submitted again under its key.
+- ``poll`` returns ``submitted``, ``running`` while a solver works, ``finished`` once the folder
+  holds result.json and all other files, ``lost`` if no solver can still write one. The engine
+  repeats attempts after a death of workers or machines, and writes the result.json of an attempt
+  that it ends itself, at its deadline. The last line of the log has the cause of a solver's death.
+- ``cancel`` ends the solver soon, of any attempt and any number of times.
+- ``forget`` drops an ended attempt; ``close`` releases resources, and running attempts go on.
 """
 
 import contextlib
@@ -48,7 +44,7 @@ from wrenchbook.service.jobs.attempt import (
     tidy,
 )
 from wrenchbook.service.ledger import Heartbeat, JobRecord, Ledger, StaleAttemptError
-from wrenchbook.service.library.component import estimate_of
+from wrenchbook.service.library.component import BrokenComponentError, estimate_of
 from wrenchbook.service.tables.solver_errors import SolverErrors
 
 if TYPE_CHECKING:  # only a server with a cluster has Dask, and waits for its import
@@ -107,10 +103,10 @@ class Lease:
         clock of another one is trusted. An owner without a heartbeat has ended its lease.
         """
         file = self._file(owner)
-        there = file.exists()
-        if there and not flock.is_locked(file):
+        has_file = file.exists()
+        if has_file and not flock.is_locked(file):
             return True
-        if not there and (engine == "local" or heartbeat is None):
+        if not has_file and (engine == "local" or heartbeat is None):
             return True
         now, number = time.monotonic(), -1 if heartbeat is None else heartbeat.number
         known = self._known.get(owner)
@@ -286,8 +282,10 @@ class Dispatcher:
         if self._begun:
             self._send_heartbeat(lease)
         while self._may_claim:
-            busy = [each for each in self._attempts.values() if each.died is None]
-            if (free := self._engine.slots - len(busy)) <= 0:
+            free = self._engine.slots - sum(
+                attempt.died is None for attempt in self._attempts.values()
+            )
+            if free <= 0:
                 break
             self._claim(lease, min(free, MAX_CLAIMED))
 
@@ -317,9 +315,10 @@ class Dispatcher:
         self._next_heartbeat = time.monotonic() + HEARTBEAT_SECONDS
 
     def _leave_unwanted(self, lease: Lease) -> None:
-        mine = self._ledger.attempts_of(lease.name) if self._attempts else {}
-        for attempt in [each for each in self._attempts.values() if each.key not in mine]:
-            if attempt.leaving:
+        """End attempts that are cancelled, or that another dispatcher has taken over."""
+        owned = self._ledger.attempts_of(lease.name) if self._attempts else {}
+        for attempt in list(self._attempts.values()):
+            if attempt.key in owned or attempt.leaving:
                 continue
             job = self._ledger.job(attempt.job)
             if job.status == "running" and job.attempt == attempt.attempt:
@@ -409,7 +408,7 @@ class Dispatcher:
         if state in ALIVE:
             return
         if not attempt.leaving:
-            # Whether a solver that left nothing has died by itself, for all that is known.
+            # Whether the end of a solver without an outcome counts as a failure of its job.
             counts = attempt.witnessed and (attempt.began or solver_began(attempt.folder))
             if attempt.died is None and state == "lost" and counts:
                 attempt.died = time.monotonic()
@@ -417,18 +416,19 @@ class Dispatcher:
                 self._may_claim = True
             if attempt.died is not None and time.monotonic() - attempt.died < OUTLIVE_SECONDS:
                 return
-            died = self._ledger.release
+            record_loss = self._ledger.release
             if counts:
-                died = functools.partial(self._ledger.lose, cause=last_output(attempt.folder))
+                cause = last_output(attempt.folder)
+                record_loss = functools.partial(self._ledger.lose, cause=cause)
             elif attempt.witnessed and attempt.accepted:
-                died = functools.partial(self._ledger.release, delay=START_AGAIN_SECONDS)
+                record_loss = functools.partial(self._ledger.release, delay=START_AGAIN_SECONDS)
                 if state == "lost":
                     cause = last_output(attempt.folder) or "it printed nothing"
                     log = attempt.folder / LOG
                     self._unstarted = f"solvers stop before they start: {cause}. See {log}"
                     _log.error("job %d: %s", attempt.job, self._unstarted)
             with contextlib.suppress(StaleAttemptError):
-                record(self._ledger, attempt, died, self._fields, self._errors)
+                record(self._ledger, attempt, record_loss, self._fields, self._errors)
         self._drop(attempt)
 
     def _claim(self, lease: Lease, limit: int) -> None:
@@ -444,11 +444,11 @@ class Dispatcher:
                 bundle = self._bundles(attempt.component)
                 fingerprint = self._setups(attempt.component) or attempt.fingerprint
             except Exception as error:
-                missing = {
-                    "kind": "component_missing",
-                    "message": f"the component {attempt.component} is no longer there: {error}",
-                    "remedy": "add the component again and retry the job, or leave it",
-                }
+                remedy = "Add it again and retry the job, or leave the job."
+                if isinstance(error, BrokenComponentError):  # its text has the remedy
+                    remedy = "Then retry the job."
+                message = f"The component {attempt.component} cannot be solved. {error}"
+                missing = {"kind": "component_missing", "message": message, "remedy": remedy}
                 self._ledger.fail(*attempt.key, missing)
                 self._drop(attempt)
                 continue
@@ -468,25 +468,26 @@ class Dispatcher:
 def record(
     ledger: Ledger,
     attempt: Attempt,
-    died: Callable[[int, int], object] | None = None,
+    record_loss: Callable[[int, int], object] | None = None,
     fields: FieldStore | None = None,
     errors: SolverErrors | None = None,
 ) -> None:
     """Record in the ledger how an attempt ended, in whose folder no solver works any more.
 
-    Safe to repeat. `died` is the ledger's call for a solver that left no outcome, `Ledger.release`
-    by default. Raises `StaleAttemptError` if the job has gone on without this attempt.
+    Safe to repeat. `record_loss` is the ledger's call for a solver that left no outcome,
+    `Ledger.release` by default. Raises `StaleAttemptError` if the job has gone on without this
+    attempt.
     """
     try:
         outcome = read_outcome(attempt)
     except BadOutcomeError as error:
         _log.warning("taken for a lost attempt: %s", error)
         outcome = None
-    setup, seconds = (attempt.component, attempt.fingerprint), solver_seconds(attempt.folder)
+    setup, seconds = ((attempt.component, attempt.fingerprint), solver_seconds(attempt.folder))
     if errors is not None:  # before the row too: the table's version with the row then has it
         errors.record(*setup, outcome and outcome.solver_error)
     if outcome is None:
-        (died or ledger.release)(*attempt.key)
+        (record_loss or ledger.release)(*attempt.key)
     elif outcome.status == "done":
         if fields is not None:  # without its row it does no harm, and is found by its wrench
             fields.take(attempt.folder, *setup, attempt.wrench)
@@ -503,7 +504,7 @@ def record(
                 seconds=seconds,
             )
         except (ValueError, TypeError) as error:
-            ledger.fail(*attempt.key, _bad_answer(repr(error)))
+            ledger.fail(*attempt.key, _bad_answer(str(error)))
             return
         with contextlib.suppress(OSError):
             tidy(attempt.folder)
@@ -512,7 +513,7 @@ def record(
         if isinstance(error, dict) and {"kind", "message", "remedy"} <= error.keys():
             error = {name: str(error[name]) for name in ("kind", "message", "remedy")}
         else:
-            error = _bad_answer(f"failed without a reason: {error!r}")
+            error = _bad_answer("it failed without kind, message and remedy of the error")
         ledger.fail(*attempt.key, error, seconds)
     else:
         ledger.release(*attempt.key)
@@ -522,5 +523,5 @@ def _bad_answer(why: str) -> dict[str, str]:
     return {
         "kind": "bad_answer",
         "message": f"the solver's answer cannot be used: {why}",
-        "remedy": "see result.json and log.txt in the attempt's folder",
+        "remedy": "see result.json and log.txt among the job's files (GET /v1/jobs/NUMBER/files)",
     }

@@ -1,10 +1,9 @@
 """The solver: ``python -m wrenchbook.service.jobs.solver --line DESCRIPTOR``.
 
-The engine `local` starts it with one end of a socket pair, over which attempts come one after the
-other (`service.jobs.solver_pool`). The interpreter, what it imported and the component stay from
-one attempt to the next. It ends itself after the attempt at which the engine closed the socket or
-died, after an attempt that was cancelled or ran out of memory (what such an attempt left half done
-is used no more), when it has grown, and after a number of attempts.
+The engine `local` starts it with one end of a socket pair, over which attempts come one by one
+(`service.jobs.solver_pool`). Imports and the component stay for the next attempt. It ends after the
+attempt during which the socket was closed, after one that was cancelled or ran out of memory, when
+its memory has grown, and after a number of attempts.
 
 An attempt's ``result.json`` has its end: ``done`` with the numbers, ``failed`` with kind, message
 and remedy, or ``cancelled``. Only a solver that was killed leaves none.
@@ -38,7 +37,10 @@ from typing import Any
 from wrenchbook.service.fields.record import leave
 from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs.attempt import (
+    FREE,
+    LEAVES,
     PROGRESS,
+    TAKEN,
     Attempt,
     Outcome,
     Progress,
@@ -58,12 +60,13 @@ MEMORY_MARGIN = 4.0
 # 30 MB from one attempt to the next. More than one solve beyond the first attempt's is a leak.
 MIN_GROWTH = 256 << 20
 
-DONE, FAILED, CANCELLED = 0, 1, 143
-TAKEN, FREE, LEAVES = b"t", b"e", b"r"
+DONE, FAILED, CANCELLED = 0, 1, 143  # of `run_attempt`: an exit status, 128 + SIGTERM
 
 # Without work for so long it gives its memory back; starting again costs a second.
 IDLE_SECONDS = 300.0
 _MAX_PATH_BYTES = 1 << 16
+
+REPORT_SECONDS = 0.2  # between two writes of progress.json: a page shows it once a second
 
 # An outcome waits so long for room on a full disk: until an operator notices and makes some.
 FULL_DISK_SECONDS = 3600.0
@@ -232,8 +235,8 @@ def limit_memory(estimated: int | None) -> int | None:
         except ValueError:
             margin = 0.0
         if not 0.0 < margin < math.inf:
-            message = f"{MARGIN_VARIABLE} must be a number above 0, not {text!r}"
-            remedy = f"set {MARGIN_VARIABLE} to a number above 0, or unset it"
+            message = f"{MARGIN_VARIABLE} must be a finite number above 0, not {text!r}"
+            remedy = f"set {MARGIN_VARIABLE}={MEMORY_MARGIN:g} where the server starts, or unset it"
             raise SolveRefusedError("bad_setting", message, remedy)
         allowed = int(estimated * margin)
         soft = _pages(0) + allowed
@@ -285,7 +288,7 @@ def _write_patiently(attempt: Attempt, outcome: Outcome) -> None:
 
 
 class _Reporter:
-    """Writes progress.json, at most five times a second."""
+    """Writes progress.json, at most once in `REPORT_SECONDS`."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / PROGRESS
@@ -295,7 +298,7 @@ class _Reporter:
         now = time.monotonic()
         if now < self._next:
             return
-        self._next = now + 0.2
+        self._next = now + REPORT_SECONDS
         fraction = min(max(float(fraction), 0.0), 1.0) if math.isfinite(fraction) else 0.0
         try:
             write_json(self._path, asdict(Progress(fraction, str(message))))
@@ -307,28 +310,34 @@ def _named_solver() -> Solve | None:
     name = os.environ.get(SOLVE_VARIABLE)
     if not name:
         return None
-    try:
-        module, function = name.split(":")
-        return getattr(importlib.import_module(module), function)
-    except (ValueError, ImportError, AttributeError) as error:
-        raise SolveRefusedError(
-            "no_solver",
-            f"{SOLVE_VARIABLE}={name!r} is not a function: {error}",
-            "set it to package.module:function, importable by the solvers, or unset it",
-        ) from error
+    module, separator, function = name.partition(":")
+    why = "it has not the form package.module:function"
+    if separator and module:
+        try:
+            return getattr(importlib.import_module(module), function)
+        except ImportError as error:
+            why = f"the module cannot be imported: {error}"
+        except AttributeError:
+            why = f"the module {module} has no function {function!r}"
+    remedy = "set it to package.module:function, importable by the solvers, or unset it"
+    raise SolveRefusedError("no_solver", f"{SOLVE_VARIABLE}={name!r}: " + why, remedy)
 
 
 def _checked(numbers: Mapping[str, Any]) -> Outcome:
     """Return the outcome of what a solver reports; raises SolveRefusedError without an answer."""
     plain = {name: _plain(value) for name, value in numbers.items()}
     outcome = Outcome.of(plain | {"status": "done", "program": solver_version()})
-    displacement = outcome.displacement
-    if not isinstance(displacement, list) or len(displacement) < 6 or None in displacement:
-        raise SolveRefusedError(
-            "bad_answer",
-            f"the solver must return 6 finite numbers or more, not {numbers.get('displacement')!r}",
-            "check the component's mesh and supports; see log.txt",
-        )
+    displacement, why = outcome.displacement, ""
+    remedy = f"correct the function that {SOLVE_VARIABLE} names"
+    if not isinstance(displacement, list):
+        why = f"is {type(displacement).__name__}, not a list of numbers"
+    elif len(displacement) < 6:
+        why = f"has {len(displacement)} numbers, not 6 an interface"
+    elif None in displacement:
+        why = f"has numbers that are not finite: {numbers['displacement']!s:.200}"
+        remedy = "check the component's mesh and supports; see log.txt among the job's files"
+    if why:
+        raise SolveRefusedError("bad_answer", "the solver's displacement " + why, remedy)
     if any(None in line for line in outcome.compliance or ()):
         outcome.compliance = None
     if None in (outcome.curvature or ()):
@@ -361,7 +370,7 @@ def _failure(error: Exception) -> Outcome:
     return Outcome.failed(
         str(kind or "internal_error"),
         message if kind else f"{type(error).__name__}: {message}",
-        str(remedy or "see log.txt in the attempt's folder"),
+        str(remedy or "see its log (GET /v1/jobs/NUMBER/log), remove the cause, and retry the job"),
     )
 
 

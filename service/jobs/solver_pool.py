@@ -18,19 +18,8 @@ from pathlib import Path
 
 from wrenchbook.service.files import lock as flock
 from wrenchbook.service.files.program import child_command, usable_cores
-from wrenchbook.service.jobs.attempt import (
-    LOCK,
-    LOG,
-    OUTCOME,
-    Attempt,
-    EngineError,
-    Listeners,
-    Outcome,
-    State,
-    solver_began,
-    solver_seconds,
-    write_outcome,
-)
+from wrenchbook.service.jobs import attempt as attempts
+from wrenchbook.service.jobs.attempt import LOCK, LOG, OUTCOME, Attempt, Outcome, State
 
 # Several solvers share the cores, so each gets one; what the user has set is left alone.
 _ENVIRONMENT = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")}
@@ -78,20 +67,18 @@ class SolverProcess:
             signal_group(self.process.pid, number)
 
 
-class LocalEngine(Listeners):
+class LocalEngine(attempts.Listeners):
     """Runs attempts in processes that live on, each in a session of its own, at low priority.
 
-    A solver keeps the interpreter, what it imported, the component and its symbolic and first
-    factorisation for the next attempt. It lives on when the server is killed, until the attempt
-    it is at has ended, and holds the attempt's ``lock`` from before its first instruction until
-    then: the lock is taken here and handed over, so there is no moment in which an attempt that
-    will run looks like one whose solver died.
+    A solver keeps its imports, the component and its factorisations for the next attempt. If the
+    server is killed, it ends after its present attempt. The attempt's ``lock`` is taken here and
+    handed over to the solver, which holds it to the end: a free lock means that no solver works.
 
-    `slots` solvers work at a time, by default as many as this program has cores, and at most as
-    many wait for work. `environment` is added to the variables that solvers inherit, `niceness` to
-    theirs; whatever changes in the variables holds for the next attempt: a solver that was started
-    with others is renewed. `grace` seconds pass between SIGTERM and SIGKILL; after `lives` attempts
-    a solver is renewed. Without `outlived_by_solvers` they are killed when this process dies.
+    At most `slots` solvers, by default one a core, work at a time, and as many wait for work.
+    `environment` is added to the variables that solvers inherit; a solver that was started with
+    other variables is replaced, and so is one after `lives` attempts. `niceness` lowers their
+    priority, `grace` seconds pass between SIGTERM and SIGKILL. Without `outlived_by_solvers` they
+    are killed when this process dies.
     """
 
     name = "local"
@@ -129,7 +116,10 @@ class LocalEngine(Listeners):
         """Have a solver take the attempt: one that has its component, any other, or a new one."""
         lock = flock.take(attempt.folder / LOCK)
         if lock is None:
-            raise EngineError(f"a solver already works in {attempt.folder}")
+            why = (
+                f"a solver already works in {attempt.folder}; wait for its end, or end the process"
+            )
+            raise attempts.EngineError(why + f" that its file {LOCK} names")
         environment = _ENVIRONMENT | dict(os.environ) | self._environment
         try:
             with (attempt.folder / LOG).open("ab") as log:
@@ -159,7 +149,7 @@ class LocalEngine(Listeners):
             return "finished"
         if flock.is_locked(folder / LOCK):
             self._end_if_due(attempt)
-            return "running" if solver_began(folder) else "submitted"
+            return "running" if attempts.solver_began(folder) else "submitted"
         # The solver may have ended well between the two polls.
         if (folder / OUTCOME).exists():
             return "finished"
@@ -170,7 +160,7 @@ class LocalEngine(Listeners):
                 "see log.txt for its progress; use a coarser mesh or a smaller load, or retry the "
                 "job when the machine is less busy",
             )
-            write_outcome(attempt, late)
+            attempts.write_outcome(attempt, late)
             return "finished"
         return "lost"
 
@@ -198,9 +188,9 @@ class LocalEngine(Listeners):
         if folder in self._kill_after:
             late = now > self._kill_after[folder]
             self._signal(attempt, signal.SIGKILL if late else signal.SIGTERM)
-        elif attempt.deadline is not None and solver_began(folder):
+        elif attempt.deadline is not None and attempts.solver_began(folder):
             if folder not in self._began:
-                self._began[folder] = now - (solver_seconds(folder) or 0.0)
+                self._began[folder] = now - (attempts.solver_seconds(folder) or 0.0)
             if now - self._began[folder] > attempt.deadline:
                 # Not SIGTERM: its outcome, "cancelled", would be tried again.
                 self._overdue.add(folder)
@@ -208,7 +198,7 @@ class LocalEngine(Listeners):
 
     def _signal(self, attempt: Attempt, number: int) -> None:
         lock = attempt.folder / LOCK
-        if not solver_began(attempt.folder):
+        if not attempts.solver_began(attempt.folder):
             return  # there is no process to signal yet: `poll` repeats it
         with self._changed:
             for solver in self._solvers:
@@ -282,11 +272,11 @@ class LocalEngine(Listeners):
         """Follow one solver until it has ended, and reap it."""
         with solver.line, contextlib.suppress(OSError):
             while word := solver.line.recv(1):
-                if word == b"t":
+                if word == attempts.TAKEN:
                     solver.has_taken = True
                     solver.answered.set()
                 else:
-                    self._free(solver, stays=word == b"e")
+                    self._free(solver, stays=word == attempts.FREE)
         solver.process.wait()
         with self._changed:
             attempt, solver.attempt = solver.attempt, None

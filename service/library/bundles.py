@@ -206,7 +206,7 @@ def checked(folder: Path) -> Iterator[Part]:
     try:
         yield Part({"report": json.dumps(check.report(folder))})
     except OSError as error:  # of the bundle's files, not of this machine's disk
-        raise RuntimeError(f"{type(error).__name__}: {error}") from error
+        raise RuntimeError(f"{error.filename} cannot be read: {error.strerror}") from error
 
 
 def surface(folder: Path) -> Iterator[Part]:
@@ -228,14 +228,18 @@ def faces(folder: Path) -> Iterator[Part]:
     reporting = importlib.import_module("wrenchbook.fea.check.reporting")
     commands = importlib.import_module("wrenchbook.fea.check.commands")
     problems: list[BundleProblem] = []
-    if (surface := reporting.surface_in(folder, problems)) is None:
+    surface = reporting.surface_in(folder, problems)
+    if surface is None:
         if not problems:  # of the TOML text itself
             problems = [BundleProblem(**each) for each in reporting.report(folder)["problems"]]
             problems = [each for each in problems if each.where.startswith(("component", "line"))]
         texts = [f"{each.where}: {each.message}" for each in problems]
         raise ValueError("; ".join(texts) or "has no [mesh] and no .inp deck with solids; add one")
     if (count := len(surface.triangles)) > MAX_FACE_TRIANGLES:
-        raise ValueError(f"{count} triangles are too many to show; use wrenchbook check --plot")
+        raise ValueError(
+            f"{count} triangles are more than {MAX_FACE_TRIANGLES}, the limit of a picture; draw "
+            "them with: wrenchbook check FOLDER --plot FILE.html"
+        )
     listed = [reporting.listed(surface, face) for face in surface.faces]
     figure = commands.faces_figure(surface, listed).to_json()
     text = f'{{"faces": {json.dumps(listed)}, "figure": {figure}}}'
@@ -267,10 +271,12 @@ def extract(archive: Path, target: Path) -> Path:
     except Exception as error:  # whatever zipfile comes to in a damaged archive
         raise problem_at("bundle", _CANNOT_UNPACK.format(why=str(error)[:200])) from None
     folders = sorted(path.parent for path in target.rglob("component.toml"))
-    if len(folders) != 1:
-        raise problem_at(
-            "bundle", f"The zip holds {len(folders)} files named component.toml; leave exactly one."
-        )
+    if not folders:
+        raise problem_at("bundle", "The zip holds no component.toml. Zip the folder that has it.")
+    if len(folders) > 1:
+        places = ", ".join(str(path.relative_to(target)) for path in folders[:5])
+        why = f"The zip holds {len(folders)} files component.toml, in {places}; leave exactly one."
+        raise problem_at("bundle", why)
     return folders[0]
 
 
@@ -278,7 +284,7 @@ def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
     """Refuse a hostile archive, then write each member and count its bytes."""
     entries = bundle.infolist()
     if len(entries) > MAX_FILES:
-        message = f"The zip holds {len(entries)} files; keep at most {MAX_FILES}."
+        message = f"The zip holds {len(entries)} files, more than {MAX_FILES}; leave files out."
         raise problem_at("bundle", message)
     if sum(info.file_size for info in entries) > MAX_BUNDLE_BYTES:
         raise problem_at("bundle", _TOO_LARGE.format(MAX_BUNDLE_BYTES >> 20))

@@ -20,14 +20,7 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.spec.keys import is_slug
 from wrenchbook.service.actors import CALLER, NotPermittedError
 from wrenchbook.service.files.durable import sync, sync_tree
-from wrenchbook.service.library.bundles import (
-    check_mesh,
-    copy_bundle,
-    faces_of,
-    problem_at,
-    toml_value,
-    unpack,
-)
+from wrenchbook.service.library import bundles
 from wrenchbook.service.library.component import (
     CHECK_FILE,
     BrokenComponentError,
@@ -41,13 +34,15 @@ from wrenchbook.service.library.component import (
 log = logging.getLogger(__name__)
 
 POLL_SECONDS = 1.0  # between polls of files that were edited while no request reads them
+TICK_NS = 100_000_000  # ten ticks of the kernel: within one a folder's time of change may stay
 _DECKS_REFUSED = (
     "A deck names a command for the server's solvers, and this server accepts no uploaded decks. "
     "Ask its operator for serve --allow-decks, or to put the bundle's folder into the data "
     "directory's components folder"
 )
 _NOT_BY_THIS_KEY = (
-    "A deck names a command that solvers run, so only a key for admin may add one; use such a key"
+    "A deck names a command that solvers run, so only an admin key may add one; create such a key "
+    "with: wrenchbook keys add NAME --scope admin"
 )
 _TAKEN = (
     "There already is a component {name!r}. Give the new one another name, because rows of "
@@ -56,15 +51,14 @@ _TAKEN = (
 
 
 class Library:
-    """Components by name: those in the folder `own`, which users add, and the shipped ones.
+    """Components by name: those in the folder `local`, which users add, and the shipped ones.
 
-    A component in `own` may not take a shipped component's name. A bundle that cannot be read is
-    left out and named by `broken`; the others go on. `allow_decks` is whether bundles with a deck,
-    and so with a command to run, may be added. `on_added` is called with each component that has
-    been added, `on_checked` with an uploaded component before anything can see it, `on_copy` with a
-    component and the name of its copy before anything can see the copy; its OSError adds nothing.
-    `noted` is a context in which a component of this name becomes visible. A request sees the
-    components that its key may touch; the others are unknown to it.
+    A component in `local` may not take a shipped component's name. A bundle that cannot be read is
+    left out and named by `broken`. `allow_decks`: bundles with a deck, whose command solvers run,
+    may be added. `on_added` is called with each added component; `on_checked` with an upload, and
+    `on_copy` with a component and its copy's name, before others see the new one: its OSError adds
+    nothing. A new component becomes visible within the context `noted(name)`. A request sees the
+    components that its key may touch.
     """
 
     def __init__(
@@ -107,8 +101,7 @@ class Library:
         """
         with contextlib.suppress(OSError):
             stamp = os.stat(self._local).st_mtime_ns  # noqa: PTH116 (fifty times a second)
-            # What came within a tick of the last look, 10 ms at most, has left the time as it was.
-            if stamp != self._local_stamp or time.time_ns() - stamp <= 1e8:
+            if stamp != self._local_stamp or time.time_ns() - stamp <= TICK_NS:
                 self._local_stamp = stamp
                 for folder in _bundle_folders(self._local):
                     if folder.name not in self._components and folder.name not in self._broken:
@@ -172,10 +165,11 @@ class Library:
         ComponentExistsError (the name is taken) or a LibraryUnavailableError (the disk is full).
         """
         with self._incoming() as incoming:
-            folder, has_deck = unpack(archive, incoming)
+            folder, has_deck = bundles.unpack(archive, incoming)
             if has_deck and not (self._allow_decks and decks):
-                raise problem_at("deck", _NOT_BY_THIS_KEY if self._allow_decks else _DECKS_REFUSED)
-            report = check_mesh(folder)
+                why = _NOT_BY_THIS_KEY if self._allow_decks else _DECKS_REFUSED
+                raise bundles.problem_at("deck", why)
+            report = bundles.check_mesh(folder)
             (folder / CHECK_FILE).write_text(json.dumps(report), encoding="utf-8")
             checked = component_of(read_bundle(folder), shipped=False)
             component = self._adopt(folder, lambda _: self._on_checked(checked))
@@ -185,7 +179,7 @@ class Library:
     def faces_of_zip(self, archive: BinaryIO) -> bytes:
         """Return `bundles.faces_of` a zip that needs no more than [mesh]; raises as `add_zip`."""
         with self._incoming() as incoming:
-            return faces_of(unpack(archive, incoming, complete=False)[0])
+            return bundles.faces_of(bundles.unpack(archive, incoming, complete=False)[0])
 
     def add_table_only(self, **entries: Any) -> Component:
         """Add a component that has no finite-element setup, only rows loaded from outside.
@@ -193,7 +187,7 @@ class Library:
         The entries are those of its component.toml: ``name``, ``title``, ``range`` or ``interface``
         (a list of ``{"name", "range"}``), ``inputs`` and ``tolerance``, SI. Raises as `add_zip`.
         """
-        lines = [f"{key} = {toml_value(value)}" for key, value in entries.items()]
+        lines = [f"{key} = {bundles.toml_value(value)}" for key, value in entries.items()]
         with self._incoming() as incoming:
             folder = incoming / "bundle"
             folder.mkdir()
@@ -210,7 +204,7 @@ class Library:
         source = self[name]
         with self._incoming() as incoming:
             folder = incoming / "bundle"
-            copy_bundle(source, new, title, folder)
+            bundles.copy_bundle(source, new, title, folder)
             component = self._adopt(folder, lambda copied: self._on_copy(source, copied))
         self._on_added(component)
         return component
@@ -223,9 +217,11 @@ class Library:
             with tempfile.TemporaryDirectory(prefix=".incoming-", dir=self._local) as folder:
                 yield Path(folder)
         except OSError as error:
+            full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+            remedy = "make room on its disk" if full else "let the server's user write there"
             raise LibraryUnavailableError(
                 f"The component could not be written to {self._local}: {error.strerror or error}. "
-                "Nothing was added; make room on the disk or make it writable, then send it again."
+                f"Nothing was added; {remedy}, then send the component again."
             ) from error
 
     def _adopt(self, folder: Path, before: Callable[[str], None] = lambda _: None) -> Component:
@@ -236,7 +232,10 @@ class Library:
         name = read_bundle(folder).name
         if not CALLER.get().touches(name):
             patterns = ", ".join(CALLER.get().components)
-            raise NotPermittedError(f"the key allows {patterns}, not {name!r}; use a key for that")
+            raise NotPermittedError(
+                f"the key allows {patterns}, not {name!r}; give the component a name that matches, "
+                f"or create a key with: wrenchbook keys add NAME --component {name}"
+            )
         final = self._local / name
         with self._lock:
             # On the disk too: another process may have added it, or its files may be damaged.
@@ -277,9 +276,10 @@ class Library:
         name = component.name
         if not shipped and name != folder.name:  # it would answer in another component's place
             message = f'is "{name}", but the folder is "{folder.name}"; give both the same name'
-            raise problem_at("name", message)
+            raise bundles.problem_at("name", message)
         if not shipped and name in self._components and self._components[name].shipped:
-            raise problem_at("name", f'"{name}" is a shipped component; choose another name')
+            message = f'"{name}" is a shipped component; choose another name'
+            raise bundles.problem_at("name", message)
         self._components = {**self._components, name: component}
         self._version += 1
         return component

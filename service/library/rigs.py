@@ -48,7 +48,7 @@ def store_rig(ledger: Ledger, name: str, profile: str) -> None:
         others = db.execute("SELECT count(*) FROM rigs WHERE name != ?", (name,)).fetchone()[0]
         if others >= MAX_RIGS:
             raise RigError(
-                f"{others} rigs are stored, the limit; remove one (wrenchbook rig remove)"
+                f"{others} rigs are stored, the limit; remove one with: wrenchbook rig remove NAME"
             )
         note(db, "rig.store", name, before=_stored(db, name), after=profile)
         db.execute("INSERT OR REPLACE INTO rigs VALUES (?, ?)", (name, profile))
@@ -59,7 +59,10 @@ def remove_rig(ledger: Ledger, name: str) -> None:
     with ledger.writing() as db:
         before = _stored(db, name)
         if before is None:
-            raise UnknownRigError(f"there is no rig {name!r}; see wrenchbook rig list")
+            why = f"there is no rig {name!r}; list them with: wrenchbook rig list"
+            if (SHIPPED / f"{name}.toml").is_file():
+                why = f"the rig {name!r} is part of the program; only stored rigs can be removed"
+            raise UnknownRigError(why)
         db.execute("DELETE FROM rigs WHERE name = ?", (name,))
         note(db, "rig.remove", name, before=before)
 

@@ -14,15 +14,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.jobs.attempt import PROGRESS, Progress, write_json
-from wrenchbook.service.report.layout import (
-    advice_of,
-    as_markdown,
-    as_page,
-    sections_of,
-    summary_of,
-)
+from wrenchbook.service.report import layout
 from wrenchbook.service.report.measure import measure
 from wrenchbook.service.report.queue import CANCEL
 from wrenchbook.surrogate.table.hdf5 import read_table
@@ -50,16 +45,21 @@ def main(folder: Path) -> int:
             order["seed"],
             note,
         )
-        report |= {"summary": summary_of(report), "advice": advice_of(report)}
-        report["sections"] = [asdict(section) for section in sections_of(report)]
+        report |= {"summary": layout.summary_of(report), "advice": layout.advice_of(report)}
+        report["sections"] = [asdict(section) for section in layout.sections_of(report)]
         report["made"] = datetime.now(UTC).isoformat(timespec="seconds")
         report["table_version"] = meta.last_seq
-        for name, text in (("report.md", as_markdown(report)), ("report.html", as_page(report))):
+        for name, text in (
+            ("report.md", layout.as_markdown(report)),
+            ("report.html", layout.as_page(report)),
+        ):
             write_atomically(folder / name, text.encode(), durable=False)
         write_json(folder / "report.json", report, durable=True)
     except Exception as error:
         traceback.print_exc()
-        write_json(folder / FAILURE, {"message": f"{type(error).__name__}: {error}"})
+        known = isinstance(error, ValueError | SolveFailed)  # their texts say what to do
+        message = str(error) if known else f"{type(error).__name__}: {error}; see log.txt there"
+        write_json(folder / FAILURE, {"message": message})
         return 1
     return 0
 

@@ -10,30 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-STYLE = (
-    "body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;"
-    "color:#1b1f24}h1{font-size:1.6rem}h2{font-size:1.2rem;margin-top:2rem}"
-    ".wide{overflow-x:auto}table{border-collapse:collapse;font-size:13px;white-space:nowrap}"
-    "th,td{padding:.25rem .6rem;text-align:right;border-bottom:1px solid #d0d7de}"
-    "th:first-child,td:first-child{text-align:left;white-space:normal;min-width:11rem}"
+_STYLE: Final = Path(__file__).with_name("page.css")
+_SCRIPTS: Final = (  # the second draws with the functions of the first
+    Path(__file__).parents[1] / "page" / "js" / "report_plots.js",
+    Path(__file__).with_name("page.js"),
 )
-# Colours that remain apart for the colour-blind (Okabe and Ito 2008).
-_COLOURS: Final = (
-    ":root{--accent:#0072b2;--outside:#d55e00;--query:#e69f00;--covered:#009e73;--thin:#cc79a7;"
-    "--muted:#57606a;--ink:#000;--line:#d0d7de;--card:#fff}"
-    ".key-of-marks{display:flex;flex-wrap:wrap;gap:.3rem 1.2rem;list-style:none;padding:0}"
-)
-_PLOTS: Final = Path(__file__).parents[1] / "page" / "js" / "report_plots.js"
-_DRAW: Final = """
-const report = JSON.parse(document.getElementById("report").textContent);
-const plots = document.getElementById("plots");
-for (const [name, [title]] of Object.entries(PLOTS)) {
-  const heading = document.createElement("h2"), place = document.createElement("div");
-  heading.textContent = title;
-  plots.append(heading, place);
-  show(place, name, report);
-}
-"""
+UNKNOWN = "-"  # a number that a table does not have
 STAR = " ★"  # behind the name of an entry that no other beats in both error and run time
 
 
@@ -59,8 +41,12 @@ def summary_of(report: dict[str, Any]) -> str:
 
 def advice_of(report: dict[str, Any]) -> str:
     """Return advice on the table in one sentence."""
-    name, rows, mesh = report["default"]["method"], report["rows"], report["mesh_error"]
-    table = next(e for e in report["tables"] if e["method"] == name and e["rows"] == rows)
+    mesh = report["mesh_error"]
+    table = next(
+        entry
+        for entry in _complete_tables(report)
+        if entry["method"] == report["default"]["method"]
+    )
     error = table["largest_interpolation_error"]
     sentence = f"the table ({table['name']}) does not answer all outputs"
     if error is not None:
@@ -71,15 +57,17 @@ def advice_of(report: dict[str, Any]) -> str:
             "change nothing; if that is too much, refine the mesh."
         )
     p95 = zip(table["lookup_error"]["p95"], report["tolerance"] or (), strict=False)
-    over = [k for k, (value, limit) in enumerate(p95) if value is None or value > limit]
-    if over:
-        return (
-            f"More rows help: {sentence}, and {report['outputs'][over[0]]} exceeds the tolerance; "
-            f"wrenchbook fill {report['component']}."
-        )
-    mesh_part = f", its mesh by {100 * mesh:.2g} %" if mesh is not None else ""
-    within = "; its interpolation error is within the tolerance: it needs no more rows"
-    return f"The table decides: {sentence}{mesh_part}{within * bool(report['tolerance'])}."
+    for output, (value, limit) in zip(report["outputs"], p95, strict=False):
+        if value is None or value > limit:
+            return (
+                f"More rows help: {sentence}, and {output} exceeds the tolerance; "
+                f"wrenchbook fill {report['component']}."
+            )
+    if mesh is not None:
+        sentence += f", its mesh by {100 * mesh:.2g} %"
+    if report["tolerance"]:
+        sentence += "; its interpolation error is within the tolerance: it needs no more rows"
+    return f"The table decides: {sentence}."
 
 
 def sections_of(report: dict[str, Any]) -> list[ReportSection]:
@@ -139,20 +127,23 @@ def _star(report: dict[str, Any], entry: dict[str, Any]) -> str:
 
 
 def _mesh_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
-    finest = report["fea"][-1]
+    """Return a line a mesh: name, size, times and relative errors; the finest is the reference."""
+    marks = [""] * (len(report["fea"]) - 1) + [" (reference)"]
     return tuple(
         (
-            entry["level"] + " (reference)" * (entry is finest) + _star(report, entry),
+            entry["level"] + mark + _star(report, entry),
             f"{entry['unknowns']:,}",
             f"{entry['setup_s']:.2f}",
             *_each((entry["seconds_p50"], entry["seconds_p95"]), ".3f"),
             *_each(entry["error"]["rms_relative"], ".2%"),
         )
-        for entry in report["fea"]
+        for entry, mark in zip(report["fea"], marks, strict=True)
     )
 
 
 def _table_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
+    """Return a line a table and method: costs, relative errors and covered share, by rows."""
+
     def by_rows_and_error(entry: dict[str, Any]) -> tuple[int, float]:
         return entry["rows"], entry["largest_interpolation_error"] or float("inf")
 
@@ -184,9 +175,13 @@ def _error_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
 
 
 def _bar_line(entry: dict[str, Any]) -> tuple[str, ...]:
+    """Return a table's name and of each output "95%, 1.3x": see the section Error bars."""
     inside, ratios = _each(entry["inside_error_bar"], ".0%"), _each(entry["bar_over_error"], ".1f")
-    pairs = zip(inside, ratios, strict=True)
-    return entry["name"], *(part if x == "-" else f"{part}, {x}x" for part, x in pairs)
+    cells = [
+        share if ratio == UNKNOWN else f"{share}, {ratio}x"
+        for share, ratio in zip(inside, ratios, strict=True)
+    ]
+    return entry["name"], *cells
 
 
 def _failures_in(level: dict[str, Any]) -> str:
@@ -203,7 +198,8 @@ def _failures_in(level: dict[str, Any]) -> str:
 
 
 def _each(values: Iterable[float | None], form: str) -> tuple[str, ...]:
-    return tuple("-" if value is None else format(value, form) for value in values)
+    """Return numbers as texts of a format; `UNKNOWN` for None."""
+    return tuple(UNKNOWN if value is None else format(value, form) for value in values)
 
 
 def as_markdown(report: dict[str, Any]) -> str:
@@ -223,16 +219,17 @@ def as_page(report: dict[str, Any]) -> str:
     """Lay out a report as an HTML page of its own, drawn by the script of the server's page."""
     figures = {name: value for name, value in report.items() if name != "sections"}
     heading = html.escape(f"{report['title']}: error against run time")
+    script = "".join(path.read_text("utf-8") for path in _SCRIPTS)
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{heading}</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<style>{STYLE}{_COLOURS}</style></head><body><h1>{heading}</h1>"
+        f"<style>{_STYLE.read_text('utf-8')}</style></head><body><h1>{heading}</h1>"
         f"<p>{html.escape(report['summary'])}</p>"
         f"<p><strong>{html.escape(report['advice'])}</strong></p>"
         f'<div id="plots"></div>{"".join(map(section_html, sections_of(report)))}'
         '<script type="application/json" id="report">'
         f"{json.dumps(figures).replace('<', chr(92) + 'u003c')}</script>"
-        f'<script type="module">{_PLOTS.read_text(encoding="utf-8")}{_DRAW}</script></body></html>'
+        f'<script type="module">{script}</script></body></html>'
     )
 
 

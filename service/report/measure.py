@@ -26,8 +26,9 @@ from wrenchbook.surrogate.table.rows import LoadRange, Rows, acting
 Array = np.ndarray
 Report = Callable[[float, str], None]
 
-LEVELS = (("coarse", 0.67), ("own", 1.0), ("fine", 1.5))
-PARTS = (0.25, 0.5, 1.0)
+LEVELS = (("coarse", 0.67), ("own", 1.0), ("fine", 1.5))  # cells along an edge, of the own mesh's
+PARTS = (0.25, 0.5, 1.0)  # of the rows, in tables of growing size
+SOLVES_FRACTION = 0.85  # of the time of a report, as its progress shows it
 NEAR_ZERO = 1e-3  # of the largest output of its kind: below it an output counts as near zero
 TIMED_QUERIES, TIMED_SECONDS = 2000, 0.5  # of a method, at most
 
@@ -41,21 +42,22 @@ def measure(
     and the current step. Raises ValueError if no wrench is solved on both finest meshes.
     """
     space = load_range.space
-    freedoms = [name in entry.locked for entry in bundle.interfaces for name in FREEDOMS]
+    locked = [name in entry.locked for entry in bundle.interfaces for name in FREEDOMS]
     points = qmc.Halton(d=len(load_range.low), rng=seed).random(count)
     wrenches = load_range.low + points * (load_range.high - load_range.low)
-    wrenches = acting(wrenches, np.flatnonzero(freedoms).tolist())
+    wrenches = acting(wrenches, np.flatnonzero(locked).tolist())
     levels = _solve_levels(bundle, wrenches, report)
     displacements = [level.pop("displacement") for level in levels]
-    same = [level["level"] for level in levels].index("own")
-    solved = np.isfinite(displacements[-1] + displacements[same]).all(axis=1)
+    own = [level["level"] for level in levels].index("own")
+    solved = np.isfinite(displacements[-1] + displacements[own]).all(axis=1)
     if not solved.any():
         kinds = {failure["kind"] for level in levels for failure in level["failures"]}
         raise ValueError(
-            f"none of the {count} wrenches could be solved ({', '.join(sorted(kinds))}); "
-            "solve one and look at its job's files, or lower the component's load range"
+            f"none of the {count} wrenches could be solved ({', '.join(sorted(kinds))}); solve one "
+            f"with: wrenchbook solve {bundle.name} --force FX FY FZ, or lower the range in "
+            "component.toml"
         )
-    reference, same_mesh = displacements[-1][solved], displacements[same][solved]
+    reference, same_mesh = displacements[-1][solved], displacements[own][solved]
     # An error is relative to the range of its output, or to a floor if that is near zero.
     span = np.ptp(reference, axis=0)
     scale = np.maximum(span, NEAR_ZERO * space.largest_of_kind(span))
@@ -63,7 +65,7 @@ def measure(
         level |= {"name": f"FEA, {level['level']} mesh", "seconds": level["seconds_p50"]}
         level["error"] = errors(np.abs(displacement[solved] - reference), scale)
         level["largest_error"] = _largest(level["error"])
-    report(0.85, "measuring tables")
+    report(SOLVES_FRACTION, "measuring tables")
     linear, limit = not bundle.analysis.nonlinear, bundle.tolerance
     tables = _measure_tables(
         rows,
@@ -72,7 +74,7 @@ def measure(
         wrenches[solved],
         (reference, same_mesh),
         scale,
-        levels[same]["seconds_p50"],
+        levels[own]["seconds_p50"],
     )
     summary = build(rows, load_range, linear=linear).coverage_summary()
     return {
@@ -92,7 +94,7 @@ def measure(
             "full_wrench_rows": summary["full_wrench_rows"],
         },
         # None where the component's mesh is the finest: its error is not known.
-        "mesh_error": levels[same]["largest_error"] if same < len(levels) - 1 else None,
+        "mesh_error": levels[own]["largest_error"] if own < len(levels) - 1 else None,
         "fea": levels,
         "tables": tables,
         "pareto": pareto([*tables, *levels]),
@@ -112,7 +114,7 @@ def _solve_levels(bundle: Bundle, wrenches: Array, report: Report) -> list[dict[
         seconds, failures = [], []
         for place, wrench in enumerate(wrenches):
             fraction = place / len(wrenches)
-            done = 0.85 * (number + fraction) / len(meshes)
+            done = SOLVES_FRACTION * (number + fraction) / len(meshes)
             report(done, f"{name} mesh: wrench {place + 1} of {len(wrenches)}")
             started = time.process_time()
             try:
@@ -198,13 +200,13 @@ def _compare_method(
         inside.append(float(np.mean(true <= bars)) if len(true) else None)
         # None where the error is nothing.
         ratios.append(float(np.median(bars)) / median if median > 0.0 else None)
-    middle, late = answer_times(table, method, wrenches)
+    median_us, p99_us = answer_times(table, method, wrenches)
     of_finest, of_mesh = errors(np.abs(answers.outputs - finest), scale), errors(error, scale)
     return {
         "covered": float(np.mean(answers.coverage == 0)),
-        "seconds": middle * 1e-6,
-        "query_us_p50": middle,
-        "query_us_p99": late,
+        "seconds": median_us * 1e-6,
+        "query_us_p50": median_us,
+        "query_us_p99": p99_us,
         "error": of_finest,
         "largest_error": _largest(of_finest),
         "lookup_error": of_mesh,

@@ -44,10 +44,10 @@ class Reports:
     def make(self, component: Component, rows: int, wrenches: int, seed: int) -> None:
         """Start making the report of a component with `rows`, unless that goes on already.
 
-        Raises FileNotFoundError if it has no rows, or its table has not been written yet.
+        Its table is written. Raises FileNotFoundError if it has no rows.
         """
         table = self._tables / f"{component.name}.h5"
-        if not rows or not table.exists():
+        if not rows:
             raise FileNotFoundError(
                 f"{component.name!r} has no rows yet, so there is nothing to report. Fill its "
                 f"table first: wrenchbook fill {component.name}"

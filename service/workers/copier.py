@@ -26,6 +26,7 @@ log = logging.getLogger(__name__)
 
 HOUR = 3600.0
 POLL_S = 10.0  # between checks whether a backup is due
+LATE_PERIODS = 1.5  # without a backup before health says so
 SLACK_S = 60.0  # without a report before health says so, and before a failed backup is repeated
 _PATTERN = "wrenchbook-*.wbb"  # of scheduled backups
 _status_lock = threading.Lock()  # of this process, whose two threads write one file
@@ -84,7 +85,7 @@ def keep(settings: Settings, stop: threading.Event) -> None:
             except Exception as error:
                 log.exception("the scheduled backup failed")
                 facts, pause = {"trouble": str(error) or repr(error)}, SLACK_S
-            _report(settings, "backup", 1.5 * period * HOUR + SLACK_S, facts)
+            _report(settings, "backup", LATE_PERIODS * period * HOUR + SLACK_S, facts)
 
 
 def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
@@ -101,7 +102,10 @@ def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
             restore(file, Path(scratch) / "data")
             faults = [f.problem for f in examine(Path(scratch) / "data") if f.kind == "fault"]
             if faults:
-                raise RuntimeError(f"its restore has {len(faults)} faults, first: {faults[0]}")
+                why = f"{file.name}, restored, has {len(faults)} faults, first: {faults[0]}"
+                raise RuntimeError(
+                    why + f". Examine the data with: wrenchbook doctor --data {data}"
+                )
     except BaseException:
         for former in folder.glob("wrenchbook-*.failed"):  # it is tried again every minute
             former.unlink(missing_ok=True)

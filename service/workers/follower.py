@@ -47,7 +47,8 @@ class Follower:
         """Take the newest manifest over; return it, and when it had all that was committed, s."""
         if not (content := self._replica.place.get(replica.LATEST)):
             raise replica.ReplicaError(
-                f"{self._replica.url} has no replica; start its server with --replicate"
+                f"{self._replica.url} has no {replica.LATEST}, so it is no replica yet; start the "
+                f"main server with --replicate {self._replica.url}"
             )
         pointer = json.loads(content)
         if self._manifest is None or pointer["manifest"] != self._name:
@@ -71,23 +72,25 @@ class Follower:
 
     def _take_ledger(self, entry: Entry, *, upgrade: bool) -> None:
         """Bring the copy of the ledger up to date by the blocks that differ, then the ledger."""
-        path, before = self._data / replica.COPY, self._entries.get(LEDGER, (0, ()))[1]
+        path, (size, digests) = self._data / replica.COPY, entry
+        _, before = self._entries.get(LEDGER, (0, ()))  # the digests of the copy's blocks
         with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "r+b") as file:
-            for place, digest in enumerate(entry[1]):
-                if before[place : place + 1] != (digest,):
-                    file.seek(place * replica.BLOCK)
+            for number, digest in enumerate(digests):
+                if number >= len(before) or before[number] != digest:
+                    file.seek(number * replica.BLOCK)
                     file.write(self._replica.block(digest))
-            file.truncate(entry[0])
+            file.truncate(size)
         if upgrade:
             Ledger(path).close()
         self._ledger.take_over(path)
 
     def _take_file(self, name: str, entry: Entry) -> None:
-        path = self._data / name
-        if name.startswith(TABLES) and path.is_file() and path.stat().st_size == entry[0]:
+        """Write a file of the replica; a table that is there already stays."""
+        path, (size, digests) = self._data / name, entry
+        if name.startswith(TABLES) and path.is_file() and path.stat().st_size == size:
             return  # of the last start: its name has its version, and it has a checksum
         path.parent.mkdir(0o700, parents=True, exist_ok=True)
-        content = b"".join(map(self._replica.block, entry[1]))
+        content = b"".join(map(self._replica.block, digests))
         write_atomically(path, content, durable=False, mode=0o600)
 
 

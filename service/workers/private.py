@@ -70,4 +70,5 @@ def private_server(folder: Path, solvers: int) -> Iterator[Client]:
 
 def _did_not_start(log: TextIO) -> ServerDidNotStartError:
     log.seek(0)
-    return ServerDidNotStartError(f"The server did not start. Its log ends:\n{log.read()[-2000:]}")
+    why = "The server of this command did not start; remove the cause that its log ends with"
+    return ServerDidNotStartError(why + f":\n{log.read()[-2000:]}")

@@ -7,6 +7,7 @@ replaced web workers that finish imports of minutes, and waits for each answer t
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import multiprocessing
@@ -48,6 +49,11 @@ IN_USE: Final = (
     "the data directory {} is in use by {}; call that server with --server, stop it, or name "
     "another directory with --data"
 )
+_REMEDIES: Final = {  # by the error of a bind
+    errno.EADDRINUSE: "stop the program that uses the port, or take a free one with --port 0",
+    errno.EADDRNOTAVAIL: "give an address of this machine with --host, or 0.0.0.0 for all",
+    errno.EACCES: "give a port above 1023 with --port",
+}
 _LOCK: Final = "supervisor.lock"  # holds address and pid of the server
 _ENDS: Final = frozenset({signal.SIGINT, signal.SIGTERM})
 # From SIGTERM until connections are refused: web workers take those that wait within 0.1 s.
@@ -233,8 +239,8 @@ def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
         bound.bind((host, port))
     except OSError as error:
         bound.close()
-        problem = f"{error.strerror}: {shown}:{port}; name another address with --host and --port"
-        raise AddressError(problem) from error
+        remedy = _REMEDIES.get(error.errno or 0, "give another address with --host and --port")
+        raise AddressError(f"{shown}:{port}: {error.strerror}; {remedy}") from error
     return bound, f"http://{shown}:{bound.getsockname()[1]}"
 
 
@@ -255,7 +261,8 @@ def supervise(settings: Settings, *, as_json: bool = False) -> None:
     bound, address = bind_to(settings.host, settings.port)
     shared = settings.data / SHARED
     shared.mkdir(exist_ok=True)
-    if (lock := take(shared / _LOCK)) is None:  # held until this process ends
+    lock = take(shared / _LOCK)  # held until this process ends
+    if lock is None:
         raise WorkerFailedError(in_use(settings.data))
     os.truncate(lock, 0)
     os.write(lock, f"the server at {address} (process {os.getpid()})".encode())

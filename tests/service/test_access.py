@@ -3,6 +3,7 @@
 import errno
 import io
 import os
+import time
 import zipfile
 from pathlib import Path
 
@@ -192,7 +193,7 @@ def test_a_busy_or_damaged_file_of_keys_is_no_unknown_key(place, locked, secrets
     finally:
         os.close(lock)
     assert busy.status_code == 503, busy.text
-    assert "another command is changing the keys; repeat yours" in busy.json()["detail"]
+    assert "repeat yours in a second" in busy.json()["detail"]
     content = file.read_text()
     file.write_text("{")
     try:
@@ -200,7 +201,7 @@ def test_a_busy_or_damaged_file_of_keys_is_no_unknown_key(place, locked, secrets
     finally:
         file.write_text(content)
     assert damaged.status_code == 507, damaged.text
-    assert "cannot be read" in damaged.json()["detail"]
+    assert "is damaged: it is not valid JSON" in damaged.json()["detail"]
 
 
 def test_more_keys_than_there_can_be_are_a_conflict(locked, secrets_, monkeypatch):
@@ -210,7 +211,23 @@ def test_more_keys_than_there_can_be_are_a_conflict(locked, secrets_, monkeypatc
         reply = locked.post(f"/v1/keys{path}", json=body, headers=admin)
         assert reply.status_code == 409
         assert reply.json()["type"].endswith(":keys-full")
-        assert "run wrenchbook keys revoke" in reply.json()["detail"]
+        assert "revoke one with: wrenchbook keys revoke NAME" in reply.json()["detail"]
+
+
+def test_a_key_that_is_missing_malformed_unknown_or_expired_is_refused_by_its_cause(place, locked):
+    secret = Keyring(place).add("late", "read", expires=time.time() + 0.2)
+    locked.app.state.access.keyring.refresh(0.0)
+    time.sleep(0.3)
+    for headers, why in (
+        ({}, "the request has none"),
+        ({"Authorization": secret}, "is not Bearer and a key"),
+        (bearer("wb_x"), "is unknown here"),
+        (bearer(secret), "The key 'late' of the request expired at 20"),
+    ):
+        refused = locked.get("/v1/jobs", headers=headers)
+        assert refused.status_code == 401
+        assert why in refused.json()["detail"]
+        assert secret not in refused.text
 
 
 def test_a_private_servers_own_key_is_good_for_all(locked):

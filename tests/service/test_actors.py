@@ -326,14 +326,14 @@ def test_a_rotated_key_has_two_secrets_until_the_old_one_ends(tmp_path):
     assert (keyring.find(old), keyring.find(new)) == (None, None)
     assert keyring.find(newest).expires is None
     for overlap, name, why in (
-        (-1.0, "ann", "0 or more hours"),
-        (0.0, "eve", "no valid key 'eve'"),
+        (-1.0, "ann", "from 0 to 277777 hours, not"),
+        (0.0, "eve", "no key .eve.; name one of: ann"),
     ):
         with pytest.raises(KeysError, match=why):
             keyring.rotate(name, overlap)
     keyring.revoke("ann")
     assert len(keyring) == 0
-    with pytest.raises(KeysError, match="would already have expired"):
+    with pytest.raises(KeysError, match="is in the past: now is"):
         keyring.add("ann", "write", expires=time.time() - 1.0)
 
 

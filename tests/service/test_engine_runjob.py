@@ -191,7 +191,7 @@ def test_a_component_that_changed_since_the_job_was_accepted_is_not_solved(folde
 
 def test_an_outcome_of_another_attempt_or_a_torn_one_is_not_taken(folder):
     runjob.run_attempt(folder, lambda spec, report: {"displacement": [0.0] * 6})
-    with pytest.raises(BadOutcomeError, match="answers"):
+    with pytest.raises(BadOutcomeError, match="the answer of another attempt: it differs in"):
         read_outcome(replace(SPEC, attempt=3, folder=folder))
     (folder / "result.json").write_text('{"status": "done", "displ')
     with pytest.raises(BadOutcomeError, match="cannot be read"):

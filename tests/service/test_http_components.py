@@ -165,6 +165,21 @@ def test_the_files_of_a_done_job_that_were_deleted_are_not_called_not_started(ht
     assert f"Job {job} is done" in reply.json()["detail"]
     assert "deleted" in reply.json()["detail"]
     assert "not started" not in reply.json()["detail"]
+    assert "needs no files" in reply.json()["detail"]  # and cannot be retried
+    assert http.get(f"/v1/jobs/{job}/log").json()["detail"] == reply.json()["detail"]
+
+
+def test_a_job_that_no_solver_began_has_no_files_and_says_what_to_do(tmp_path):
+    """A cancelled one was to be asked for later, a waiting one to be retried."""
+    with TestClient(create_app(Settings(tmp_path, solvers=0))) as http:
+        job = http.post("/v1/components/plate_thin/solve", json={"force": [1, 0, 0]}).json()["job"]
+        for call in ("files", "log"):
+            assert "ask again later" in http.get(f"{job['url']}/{call}").json()["detail"]
+        http.delete(job["url"])
+        for call in ("files", "log"):
+            detail = http.get(f"{job['url']}/{call}").json()["detail"]
+            assert "is cancelled, and no solver began it" in detail
+            assert f"retry it: POST {job['url']}/retry" in detail
 
 
 def test_an_uploaded_deck_is_refused_unless_the_operator_allows_decks(http, folder):

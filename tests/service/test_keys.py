@@ -3,6 +3,7 @@
 import errno
 import os
 import stat
+import time
 
 import pytest
 from typer.testing import CliRunner
@@ -75,21 +76,46 @@ def test_a_key_that_cannot_be_is_refused_and_nothing_is_written(
 
 def test_a_name_is_one_keys(keyring):
     keyring.add("ann", "read")
-    with pytest.raises(KeysError, match="there is a key"):
+    with pytest.raises(KeysError, match=r"a key .ann. exists; choose another name"):
         keyring.add("ann", "write")
     with pytest.raises(KeysError, match="name one of: ann"):
         keyring.revoke("bob")
 
 
+def test_a_key_is_rotated_while_it_is_valid(keyring):
+    with pytest.raises(KeysError, match="create it with: wrenchbook keys add ann"):
+        keyring.rotate("ann", 0.0)
+    keyring.add("ann", "read", expires=time.time() + 0.05)
+    time.sleep(0.1)
+    with pytest.raises(KeysError, match=r"expired, so .* keys revoke ann; wrenchbook keys add ann"):
+        keyring.rotate("ann", 0.0)
+
+
 @pytest.mark.parametrize(
-    "content", ["", "{", "[]", '{"keys": 3}', '{"keys": [{"name": "x"}]}', "unknown field"]
+    ("content", "why"),
+    [
+        ("", "it is not valid JSON"),
+        ("{", "it is not valid JSON"),
+        ("[]", 'it has no list "keys"'),
+        ('{"keys": 3}', 'it has no list "keys"'),
+        ('{"keys": [3]}', r"keys\[0\]: the field 'name' is missing"),
+        ('{"keys": [{"name": "x"}]}', r"keys\[0\]: the field 'scope' is missing"),
+        ("unknown field", r"keys\[0\]: the field 'scope_' is unknown"),
+        ("unknown scope", r"keys\[0\]: the scope must be one of read, write, admin, not 'root'"),
+        ("texts", r"keys\[0\]: components must be a list"),
+    ],
 )
-def test_damaged_keys_let_nobody_in_and_are_told_of(tmp_path, content):
-    if content == "unknown field":
+def test_damaged_keys_let_nobody_in_and_are_told_of(tmp_path, content, why):
+    edits = {
+        "unknown field": ('"scope"', '"scope_": "admin", "scope"'),
+        "unknown scope": ('"read"', '"root"'),
+        "texts": ('[\n    "*"\n   ]', '"*"'),
+    }
+    if content in edits:
         Keyring(tmp_path).add("ann", "read")
-        content = (tmp_path / FILE).read_text().replace('"scope"', '"scope_": "admin", "scope"')
+        content = (tmp_path / FILE).read_text().replace(*edits[content])
     (tmp_path / FILE).write_text(content)
-    with pytest.raises(KeysError, match="wrenchbook keys add"):
+    with pytest.raises(KeysError, match=f"damaged: {why}.*wrenchbook keys add"):
         Keyring(tmp_path)
     with pytest.raises(KeysError, match="wrenchbook keys add"):  # it was a worker's traceback
         app(["serve", "--data", str(tmp_path), "--port", "0"], standalone_mode=False)

@@ -49,7 +49,7 @@ def test_every_file_of_a_bundle_is_synced_before_it_is_moved_in(library, tmp_pat
 
     monkeypatch.setattr("wrenchbook.service.files.durable.os.fsync", recorded)
     monkeypatch.setattr(Path, "rename", moved)
-    monkeypatch.setattr("wrenchbook.service.library.library.check_mesh", lambda folder: {})
+    monkeypatch.setattr("wrenchbook.service.library.bundles.check_mesh", lambda folder: {})
     library.add_zip(rig_zip())
     before = events[: events.index("moved")]
     assert {"component.toml", "notes", "read.me", "rig"} <= set(before)
@@ -64,7 +64,7 @@ def test_an_upload_is_seen_only_once_its_check_is_kept(tmp_path, monkeypatch):
         seen.append((tmp_path / "components" / component.name).exists())
 
     library = Library(tmp_path / "components", tmp_path / "none", on_checked=checked)
-    monkeypatch.setattr("wrenchbook.service.library.library.check_mesh", lambda folder: {})
+    monkeypatch.setattr("wrenchbook.service.library.bundles.check_mesh", lambda folder: {})
     assert library.add_zip(rig_zip()).name == "rig"
     assert seen == [False]
 
@@ -78,7 +78,7 @@ def test_a_bundle_that_cannot_be_written_is_refused_by_name_and_leaves_nothing(
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("wrenchbook.service.library.library.check_mesh", lambda folder: {})
+    monkeypatch.setattr("wrenchbook.service.library.bundles.check_mesh", lambda folder: {})
     monkeypatch.setattr(f"wrenchbook.service.library.library.{write}", full)
     with pytest.raises(
         LibraryUnavailableError, match=r"No space left on device\. Nothing was added"
@@ -87,7 +87,7 @@ def test_a_bundle_that_cannot_be_written_is_refused_by_name_and_leaves_nothing(
     assert list((tmp_path / "components").iterdir()) == []
     assert library.names() == []
     monkeypatch.undo()
-    monkeypatch.setattr("wrenchbook.service.library.library.check_mesh", lambda folder: {})
+    monkeypatch.setattr("wrenchbook.service.library.bundles.check_mesh", lambda folder: {})
     assert library.add_zip(rig_zip()).name == "rig"
 
 

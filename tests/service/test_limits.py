@@ -90,9 +90,9 @@ def test_a_body_is_counted_as_its_pieces_come():
 def test_a_json_batch_has_as_many_wrenches_as_a_binary_one(monkeypatch):
     monkeypatch.setattr("wrenchbook.service.http.batch.MAX_BATCH", 10)
     assert len(batch_parts(orjson.dumps({"wrenches": [[0.0] * 6] * 10}))[1]) == 10
-    with pytest.raises(HttpProblemError, match="more than 10 wrenches"):
+    with pytest.raises(HttpProblemError, match="at most 10"):
         batch_parts(orjson.dumps({"wrenches": [[0.0] * 6] * 11}))
-    with pytest.raises(HttpProblemError, match="more than 10 wrenches"):
+    with pytest.raises(HttpProblemError, match="at most 10"):
         batch_parts(b'{"wrenches":[' + b"[]," * 1000 + b"[]]}")
 
 

@@ -75,7 +75,8 @@ def test_a_port_in_use_is_named(tmp_path):
         result = CliRunner().invoke(app, words, env={"COLUMNS": "40"})
     assert result.exit_code == 2
     assert result.output == (
-        f"Address already in use: 127.0.0.1:{port}; name another address with --host and --port\n"
+        f"127.0.0.1:{port}: Address already in use; stop the program that uses the port, or take a "
+        "free one with --port 0\n"
     )
 
 

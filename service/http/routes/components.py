@@ -111,7 +111,8 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
     kind = content_type(request)
     if kind == "multipart/form-data":
         # The archive may be as large as a bundle, and its form has a head.
-        async with form_of(request, MAX_BUNDLE_BYTES + MAX_QUERY_BYTES, most_files=1) as form:
+        most = MAX_BUNDLE_BYTES + MAX_QUERY_BYTES
+        async with form_of(request, most, 1, "Leave large files out of the zip.") as form:
             upload = form.get("bundle")
             if not isinstance(upload, UploadFile):
                 message = "is missing; send the zip as the file 'bundle' of the form"
@@ -127,13 +128,11 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
         fields = body.model_dump(exclude_none=True)
         component = await run_in_threadpool(lambda: workspace.library.add_table_only(**fields))
     else:
-        raise HttpProblemError(
-            415,
-            "media-type",
-            "Not a form this call takes",
+        why = (
             f"The content type is {kind or 'missing'}. Send a bundle's zip as multipart/form-data "
-            "with the field 'bundle', or a table-only component as application/json.",
+            "with the field 'bundle', or a table-only component as application/json."
         )
+        raise HttpProblemError(415, "media-type", "Not a form this call takes", why)
     body = await run_in_threadpool(component_body, workspace, component)
     return json_reply(body, 201, {"Location": f"/v1/components/{component.name}"})
 

@@ -197,28 +197,28 @@ def drawing(
     most: Annotated[int, Query(ge=1, le=MAX_ROWS)] = 2_000,
 ) -> Response:
     require_single_wrench(name, table.load_range.space)
-    rows, drawn = table.rows, next((every for every in AXES if every.name == axis), None)
+    rows, drawn = table.rows, next((known for known in AXES if known.name == axis), None)
     loaded = np.abs(rows.wrench) > ZERO_LOAD * table.load_range.scale
     chosen = np.arange(len(rows))
-    clean: NDArray[np.bool_] = np.zeros(len(rows), dtype=bool)
+    single_axis: NDArray[np.bool_] = np.zeros(len(rows), dtype=bool)
     if along is not None:
         chosen = np.flatnonzero(~loaded[:, np.arange(6) != LOADS.index(along)].any(axis=1))
     if drawn is not None:
-        clean = np.logical_not(loaded[:, drawn.others].any(axis=1))
-    first = _spread(chosen[clean[chosen]], most)
-    rest = _spread(chosen[~clean[chosen]], most - len(first))
-    shown = np.sort(np.concatenate((first, rest)))
-    some = rows.take(shown)
+        single_axis = np.logical_not(loaded[:, drawn.others].any(axis=1))
+    of_axis = _spread(chosen[single_axis[chosen]], most)
+    others = _spread(chosen[~single_axis[chosen]], most - len(of_axis))
+    shown = np.sort(np.concatenate((of_axis, others)))
+    drawn_rows = rows.take(shown)
     body = {
         "component": name,
         "table_version": table.version,
         "of": len(chosen),
         "shown": len(shown),
-        "row": some.seq,
-        "wrench": np.ascontiguousarray(some.wrench),
-        "displacement": np.ascontiguousarray(some.displacement),
-        "clean": clean[shown],
-        "source": [str(source) for source in some.source],
+        "row": drawn_rows.seq,
+        "wrench": np.ascontiguousarray(drawn_rows.wrench),
+        "displacement": np.ascontiguousarray(drawn_rows.displacement),
+        "clean": single_axis[shown],
+        "source": [str(source) for source in drawn_rows.source],
     }
     if drawn is not None:
         grid = _grid(table.load_range, drawn)

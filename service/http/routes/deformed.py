@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import Counter
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal, cast
 
 import numpy as np
 from fastapi import APIRouter, Query, Request
+from numpy.typing import NDArray
 from starlette.responses import Response
 
 from wrenchbook.service.contract import LOADS, Coverage
@@ -25,6 +26,10 @@ router = APIRouter(
 )
 
 _Number = Annotated[float, Query(allow_inf_nan=False)]
+_FILES = {  # by format: the writer, the media type, the ending of the name
+    "gltf": (surface_files.write_gltf, surface_files.GLTF_MEDIA_TYPE, "glb"),
+    "vtu": (surface_files.write_vtu, surface_files.VTU_MEDIA_TYPE, "vtu"),
+}
 
 
 @router.get(
@@ -68,14 +73,11 @@ async def deformed(
     )
 
 
-def _reply(workspace: Workspace, name: str, loads: Any, form: str) -> Response:
+def _reply(workspace: Workspace, name: str, loads: NDArray[np.float64], form: str) -> Response:
+    """Answer with the deformed surface under `loads`, shape (6,), N and N·m, in a format."""
     shape = workspace.deformed(name, loads)
     if form != "json":
-        write, kind, ending = (
-            (surface_files.write_gltf, surface_files.GLTF_MEDIA_TYPE, "glb")
-            if form == "gltf"
-            else (surface_files.write_vtu, surface_files.VTU_MEDIA_TYPE, "vtu")
-        )
+        write, kind, ending = _FILES[form]
         headers = {
             "Content-Disposition": f'attachment; filename="{name}.{ending}"',
             "Wrenchbook-Coverage": shape.coverage,
@@ -83,7 +85,9 @@ def _reply(workspace: Workspace, name: str, loads: Any, form: str) -> Response:
         }
         return Response(write(shape), 200, headers, kind)
     geometry, count = shape.geometry, len(shape.geometry.vertices)
-    stress: dict[str, Any] | None = shape.stress and shape.stress._asdict()
+    stress = None
+    if shape.stress is not None:
+        stress = Stress(**{**shape.stress._asdict(), "at": np.array(shape.stress.at)})
     interface = interface_of(workspace.library[name]) or {}
     simplified: dict[Literal["from", "to"], int] = {"from": geometry.full_vertices, "to": count}
     reply = DeformedShape(
@@ -98,7 +102,7 @@ def _reply(workspace: Workspace, name: str, loads: Any, form: str) -> Response:
         error_parts=None if shape.parts is None else shape.parts.largest(),
         within_tolerance=shape.within_tolerance,
         simplified=simplified if count < geometry.full_vertices else None,
-        stress=Stress(**{**stress, "at": np.array(stress["at"])}) if stress else None,
+        stress=stress,
         source=shape.source,
         rows=shape.rows,
         coverage=cast(Coverage, shape.coverage),

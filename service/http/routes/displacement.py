@@ -9,18 +9,8 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
+from wrenchbook.service.http import batch
 from wrenchbook.service.http.access import Permission, beyond_scope, permission_of
-from wrenchbook.service.http.batch import (
-    BINARY_BODY,
-    BINARY_REPLY,
-    BinaryOptions,
-    few_large,
-    is_binary,
-    read_batch_body,
-    read_binary,
-    write_batch,
-    write_binary,
-)
 from wrenchbook.service.http.bodies import BatchBody, DisplacementBody, SolveBody
 from wrenchbook.service.http.body import (
     MAX_BATCH_BYTES,
@@ -64,8 +54,8 @@ _SOLVED, _UNSOLVED = (
     "estimate; the solve is not finished, see `job` or `reason`",
 )
 _ONE = answers(Displacement, _SOLVED) | answers(Displacement, _UNSOLVED, 202) | refused(424)
-_MANY = answers(Displacements, _SOLVED, content=BINARY_REPLY) | answers(
-    Displacements, _UNSOLVED, 202, content=BINARY_REPLY
+_MANY = answers(Displacements, _SOLVED, content=batch.BINARY_REPLY) | answers(
+    Displacements, _UNSOLVED, 202, content=batch.BINARY_REPLY
 )
 
 
@@ -107,27 +97,27 @@ async def displacement(name: str, request: Request) -> Response:
     "/displacements",
     summary="Displacements under many wrenches",
     responses=_MANY,
-    openapi_extra=takes(BatchBody, BINARY_BODY, BinaryOptions),
+    openapi_extra=takes(BatchBody, batch.BINARY_BODY, batch.BinaryOptions),
 )
 async def displacements(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
-    binary, permission = is_binary(request), permission_of(request.scope)
+    binary, permission = batch.is_binary(request), permission_of(request.scope)
     space, options = workspace.library.as_read(name).space, dict(request.query_params)
     if not binary:
         refuse_query(request.query_params)
 
     def read(body: Spooled) -> tuple[Floats, Query]:
         if binary:
-            return read_binary(body, options, space)
-        return read_batch_body(body, len(space.inputs))
+            return batch.read_binary(body, options, space)
+        return batch.read_batch_body(body, len(space.inputs))
 
     async with spooled(request.receive, MAX_BATCH_BYTES) as body:
         wrenches, query = await run_in_threadpool(_permitted, permission, lambda: read(body))
-        async with few_large(len(wrenches)):
+        async with batch.few_large(len(wrenches)):
             outcome = await answer_or_submit_many(workspace, name, wrenches, query)
     coverage = outcome.replies.coverage
     request.app.state.counts.add_batch(coverage, outcome.method, outcome.elapsed_us)
-    return await run_in_threadpool(write_binary if binary else write_batch, outcome)
+    return await run_in_threadpool(batch.write_binary if binary else batch.write_batch, outcome)
 
 
 @router.post(

@@ -13,23 +13,13 @@ from starlette.types import Message, Receive, Scope, Send
 
 from wrenchbook.service.events import Events, Feed, Listener
 from wrenchbook.service.http.access import permission_of
-from wrenchbook.service.http.openapi import refused
+from wrenchbook.service.http.openapi import BODIES, refused
 from wrenchbook.service.http.routes import Opened
 
 router = APIRouter(prefix="/v1/events", tags=["events"], responses=refused(404, 422))
 
 HEARTBEAT_S = 15.0  # below the idle limits of proxies, usually 60 s
-_STREAM = {
-    "type": "string",
-    "description": "server-sent events (WHATWG HTML, section 9.2), each with id, event and data, "
-    "which is JSON. hello: the first event, data has each table's version. job: a job has changed, "
-    "data as a job's link with component, attempt and, while it runs, progress. jobs: more jobs "
-    "have changed than are listed one by one, data {component, count, url}. table: a new version "
-    "of a component's table answers, data {component, table_version, rows}. missed: events since "
-    "Last-Event-ID are not there any more, data {reason}: read jobs and components again. "
-    "dropped: the listener read too slowly and is disconnected, data {reason}. Comments between "
-    "are heartbeats. The stream ends once its key is revoked",
-}
+_STREAM = {"type": "string", "description": BODIES["events"]}
 SEND_S = 20.0  # for a listener to read when the sockets have no room for more
 HEADERS: Mapping[str, str] = {
     "Content-Type": "text/event-stream; charset=utf-8",

@@ -48,12 +48,16 @@ def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
             _ = workspace.library[component]  # raises if there is none
             tables[component] = "building"  # added a moment ago
         tables = {component: tables[component]}
-    flawed = broken or any(state in ("degraded", "broken") for state in tables.values())
     copies = trouble_of(workspace.copies, workspace.settings)
-    flawed = flawed or copies is not None
-    status = "building" if building else "degraded" if flawed else "ready"
+    flawed = any(state in ("degraded", "broken") for state in tables.values())
+    if faults:
+        status = "not ready"
+    elif building:
+        status = "building"
+    else:
+        status = "degraded" if flawed or broken or copies is not None else "ready"
     body: dict[str, Any] = {
-        "status": "not ready" if faults else status,
+        "status": status,
         "ready": not faults and all(state == "ready" for state in tables.values()),
         "components": len(workspace.library.names()),
         "solvers": workspace.settings.solvers,
@@ -65,24 +69,24 @@ def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
         "copies": {**workspace.copies, "trouble": copies},
         "age_s": workspace.age(),
     }
-    answering = ("ready", "degraded")
-    served = not faults and (component is None or tables[component] in answering)
+    served = not faults and (component is None or tables[component] in ("ready", "degraded"))
     return JSONResponse(redact_values(body), 200 if served else 503)
 
 
 def table_states(workspace: Workspace) -> dict[str, TableState]:
-    """Return whether the table of each component answers; what is `broken` is never `ready`."""
+    """Return the state of each component's table, by name.
+
+    `degraded` answers although rows or files of it are damaged; `broken` does not answer.
+    """
     present, broken = workspace.tables.present(), workspace.broken()
     building = workspace.tables.building()
-    names = sorted({*workspace.library.names(), *workspace.library.broken()})
-    return {
-        name: ("degraded" if name in present else "broken")
-        if name in broken
-        else "building"
-        if name in building
-        else "ready"
-        for name in names
-    }
+    states: dict[str, TableState] = {}
+    for name in sorted({*workspace.library.names(), *workspace.library.broken()}):
+        if name in broken:
+            states[name] = "degraded" if name in present else "broken"
+        else:
+            states[name] = "building" if name in building else "ready"
+    return states
 
 
 @router.get(

@@ -175,18 +175,7 @@ def retry_job(job_id: JobId, workspace: Opened) -> dict[str, Any]:
     responses={200: {"description": "the attempt's folder", "content": {"application/zip": BYTES}}},
 )
 def get_job_files(job_id: JobId, workspace: Opened) -> Response:
-    job = workspace.ledger.job(job_id)
-    folder = workspace.attempt_folder(job)
-    if not folder.is_dir():
-        if not (job.attempt and job.is_final):
-            why = f"Job {job.id} is {job.status} and has no files yet; ask again later."
-            raise HttpProblemError(404, "no-files", "No files yet", why)
-        why = (
-            f"Job {job.id} is {job.status}, but its folder jobs/{folder.parent.name}/{folder.name} "
-            "in the data directory was pruned (serve --keep-days), deleted or not copied. The "
-            "job's row needs no files; retry the job to get them again."
-        )
-        raise HttpProblemError(404, "no-files", "The files are gone", why)
+    folder = _attempt_files(workspace, workspace.ledger.job(job_id))
     name = f"job-{job_id}.zip"
     disposition = {"Content-Disposition": f'attachment; filename="{name}"'}
     return StreamingResponse(pieces_of(zipped(folder)), 200, disposition, "application/zip")
@@ -199,10 +188,11 @@ def get_job_files(job_id: JobId, workspace: Opened) -> Response:
 )
 def get_job_log(job_id: JobId, workspace: Opened) -> Response:
     job = workspace.ledger.job(job_id)
-    path = workspace.attempt_folder(job) / LOG
+    path = _attempt_files(workspace, job) / LOG
     if path.is_symlink() or not path.is_file():  # a deck's command may have put a link there
-        why = f"Job {job.id} is {job.status}, and its last attempt left no log; retry it."
-        raise HttpProblemError(404, "no-files", "No log", why)
+        why = f"Attempt {job.attempt} of job {job.id}, which is {job.status}, has no log.txt. Read "
+        rest = f"its other files: GET /v1/jobs/{job.id}/files."
+        raise HttpProblemError(404, "no-files", "No log", why + rest)
     with path.open("rb") as log:
         size = log.seek(0, 2)
         log.seek(max(0, size - MAX_LOG_BYTES))
@@ -211,6 +201,25 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
     if size > MAX_LOG_BYTES:
         shown = f"[the first {size - MAX_LOG_BYTES} bytes are in .../files]\n{shown}"
     return Response(shown, 200, None, "text/plain")
+
+
+def _attempt_files(workspace: Workspace, job: JobRecord) -> pathlib.Path:
+    """Return the folder of a job's last attempt; 404 with the reason if there is none."""
+    folder = workspace.attempt_folder(job)
+    if folder.is_dir():
+        return folder
+    title, state = "No files yet", f"Job {job.id} is {job.status}"
+    retry = f"To have files, retry it: POST /v1/jobs/{job.id}/retry."
+    if not job.is_final:
+        why = f"{state}, and no solver has begun it; ask again later."
+    elif not job.attempt:
+        why = f"{state}, and no solver began it. {retry}"
+    else:
+        title, place = "The files are gone", f"jobs/{folder.parent.name}/{folder.name}"
+        remedy = "Its row needs no files." if job.status == "done" else retry
+        gone = f"{state}, but its folder {place} was pruned (--keep-days), deleted or not copied. "
+        why = gone + remedy
+    raise HttpProblemError(404, "no-files", title, why)
 
 
 def without_paths(text: str, data: pathlib.Path) -> str:

@@ -85,11 +85,9 @@ def _keyring(request: Request) -> Keyring:
     """Return the server's keys; 409 while it needs none: a caller would lock all others out."""
     access = request.app.state.access
     if not access.keys_needed:
-        raise HttpProblemError(
-            409,
-            "no-keys",
-            "This server has no keys",
+        why = (
             "Every user of this machine may call it. Create the first key on this machine with: "
-            "wrenchbook keys add NAME --scope admin; from then on every call needs a key.",
+            "wrenchbook keys add NAME --scope admin; from then on every call needs a key."
         )
+        raise HttpProblemError(409, "no-keys", "This server has no keys", why)
     return access.keyring

@@ -267,32 +267,50 @@ def get_stiffness(
     component, table = workspace.library[name], workspace.tables.caught_up(name, CATCH_UP_S)
     rows, space, span = table.rows, component.space, component.load_range
     loads = [item.name for item in space.inputs if item.kind != "scalar"]
-    try:
-        low, high = (float(text) for text in between.split(","))
-        if low == high or not np.isfinite((low, high)).all():
-            raise ValueError
-    except ValueError:
-        message = "must be two different numbers separated by a comma, such as 100,500"
-        raise bad_body([{"loc": "query.between", "msg": message}]) from None
+    ends = _two_loads(between)
     if number is not None:
-        spans = [s for s in workspace.ledger.import_spans(name) if s[2].id == number]
-        if not spans:
+        spans = workspace.ledger.import_spans(name)
+        masks = [
+            (first <= rows.seq) & (rows.seq <= last)
+            for first, last, record in spans
+            if record.id == number
+        ]
+        if not masks:
             raise UnknownImportError(
-                f"{name!r} has no import {number} with rows; see GET .../imports"
+                f"{name!r} has no import {number} with rows; see GET /v1/components/{name}/imports"
             )
-        rows = rows.take(np.any([(a <= rows.seq) & (rows.seq <= b) for a, b, _ in spans], axis=0))
-    part = np.ptp(rows.wrench, axis=0) / span.scale if len(rows) else span.scale
-    axis = axis or loads[int(np.argmax(part[: len(loads)]))]
+        rows = rows.take(np.any(masks, axis=0))
+    # By default the load that these rows vary the most, in parts of its range.
+    varied = np.ptp(rows.wrench, axis=0) / span.scale if len(rows) else span.scale
+    axis = axis or loads[int(np.argmax(varied[: len(loads)]))]
     for word, names, place in ((axis, loads, "axis"), (of, ("", *space.output_names), "of")):
         if word not in names:
-            message = f"must be one of {', '.join(filter(None, names))}"
+            message = f"must be one of {', '.join(filter(None, names))}, not {word[:40]!r}"
             raise bad_body([{"loc": f"query.{place}", "msg": message}])
-    at = loads.index(axis)
-    to = space.output_names.index(of) if of else at  # each interface has six of both
-    reply = {"component": name, "table_version": table.version, "import": number, "axis": axis}
-    reply |= {"of": space.output_names[to], "between": sorted((low, high))}
-    reply["unit"] = f"{space.inputs[at].unit}/{space.outputs[to].unit}"
-    return json_reply(reply | measured_stiffness(rows, span, (low, high), at, to))
+    load = loads.index(axis)
+    output = space.output_names.index(of) if of else load  # each interface has six of both
+    reply = {
+        "component": name,
+        "table_version": table.version,
+        "import": number,
+        "axis": axis,
+        "of": space.output_names[output],
+        "between": sorted(ends),
+        "unit": f"{space.inputs[load].unit}/{space.outputs[output].unit}",
+    }
+    return json_reply(reply | measured_stiffness(rows, span, ends, load, output))
+
+
+def _two_loads(between: str) -> tuple[float, float]:
+    """Return the two loads of the parameter `between`, N or N·m; 422 for anything else."""
+    try:
+        low, high = (float(text) for text in between.split(","))
+        if low != high and np.isfinite((low, high)).all():
+            return low, high
+    except ValueError:
+        pass
+    why = f"must be two different numbers separated by a comma, such as 100,500, not {between!r}"
+    raise bad_body([{"loc": "query.between", "msg": why}])
 
 
 @router.get("/demand", summary="Demand map of queries that were not covered", response_model=Demand)
@@ -335,20 +353,16 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
     workspace: Workspace = request.app.state.workspace
     source = workspace.library[name]
     if renamed and source.shipped:
-        raise HttpProblemError(
-            409,
-            "shipped",
-            "A shipped component keeps its name",
-            f"{name!r} is part of the program. Copy it with: POST /v1/components/{name}/copy.",
+        why = (
+            f"{name!r} is part of the program. Copy it under another name: POST "
+            f"/v1/components/{name}/copy."
         )
-    if renamed and (newer := workspace.catalogue[name].renamed_to):
+        raise HttpProblemError(409, "shipped", "A shipped component keeps its name", why)
+    newer = workspace.catalogue[name].renamed_to
+    if renamed and newer:
         newer = CALLER.get().visible(newer) or "(another name)"
-        raise HttpProblemError(
-            409,
-            "renamed",
-            "The component was renamed already",
-            f"{name!r} is {newer!r} now. Rename that, or copy: POST /v1/components/{name}/copy.",
-        )
+        now = f"{name!r} is {newer!r} now. Rename that, or copy: POST /v1/components/{name}/copy."
+        raise HttpProblemError(409, "renamed", "The component was renamed already", now)
     copy = workspace.library.add_copy(name, body.name, body.title)
     card = workspace.catalogue[name]
     workspace.catalogue.change(copy.name, notes=card.notes, copied_from=name)

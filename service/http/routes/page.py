@@ -64,9 +64,8 @@ def page_file(
 ) -> Response:
     path = _paths().get(name)
     if path is None:
-        raise HttpProblemError(
-            404, "no-file", "No such file", "The page is at /, the calls at /docs."
-        )
+        why = f"The page has no file {name[:200]!r}. The page is at /, the calls at /docs."
+        raise HttpProblemError(404, "no-file", "No such file", why)
     file = _read(path, path.stat().st_mtime_ns)
     headers = {**naming(file.tag), "Vary": "Accept-Encoding"}
     if holds(if_none_match, file.tag):

@@ -13,6 +13,7 @@ from wrenchbook.service.http.openapi import JSON, TEXT, answers, refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.submission import NoSetupError
+from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
 router = APIRouter(
@@ -44,13 +45,16 @@ def make_report(
     component = workspace.library[name]
     if not component.has_fea:
         raise NoSetupError(
-            f"{name!r} has no finite-element setup, so a report has no reference. See GET "
-            ".../coverage for what its rows cover."
+            f"{name!r} has no finite-element setup, so a report has no reference. GET "
+            f"/v1/components/{name}/coverage shows what its rows cover."
         )
     # The builder writes the file of a table after its rows.
     deadline, tables = time.monotonic() + CATCH_UP_S, workspace.tables
     rows = tables.caught_up(name, CATCH_UP_S).row_count
-    while rows and tables.written(name) is None and time.monotonic() < deadline:
+    while rows and tables.written(name) is None:
+        if time.monotonic() > deadline:
+            why = f"the table of {name!r} has been written for {CATCH_UP_S:g} s"
+            raise TableBehindError(why + "; send the request again in a minute")
         time.sleep(POLL_S)
     try:
         workspace.reports.make(component, rows, wrenches, seed)
@@ -89,12 +93,8 @@ def get_report(
     if latest.state == "running":
         return _state(workspace, name)
     why = f"The last attempt failed: {latest.message}. " if latest.state == "failed" else ""
-    raise HttpProblemError(
-        404,
-        "no-report",
-        "No report yet",
-        f"{why}Make one with POST /v1/components/{name}/report or: wrenchbook report {name}",
-    )
+    why = f"{why}Make one with POST /v1/components/{name}/report or: wrenchbook report {name}"
+    raise HttpProblemError(404, "no-report", "No report yet", why)
 
 
 def _state(workspace: Workspace, name: str) -> Response:

@@ -42,9 +42,13 @@ def get_rig(name: RigName, workspace: Opened) -> Response:
 @router.put("/{name}", summary="Store or replace a rig profile", openapi_extra=_SENT)
 async def put_rig(name: RigName, request: Request, workspace: Opened) -> dict[str, str]:
     content = await read_limited(request.receive, _UTF8 * MAX_RIG)
-    text = content.decode("utf-8-sig", "replace")
-    if len(text) > MAX_RIG or "\ufffd" in text:
-        message = f"must be UTF-8 text of at most {MAX_RIG} characters"
+    text, message = content.decode("utf-8-sig", "replace"), ""
+    if "\ufffd" in text:
+        line = text.partition("\ufffd")[0].count("\n") + 1
+        message = f"must be UTF-8 text, but line {line} is not; save it as UTF-8"
+    if len(text) > MAX_RIG:
+        message = f"has {len(text)} characters, at most {MAX_RIG} are stored; shorten it"
+    if message:
         raise bad_body([{"loc": "body", "msg": message}])
     profile_of(text)  # refuses a text that is no profile
     await run_in_threadpool(store_rig, workspace.ledger, name, text)

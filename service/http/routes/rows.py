@@ -60,7 +60,10 @@ def row_body(workspace: Workspace, component: Component, seq: int) -> dict[str, 
     """Return a row of a component, with its provenance; UnknownRowError if it has none such."""
     row = workspace.ledger.row(seq)
     if row.component != component.name:
-        raise UnknownRowError(f"the table of {component.name!r} has no row {seq}; see its export")
+        raise UnknownRowError(
+            f"the table of {component.name!r} has no row {seq}; GET /v1/components/"
+            f"{component.name}/table lists its rows"
+        )
     loaded = workspace.ledger.import_of(seq)
     job = None if row.job is None else workspace.ledger.job(row.job)
     return {

@@ -13,14 +13,7 @@ from fastapi import APIRouter, Header, Query
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from wrenchbook.service.http.bodies import (
-    InterfaceSpan,
-    SceneBody,
-    SceneComponent,
-    SpaceSpan,
-    ToleranceBody,
-    tolerance_of,
-)
+from wrenchbook.service.http import bodies
 from wrenchbook.service.http.body import JsonRoute, read_body
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import bad_body
@@ -51,7 +44,7 @@ class Plans(Message):
     summary="Plan a scene: the tables that its components need, and the savings",
     response_model=Plans,
 )
-async def plan_scene(workspace: Opened, scene: SceneBody) -> Response:
+async def plan_scene(workspace: Opened, scene: bodies.SceneBody) -> Response:
     needs = {
         name: _need_of(workspace.library[name], wanted, f"components.{name}")
         for name, wanted in scene.components.items()
@@ -83,7 +76,7 @@ def scene_table(
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
     component = workspace.library[name]
-    body = read_body(SceneComponent, wanted.encode())
+    body = read_body(bodies.SceneComponent, wanted.encode())
     need = _need_of(component, body, "wanted")
     scene = orjson.dumps(body.model_dump(), option=orjson.OPT_SORT_KEYS)
     digest = hashlib.sha256(scene + component.fingerprint.encode()).hexdigest()[:16]
@@ -142,16 +135,16 @@ def _time_saved(workspace: Workspace, component: Component, fewer_solves: int) -
     )
 
 
-def _need_of(component: Component, wanted: SceneComponent, where: str) -> Need:
+def _need_of(component: Component, wanted: bodies.SceneComponent, where: str) -> Need:
     parts = wanted, wanted.outputs, wanted.tolerance
     return need_from(component, *parts, where, f"{where}.outputs")
 
 
 def need_from(
     component: Component,
-    span: SpaceSpan | None,
+    span: bodies.SpaceSpan | None,
     outputs: Sequence[str] | None,
-    tolerance: ToleranceBody | None,
+    tolerance: bodies.ToleranceBody | None,
     where: str,
     of_outputs: str,
 ) -> Need:
@@ -165,13 +158,14 @@ def need_from(
         if name not in names:
             *first, last = [repr(known) for known in names]  # as pydantic lists a literal's
             known = f"{', '.join(first)} or {last}" if first else last
-            mistakes.append({"loc": f"{of_outputs}.{place}", "msg": f"Input should be {known}"})
+            message = f"must be {known}, not {name[:40]!r}"
+            mistakes.append({"loc": f"{of_outputs}.{place}", "msg": message})
     if mistakes:
         raise bad_body(mistakes)
     bounds = None if span is None else _bounds(span, load_range)
     read = None if outputs is None else [names.index(name) for name in outputs]
     try:
-        return need_of(load_range, bounds, read, tolerance_of(tolerance), component.idle)
+        return need_of(load_range, bounds, read, bodies.tolerance_of(tolerance), component.idle)
     except NeedError as error:
         paths = []  # force.0, loads.left.force.0
         for number, load in enumerate(load_range.space.inputs):
@@ -182,7 +176,7 @@ def need_from(
         raise bad_body([{"loc": paths[at], "msg": text} for at, text in error.mistakes]) from None
 
 
-def _unknown(span: SpaceSpan, space: Space, where: str) -> list[dict[str, str]]:
+def _unknown(span: bodies.SpaceSpan, space: Space, where: str) -> list[dict[str, str]]:
     """Return the mistakes of interfaces and inputs that the component has not."""
     several = len(space.interfaces) > 1
     known = ", ".join(space.interfaces)
@@ -200,17 +194,19 @@ def _unknown(span: SpaceSpan, space: Space, where: str) -> list[dict[str, str]]:
             text = f"is not an interface of the component; name one of {known}"
             mistakes.append((f"loads.{name}", text))
     for name in set(span.inputs or ()).difference(further):
-        text = f"is not a further input here; name one of {', '.join(further) or 'none'}"
+        text = "is not a further input here: the component has none; leave inputs out"
+        if further:
+            text = f"is not a further input here; name one of {', '.join(further)}"
         mistakes.append((f"inputs.{name}", text))
     return [{"loc": f"{where}.{place}", "msg": text} for place, text in mistakes]
 
 
-def _bounds(span: SpaceSpan, load_range: LoadRange) -> Floats:
+def _bounds(span: bodies.SpaceSpan, load_range: LoadRange) -> Floats:
     """Return the low and the high end of each input, shape (n, 2), N, N·m and further units."""
     loads, further, spans = span.loads or {}, span.inputs or {}, []
     zero = [[0.0, 0.0]] * 3
     for name in load_range.space.interfaces:
-        of_interface = loads.get(name, InterfaceSpan()) if name else span
+        of_interface = loads.get(name, bodies.InterfaceSpan()) if name else span
         spans += [*(of_interface.force or zero), *(of_interface.moment or zero)]
     bounds = zip(load_range.space.inputs, load_range.low, load_range.high, strict=True)
     spans += [

@@ -22,7 +22,7 @@ from starlette.responses import FileResponse, Response
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.imports import Imported, ImportQuery
-from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
+from wrenchbook.service.http.openapi import BODIES, BYTES, answers, refused, takes
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
 from wrenchbook.service.ledger import ImportOrigin
@@ -40,7 +40,7 @@ from wrenchbook.surrogate.kernel.format import SUFFIX
 router = APIRouter(
     prefix="/v1/components/{name}/table", tags=["table"], responses=refused(404, 422)
 )
-_READER_WAIT_S: Final = 60.0  # the processor time that reading a file may take
+_READER_WAIT_S: Final = 60.0  # for the caller's other table: the processor time it may take
 MAX_TABLE_BYTES: Final = 512 * 1024 * 1024  # 5,000,000 rows (`MAX_ROWS`) of 107 characters
 _MAX_APPENDED_BYTES: Final = 1 << 20  # a block: 1,000 rows of 1 KiB as JSON
 _FORM_BYTES: Final = 64 * 1024  # of a form, around its files
@@ -60,11 +60,10 @@ _FILES = {MEDIA_TYPES[form]: BYTES for form in ("hdf5", "xlsx", "parquet")} | {
 }
 _LOGS = {
     "type": "object",
-    "description": "one `table`, or the two logs `loads` and `displacements`, joined by time",
+    "description": BODIES["logs"],
     "properties": {
-        "table": {**BYTES["schema"], "description": "one file with loads and displacements"},
-        "loads": {**BYTES["schema"], "description": "log of the loads, with a time column"},
-        "displacements": {**BYTES["schema"], "description": "log of the displacements"},
+        name: {**BYTES["schema"], "description": BODIES[f"logs.{name}"]}
+        for name in ("table", "loads", "displacements")
     },
 }
 _SENT = {
@@ -73,29 +72,17 @@ _SENT = {
     "application/gzip": BYTES,
     "multipart/form-data": {"schema": _LOGS},
 }
-_PACKED = {
-    **BYTES["schema"],
-    "description": "packed: the table that answers, for `Table.open` and the kernel's `wb_open`",
-}
+_PACKED = {**BYTES["schema"], "description": BODIES["packed"]}
 _WRITTEN = {**_FILES, PACKED_TYPE: {"schema": _PACKED}}
-_ETAG = {
-    "ETag": {
-        "schema": {"type": "string"},
-        "description": "names the table version and setup; of packed the content",
-    }
-}
+_ETAG = {"ETag": {"schema": {"type": "string"}, "description": BODIES["etag"]}}
 _CURRENT = "the version of If-None-Match is current"
 # A file of any form may come as plain bytes: the content identifies it.
 _TAKEN = frozenset(
     {
         *MEDIA_TYPES.values(),
-        "application/csv",
-        "application/x-matlab-data",
-        "application/gzip",
-        "application/x-gzip",
-        "application/octet-stream",
-        "application/vnd.ms-excel",  # what browsers on Windows say of a CSV
-        "multipart/form-data",
+        *("application/csv", "application/x-matlab-data", "application/octet-stream"),
+        *("application/gzip", "application/x-gzip", "multipart/form-data"),
+        "application/vnd.ms-excel",  # of a CSV, in browsers on Windows
     }
 )
 
@@ -247,13 +234,11 @@ async def import_table(
 def _check_content_type(kind: str) -> None:
     """Raise 415 if a content type is not that of a table; a request may have none."""
     if kind and kind not in _TAKEN:
-        raise HttpProblemError(
-            415,
-            "media-type",
-            "Not a form of table this call takes",
+        why = (
             f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
-            "application/octet-stream, gzipped or not; the content decides the format.",
+            "application/octet-stream, gzipped or not; the content decides the format."
         )
+        raise HttpProblemError(415, "media-type", "Not a form of table this call takes", why)
 
 
 def _check_logs(query: ImportQuery, files: int) -> None:
@@ -353,8 +338,10 @@ async def reader_slot(caller: str) -> AsyncIterator[None]:
         async with asyncio.timeout(_READER_WAIT_S):
             await lock.acquire()
     except TimeoutError:
-        message = "Another table of this key is being read; send this table again in a minute"
-        raise SandboxBusyError(message) from None
+        raise SandboxBusyError(
+            "Another table of this key or address is being read, and this one waited "
+            f"{_READER_WAIT_S:g} s; send it again in a minute"
+        ) from None
     try:
         yield
     finally:

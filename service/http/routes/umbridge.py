@@ -20,20 +20,12 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
-from wrenchbook.service.http.bodies import (
-    Body,
-    InputVector,
-    Method,
-    OutputVector,
-    Seconds,
-    ToleranceBody,
-    query_of,
-    tolerance_of,
-)
+from wrenchbook.service.http import bodies
 from wrenchbook.service.http.body import parsed_json, read_limited
 from wrenchbook.service.http.openapi import answers, takes
 from wrenchbook.service.http.problems import problem_of
 from wrenchbook.service.http.routes import DirectRoute, json_reply
+from wrenchbook.service.library.component import MAX_QUOTED
 from wrenchbook.service.query import Outcome, answer_or_submit
 from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.service.workspace import Workspace
@@ -67,20 +59,20 @@ class Named(BaseModel):
     name: str
 
 
-class Config(Body):
+class Config(bodies.Body):
     """Options of a call."""
 
-    method: Method = None
-    tolerance: ToleranceBody | None = None
+    method: bodies.Method = None
+    tolerance: bodies.ToleranceBody | None = None
     on_thin: Literal["wait", "estimate", "reject"] = "wait"
-    wait_s: Seconds = DEFAULT_WAIT_S
+    wait_s: bodies.Seconds = DEFAULT_WAIT_S
     beyond_range: bool = False
 
 
 class EvaluateBody(Named):
     """One wrench, and options."""
 
-    input: Annotated[list[InputVector], Field(min_length=1, max_length=1)]
+    input: Annotated[list[bodies.InputVector], Field(min_length=1, max_length=1)]
     config: Config | None = None
 
 
@@ -94,13 +86,13 @@ class ProductBody(EvaluateBody):
 class GradientBody(ProductBody):
     """Weights of the outputs, to multiply by the transposed derivative."""
 
-    sens: OutputVector
+    sens: bodies.OutputVector
 
 
 class JacobianBody(ProductBody):
     """Vector of loads, to multiply by the derivative."""
 
-    vec: InputVector
+    vec: bodies.InputVector
 
 
 _Kind = TypeVar("_Kind", bound=Named)
@@ -216,10 +208,10 @@ async def _read(request: Request, kind: type[_Kind]) -> tuple[_Kind, Space]:
     name = fields.get("name")
     if not isinstance(name, str) or name not in workspace.library:
         names = ", ".join(await run_in_threadpool(workspace.library.names))
-        mistake = (
-            f"there is no component {name!r}" if "name" in fields else "the body has no 'name'"
-        )
-        raise UmBridgeError("ModelNotFound", f"{mistake}; name one of: {names}")
+        mistake = f"there is no component {str(name)[:MAX_QUOTED]!r}"
+        if "name" not in fields:
+            mistake = "the body has no 'name'"
+        raise UmBridgeError("ModelNotFound", mistake + f"; name one of: {names}")
     space = workspace.library[name].space
     return kind.model_validate(fields, context={"space": space}), space
 
@@ -229,7 +221,7 @@ async def _outcome(request: Request, body: EvaluateBody, *, derivatives: bool = 
     workspace: Workspace = request.app.state.workspace
     config = body.config or Config()
     wrench = tuple(load + 0.0 for load in body.input[0])  # 0 for -0
-    query = query_of(config, tolerance_of(config.tolerance))
+    query = bodies.query_of(config, bodies.tolerance_of(config.tolerance))
     query = query._replace(wrench=wrench, derivatives=derivatives)
     try:
         outcome = await answer_or_submit(workspace, body.name, query)
@@ -255,12 +247,14 @@ async def _product(
     outcome = await _outcome(request, body, derivatives=True)
     derivative = outcome.details["derivative"]
     if derivative is None or not np.isfinite(derivative).all():
-        message = "the derivative is unknown at this wrench; give another wrench, or add rows near"
+        why = outcome.reply.reason or "its rows do not determine it"
+        message = f"the derivative is unknown at input {body.input[0]}: {why}. Add rows near it"
         raise UmBridgeError("InvalidOutput", message)
     product = (derivative.T if name == "sens" else derivative) @ np.array(vector)
     if not np.isfinite(product).all():
-        message = f"{name} times the derivative is too large; give {name} with smaller numbers"
-        raise UmBridgeError("InvalidInput", message)
+        largest = max(map(abs, vector))
+        too_large = f"{name} times the derivative is too large; give numbers far below {largest:g}"
+        raise UmBridgeError("InvalidInput", too_large)
     return _reply(outcome, product.tolist())
 
 
