@@ -14,6 +14,7 @@ from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.job_statistics import charged
 from wrenchbook.service.ledger.packing import pack_vector, unpack_vector
 from wrenchbook.service.ledger.records import (
+    FINAL,
     Heartbeat,
     InvalidTransitionError,
     JobRecord,
@@ -427,6 +428,11 @@ def attempts(db: Connection, job_ids: Iterable[int]) -> dict[int, tuple[Status, 
         select = f"SELECT id, status, attempt, finished FROM jobs WHERE id IN ({marks})"
         states |= {job: tuple(state) for job, *state in db.execute(select, part)}
     return states
+
+
+def ended(db: Connection, job_ids: Iterable[int]) -> set[int]:
+    """Return those of these jobs that neither wait nor run."""
+    return {job for job, (status, *_) in attempts(db, job_ids).items() if status in FINAL}
 
 
 def attempts_of(db: Connection, owner: str) -> set[tuple[int, int]]:

@@ -142,6 +142,7 @@ class Ledger:
     jobs_for = _reads(job_sql.jobs_for)
     running = _reads(job_sql.running)
     unfinished = _reads(job_sql.unfinished)
+    ended = _reads(job_sql.ended)
     attempts = _reads(job_sql.attempts)
     attempts_of = _reads(job_sql.attempts_of)
     leases = _reads(job_sql.leases)
