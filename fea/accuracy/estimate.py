@@ -316,9 +316,13 @@ def accuracy_or_why(solver: Solver) -> dict[str, Any]:
     """
     try:
         return accuracy_of(solver)
-    except (SolveFailed, BundleError, ValueError, ArithmeticError, MemoryError) as error:
-        why = f"the estimate failed: {str(error) or type(error).__name__}"
-        return {"mesh": None, "mesh_basis": why, **_largest(solver.component.bundle)}
+    except SolveFailed as failure:
+        why = f"the estimate failed: {failure.message}"
+    except (BundleError, ValueError, ArithmeticError) as error:
+        why = f"the estimate failed: {error}"
+    except MemoryError:
+        why = "the estimate failed: it needs more memory than this machine has"
+    return {"mesh": None, "mesh_basis": why, **_largest(solver.component.bundle)}
 
 
 def unknown_of_deck(bundle: Bundle) -> dict[str, Any]:

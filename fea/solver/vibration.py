@@ -24,12 +24,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag, eigh
 from scipy.sparse import coo_array, csr_array
-from scipy.sparse.linalg import LinearOperator, eigsh
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
 from wrenchbook.fea.assembly.body import ElasticBody, gather
 from wrenchbook.fea.assembly.linearisation import contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.tensors import skew
@@ -153,11 +154,29 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
 
 def _lowest_mode(inertia: Inertia) -> Array:
     """Return the mode of the lowest frequency by Lanczos' method, shape (size,)."""
-    mass, inverse = (Applied(inertia.size, apply) for apply in (inertia.times, inertia.solved))
     start = np.random.default_rng(_SEED).standard_normal(inertia.size)
-    # In shift-invert mode ARPACK applies only K^-1 and M; the first argument gives the size.
-    _, modes = eigsh(mass, k=1, M=mass, sigma=0.0, which="LM", OPinv=inverse, v0=start)
-    return modes[:, 0]
+    return _lowest_modes(inertia, inertia.solved, start, 1)[1][:, 0]
+
+
+def _lowest_modes(
+    inertia: Inertia, inverse: Callable[[Array], Array], start: Array, count: int
+) -> tuple[Array, Array]:
+    """Return squares of frequencies (count,), (rad/s)^2, and modes (size, count), in any order.
+
+    inverse: the inverse of the stiffness, loads (size,) to motions.
+    start: shape (size,): a first motion for Lanczos' method.
+    Raises SolveFailed ``ill_conditioned`` if that does not converge.
+    """
+    mass, apply = Applied(inertia.size, inertia.times), Applied(inertia.size, inverse)
+    try:
+        # In shift-invert mode ARPACK applies only K^-1 and M; the first argument gives the size.
+        return eigsh(mass, k=count, M=mass, sigma=0.0, which="LM", OPinv=apply, v0=start)
+    except ArpackError as error:
+        raise SolveFailed(
+            "ill_conditioned",
+            f"Lanczos' method (ARPACK) finds no {count} lowest vibration "
+            f"mode{'s' * (count > 1)} of {inertia.size} freedoms.",
+        ) from error
 
 
 def _lowest_mode_of_massless(inertia: Inertia) -> Array:
@@ -405,9 +424,8 @@ def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Arr
         moved = inertia.solved(loads)
         return moved - shapes @ moved[interface_rows]
 
-    mass, inverse = (Applied(inertia.size, apply) for apply in (inertia.times, held))
     start = held(np.random.default_rng(_HELD_SEED).standard_normal(inertia.size))
-    squares, motions = eigsh(mass, k=count, M=mass, sigma=0.0, which="LM", OPinv=inverse, v0=start)
+    squares, motions = _lowest_modes(inertia, held, start, count)
     order = np.argsort(squares)
     return squares[order], motions[:, order]
 

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 from scipy.optimize import brentq
+from scipy.sparse.linalg import ArpackNoConvergence
 
 from tests.fea import calculix
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.validation.clamped import attached, shipped
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Inertia, Riding, consistent_mass
 from wrenchbook.fea.spec.material import Material
@@ -249,3 +251,14 @@ def test_a_part_without_a_frame_a_density_or_modes_is_refused(density, locked, m
     )
     with pytest.raises(ValueError, match=words):
         Solver(part).craig_bampton(modes)
+
+
+def test_modes_that_lanczos_does_not_find_are_a_failed_solve_with_their_number(monkeypatch):
+    def stalls(*_, **__):
+        raise ArpackNoConvergence("No convergence", np.empty(0), np.empty((0, 0)))
+
+    monkeypatch.setattr("wrenchbook.fea.solver.vibration.eigsh", stalls)
+    built = Solver(beam(divisions=(1, 1, 4)))
+    with pytest.raises(SolveFailed, match="finds no 1 lowest vibration mode of") as failure:
+        built.vibration(Riding.of(1.0))
+    assert failure.value.kind == "ill_conditioned"
