@@ -170,13 +170,14 @@ def _lowest_modes(
     mass, apply = Applied(inertia.size, inertia.times), Applied(inertia.size, inverse)
     try:
         # In shift-invert mode ARPACK applies only K^-1 and M; the first argument gives the size.
-        return eigsh(mass, k=count, M=mass, sigma=0.0, which="LM", OPinv=apply, v0=start)
+        squares, modes = eigsh(mass, k=count, M=mass, sigma=0.0, which="LM", OPinv=apply, v0=start)
     except ArpackError as error:
         raise SolveFailed(
             "ill_conditioned",
-            f"Lanczos' method (ARPACK) finds no {count} lowest vibration "
+            f"Lanczos' method (ARPACK) does not find the {count} lowest vibration "
             f"mode{'s' * (count > 1)} of {inertia.size} freedoms.",
         ) from error
+    return squares, modes
 
 
 def _lowest_mode_of_massless(inertia: Inertia) -> Array:
