@@ -194,7 +194,8 @@ def stiffness_lines(body: dict[str, Any]) -> Iterator[Table | str]:
         unit = body["unit"].rpartition("/")[2]
         yield f"Play at no load, of {name}: {play['value']:.4g} +- {play['half_width']:.2g} {unit}"
     for name, size in body["other_loads"].items():
-        yield f"{name} varies by {size:.3g} in these rows, and the slopes have its effect."
+        unit = "N·m" if name.rpartition(".")[2].startswith("m") else "N"
+        yield f"{name} varies by {size:.3g} {unit} in these rows, and the slopes have its effect."
 
 
 def component_table(components: Sequence[dict[str, Any]]) -> Table:

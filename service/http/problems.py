@@ -72,7 +72,7 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     keys.KeysUnavailableError: (507, "disk", "The keys cannot be read or written"),
     UnknownRigError: (404, "unknown-rig", "No such rig"),
     RigError: (422, "rig", "The rig cannot be read"),
-    NoFieldsError: (409, "no-surface", "No row has a deformed surface"),
+    NoFieldsError: (409, "no-surface", "No deformed surface can be shown"),
     TooFarError: (409, "beyond-range", "Outside the component's load range"),
     NotCoveredError: (409, "not-covered", "The table does not cover this"),
     BeyondRangeError: (409, "beyond-range", "Outside the component's load range"),
