@@ -108,7 +108,8 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
         if mesh.dependents is not None:  # tied nodes lie, and move, where others put them
             nodes = np.stack([middles[:, side], *corners[:, ends].T])
             height[np.isin(nodes, mesh.dependents.nodes).any(axis=0)] = 0.0
-        if (height > STRAIGHT * length).any():
+        # The side of no length of a triangle has another side's midside node.
+        if ((length > 0) & (height > STRAIGHT * length)).any():
             return np.zeros_like(bows), 0.0
 
         # Of the two facets at an edge the one with the larger bow counts.
