@@ -7,6 +7,7 @@ import http.client
 import io
 import json
 import os
+import re
 import socket
 import ssl
 import time
@@ -459,7 +460,14 @@ def problem(response: Response) -> ProblemError:
         title, detail = str(body.get("title") or reason), str(body.get("detail") or "")
         error = ProblemError(status, title, detail, listed, body)
     else:
-        error = ProblemError(status, reason, content[:_SHOWN].decode(errors="replace").strip())
+        # Of a proxy's page, the words.
+        text = " ".join(re.sub(r"<[^>]*>", " ", content[:_SHOWN].decode(errors="replace")).split())
+        if status == 413:
+            text += (
+                ". A proxy before the server refuses a body of this size; raise its limit to "
+                "512 MB (nginx: client_max_body_size 512m), or send it in parts"
+            )
+        error = ProblemError(status, reason, text)
     seconds = response.headers.get("Retry-After", "")
     error.retry_after = float(seconds) if seconds.isdigit() else None
     return error

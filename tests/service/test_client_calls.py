@@ -223,6 +223,14 @@ def test_an_error_from_a_proxy_is_a_problem_too(stub: Stub, client: Client):
         client.components()
 
 
+def test_a_body_that_a_proxy_refuses_is_told_with_the_proxys_setting(stub: Stub, client: Client):
+    page = b"<html>\n<head><title>413 Request Entity Too Large</title></head>\n<body>"
+    stub.answers(Answer(page, status=413, kind="text/html"))
+    with pytest.raises(ProblemError, match=r"Too Large\. A proxy .* client_max_body_size") as told:
+        client.components()
+    assert "<" not in str(told.value)
+
+
 def test_wait_polls_until_the_job_has_ended(stub: Stub, client: Client):
     done = {"translation": [1, 2, 3], "rotation": [0, 0, 0], "component": "plate"}
     running = {"status": "running", "progress": {"fraction": 0.5, "message": "load factor 0.5"}}
