@@ -44,9 +44,9 @@ STRAIGHT = 1e-3
 """Of an edge's length: a midside node nearer to its middle has been put there, in files with few
 digits too; across a round surface that turns by 0.5 degrees it bows out by as much."""
 
-_PARTS = (1.0, 0.5, 0.25, 0.125)
+_PARTS = tuple(0.5**halvings for halvings in range(8))
 """Of the bow, in turn: in flat cells the full bow can turn a cell inside out, and the compliance
-changes in proportion."""
+changes in proportion. A hundredth of a change of 10 % is still a thousand times the roundoff."""
 
 
 class Roundness(NamedTuple):
