@@ -240,8 +240,7 @@ class Workspace:
             changes = self.ledger.row_changes(name, table.version, MAX_UNBUILT, **setup)
             if changes.complete:
                 return len(changes.rows), changes.rows
-            count = self.ledger.count_new(name, component.fingerprint, table.version)
-            return count, changes.rows
+            return self.ledger.count_new(name, component.fingerprint, table.version), changes.rows
         return 0, Rows.empty(component.space)
 
     async def newest(self, name: str, seconds: float) -> ServedTable:
@@ -313,9 +312,7 @@ class Workspace:
 
     def notes(self, job: JobRecord) -> list[str]:
         """Return the solver's notes on the answer of a done job."""
-        if job.status != "done":
-            return []
-        return notes_of(Attempt.of(job, self.attempt_folder(job)))
+        return [] if job.status != "done" else notes_of(Attempt.of(job, self.attempt_folder(job)))
 
     def attempt_folder(self, job: JobRecord) -> Path:
         """Return the folder of a job's latest attempt."""

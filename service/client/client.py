@@ -146,8 +146,7 @@ class DisplacementCalls(Connection):
             query, content = chosen | tolerance_query, block.astype("<f8").tobytes()
             reply = self.call("POST", path, content, kind=BINARY, query=query, wait_s=wait_s)
             return Displacements.read_binary(name, block, reply)
-        body = {"wrenches": block.tolist()} | chosen
-        reply = self.call_json("POST", path, body, wait_s=wait_s)
+        reply = self.call_json("POST", path, {"wrenches": block.tolist()} | chosen, wait_s=wait_s)
         return Displacements.read({"component": name} | reply, block)
 
     def solve(

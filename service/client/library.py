@@ -362,8 +362,7 @@ class LibraryCalls(Connection):
             If there is no such component, import or finding (404).
         """
         path = component_path(name, f"imports/{int(number)}{'/restore' if restore else ''}")
-        query = {"finding": finding}
-        return self.call("POST" if restore else "DELETE", path, query=query).json()
+        return self.call("POST" if restore else "DELETE", path, query={"finding": finding}).json()
 
     def stiffness(
         self,
@@ -426,8 +425,7 @@ class LibraryCalls(Connection):
 
     def report_state(self, name: str) -> Document:
         """Return ``state`` (none, running, done, failed), ``fraction`` and ``message``."""
-        query = {"format": "state"}
-        return self.call_json("GET", component_path(name, "report"), query=query)
+        return self.call_json("GET", component_path(name, "report"), query={"format": "state"})
 
     def report(self, name: str, format: str = "json") -> bytes:  # noqa: A002 (the contract's word)
         """Return the latest report as ``json``, ``md`` or ``html``.
@@ -437,8 +435,7 @@ class LibraryCalls(Connection):
         ProblemError
             If there is none yet (404).
         """
-        query = {"format": format}
-        return self.call("GET", component_path(name, "report"), query=query).content
+        return self.call("GET", component_path(name, "report"), query={"format": format}).content
 
     def health(self) -> Document:
         """Return the server's readiness: ``status`` and, if it is not ready, its ``faults``.

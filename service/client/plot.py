@@ -164,8 +164,7 @@ def deformed(shape: DeformedShape, *, scale: float | None = None, axes: Axes = N
     if scale is None:
         scale = float(DRAWN_SIZE * size / length.max()) if length.max() else 1.0
     axes = pyplot.figure().add_subplot(projection="3d") if axes is None else axes
-    at = shape.deformed(scale)
-    drawn = axes.plot_trisurf(*at.T, triangles=shape.triangles, cmap="viridis")
+    drawn = axes.plot_trisurf(*shape.deformed(scale).T, triangles=shape.triangles, cmap="viridis")
     drawn.set_array(length[shape.triangles].mean(axis=1))
     drawn.autoscale()
     axes.figure.colorbar(drawn, ax=axes, label="displacement [m]", shrink=0.7, pad=0.18)

@@ -181,8 +181,7 @@ class Displacement(messages.Displacement):
                 f"the displacement of {self.component} at this wrench is unknown{why}; {remedy}"
             )
         orientation, point = checked_pose(R0, p0)
-        rotated = orientation @ rotation_matrix(self.rotation)
-        return rotated, point + orientation @ self.translation
+        return orientation @ rotation_matrix(self.rotation), point + orientation @ self.translation
 
     def _repr_html_(self) -> str:
         if self.interfaces:

@@ -182,8 +182,7 @@ class Table:
             slope.flags.writeable = False
             slope = None if np.isnan(slope).all() else slope
         if packed.outputs == _PER_INTERFACE:
-            wrench = next(iter(wrenches.values()))
-            return self._displacement(wrench, reply, 0, elapsed_us, slope)
+            return self._displacement(next(iter(wrenches.values())), reply, 0, elapsed_us, slope)
         parts = {
             name: self._displacement(
                 wrenches.get(name, np.zeros(_PER_INTERFACE)),

@@ -131,8 +131,7 @@ class HttpProblemError(HTTPException):
         body = self.body
         if self.status >= 500 and (request_id := REQUEST_ID.get()):
             body = {**body, "request_id": request_id}
-        content = orjson.dumps(redact_values(body))
-        return Response(content, self.status, self.headers, MEDIA_TYPE)
+        return Response(orjson.dumps(redact_values(body)), self.status, self.headers, MEDIA_TYPE)
 
 
 def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> HttpProblemError:

@@ -209,8 +209,7 @@ class Ledger:
             displacement = rows.displacement[at].tolist()
             problem = f"row {at + 1} of {len(rows)} is a solve of the displacement {displacement}"
             raise ValueError(f"{problem}, but all outputs must be finite; solve it again")
-        notes = [note] * len(rows) if isinstance(note, str) else note
-        block = NotedRows(rows, notes)
+        block = NotedRows(rows, [note] * len(rows) if isinstance(note, str) else note)
         # Before the lock is taken: other writers wait for the insertion alone.
         keys = row_keys(component, block)
         with self.writing() as db:

@@ -59,8 +59,7 @@ class Metrics(Collector):
         self._read: Statistics | None = None
         self._version: int | None = None
         self._registry = CollectorRegistry()
-        folder = settings.data / SHARED / COUNTS
-        self._shared = SharedCounts(folder, counts, listeners)
+        self._shared = SharedCounts(settings.data / SHARED / COUNTS, counts, listeners)
         self._registry.register(self)
 
     def stop(self) -> None:

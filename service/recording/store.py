@@ -203,16 +203,14 @@ class RecordingStore:
 
     def recording(self, name: str) -> RecordingState:
         """Return a component's recording; raises UnknownComponentError."""
-        component = self._library[name]
-        count = len(component.load_range.low)
+        count = len(self._library[name].load_range.low)
         with self._ledger.reading() as db:
             tally, keys = _tally(db, name, "recording"), _recorded(db, name, count)
         return RecordingState(tally, unpacked(keys, count))
 
     def envelope(self, name: str) -> EnvelopeState:
         """Return a component's envelope; raises UnknownComponentError."""
-        component = self._library[name]
-        count = len(component.load_range.low)
+        count = len(self._library[name].load_range.low)
         with self._ledger.reading() as db:
             tally, extremes = _tally(db, name, "envelope"), _extremes(db, name)
         current = _of_width(extremes.values(), count)

@@ -451,8 +451,7 @@ class Joint:
 
     def _inputs(self, wrench: Vector) -> Vector:
         """Return the table's inputs with a wrench at the tip, shape (n,), SI."""
-        packed = self._packed
-        loads = np.concatenate([np.zeros(packed.inputs - len(self._further)), self._further])
+        loads = np.concatenate([np.zeros(self._packed.inputs - len(self._further)), self._further])
         loads[self._at] = np.ravel(wrench)
         return loads
 

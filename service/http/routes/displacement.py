@@ -115,8 +115,7 @@ async def displacements(name: str, request: Request) -> Response:
         wrenches, query = await run_in_threadpool(_permitted, permission, lambda: read(body))
         async with batch.few_large(len(wrenches)):
             outcome = await answer_or_submit_many(workspace, name, wrenches, query)
-    coverage = outcome.replies.coverage
-    request.app.state.counts.add_batch(coverage, outcome.method, outcome.elapsed_us)
+    request.app.state.counts.add_batch(outcome.replies.coverage, outcome.method, outcome.elapsed_us)
     return await run_in_threadpool(batch.write_binary if binary else batch.write_batch, outcome)
 
 

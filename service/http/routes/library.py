@@ -315,8 +315,7 @@ def _two_loads(between: str) -> tuple[float, float]:
 
 @router.get("/demand", summary="Demand map of queries that were not covered", response_model=Demand)
 def demand(name: str, workspace: Opened) -> Response:
-    component = workspace.library[name]
-    counts = workspace.query_counts.map_of(name, component.load_range)
+    counts = workspace.query_counts.map_of(name, workspace.library[name].load_range)
     return json_reply(Demand(component=name, **counts))
 
 
@@ -364,8 +363,7 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
         now = f"{name!r} is {newer!r} now. Rename that, or copy: POST /v1/components/{name}/copy."
         raise HttpProblemError(409, "renamed", "The component was renamed already", now)
     copy = workspace.library.add_copy(name, body.name, body.title)
-    card = workspace.catalogue[name]
-    workspace.catalogue.change(copy.name, notes=card.notes, copied_from=name)
+    workspace.catalogue.change(copy.name, notes=workspace.catalogue[name].notes, copied_from=name)
     if body.rows:
         key = permission_of(request.scope).key
         origin = ImportOrigin(key.name if key else "", format="copy")

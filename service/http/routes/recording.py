@@ -87,8 +87,7 @@ async def record(name: str, request: Request) -> Response:
     wrenches, block = await _block(name, request)
     result = await run_in_threadpool(_store(request).record, name, wrenches, block)
     fields = _block_fields(name, len(wrenches), result)
-    body = Recorded(**fields, **_counts(result.tally))
-    return json_reply(body, 200 if result.known else 201)
+    return json_reply(Recorded(**fields, **_counts(result.tally)), 200 if result.known else 201)
 
 
 @router.get("/recording", summary="Show the recording", response_model=messages.Recording)
@@ -133,8 +132,7 @@ async def widen_envelope(name: str, request: Request) -> Response:
     result = await run_in_threadpool(_store(request).widen, name, wrenches, block)
     envelope = await run_in_threadpool(_store(request).envelope, name)
     fields, (low, high) = _block_fields(name, len(wrenches), result), envelope.box
-    count = envelope.tally.offered
-    return json_reply(Widened(**fields, count=count, min=low, max=high))
+    return json_reply(Widened(**fields, count=envelope.tally.offered, min=low, max=high))
 
 
 @router.get(
@@ -211,8 +209,7 @@ async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] |
     else:
 
         def read() -> tuple[Floats, BlockBody]:
-            fields = parsed_json(body)
-            return with_wrenches(BlockBody, fields, len(space.inputs), np.inf, MAX_BLOCK)
+            return with_wrenches(BlockBody, parsed_json(body), len(space.inputs), np.inf, MAX_BLOCK)
 
         wrenches, key = await run_in_threadpool(read)
     if key.client is None or key.sequence is None:

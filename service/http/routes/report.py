@@ -100,5 +100,4 @@ def get_report(
 def _state(workspace: Workspace, name: str) -> Response:
     latest = workspace.reports.state(name)
     body = {"component": name, **asdict(latest), "url": f"/v1/components/{name}/report"}
-    status = 202 if latest.state == "running" else 200
-    return json_reply(body, status)
+    return json_reply(body, 202 if latest.state == "running" else 200)

@@ -43,8 +43,7 @@ def restore_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
 def _edited(
     workspace: Workspace, name: str, row: int, edit: Callable[[str, int], None], done: str
 ) -> dict[str, Any]:
-    component = workspace.library[name]
-    edit(component.name, row)
+    edit(workspace.library[name].name, row)
     current = workspace.tables.catch_up(name, CATCH_UP_S)
     version = workspace.tables.surrogate(name).version
     return {
