@@ -35,14 +35,18 @@ _IMPORT_S = 300.0  # a million rows take a minute, and another import before the
 
 def table_format(file: str | Path) -> str:
     """Return the format of a table file to be written, by its ending; InvalidArgument if none."""
+    return format_of(file, "table", _ENDINGS, ", or use wrenchbook export for .fmu and .zip")
+
+
+def format_of(file: str | Path, kind: str, formats: Mapping[str, str], more: str = "") -> str:
+    """Return the format of a file's ending; InvalidArgument if there is none of it."""
     suffix = Path(file).suffix
-    if suffix.lower() not in _ENDINGS:
+    if suffix.lower() not in formats:
         named = f"the ending {suffix}" if suffix else "no ending"
         raise InvalidArgument(
-            f"{file} has {named}; name a table file that ends in one of {', '.join(_ENDINGS)}, or "
-            "use wrenchbook export for .fmu and .zip"
+            f"{file} has {named}; name a {kind} file that ends in one of {', '.join(formats)}{more}"
         )
-    return _ENDINGS[suffix.lower()]
+    return formats[suffix.lower()]
 
 
 def check_readable(file: str | Path) -> None:
@@ -462,7 +466,6 @@ class LibraryCalls(Connection):
 
 
 def _named_file(file: str | Path) -> tuple[str, bytes]:
-    """Return the name and the content of a file that may be a table."""
     check_readable(file)
     return Path(file).name, Path(file).read_bytes()
 

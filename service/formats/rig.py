@@ -341,7 +341,6 @@ def _axes(value: Any) -> Array:
 
 
 def _numbers(name: str, value: Any, count: int) -> Array:
-    """Return the numbers, (count,), of a text or of lists."""
     try:
         values = re.split(r"[,;\s]+", value.strip()) if isinstance(value, str) else value
         numbers = np.array(values, dtype=float).ravel()

@@ -383,8 +383,7 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
     more = [centre[None], np.zeros((1, len(low))), envelope.lowest, envelope.highest]
     answers = table.packed.batch(np.concatenate([corners, *more]))
     coverage = int(answers.coverage.max(initial=COVERED))
-    exact = table.linear and table.fit.complete
-    if exact:
+    if table.linear and table.fit.complete:
         ends = np.stack([table.fit.matrix * low, table.fit.matrix * high])  # (2, outputs, inputs)
         most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
         largest = np.abs([most, least]).max(axis=0) + answers.errors.max(axis=0)

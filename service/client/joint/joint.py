@@ -193,7 +193,6 @@ class Joint:
         return self._last_wrench()
 
     def _last_wrench(self) -> Vector:
-        """Return the wrench of the last step."""
         return np.array(self._reply["wrench"])
 
     @property

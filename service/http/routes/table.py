@@ -196,7 +196,10 @@ async def import_table(
     options = replace(query.options(rig), solved=solved, linear=component.linear)
     most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
     async with received(request, most) as sent:
-        _check_logs(query, len(sent.files))
+        alone = query.model_fields_set & {"time_offset_s", "max_gap_s"}
+        if len(sent.files) == 1 and alone:
+            message = "needs two logs; send the second one (--displacements FILE), or leave it out"
+            raise bad_body([{"loc": f"query.{min(alone)}", "msg": message}])
         key = permission_of(request.scope).key
         origin = ImportOrigin(
             who=key.name if key else "",
@@ -239,14 +242,6 @@ def _check_content_type(kind: str) -> None:
             "application/octet-stream, gzipped or not; the content decides the format."
         )
         raise HttpProblemError(415, "media-type", "Not a form of table this call takes", why)
-
-
-def _check_logs(query: ImportQuery, files: int) -> None:
-    """Raise 422 if an option of two logs comes with one file."""
-    alone = query.model_fields_set & {"time_offset_s", "max_gap_s"}
-    if files == 1 and alone:
-        message = "needs two logs; send the second one (--displacements FILE), or leave it out"
-        raise bad_body([{"loc": f"query.{min(alone)}", "msg": message}])
 
 
 def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
