@@ -277,13 +277,9 @@ class JobCalls(Connection):
             If a round does not end in time; its jobs go on in the server.
         """
         while budget > 0:
+            size = min(round_size, budget)
             queued = self.fill(
-                name,
-                tolerance,
-                min(round_size, budget),
-                range=range,
-                outputs=outputs,
-                for_joint=for_joint,
+                name, tolerance, size, range=range, outputs=outputs, for_joint=for_joint
             )
             deadline, ended = time.monotonic() + timeout, ()
             for job in queued.jobs:

@@ -95,14 +95,8 @@ class Displacement(messages.Displacement):
         }
         if parts:
             wrench = np.concatenate([part.wrench for part in parts.values()])
-        job = body.get("job")
-        return super().read(
-            body,
-            wrench=wrench,
-            interfaces=parts,
-            job=Job.read(job, body.get("component", "")) if job else None,
-            **more,
-        )
+        job = Job.read(body["job"], body.get("component", "")) if body.get("job") else None
+        return super().read(body, wrench=wrench, interfaces=parts, job=job, **more)
 
     @property
     def error_translation(self) -> Vector | None:

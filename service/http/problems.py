@@ -210,13 +210,8 @@ def install(app: FastAPI) -> None:
     def http_answer(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
         call = f"{request.method} {request.url.path[:MAX_PLACE]}"
-        problem = HttpProblemError(
-            error.status_code,
-            "http",
-            str(error.detail),
-            f"{call}: {error.detail}. See /openapi.json for all calls.",
-        )
-        response = problem.response()
+        text = f"{call}: {error.detail}. See /openapi.json for all calls."
+        response = HttpProblemError(error.status_code, "http", str(error.detail), text).response()
         response.headers.update(error.headers or {})
         return response
 

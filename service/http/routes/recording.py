@@ -25,7 +25,7 @@ from wrenchbook.service.http.body import (
     read_limited,
     with_wrenches,
 )
-from wrenchbook.service.http.openapi import answers, refused, takes
+from wrenchbook.service.http.openapi import answers, component_router, refused, takes
 from wrenchbook.service.http.routes import DirectRoute, json_reply
 from wrenchbook.service.query import job_link
 from wrenchbook.service.recording.start import (
@@ -44,12 +44,7 @@ Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
 # Each wrench six numbers of 17 digits and a comma, and some blanks.
 MAX_BLOCK_BYTES = MAX_BLOCK * 6 * 40
 
-router = APIRouter(
-    prefix="/v1/components/{name}",
-    tags=["recording"],
-    responses=refused(404, 422),
-    route_class=JsonRoute,
-)
+router = component_router("recording", route=JsonRoute)
 blocks = APIRouter(route_class=DirectRoute, responses=refused(409))  # read their own bodies
 _BLOCK = takes(BlockBody, BINARY_BODY, BlockKey)
 
@@ -94,15 +89,8 @@ async def record(name: str, request: Request) -> Response:
 def get_recording(name: str, request: Request) -> Response:
     recording = _store(request).recording(name)
     tally = recording.tally
-    return json_reply(
-        messages.Recording(
-            component=name,
-            outside=tally.outside,
-            reason=_thinning(tally),
-            wrenches=recording.wrenches,
-            **_counts(tally),
-        )
-    )
+    fields = {"reason": _thinning(tally), "wrenches": recording.wrenches, **_counts(tally)}
+    return json_reply(messages.Recording(component=name, outside=tally.outside, **fields))
 
 
 @router.delete("/recording", summary="Clear the recording", response_model=Cleared)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple
 from weakref import WeakValueDictionary
 
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import Header, Query, Request
 from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
@@ -22,7 +22,7 @@ from starlette.responses import FileResponse, Response
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.imports import Imported, ImportQuery
-from wrenchbook.service.http.openapi import BODIES, BYTES, answers, refused, takes
+from wrenchbook.service.http.openapi import BODIES, BYTES, answers, component_router, refused, takes
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
 from wrenchbook.service.ledger import ImportOrigin
@@ -37,9 +37,7 @@ from wrenchbook.service.tables.store import setup_of
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.kernel.format import SUFFIX
 
-router = APIRouter(
-    prefix="/v1/components/{name}/table", tags=["table"], responses=refused(404, 422)
-)
+router = component_router("table", "/table")
 _READER_WAIT_S: Final = 60.0  # for the caller's other table: the processor time it may take
 MAX_TABLE_BYTES: Final = 512 * 1024 * 1024  # 5,000,000 rows (`MAX_ROWS`) of 107 characters
 _MAX_APPENDED_BYTES: Final = 1 << 20  # a block: 1,000 rows of 1 KiB as JSON
