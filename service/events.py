@@ -105,8 +105,7 @@ class Feed:
     def publish(self, kind: str, component: str | None, body: dict[str, Any]) -> None:
         """Keep an event, and wake its listeners."""
         self._number += 1
-        event = _Event(self._number, component, _wire(kind, body, self._newest()))
-        self._events.append(event)
+        self._events.append(_Event(self._number, component, _wire(kind, body, self._newest())))
         for listener in self._listeners:
             if listener.hears(component):
                 listener.wake()

@@ -166,9 +166,7 @@ def _reader(hint: Any) -> Callable[[Any], Any]:
     if get_origin(hint) is dict:
         read_value = _reader(inner[1])
         return lambda values: {name: read_value(value) for name, value in values.items()}
-    if type(None) in inner:
-        return _unless_none(_reader(inner[0]))
-    return lambda value: value
+    return _unless_none(_reader(inner[0])) if type(None) in inner else lambda value: value
 
 
 def _unless_none(read: Callable[[Any], Any]) -> Callable[[Any], Any]:

@@ -287,8 +287,7 @@ def _uncovered(workspace: Workspace, component: Component, query: Query, outcome
     count, rows = workspace.unbuilt(component.name, table)
     soon = _being_built(component, table, count)
     reason = _also(reply.reason if table.row_count or not soon else "", soon)
-    span = component.load_range
-    workspace.query_counts.note(component.name, span, query.wrench, reply.coverage)
+    workspace.query_counts.note(component.name, component.load_range, query.wrench, reply.coverage)
     if table.needs_compliance and query.on_thin in ("estimate", "reject"):
         with suppress(LedgerUnavailableError):  # an estimate needs no ledger
             for job in workspace.ledger.open_jobs(component.name, component.fingerprint)[:1]:
@@ -507,9 +506,7 @@ def _ended(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     assert job is not None
     if job.status == "failed":
         raise SolveFailedError(job)
-    if job.row is None:
-        return outcome
-    return _by_row(workspace, query, outcome, job.row)
+    return outcome if job.row is None else _by_row(workspace, query, outcome, job.row)
 
 
 def _describe(workspace: Workspace, query: Query, outcome: Outcome) -> None:

@@ -165,7 +165,8 @@ class Workspace:
             allow_decks=settings.allow_decks,
             on_added=self._on_added,
             on_checked=self._on_checked,
-            on_copy=self._on_copy,
+            # The solver's error goes along, before rows of the copy can be answered without it.
+            on_copy=lambda of, copy: self.errors.copy(of.name, of.fingerprint, copy),
             noted=lambda name: noted(self.ledger, "component.add", name, component=name),
         )
         self.catalogue = Catalogue(self.ledger)
@@ -240,8 +241,7 @@ class Workspace:
             changes = self.ledger.row_changes(name, table.version, MAX_UNBUILT, **setup)
             if changes.complete:
                 return len(changes.rows), changes.rows
-            count = self.ledger.count_new(name, component.fingerprint, table.version)
-            return count, changes.rows
+            return self.ledger.count_new(name, component.fingerprint, table.version), changes.rows
         return 0, Rows.empty(component.space)
 
     async def newest(self, name: str, seconds: float) -> ServedTable:
@@ -313,9 +313,7 @@ class Workspace:
 
     def notes(self, job: JobRecord) -> list[str]:
         """Return the solver's notes on the answer of a done job."""
-        if job.status != "done":
-            return []
-        return notes_of(Attempt.of(job, self.attempt_folder(job)))
+        return [] if job.status != "done" else notes_of(Attempt.of(job, self.attempt_folder(job)))
 
     def attempt_folder(self, job: JobRecord) -> Path:
         """Return the folder of a job's latest attempt."""
@@ -370,10 +368,6 @@ class Workspace:
     def _on_added(self, component: Component) -> None:
         with suppress(TableBehindError):  # the ledger has rows of an earlier one of this name
             self.surrogate(component.name)
-
-    def _on_copy(self, component: Component, name: str) -> None:
-        """Carry the solver's error along, before rows of the copy can be answered without it."""
-        self.errors.copy(component.name, component.fingerprint, name)
 
     def _ask_compliance(self, name: str, table: ServedTable) -> None:
         """Queue the solves of a linear component's compliance, once a version of its table."""

@@ -341,8 +341,7 @@ class _Refinement:
 
     def _slopes(self, wrenches: Floats) -> Floats:
         """Return the kriging's du/dw (n, k, k), SI, of the part of a joint at wrenches (n, 6)."""
-        packed = packed_of(self.table)
-        slopes = packed.derivatives(wrenches, method="kriging", without_rows=True)
+        slopes = packed_of(self.table).derivatives(wrenches, method="kriging", without_rows=True)
         return slopes[:, self.joint][:, :, self.joint]
 
     def _reduction(self, solved: Floats, wrenches: Floats) -> Floats:

@@ -400,7 +400,6 @@ def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> No
 
 
 def _print_import(name: str, reply: dict[str, Any]) -> None:
-    """Print how many of a file's rows were loaded, and why others were not."""
     # Servers before 0.3 leave these out.
     absent = {"causes": reply["errors"], "above": [], "rig": None, "findings": [], "clock": None}
     reply = {**absent, "import": None, "sheets": [], **reply}

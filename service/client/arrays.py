@@ -374,15 +374,13 @@ def _torch_function(
         @staticmethod
         def backward(ctx: Array, *grads: Array) -> tuple[Array, ...]:
             assert jacobian is not None
-            slopes = jacobian(*ctx.saved_tensors)
-            change = package.einsum("...qn,...q->...n", slopes, grads[0])
+            change = package.einsum("...qn,...q->...n", jacobian(*ctx.saved_tensors), grads[0])
             return change, *[None] * (ctx.counts[0] - 1)
 
         @staticmethod
         def jvp(ctx: Array, *steps: Array) -> tuple[Array, ...]:
             assert jacobian is not None
-            slopes = jacobian(*ctx.saved_tensors)
-            change = package.einsum("...qn,...n->...q", slopes, steps[0])
+            change = package.einsum("...qn,...n->...q", jacobian(*ctx.saved_tensors), steps[0])
             return change, *[None] * (ctx.counts[1] - 1)
 
         @staticmethod

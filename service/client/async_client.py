@@ -50,7 +50,6 @@ def _iterated(
 
 
 def _attribute(name: str) -> Any:
-    """Return an attribute of the blocking client."""
     return property(
         lambda self: getattr(self._client, name),
         lambda self, value: setattr(self._client, name, value),

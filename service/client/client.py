@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from ..contract import LOADS, OnThin
 from ..messages import DeformedShape
-from .errors import Document, InvalidArgument, ProblemError, ServerUnreachable
+from .errors import Document, ProblemError, ServerUnreachable
 from .job import JobCalls
-from .library import LibraryCalls
+from .library import LibraryCalls, format_of
 from .recording import RecordingCalls
 from .replies import Displacement, Displacements
 from .table import DownloadCalls
@@ -146,8 +146,7 @@ class DisplacementCalls(Connection):
             query, content = chosen | tolerance_query, block.astype("<f8").tobytes()
             reply = self.call("POST", path, content, kind=BINARY, query=query, wait_s=wait_s)
             return Displacements.read_binary(name, block, reply)
-        body = {"wrenches": block.tolist()} | chosen
-        reply = self.call_json("POST", path, body, wait_s=wait_s)
+        reply = self.call_json("POST", path, {"wrenches": block.tolist()} | chosen, wait_s=wait_s)
         return Displacements.read({"component": name} | reply, block)
 
     def solve(
@@ -188,7 +187,6 @@ class DisplacementCalls(Connection):
     def _displacement(
         self, name: str, call: str, loads: Document, chosen: Document
     ) -> Displacement:
-        """Send the loads that `loads_body` returns."""
         path, body = component_path(name, call), loads | chosen
         reply = self.call_json("POST", path, body, wait_s=_server_wait(chosen))
         return Displacement.read({"component": name} | reply, wrench_of(loads), loads.get("loads"))
@@ -206,13 +204,7 @@ def _server_wait(chosen: Document) -> float:
 
 def deformed_format(file: str | Path) -> str:
     """Return the format of a surface's file by its ending; InvalidArgument if none."""
-    suffix = Path(file).suffix
-    if suffix.lower() not in FORMATS:
-        named = f"the ending {suffix}" if suffix else "no ending"
-        raise InvalidArgument(
-            f"{file} has {named}; name a surface file that ends in one of {', '.join(FORMATS)}"
-        )
-    return FORMATS[suffix.lower()]
+    return format_of(file, "surface", FORMATS)
 
 
 class SurfaceCalls(Connection):

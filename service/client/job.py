@@ -98,9 +98,7 @@ class Round(Queued):
 
 def joined(first: Any, second: Any) -> Vector | None:
     """Return translation and rotation as one vector, shape (6,), m and rad; None if one is None."""
-    if first is None or second is None:
-        return None
-    return np.concatenate([first, second])
+    return None if first is None or second is None else np.concatenate([first, second])
 
 
 class JobCalls(Connection):
@@ -169,8 +167,7 @@ class JobCalls(Connection):
             Those after this job's number: the last one of the page before.
         """
         query = {"component": component, "status": status, "limit": limit, "after": after}
-        reply = self.call_json("GET", "/v1/jobs", query=query)
-        return [Job.read(job) for job in reply["jobs"]]
+        return [Job.read(job) for job in self.call_json("GET", "/v1/jobs", query=query)["jobs"]]
 
     def cancel(self, job: Job | int) -> Job:
         """Cancel a job that has not ended, and return it."""
@@ -197,8 +194,7 @@ class JobCalls(Connection):
             If there is no such component (404), or jobs of that status have ended (422).
         """
         query = {"component": component, "status": status}
-        reply = self.call_json("DELETE", "/v1/jobs", query=query, repeatable=False)
-        return reply["cancelled"]
+        return self.call_json("DELETE", "/v1/jobs", query=query, repeatable=False)["cancelled"]
 
     def retry(self, job: Job | int) -> Job:
         """Queue a failed or cancelled job again, and return it."""
@@ -241,8 +237,7 @@ class JobCalls(Connection):
         """
         part = {"range": dict(range) if range else None, "outputs": outputs and list(outputs)}
         body = options(tolerance=tolerance, budget=budget, for_joint=for_joint or None, **part)
-        path = component_path(name, "fill")
-        reply = self.call_json("POST", path, body, repeatable=False)
+        reply = self.call_json("POST", component_path(name, "fill"), body, repeatable=False)
         return Round.read(reply, jobs=Job.read_all(reply, name))
 
     def fill_until(
@@ -282,13 +277,9 @@ class JobCalls(Connection):
             If a round does not end in time; its jobs go on in the server.
         """
         while budget > 0:
+            size = min(round_size, budget)
             queued = self.fill(
-                name,
-                tolerance,
-                min(round_size, budget),
-                range=range,
-                outputs=outputs,
-                for_joint=for_joint,
+                name, tolerance, size, range=range, outputs=outputs, for_joint=for_joint
             )
             deadline, ended = time.monotonic() + timeout, ()
             for job in queued.jobs:

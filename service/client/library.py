@@ -35,14 +35,18 @@ _IMPORT_S = 300.0  # a million rows take a minute, and another import before the
 
 def table_format(file: str | Path) -> str:
     """Return the format of a table file to be written, by its ending; InvalidArgument if none."""
+    return format_of(file, "table", _ENDINGS, ", or use wrenchbook export for .fmu and .zip")
+
+
+def format_of(file: str | Path, kind: str, formats: Mapping[str, str], more: str = "") -> str:
+    """Return the format of a file's ending; InvalidArgument if there is none of it."""
     suffix = Path(file).suffix
-    if suffix.lower() not in _ENDINGS:
+    if suffix.lower() not in formats:
         named = f"the ending {suffix}" if suffix else "no ending"
         raise InvalidArgument(
-            f"{file} has {named}; name a table file that ends in one of {', '.join(_ENDINGS)}, or "
-            "use wrenchbook export for .fmu and .zip"
+            f"{file} has {named}; name a {kind} file that ends in one of {', '.join(formats)}{more}"
         )
-    return _ENDINGS[suffix.lower()]
+    return formats[suffix.lower()]
 
 
 def check_readable(file: str | Path) -> None:
@@ -362,8 +366,7 @@ class LibraryCalls(Connection):
             If there is no such component, import or finding (404).
         """
         path = component_path(name, f"imports/{int(number)}{'/restore' if restore else ''}")
-        query = {"finding": finding}
-        return self.call("POST" if restore else "DELETE", path, query=query).json()
+        return self.call("POST" if restore else "DELETE", path, query={"finding": finding}).json()
 
     def stiffness(
         self,
@@ -426,8 +429,7 @@ class LibraryCalls(Connection):
 
     def report_state(self, name: str) -> Document:
         """Return ``state`` (none, running, done, failed), ``fraction`` and ``message``."""
-        query = {"format": "state"}
-        return self.call_json("GET", component_path(name, "report"), query=query)
+        return self.call_json("GET", component_path(name, "report"), query={"format": "state"})
 
     def report(self, name: str, format: str = "json") -> bytes:  # noqa: A002 (the contract's word)
         """Return the latest report as ``json``, ``md`` or ``html``.
@@ -437,8 +439,7 @@ class LibraryCalls(Connection):
         ProblemError
             If there is none yet (404).
         """
-        query = {"format": format}
-        return self.call("GET", component_path(name, "report"), query=query).content
+        return self.call("GET", component_path(name, "report"), query={"format": format}).content
 
     def health(self) -> Document:
         """Return the server's readiness: ``status`` and, if it is not ready, its ``faults``.
@@ -465,7 +466,6 @@ class LibraryCalls(Connection):
 
 
 def _named_file(file: str | Path) -> tuple[str, bytes]:
-    """Return the name and the content of a file that may be a table."""
     check_readable(file)
     return Path(file).name, Path(file).read_bytes()
 

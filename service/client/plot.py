@@ -120,14 +120,9 @@ def coverage(
     codes = (answers.coverage[:, None] == np.array(COVERAGE)).argmax(axis=1)
     pyplot = _pyplot()
     axes = pyplot.figure().add_subplot() if axes is None else axes
-    shown = axes.pcolormesh(
-        x,
-        y,
-        codes.reshape(count, count),
-        cmap=pyplot.matplotlib.colors.ListedColormap(COLOURS),
-        vmin=-0.5,
-        vmax=len(COVERAGE) - 0.5,
-    )
+    colours = pyplot.matplotlib.colors.ListedColormap(COLOURS)
+    ends = {"vmin": -0.5, "vmax": len(COVERAGE) - 0.5}
+    shown = axes.pcolormesh(x, y, codes.reshape(count, count), cmap=colours, **ends)
     bar = axes.figure.colorbar(shown, ax=axes, ticks=range(len(COVERAGE)))
     bar.set_ticklabels([f"{word} {np.mean(codes == k):.0%}" for k, word in enumerate(COVERAGE)])
     axes.set(xlabel=WRENCH_COLUMNS[across], ylabel=WRENCH_COLUMNS[up])
@@ -164,8 +159,7 @@ def deformed(shape: DeformedShape, *, scale: float | None = None, axes: Axes = N
     if scale is None:
         scale = float(DRAWN_SIZE * size / length.max()) if length.max() else 1.0
     axes = pyplot.figure().add_subplot(projection="3d") if axes is None else axes
-    at = shape.deformed(scale)
-    drawn = axes.plot_trisurf(*at.T, triangles=shape.triangles, cmap="viridis")
+    drawn = axes.plot_trisurf(*shape.deformed(scale).T, triangles=shape.triangles, cmap="viridis")
     drawn.set_array(length[shape.triangles].mean(axis=1))
     drawn.autoscale()
     axes.figure.colorbar(drawn, ax=axes, label="displacement [m]", shrink=0.7, pad=0.18)

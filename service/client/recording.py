@@ -95,8 +95,7 @@ class RecordingCalls(Connection):
     def envelope(self, name: str, tolerance: Tolerance | None = None) -> Envelope:
         """Return a component's envelope; with `tolerance` (m, rad) in the place of its own."""
         query = None if tolerance is None else tolerance_body(tolerance)
-        reply = self.call_json("GET", component_path(name, "envelope"), query=query)
-        return Envelope.read(reply)
+        return Envelope.read(self.call_json("GET", component_path(name, "envelope"), query=query))
 
     def clear_envelope(self, name: str) -> int:
         """Forget a component's envelope, and return how many wrenches it had taken in."""

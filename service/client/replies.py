@@ -95,14 +95,8 @@ class Displacement(messages.Displacement):
         }
         if parts:
             wrench = np.concatenate([part.wrench for part in parts.values()])
-        job = body.get("job")
-        return super().read(
-            body,
-            wrench=wrench,
-            interfaces=parts,
-            job=Job.read(job, body.get("component", "")) if job else None,
-            **more,
-        )
+        job = Job.read(body["job"], body.get("component", "")) if body.get("job") else None
+        return super().read(body, wrench=wrench, interfaces=parts, job=job, **more)
 
     @property
     def error_translation(self) -> Vector | None:
@@ -181,8 +175,7 @@ class Displacement(messages.Displacement):
                 f"the displacement of {self.component} at this wrench is unknown{why}; {remedy}"
             )
         orientation, point = checked_pose(R0, p0)
-        rotated = orientation @ rotation_matrix(self.rotation)
-        return rotated, point + orientation @ self.translation
+        return orientation @ rotation_matrix(self.rotation), point + orientation @ self.translation
 
     def _repr_html_(self) -> str:
         if self.interfaces:

@@ -182,18 +182,11 @@ class Table:
             slope.flags.writeable = False
             slope = None if np.isnan(slope).all() else slope
         if packed.outputs == _PER_INTERFACE:
-            wrench = next(iter(wrenches.values()))
-            return self._displacement(wrench, reply, 0, elapsed_us, slope)
-        parts = {
-            name: self._displacement(
-                wrenches.get(name, np.zeros(_PER_INTERFACE)),
-                reply,
-                _PER_INTERFACE * k,
-                elapsed_us,
-                slope,
-            )
-            for k, name in enumerate(packed.space.interfaces)
-        }
+            return self._displacement(next(iter(wrenches.values())), reply, 0, elapsed_us, slope)
+        parts = {}
+        for k, name in enumerate(packed.space.interfaces):
+            wrench = wrenches.get(name, np.zeros(_PER_INTERFACE))
+            parts[name] = self._displacement(wrench, reply, _PER_INTERFACE * k, elapsed_us, slope)
         wrench = np.concatenate([part.wrench for part in parts.values()])
         return self._displacement(wrench, reply, None, elapsed_us, slope, parts)
 

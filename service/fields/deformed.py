@@ -281,8 +281,7 @@ class DeformedSurfaces:
             weights = FieldWeights.of(used.wrench, component.load_range, hyperparameters)
         except (DamagedFieldsError, SingularCovarianceError) as error:
             raise NoFieldsError(component, str(error), unusable=True) from error
-        numbers = tuple(used.seq.tolist())
-        blend = Blend.of(geometry, weights, [row for _, row in same_mesh], numbers)
+        blend = Blend.of(geometry, weights, [row for _, row in same_mesh], tuple(used.seq.tolist()))
         self._blends[component.name] = key, blend
         while len(self._blends) > MAX_BLENDS:
             self._blends.popitem(last=False)

@@ -41,9 +41,7 @@ def redact_values(value: Any) -> Any:
         return redact(value)
     if isinstance(value, dict):
         return {key: redact_values(value) for key, value in value.items()}
-    if isinstance(value, list | tuple):
-        return [redact_values(value) for value in value]
-    return value
+    return [redact_values(value) for value in value] if isinstance(value, list | tuple) else value
 
 
 @cache

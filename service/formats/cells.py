@@ -330,7 +330,6 @@ def _parsed(text: str) -> Any:
 
 @cache
 def _registry() -> Any:
-    """Return pint's registry of decimal factors."""
     # Imported on first use: 0.3 s.
     import pint
 

@@ -136,11 +136,8 @@ def _stored_pieces(path: Path, columns: Columns) -> Iterator[Piece]:
         for key in ARRAYS:
             block, width = getattr(rows, key), len(getattr(columns, key))
             cells += [*(block.reshape(n, width) if block.size else unknown_column(n, width)).T]
-        yield Piece(
-            range(read + 1, read + n + 1),
-            [*cells, rows.source.tolist(), notes, rows.fingerprint.tolist()],
-            n,
-        )
+        cells += [rows.source.tolist(), notes, rows.fingerprint.tolist()]
+        yield Piece(range(read + 1, read + n + 1), cells, n)
         read += n
 
 

@@ -309,8 +309,7 @@ def _delimiter(lines: Iterator[str], options: Options) -> str:
             return separator["mark"]
         if _may_be_header(line):
             rest = (below for below in islice(lines, _MAX_HEAD) if _may_be_header(below))
-            heads = chain([line], rest)
-            return delimiter_in(heads, _bare, options)
+            return delimiter_in(chain([line], rest), _bare, options)
     return ","
 
 

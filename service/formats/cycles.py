@@ -42,7 +42,7 @@ def with_cycles(
     the first cycles are left out, the other branch is, the rows of a pass within one place are
     averaged, and the passes of a branch become their mean.
     """
-    if not options.has_cycles:
+    if not (options.skip_cycles or options.branch or options.thin or options.mean_cycles):
         yield from pieces
         return
     parts: list[ParsedTable] = []

@@ -108,11 +108,6 @@ class Options:
         return DEFAULT if self.load_range is None else self.load_range.space
 
     @property
-    def has_cycles(self) -> bool:
-        """Whether rows are left out or averaged by the cycles of the main load."""
-        return bool(self.skip_cycles or self.branch or self.thin or self.mean_cycles)
-
-    @property
     def columns(self) -> Columns:
         """The columns of the rows."""
         return columns_of(self.space)

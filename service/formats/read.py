@@ -121,11 +121,8 @@ class ReadResult:
 
 def read_untrusted(files: Sequence[Path], options: Options, preview: int = 0) -> ReadResult:
     """Read a table, or two logs, in a child with limits; SandboxBusyError, OSError."""
-    arguments = {
-        "second": str(files[1]) if len(files) > 1 else None,
-        "options": options.as_json(),
-        "preview": preview,
-    }
+    second = str(files[1]) if len(files) > 1 else None
+    arguments = {"second": second, "options": options.as_json(), "preview": preview}
     try:
         parts = run("wrenchbook.service.formats.read:table_parts", files[0], arguments, _LIMITS)
     except SandboxError as error:

@@ -248,14 +248,8 @@ def with_known_point(
             row = int(piece.seq[asked][at])
     if (count > _FEW_ROWS * rows).any():
         more = " or the row's stated uncertainty" if count[-1] > _FEW_ROWS * rows else ""
-        message = _WHICH_POINT.format(
-            more=more,
-            count=int(count.max()),
-            rows=rows,
-            row=row,
-            value=value,
-            share=100.0 * worst,
-        )
+        numbers = {"count": int(count.max()), "rows": rows, "row": row, "value": value}
+        message = _WHICH_POINT.format(more=more, share=100.0 * worst, **numbers)
         report.mistakes.ruin(0, "load_cell", message)
 
 
@@ -341,7 +335,6 @@ def _axes(value: Any) -> Array:
 
 
 def _numbers(name: str, value: Any, count: int) -> Array:
-    """Return the numbers, (count,), of a text or of lists."""
     try:
         values = re.split(r"[,;\s]+", value.strip()) if isinstance(value, str) else value
         numbers = np.array(values, dtype=float).ravel()

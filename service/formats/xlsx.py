@@ -64,8 +64,7 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
     except Exception as error:  # openpyxl raises many classes on damaged files
-        message = f"is no readable XLSX workbook: {error}; save it again"
-        report.mistakes.ruin(0, "file", message)
+        report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}; save it again")
 
 
 def write_xlsx(
@@ -154,8 +153,7 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     except BaseException as error:  # calamine's panic on a damaged file is no Exception
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
-        message = f"cannot be read as .xls (save it as .xlsx): {error}"
-        report.mistakes.ruin(0, "file", message)
+        report.mistakes.ruin(0, "file", f"cannot be read as .xls (save it as .xlsx): {error}")
 
 
 def chosen_sheet(

@@ -71,8 +71,7 @@ def read_batch_body(body: Spooled, inputs: int = PER_INTERFACE) -> tuple[np.ndar
     if body.path is None:
         full, wrenches = batch_parts(body.content, inputs)
         return wrenches, full.query()
-    arguments = {"inputs": inputs}
-    (part,) = run("wrenchbook.service.http.batch:parsed", body.path, arguments, LIMITS)
+    (part,) = run("wrenchbook.service.http.batch:parsed", body.path, {"inputs": inputs}, LIMITS)
     if refused := part.fields["refused"]:
         detail = str(refused["body"].get("detail", ""))
         problem = HttpProblemError(int(refused["status"]), "", "", detail)
@@ -93,8 +92,7 @@ def batch_parts(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np
             f"has {objects} JSON objects; send one with the list wrenches, of lists of numbers"
         )
         raise bad_body([{"loc": "body", "msg": message}])
-    fields = parsed_json(body)
-    wrenches, full = with_wrenches(BatchBody, fields, inputs, LARGEST_LOAD, MAX_BATCH)
+    wrenches, full = with_wrenches(BatchBody, parsed_json(body), inputs, LARGEST_LOAD, MAX_BATCH)
     return full, wrenches
 
 

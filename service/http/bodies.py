@@ -88,8 +88,7 @@ def tolerance_of(body: ToleranceBody | None) -> Tolerance | None:
 def query_of(options: Body, tolerance: Tolerance | None) -> Query:
     """Return the query without its wrench: each field that a body and a query have in common."""
     common = type(options).model_fields.keys() & set(Query._fields) - {"tolerance"}
-    values = {name: getattr(options, name) for name in common}
-    return Query((), tolerance=tolerance, **values)
+    return Query((), tolerance=tolerance, **{name: getattr(options, name) for name in common})
 
 
 class WrenchBody(Body):

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import orjson
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
+from fastapi.routing import APIRoute
 from pydantic import TypeAdapter
 from starlette.requests import Request
 from starlette.responses import Response
@@ -71,6 +72,14 @@ def refused(*statuses: int, **texts: str) -> Responses:
     return {
         status: {"description": text, "content": _PROBLEM} for status, text in described.items()
     }
+
+
+def component_router(
+    tag: str, path: str = "", codes: Sequence[int] = (404, 422), route: type[APIRoute] = APIRoute
+) -> APIRouter:
+    """Return a router of calls of a component, which are below its name."""
+    prefix = "/v1/components/{name}" + path
+    return APIRouter(prefix=prefix, tags=[tag], responses=refused(*codes), route_class=route)
 
 
 def takes(body: Any, more: Mapping[str, Any] | None = None, query: Any = None) -> Schema:

@@ -131,8 +131,7 @@ class HttpProblemError(HTTPException):
         body = self.body
         if self.status >= 500 and (request_id := REQUEST_ID.get()):
             body = {**body, "request_id": request_id}
-        content = orjson.dumps(redact_values(body))
-        return Response(content, self.status, self.headers, MEDIA_TYPE)
+        return Response(orjson.dumps(redact_values(body)), self.status, self.headers, MEDIA_TYPE)
 
 
 def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> HttpProblemError:
@@ -211,13 +210,8 @@ def install(app: FastAPI) -> None:
     def http_answer(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
         call = f"{request.method} {request.url.path[:MAX_PLACE]}"
-        problem = HttpProblemError(
-            error.status_code,
-            "http",
-            str(error.detail),
-            f"{call}: {error.detail}. See /openapi.json for all calls.",
-        )
-        response = problem.response()
+        text = f"{call}: {error.detail}. See /openapi.json for all calls."
+        response = HttpProblemError(error.status_code, "http", str(error.detail), text).response()
         response.headers.update(error.headers or {})
         return response
 

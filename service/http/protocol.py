@@ -161,7 +161,6 @@ class FastPath:
         return known
 
     def _read(self, start: bytes) -> Head | None:
-        """Parse a head."""
         line = _FIRST_LINE.match(start)
         if line is None or len(start) > _MAX_PLAIN_HEAD:
             return None

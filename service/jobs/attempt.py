@@ -199,8 +199,7 @@ def write_outcome(attempt: Attempt, outcome: Outcome, *, durable: bool = True) -
     """
     known = {name: value for name in _OUTCOME if (value := getattr(outcome, name)) is not None}
     content = outcome.further | known | {"asked": attempt.question}
-    signed = {**content, "digest": _digest(content)}
-    write_json(attempt.folder / OUTCOME, signed, durable=durable)
+    write_json(attempt.folder / OUTCOME, {**content, "digest": _digest(content)}, durable=durable)
 
 
 def read_outcome(attempt: Attempt) -> Outcome | None:

@@ -48,8 +48,7 @@ def solvers(worker: Worker) -> LocalEngine:
 def probe(dask_worker: Worker) -> dict[str, Any]:
     """Return version and trouble of this worker."""
     solvers(dask_worker)
-    trouble = _no_room(dask_worker.local_directory)
-    return {"version": solver_version(), "trouble": trouble}
+    return {"version": solver_version(), "trouble": _no_room(dask_worker.local_directory)}
 
 
 def _no_room(folder: str) -> str | None:

@@ -202,8 +202,7 @@ def _solved(ready: Any, attempt: Attempt, report: Report) -> dict[str, Any]:
             with contextlib.suppress(OSError):  # on a full disk the log has no room either
                 print(f"the deformed surface was not kept: {error}", file=sys.stderr)
 
-    folder = attempt.folder
-    solution = solve(ready, attempt.wrench, progress=report, folder=folder, on_fields=keep)
+    solution = solve(ready, attempt.wrench, progress=report, folder=attempt.folder, on_fields=keep)
     with contextlib.suppress(OSError):  # a full disk; the outcome holds them too
         for note in solution.notes:
             print(note)

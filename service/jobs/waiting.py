@@ -70,8 +70,7 @@ def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None)
         reason = f"it is the next; solvers busy: {running} of {slots}"
     else:
         reason = "it is the next and starts now"
-    seconds = ledger.solve_seconds(job.component)
-    return Waiting(reason, before, running, slots, seconds, expected)
+    return Waiting(reason, before, running, slots, ledger.solve_seconds(job.component), expected)
 
 
 def _expected_start(

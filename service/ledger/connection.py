@@ -172,7 +172,8 @@ def open_file(path: Path) -> Connection:
         try:
             _check_schema(connection, path)
             check_integrity(connection, path)
-            _use_wal(connection)
+            # SQLite does not wait by itself when two processes switch the journal at the same time.
+            begin(connection, "PRAGMA journal_mode = WAL")
             _upgrade(connection)
             _take_over(connection, path.parent)
         except BaseException:
@@ -349,11 +350,6 @@ def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
         f"the ledger {path} could not be used: {error}. Nothing was changed; {remedy}, "
         "then ask again"
     )
-
-
-def _use_wal(connection: Connection) -> None:
-    # SQLite does not wait by itself when two processes switch the journal at the same time.
-    begin(connection, "PRAGMA journal_mode = WAL")
 
 
 def _upgrade(connection: Connection) -> None:

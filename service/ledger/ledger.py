@@ -1,7 +1,6 @@
 """The ledger: one writing connection, short transactions, and notices of changes."""
 
 import logging
-import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -12,6 +11,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
+from wrenchbook.service.files.durable import sync
 from wrenchbook.service.ledger import audit as audit_sql
 from wrenchbook.service.ledger import imports as import_sql
 from wrenchbook.service.ledger import job_statistics as statistics_sql
@@ -181,11 +181,6 @@ class Ledger:
     findings = _reads(import_sql.findings)
     audit = _reads(audit_sql.entries)
 
-    def claim(self, owner: str, engine: str = "local") -> JobRecord | None:
-        """Start the next waiting job's next attempt under `owner`; None if none waits."""
-        claimed = self.claim_many(owner, engine, 1)
-        return claimed[0] if claimed else None
-
     def claim_many(self, owner: str, engine: str, most: int) -> list[JobRecord]:
         """Start the next attempts of the next waiting jobs; without a write if none waits."""
         with self.reading() as db:
@@ -209,8 +204,7 @@ class Ledger:
             displacement = rows.displacement[at].tolist()
             problem = f"row {at + 1} of {len(rows)} is a solve of the displacement {displacement}"
             raise ValueError(f"{problem}, but all outputs must be finite; solve it again")
-        notes = [note] * len(rows) if isinstance(note, str) else note
-        block = NotedRows(rows, notes)
+        block = NotedRows(rows, [note] * len(rows) if isinstance(note, str) else note)
         # Before the lock is taken: other writers wait for the insertion alone.
         keys = row_keys(component, block)
         with self.writing() as db:
@@ -271,11 +265,7 @@ class Ledger:
         Between two of them, so that a durable one of another writer does not wait for all of it.
         """
         with suppress(OSError):  # no log, or a disk that fails: the next durable commit fails
-            descriptor = os.open(self.path.with_name(f"{self.path.name}-wal"), os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
+            sync(self.path.with_name(f"{self.path.name}-wal"))
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:

@@ -140,9 +140,7 @@ class Library:
     def _find(self, name: str) -> Component | None:
         """Return a component as its files are now."""
         component = self._components.get(name)
-        if component is not None and component.is_as_read():
-            return component
-        return self._reread(name)
+        return component if component is not None and component.is_as_read() else self._reread(name)
 
     def _reread(self, name: str) -> Component | None:
         """Take up a component that was edited, or added by another process, on the disk."""

@@ -166,11 +166,8 @@ class SharedCounts:
 
     def _write(self) -> None:
         with self._writing:
-            values = {
-                "counts": self._counts.as_json(),
-                "listeners": self._listeners(),
-                "pid": os.getpid(),
-            }
+            values = {"counts": self._counts.as_json(), "listeners": self._listeners()}
+            values["pid"] = os.getpid()
             try:
                 write_atomically(self._path, json.dumps(values).encode(), durable=False)
             except OSError as error:

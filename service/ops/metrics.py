@@ -59,8 +59,7 @@ class Metrics(Collector):
         self._read: Statistics | None = None
         self._version: int | None = None
         self._registry = CollectorRegistry()
-        folder = settings.data / SHARED / COUNTS
-        self._shared = SharedCounts(folder, counts, listeners)
+        self._shared = SharedCounts(settings.data / SHARED / COUNTS, counts, listeners)
         self._registry.register(self)
 
     def stop(self) -> None:
@@ -127,9 +126,8 @@ class Metrics(Collector):
         yield HistogramMetricFamily("wrenchbook_solve_seconds", text, buckets, read.solve_seconds)
         age = max(0.0, time.time() - read.oldest_waiting) if read.oldest_waiting else 0.0
         yield _gauge("oldest_waiting_seconds", "age of the oldest job", age)
-        yield _gauges(
-            "ledger_bytes", "sizes of the ledger's files on the disk", "file", ledger.sizes()
-        )
+        text = "sizes of the ledger's files on the disk"
+        yield _gauges("ledger_bytes", text, "file", ledger.sizes())
 
     def _of_workspace(self) -> Iterator[Metric]:
         workspace, now = self._workspace, time.time()
@@ -145,11 +143,8 @@ class Metrics(Collector):
         text = "time since the table's file was written"
         yield _gauges("table_file_age_seconds", text, "component", ages)
         yield _gauge("components", "components in the library", len(names))
-        yield _gauge(
-            "broken_components",
-            "components that cannot be used; GET /health/ready names them",
-            len(workspace.broken()),
-        )
+        text = "components that cannot be used; GET /health/ready names them"
+        yield _gauge("broken_components", text, len(workspace.broken()))
         yield InfoMetricFamily("wrenchbook_build", "version of the program that answers", _build())
         yield _gauge("ready", "1 if jobs are accepted and solved", int(not workspace.faults()))
         yield _gauge("solvers", "solves that this server runs at once", workspace.settings.solvers)

@@ -145,15 +145,9 @@ def _start(
     if not len(unknown) and not reasons:
         any_known = solved.any() or covered.any()
         reasons.append("the table covers all of them" if any_known else _NOTHING)
-    return StartedSolves(
-        queued + [job for job in accepted if not job.is_final],
-        int(solved.sum()),
-        int(covered.sum()),
-        failed,
-        beyond,
-        over_budget,
-        "; ".join(reasons),
-    )
+    queued += [job for job in accepted if not job.is_final]
+    counts = int(solved.sum()), int(covered.sum()), failed, beyond, over_budget
+    return StartedSolves(queued, *counts, "; ".join(reasons))
 
 
 def _start_linear(

@@ -203,16 +203,14 @@ class RecordingStore:
 
     def recording(self, name: str) -> RecordingState:
         """Return a component's recording; raises UnknownComponentError."""
-        component = self._library[name]
-        count = len(component.load_range.low)
+        count = len(self._library[name].load_range.low)
         with self._ledger.reading() as db:
             tally, keys = _tally(db, name, "recording"), _recorded(db, name, count)
         return RecordingState(tally, unpacked(keys, count))
 
     def envelope(self, name: str) -> EnvelopeState:
         """Return a component's envelope; raises UnknownComponentError."""
-        component = self._library[name]
-        count = len(component.load_range.low)
+        count = len(self._library[name].load_range.low)
         with self._ledger.reading() as db:
             tally, extremes = _tally(db, name, "envelope"), _extremes(db, name)
         current = _of_width(extremes.values(), count)
@@ -385,8 +383,7 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
     more = [centre[None], np.zeros((1, len(low))), envelope.lowest, envelope.highest]
     answers = table.packed.batch(np.concatenate([corners, *more]))
     coverage = int(answers.coverage.max(initial=COVERED))
-    exact = table.linear and table.fit.complete
-    if exact:
+    if table.linear and table.fit.complete:
         ends = np.stack([table.fit.matrix * low, table.fit.matrix * high])  # (2, outputs, inputs)
         most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
         largest = np.abs([most, least]).max(axis=0) + answers.errors.max(axis=0)

@@ -67,15 +67,9 @@ def measure(
         level["largest_error"] = _largest(level["error"])
     report(SOLVES_FRACTION, "measuring tables")
     linear, limit = not bundle.analysis.nonlinear, bundle.tolerance
-    tables = _measure_tables(
-        rows,
-        load_range,
-        linear,
-        wrenches[solved],
-        (reference, same_mesh),
-        scale,
-        levels[own]["seconds_p50"],
-    )
+    solves = wrenches[solved], (reference, same_mesh)
+    seconds = levels[own]["seconds_p50"]
+    tables = _measure_tables(rows, load_range, linear, *solves, scale, seconds)
     summary = build(rows, load_range, linear=linear).coverage_summary()
     return {
         "component": bundle.name,
@@ -120,14 +114,8 @@ def _solve_levels(bundle: Bundle, wrenches: Array, report: Report) -> list[dict[
             try:
                 displacement[place] = solver.solve(wrench).displacement
             except SolveFailed as failure:
-                failures.append(
-                    {
-                        "wrench": wrench.tolist(),
-                        "kind": failure.kind,
-                        "message": failure.message,
-                        "remedy": failure.remedy,
-                    }
-                )
+                why = {"kind": failure.kind, "message": failure.message, "remedy": failure.remedy}
+                failures.append({"wrench": wrench.tolist(), **why})
                 continue
             seconds.append(time.process_time() - started)
         levels.append(

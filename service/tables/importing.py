@@ -83,7 +83,10 @@ def import_files(
     held = component.load_range.holds
     beyond = sum(int((~held(piece.wrench)).sum()) for piece in read.pieces())
     if not refused and dry_run:
-        inserted, existing = _count_rows(ledger, component, pieces())
+        keys = [key for piece in pieces() for key in _keys(component, piece)]
+        distinct = set(keys)
+        inserted = len(distinct - ledger.known_rows(distinct))
+        existing = len(keys) - inserted
     elif not refused:
         findings = _findings_by_key(component, report["findings"], pieces)
         origin = replace(origin, format=report["format"], rig=options.rig, findings=findings)
@@ -112,16 +115,6 @@ def import_files(
 
 def _keys(component: Component, piece: ParsedTable) -> list[bytes]:
     return row_keys(component.name, NotedRows(piece, piece.note))
-
-
-def _count_rows(
-    ledger: Ledger, component: Component, pieces: Iterator[ParsedTable]
-) -> tuple[int, int]:
-    """Return how many rows of a file would be inserted, and how many equal one before or stored."""
-    keys = [key for piece in pieces for key in _keys(component, piece)]
-    distinct = set(keys)
-    inserted = len(distinct - ledger.known_rows(distinct))
-    return inserted, len(keys) - inserted
 
 
 def _findings_by_key(

@@ -277,8 +277,7 @@ class MappedTables:
         Returns False if time ran out, or if the table cannot be built: see `faults`.
         """
         goal, end = self._ledger.last_seq(name), time.monotonic() + timeout
-        component = self._library[name]
-        wanted = setup_of(component)
+        wanted = setup_of(self._library[name])
 
         def holds() -> bool:
             # A file that does not fit a component that was just added is written anew.

@@ -33,12 +33,9 @@ class ExportRows:
         self, stored: NotedRows, spans: Sequence[tuple[int, int, ImportRecord]] = ()
     ) -> None:
         rows, firsts = stored.rows, [first for first, *_ in spans]
-        self.wrench, self.displacement, self.uncertainty = (
-            rows.wrench,
-            rows.displacement,
-            rows.uncertainty,
-        )
-        self.compliance, self.curvature = rows.compliance, rows.curvature
+        self.wrench, self.displacement = rows.wrench, rows.displacement
+        self.uncertainty, self.compliance = rows.uncertainty, rows.compliance
+        self.curvature = rows.curvature
         self.source, self.fingerprint, self.note = rows.source, rows.fingerprint, stored.note
         self.seq = rows.seq.tolist()
         self.when = [iso_time(created) for created in stored.created]

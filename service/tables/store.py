@@ -262,11 +262,8 @@ class TableStore:
         newest = self.ledger.last_seq(name)
         inserted, _ = self.ledger.insert_rows(name, rows, "table file", above=meta.last_seq)
         if inserted:
-            log.warning(
-                "%s: %d rows of the table file were missing in the ledger and are there again",
-                name,
-                inserted,
-            )
+            text = "%s: %d rows of the table file were missing in the ledger and are there again"
+            log.warning(text, name, inserted)
         if meta.edits is None:
             # Files of 0.1 have neither edits nor a digest of their ledger: numbers show it.
             stored = self.ledger.rows_of(rows.seq.tolist())

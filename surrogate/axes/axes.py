@@ -58,8 +58,7 @@ def build_axes(
         _axis_table(rows, load_range, axis, fit, off_axis, table)
         for axis, table in zip(AXES, earlier, strict=True)
     ]
-    at_zero = answer_at_zero(rows, load_range, tables)
-    return Axes(tables, at_zero, before)
+    return Axes(tables, answer_at_zero(rows, load_range, tables), before)
 
 
 def _axis_table(
@@ -242,8 +241,7 @@ class PureMomentCut:
         self.shape, self.column = table.triangulation, column
         self.stations = _stations(table.triangulation, column)
         low, width = self.stations[:-1], np.diff(self.stations)
-        middle = self._points(low + 0.5 * width)
-        simplices = table.triangulation.locate(middle)
+        simplices = table.triangulation.locate(self._points(low + 0.5 * width))
         self.state = np.where(simplices >= 0, INSIDE, OFF_HULL).astype(np.int32)
         start, end = (
             table.interpolate(np.maximum(simplices, 0), self._points(along))

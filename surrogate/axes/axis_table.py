@@ -46,9 +46,7 @@ class AxisTable:
     def fractions(self) -> Floats:
         """Return the fraction of the load range that each simplex takes, shape (m,)."""
         dimension = self.triangulation.dimension
-        if dimension == 0:
-            return np.zeros(1)
-        return self.triangulation.volumes / 2.0**dimension
+        return np.zeros(1) if dimension == 0 else self.triangulation.volumes / 2.0**dimension
 
     def interpolate(self, simplices: Indices, x: Floats) -> Floats:
         """Return the outputs (k, 6), m and rad, at scaled inputs x (k, 3) in simplices (k,)."""

@@ -129,8 +129,7 @@ def loop_of(rows: Rows, load_range: LoadRange) -> tuple[Floats, Floats]:
 
 def _effects(rows: Rows, load_range: LoadRange) -> tuple[Indices, Effects | None]:
     """Return which rows of a table are readings, and the effects in them; None of too few."""
-    measured = ~rows.is_solved & ~rows.has_tangent
-    indices = np.flatnonzero(measured & load_range.holds(rows.wrench))
+    indices = np.flatnonzero(~rows.is_solved & ~rows.has_tangent & load_range.holds(rows.wrench))
     some = rows.take(indices)
     if len(some) < MIN_FIT_ROWS:
         return indices, None

@@ -206,8 +206,7 @@ class PackedTable:
     @classmethod
     def _from_buffer(cls, buffer: Floats, size: int) -> PackedTable:
         """Open a packed table of `size` bytes that lies in words of eight bytes."""
-        packed = read(buffer.data.cast("B")[:size])
-        return cls._opened(packed, buffer.ctypes.data, buffer)
+        return cls._opened(read(buffer.data.cast("B")[:size]), buffer.ctypes.data, buffer)
 
     @classmethod
     def _opened(cls, packed: Packed, address: int, source: Floats | Path) -> PackedTable:

@@ -5,7 +5,7 @@ The kernel gives codes with numbers; other numbers are in the table's arrays.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from ..table.rows import ZERO_LOAD
@@ -46,9 +46,7 @@ class Reason(NamedTuple):
 
 def text_of(reasons: Sequence[Reason], inputs: Sequence[float], packed: Packed) -> str:
     """Return reasons in words, each once, for one wrench of n inputs, N and N·m."""
-    texts = [
-        FIXED.get(reason.code) or _MAKERS[reason.code](reason, inputs, packed) for reason in reasons
-    ]
+    texts = [FIXED.get(reason.code) or _filled(reason, inputs, packed) for reason in reasons]
     return "; ".join(dict.fromkeys(texts))
 
 
@@ -62,23 +60,6 @@ def _amount(packed: Packed, index: int, value: float) -> str:
     return f"{name} = {value:.10g} {unit}"
 
 
-def _beyond(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    low, high = packed.arrays["space/range"][:, reason.item].tolist()
-    unit = _name(packed, reason.item)[1]
-    amount = _amount(packed, reason.item, reason.value)
-    return f"{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}"
-
-
-def _not_in_scene(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    low, high = packed.arrays["scene/range"][:, reason.item].tolist()
-    amount, unit = _amount(packed, reason.item, reason.value), _name(packed, reason.item)[1]
-    return f"{amount} cannot occur in the scene: {low:.6g}..{high:.6g} {unit}"
-
-
-def _unknown_load(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    return f"no row shows the influence of {_name(packed, reason.item)[0]}; solve or import one"
-
-
 def axis_inputs(axis: int) -> tuple[int, int, int]:
     """Return the indices of an axis' loads: a force, and the moments about the other axes."""
     return axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3
@@ -89,9 +70,19 @@ def _axis_amounts(reason: Reason, inputs: Sequence[float], packed: Packed) -> st
     return ", ".join(_amount(packed, load, inputs[load]) for load in loads if inputs[load])
 
 
-def _no_rows(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    amounts = _axis_amounts(reason, inputs, packed)
-    return f"axis {'xyz'[reason.axis]}: no rows to answer {amounts}; solve or import such rows"
+def _filled(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    if reason.code == _OFF_HULL:
+        return _off_hull(reason, inputs, packed)
+    side = "outputs" if reason.code == _OVER_TOLERANCE else "inputs"
+    entry, ends = packed.meta["space"][side][reason.item], (0.0, 0.0)
+    if reason.code in _RANGES:
+        ends = packed.arrays[_RANGES[reason.code].format(reason.group)][:, reason.item].tolist()
+    fields = reason._asdict() | {"name": entry["name"], "unit": entry["unit"]}
+    fields |= {"low": ends[0], "high": ends[1]}
+    fields["axis"] = "" if reason.axis < 0 else f"axis {'xyz'[reason.axis]}: "
+    fields["amount"] = "{name} = {value:.10g} {unit}".format(**fields)
+    fields["amounts"] = _axis_amounts(reason, inputs, packed) if reason.axis >= 0 else ""
+    return WITH_NUMBERS[reason.code].format(**fields)
 
 
 def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
@@ -119,32 +110,6 @@ def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return f"axis {name}: {amounts} together lie outside the hull of its {count} rows"
 
 
-def _moment_alone(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    return (
-        f"axis {'xyz'[reason.axis]}: {_amount(packed, reason.item, reason.value)} alone "
-        "lies outside the rows, and the loads of this wrench are added up from there"
-    )
-
-
-def _over(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    output = packed.meta["space"]["outputs"][reason.item]
-    unit = output["unit"]
-    axis = "" if reason.axis < 0 else f"axis {'xyz'[reason.axis]}: "
-    return (
-        f"{axis}the interpolation error of {output['name']}, {reason.value:.2g} {unit}, "
-        f"is over the tolerance, {reason.limit:.2g} {unit}"
-    )
-
-
-def _beyond_span(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    low, high = packed.arrays[f"g{reason.group}/kriging/span_loads"][:, reason.item].tolist()
-    name, unit = _name(packed, reason.item)
-    return (
-        f"{name} = {reason.value:.6g} {unit} is beyond the rows that show errors, "
-        f"{low:.6g} to {high:.6g} {unit}; solve or import rows there"
-    )
-
-
 # By code: WB_REASON_... of surrogate/kernel/wrenchbook.h.
 FIXED = {
     1: EMPTY,
@@ -156,16 +121,21 @@ FIXED = {
     19: TOO_FAR,
     22: FEW_ROWS,
 }
-_MAKERS: dict[int, Callable[[Reason, Sequence[float], Packed], str]] = {
-    3: _beyond,
-    4: _unknown_load,
-    5: _no_rows,
-    6: _off_hull,
-    10: _moment_alone,
-    13: _beyond_span,
-    14: _over,
-    20: _not_in_scene,
+# Their fields are those of `Reason`, and name, unit and range (low, high) of its load or output.
+WITH_NUMBERS = {
+    3: "{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}",
+    4: "no row shows the influence of {name}; solve or import one",
+    5: "{axis}no rows to answer {amounts}; solve or import such rows",
+    10: "{axis}{amount} alone lies outside the rows, and the loads of this wrench are added up "
+    "from there",
+    13: "{name} = {value:.6g} {unit} is beyond the rows that show errors, {low:.6g} to {high:.6g} "
+    "{unit}; solve or import rows there",
+    14: "{axis}the interpolation error of {name}, {value:.2g} {unit}, is over the tolerance, "
+    "{limit:.2g} {unit}",
+    20: "{amount} cannot occur in the scene: {low:.6g}..{high:.6g} {unit}",
 }
+_RANGES = {3: "space/range", 13: "g{}/kriging/span_loads", 20: "scene/range"}
+_OFF_HULL, _OVER_TOLERANCE = 6, 14
 
 
 def unmeasured_text(missing: int, packed: Packed) -> str:

@@ -129,8 +129,7 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
     Raises TooFewRowsError if fewer rows than `min_rows` lie in it, or an output is measured by
     fewer.
     """
-    measured = np.isfinite(rows.displacement)
-    counts = measured.sum(axis=0)
+    counts = np.isfinite(rows.displacement).sum(axis=0)
     if counts.min() < settings.min_rows:
         name = load_range.space.output_names[int(counts.argmin())]
         raise TooFewRowsError(

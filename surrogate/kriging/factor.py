@@ -380,17 +380,10 @@ class Neighbourhoods:
             + np.arange(subset.n_derivatives)
         )[known]
         number = self._numbers[near][known]
-        inverse = _factored(
-            subset,
-            factor.output_group.noise[near],
-            table[np.ix_(number, number)],
-            factor.hyperparameters,
-            factor.nugget,
-            self.settings,
-        )
-        return LocalFactor(
-            factor.hyperparameters, inverse.nugget, inverse.T, inverse.TF, columns, number
-        )
+        noise, within = factor.output_group.noise[near], table[np.ix_(number, number)]
+        model = factor.hyperparameters
+        inverse = _factored(subset, noise, within, model, factor.nugget, self.settings)
+        return LocalFactor(model, inverse.nugget, inverse.T, inverse.TF, columns, number)
 
     def deviations(self, x: Floats, across: Floats) -> Floats:
         """Return the posterior deviation (m,), process deviations, at points (m, 6).

@@ -195,8 +195,7 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     yield "row/wrench", wrenches
     yield "row/moved", merged.displacement[owner]
     yield "row/bar", group.row_uncertainty[owner]
-    tangent_rows = np.where(has_tangent, np.cumsum(has_tangent) - 1, -1)
-    yield "row/tangent_of", tangent_rows.astype(np.int32)
+    yield "row/tangent_of", np.where(has_tangent, np.cumsum(has_tangent) - 1, -1).astype(np.int32)
     yield "row/tangent", tangents[has_tangent]
     yield "row/source", sources.numbers(wrenches)
     if used and group.has_axes:
@@ -285,8 +284,7 @@ def _factor_arrays(
     rows = factor.output_group.rows
     number[rows] = neighbourhoods.number
     least[rows] = [local_factors[k].min_variance for k in neighbourhoods.number.tolist()]
-    is_output = np.isin(np.arange(outputs), factor.output_group.outputs)
-    yield "outputs", is_output.astype(np.int32)
+    yield "outputs", np.isin(np.arange(outputs), factor.output_group.outputs).astype(np.int32)
     yield "number", number
     yield "equations", columns
     yield "panels", panels

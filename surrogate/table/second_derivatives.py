@@ -40,11 +40,8 @@ def moment_map(rotation: Floats, moment: Floats) -> MomentMap:
     """
     cross = -np.einsum("ijk,...j->...ik", _CROSS, rotation)  # cross @ v = -r x v
     lead = np.broadcast_shapes(np.shape(rotation), np.shape(moment))[:-1]
-    term = MomentMap(
-        np.array(np.broadcast_to(moment, (*lead, 3)), dtype=float),
-        np.zeros((*lead, 3, 3)),
-        np.zeros((*lead, 3, 3, 3)),
-    )
+    value = np.array(np.broadcast_to(moment, (*lead, 3)), dtype=float)
+    term = MomentMap(value, np.zeros((*lead, 3, 3)), np.zeros((*lead, 3, 3, 3)))
     total = MomentMap(*map(np.copy, term))
     for order in range(1, TERMS):
         value, first, second = term

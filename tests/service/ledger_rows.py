@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.ledger import Ledger, LedgerRow, NotedRows
+from wrenchbook.service.ledger import JobRecord, Ledger, LedgerRow, NotedRows
 from wrenchbook.surrogate.table.rows import Rows
 from wrenchbook.surrogate.table.space import DEFAULT, Space
 
@@ -25,6 +25,12 @@ class NewRow:
     origin: str = ""
     fingerprint: str | None = None
     curvature: Sequence[float] | None = None
+
+
+def claim(ledger: Ledger, owner: str, engine: str = "local") -> JobRecord | None:
+    """Start the next waiting job's next attempt under `owner`; None if none waits."""
+    claimed = ledger.claim_many(owner, engine, 1)
+    return claimed[0] if claimed else None
 
 
 def new_rows(count: int, first: int = 0) -> list[NewRow]:

@@ -7,6 +7,7 @@ import time
 import pytest
 from starlette.testclient import TestClient
 
+from tests.service.ledger_rows import claim
 from tests.service.test_access import CALLS, TABLE_ONLY, bearer
 from wrenchbook.service.actors import CALLER, Caller, NotPermittedError, acting_as
 from wrenchbook.service.http.access import SecuritySettings
@@ -190,7 +191,7 @@ def test_a_job_of_an_earlier_setup_that_waits_anew_keeps_its_actor(ledger):
         other = ledger.accept("bar", "new", [0.0] * 6)[0]
         ledger.cancel(other.id)
         ledger.accept("bar", "old", [0.0] * 6)
-    claimed = ledger.claim("d")
+    claimed = claim(ledger, "d")
     ledger.renew(claimed.id, claimed.attempt, "new")
     again = ledger.job(other.id)
     assert (again.status, again.actor) == ("waiting", "ann")
@@ -205,13 +206,13 @@ def test_a_write_that_fails_leaves_no_entry(ledger):
 def test_ten_jobs_beside_a_thousand_are_among_the_first_25(ledger):
     with acting_as("many"):
         ledger.accept_many("bar", "f", [[float(n), 0, 0, 0, 0, 0] for n in range(1000)])
-    done = [ledger.claim("d") for _ in range(3)]
+    done = [claim(ledger, "d") for _ in range(3)]
     with acting_as("few"):
         few = ledger.accept_many("bar", "f", [[0, float(n), 0, 0, 0, 1] for n in range(10)])
     ahead = ledger.ahead(few[9].id, 0, time.time())
     assert sum(part.waiting for part in ahead) <= 20
     for _ in range(22):
-        job = ledger.claim("d")
+        job = claim(ledger, "d")
         ledger.commit(job.id, job.attempt, [0.0] * 6)
         done.append(job)
     assert {job.id for job in few} <= {job.id for job in done[:25]}
@@ -235,7 +236,7 @@ def test_quotas_of_open_jobs_and_solver_seconds_refuse_further_jobs(ledger, http
     with acting_as("ann"):
         seconds = Quota(None, 5.0)
         ledger.accept("bar", "f", [1.0] * 6, quota=seconds)
-        job = ledger.claim("d")
+        job = claim(ledger, "d")
         ledger.commit(job.id, 1, [0.0] * 6, seconds=6.0)
         with pytest.raises(QuotaError, match="6 s of its quota of 5") as error:
             ledger.accept("bar", "f", [2.0] * 6, quota=seconds)

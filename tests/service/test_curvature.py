@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.service.ledger_rows import NewRow, insert, noted, stored
+from tests.service.ledger_rows import NewRow, claim, insert, noted, stored
 from tests.service.table_files import read_csv, read_json, write_hdf5, write_json
 from tests.service.test_durable_tables import Site
 from wrenchbook.service.formats.cells import UnitError
@@ -94,7 +94,7 @@ def test_a_ledger_leaves_out_a_row_in_which_one_bit_of_it_has_flipped(ledger):
 )
 def test_a_solver_leaves_it_with_its_outcome_or_null(ledger, tmp_path, left, expected):
     ledger.accept("bar", "f1", ROW.wrench)
-    attempt = Attempt.of(ledger.claim("me"), tmp_path / "a")
+    attempt = Attempt.of(claim(ledger, "me"), tmp_path / "a")
     prepare(attempt)
     solver.run_attempt(tmp_path / "a", lambda spec, report: outcome_of(left))
     outcome = read_outcome(attempt)
@@ -105,7 +105,7 @@ def test_a_solver_leaves_it_with_its_outcome_or_null(ledger, tmp_path, left, exp
 @pytest.mark.parametrize(("thirds", "status"), [(THIRDS, "done"), (THIRDS[1:], "failed")])
 def test_the_outcome_of_a_job_becomes_a_row_with_it(ledger, tmp_path, thirds, status):
     ledger.accept("bar", "f1", ROW.wrench)
-    job = ledger.claim("me")
+    job = claim(ledger, "me")
     attempt = Attempt.of(job, tmp_path / "a")
     prepare(attempt)
     write_outcome(attempt, Outcome("done", **outcome_of(list(thirds))))

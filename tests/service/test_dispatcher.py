@@ -12,7 +12,7 @@ import pytest
 
 from tests.service.attempts import wait_for_sweeps
 from tests.service.conftest import SOLVERS
-from tests.service.ledger_rows import stored
+from tests.service.ledger_rows import claim, stored
 from tests.service.simulated import SimulatedEngine
 from tests.until import until
 from wrenchbook.service.files import lock as flock
@@ -353,7 +353,7 @@ def one_job(ledger):
 
 
 def ended(ledger, folder, outcome=None):
-    job = ledger.claim("me")
+    job = claim(ledger, "me")
     attempt = Attempt.of(job, folder)
     prepare(attempt)
     if outcome is not None:
@@ -376,7 +376,7 @@ def test_an_answer_becomes_a_row_that_names_the_code_where_its_outcome_does(
 
 
 def test_recording_twice_makes_one_row(one_job, tmp_path):
-    job = one_job.claim("me")
+    job = claim(one_job, "me")
     attempt = Attempt.of(job, tmp_path / "a")
     prepare(attempt)
     write_outcome(attempt, Outcome("done", displacement=[1e-6] * 6))
@@ -411,7 +411,7 @@ def test_a_solver_that_left_nothing_has_died(one_job, tmp_path):
 def test_an_attempt_nobody_says_has_died_or_that_was_asked_to_end_is_given_back(one_job, tmp_path):
     job = ended(one_job, tmp_path / "a", {"status": "cancelled"})
     assert (job.status, job.lost) == ("waiting", 0)
-    attempt = Attempt.of(one_job.claim("me"), tmp_path / "b")
+    attempt = Attempt.of(claim(one_job, "me"), tmp_path / "b")
     prepare(attempt)
     record(one_job, attempt)
     job = one_job.job(job.id)
@@ -419,7 +419,7 @@ def test_an_attempt_nobody_says_has_died_or_that_was_asked_to_end_is_given_back(
 
 
 def test_an_attempt_the_job_has_left_behind_is_refused(one_job, tmp_path):
-    job = one_job.claim("me")
+    job = claim(one_job, "me")
     attempt = Attempt.of(job, tmp_path / "a")
     prepare(attempt)
     write_outcome(attempt, Outcome("done", displacement=[0] * 6))

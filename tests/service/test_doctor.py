@@ -8,7 +8,7 @@ import sqlite3
 import pytest
 from typer.testing import CliRunner
 
-from tests.service.ledger_rows import new_rows, stored
+from tests.service.ledger_rows import claim, new_rows, stored
 from tests.service.test_durable_tables import Site
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.ledger import Ledger
@@ -260,7 +260,7 @@ def test_a_damaged_ledger_in_use_is_not_replaced(folder):
 
 def test_a_done_job_whose_row_is_nowhere_is_solved_again(folder):
     ledger = Ledger(folder / "ledger.sqlite")
-    job = ledger.claim("me")
+    job = claim(ledger, "me")
     row = ledger.commit(job.id, job.attempt, [1e-6] * 6)
     ledger.close()
     db = sqlite3.connect(folder / "ledger.sqlite")

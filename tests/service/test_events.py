@@ -7,6 +7,7 @@ import threading
 
 import pytest
 
+from tests.service.ledger_rows import claim
 from tests.service.live import add_rows, add_table, as_rows, clean_wrenches, moved, served
 from tests.until import until
 from wrenchbook.service import events as feed_module
@@ -182,7 +183,7 @@ def test_the_life_of_jobs_is_told_whoever_changes_them(tmp_path):
         job = client.displacement("plate_thin", [0, 0, -5]).job
         assert next(events).body["status"] == "waiting"
         other = Ledger(tmp_path / "ledger.sqlite")
-        other.claim("another")
+        claim(other, "another")
         assert next(events).body["status"] == "running"
         other.commit(job.id, 1, (1e-6,) * 6)
         other.close()

@@ -5,7 +5,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.service.following import wait_for_version
-from tests.service.ledger_rows import NewRow, insert
+from tests.service.ledger_rows import NewRow, claim, insert
 from wrenchbook.service.demand import MAX_CELLS, QueryStatistics
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.ledger import Ledger
@@ -129,7 +129,7 @@ def test_a_solve_tells_its_job_its_mesh_and_its_material(http):
     workspace = http.app.state.workspace
     fingerprint = workspace.library["plate_thin"].fingerprint
     job, _ = workspace.ledger.accept("plate_thin", fingerprint, (1.0, 0, 0, 0, 0, 0))
-    workspace.ledger.claim("me")
+    claim(workspace.ledger, "me")
     row = workspace.ledger.commit(job.id, 1, (1e-6,) * 6)
     reported = http.get(f"/v1/components/plate_thin/table/{row.seq}").json()["provenance"]
     assert (reported["job"]["id"], reported["job"]["engine"], reported["import"]) == (

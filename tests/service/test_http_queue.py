@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
+from tests.service.ledger_rows import claim
 from tests.until import until
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.tables.mapped import MappedTables
@@ -367,7 +368,7 @@ def test_the_expected_time_is_what_is_ahead_shared_by_the_slots(idle):
 
     ids = accept(idle, 9)
     ledger = idle.app.state.workspace.ledger
-    job = ledger.claim("me")
+    job = claim(ledger, "me")
     ledger.commit(job.id, job.attempt, [0.0] * 6)
     with ledger.writing() as db:
         db.execute("UPDATE jobs SET started = 100, finished = 104 WHERE status = 'done'")

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.conftest import SOLVERS
-from tests.service.ledger_rows import stored
+from tests.service.ledger_rows import claim, stored
 from tests.until import until
 from wrenchbook.service.jobs.attempt import LOCK, attempt_folder, solver_began
 from wrenchbook.service.ledger import Ledger
@@ -125,7 +125,7 @@ def test_a_dispatcher_killed_in_the_middle_is_replaced_and_its_solvers_go_on(sit
 def test_a_dispatcher_killed_between_claim_and_solver_is_replaced_by_another_attempt(site):
     """One time in ten the test above met this: what is claimed has no solver yet."""
     job = site.ledger.accept("bar", "f1", wrenches_of(1)[0])[0]
-    site.ledger.claim("a dispatcher that was killed")
+    claim(site.ledger, "a dispatcher that was killed")
     site.start()
     site.wait_until_all_done()
     site.assert_each_job_is_done_with_one_row(wrenches_of(1))

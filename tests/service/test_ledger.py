@@ -11,7 +11,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from tests.service.ledger_rows import stored
+from tests.service.ledger_rows import claim, stored
 from tests.until import until
 from wrenchbook.service import workspace
 from wrenchbook.service.ledger import (
@@ -55,7 +55,7 @@ def test_a_wrench_of_fewer_than_six_finite_numbers_is_refused_and_changes_nothin
 
 def test_a_commit_writes_row_and_status_together(ledger):
     job = accept(ledger)
-    ledger.claim("me")
+    claim(ledger, "me")
     compliance = np.arange(36.0).reshape(6, 6)
     row = ledger.commit(job.id, 1, ANSWER, compliance=compliance, origin="job 1")
     assert stored(ledger, "plate") == [row] == [ledger.row(row.seq)]
@@ -69,7 +69,7 @@ def test_a_commit_writes_row_and_status_together(ledger):
 
 def test_a_commit_of_an_answer_that_is_not_finite_leaves_the_job_running(ledger):
     job = accept(ledger)
-    ledger.claim("me")
+    claim(ledger, "me")
     with pytest.raises(
         ValueError, match=r"displacement of job 1 must be finite, not nan at \(0,\)"
     ):
@@ -84,14 +84,14 @@ def test_a_job_whose_solver_died_is_not_started_again_at_once(ledger, monkeypatc
     now = time.time()
     monkeypatch.setattr("wrenchbook.service.ledger.jobs.time.time", lambda: now)
     for attempt, delay in enumerate(BACKOFF_SECONDS, 1):
-        assert ledger.claim("me").not_before is None
+        assert claim(ledger, "me").not_before is None
         lost = ledger.lose(job.id, attempt)
         assert (lost.status, lost.not_before) == ("waiting", now + delay)
         now += 0.9 * delay
-        assert ledger.claim("me") is None
+        assert claim(ledger, "me") is None
         now += 0.2 * delay
     assert BACKOFF_SECONDS == (1, 10, 100)
-    assert ledger.claim("me").attempt == 4
+    assert claim(ledger, "me").attempt == 4
 
 
 def test_a_job_that_is_not_there_is_named(ledger):
@@ -105,7 +105,7 @@ def test_listeners_hear_of_each_commit_and_not_of_questions(ledger):
     stop = ledger.on_change(lambda: heard.append(ledger.version()))
     job = accept(ledger)
     accept(ledger)
-    ledger.claim("me")
+    claim(ledger, "me")
     ledger.commit(job.id, 1, ANSWER)
     assert len(heard) == len(set(heard)) == 3
     stop()
@@ -171,13 +171,13 @@ def test_a_ledger_and_its_log_are_no_ones_but_their_owners(tmp_path, before):
 # What brings a job about that is at its first attempt, or in line for it.
 BEFORE = {
     "waiting": lambda ledger: None,
-    "running": lambda ledger: ledger.claim("me"),
-    "done": lambda ledger: ledger.claim("me") and ledger.commit(1, 1, ANSWER),
-    "failed": lambda ledger: ledger.claim("me") and ledger.fail(1, 1, ERROR),
+    "running": lambda ledger: claim(ledger, "me"),
+    "done": lambda ledger: claim(ledger, "me") and ledger.commit(1, 1, ANSWER),
+    "failed": lambda ledger: claim(ledger, "me") and ledger.fail(1, 1, ERROR),
     "cancelled": lambda ledger: ledger.cancel(1),
 }
 EVENTS = {
-    "claim": lambda ledger: ledger.claim("me"),
+    "claim": lambda ledger: claim(ledger, "me"),
     "begin": lambda ledger: ledger.send_heartbeat("me", "local", {(1, 1): 5.0}),
     "adopt": lambda ledger: ledger.adopt(1, 1, "me", "you"),
     "commit": lambda ledger: ledger.commit(1, 1, (1e-6,) * 6),
@@ -231,7 +231,7 @@ def test_the_fourth_lost_attempt_fails_the_job_with_its_cause_and_a_remedy(ledge
     monkeypatch.setattr("wrenchbook.service.ledger.jobs.BACKOFF_SECONDS", (0.0, 0.0, 0.0))
     job = accept(ledger)
     for attempt in range(1, 5):
-        ledger.claim("me")
+        claim(ledger, "me")
         ended = ledger.lose(job.id, attempt, f"killed by SIGSEGV, attempt {attempt}")
     assert (ended.status, ended.error["kind"]) == ("failed", "solver_died")
     assert ended.error["message"].endswith("the last time: killed by SIGSEGV, attempt 4")
@@ -245,7 +245,7 @@ def test_a_task_key_names_the_attempt_and_differs_between_data_directories(ledge
     keys = []
     for directory in (ledger, other):
         job = accept(directory)
-        claimed = directory.claim("me", "dask")
+        claimed = claim(directory, "me", "dask")
         assert (claimed.owner, claimed.engine) == ("me", "dask")
         assert claimed.task.startswith(f"{job.id}-1-")
         assert directory.job(job.id) == claimed
@@ -256,14 +256,14 @@ def test_a_task_key_names_the_attempt_and_differs_between_data_directories(ledge
 
 def test_an_attempt_that_is_given_back_with_a_delay_is_not_claimed_at_once(ledger):
     job = accept(ledger)
-    ledger.claim("me")
+    claim(ledger, "me")
     ledger.release(job.id, 1, delay=3600.0)
-    assert ledger.claim("me") is None
+    assert claim(ledger, "me") is None
 
 
 def test_a_running_attempt_is_adopted_by_one_only_and_keeps_its_first_beginning(ledger):
     job = accept(ledger)
-    ledger.claim("dead")
+    claim(ledger, "dead")
     for start in (12.5, 99.0):
         ledger.send_heartbeat("dead", "local", {(job.id, 1): start})
     assert ledger.adopt(job.id, 1, "dead", "first").owner == "first"
@@ -274,7 +274,7 @@ def test_a_running_attempt_is_adopted_by_one_only_and_keeps_its_first_beginning(
 def test_claims_and_beats_make_the_heartbeat_grow(ledger):
     accept(ledger)
     assert ledger.leases() == {}
-    ledger.claim("me", "dask")
+    claim(ledger, "me", "dask")
     ledger.send_heartbeat("me", "dask")
     lease = ledger.leases()["me"]
     assert (lease.engine, lease.number) == ("dask", 2)
@@ -284,7 +284,7 @@ def test_claims_and_beats_make_the_heartbeat_grow(ledger):
 
 def test_a_lease_left_by_a_kill_goes_after_a_day_unless_its_owner_has_a_job(ledger, monkeypatch):
     accept(ledger)
-    ledger.claim("has a job")
+    claim(ledger, "has a job")
     ledger.send_heartbeat("has none", "local")
     later = time.time() + FORGOTTEN_SECONDS + 1
     monkeypatch.setattr("wrenchbook.service.ledger.jobs.time.time", lambda: later)
@@ -338,7 +338,7 @@ print("ready", flush=True)
 sys.stdin.readline()
 ledger = Ledger(sys.argv[1])
 def commit(name):
-    job = ledger.claim(name)
+    job = next(iter(ledger.claim_many(name, "local", 1)), None)
     if job:
         ledger.commit(job.id, job.attempt, [load * 1e-6 for load in job.wrench])
         print(f"{job.id}\\n", end="")
@@ -398,7 +398,7 @@ def test_a_commit_of_this_and_of_another_process_is_noticed_within_a_moment(
     assert noticed.wait(600)
     noticed.clear()
     other = Ledger(tmp_path / "ledger.sqlite")
-    other.claim("another")
+    claim(other, "another")
     assert noticed.wait(600)
     other.close()
 
@@ -466,7 +466,7 @@ NONE = Settings(keep_days=0, keep_count=0, keep_failed_days=0, keep_failed_count
 
 def end_job(ledger, number, *, good=True):
     ledger.accept("rig", "f", [float(number)] * 6)
-    job = ledger.claim("me")
+    job = claim(ledger, "me")
     folder = ledger.path.parent / "jobs" / str(job.id) / str(job.attempt)
     folder.mkdir(parents=True)
     (folder / "result.json").write_text("{}")

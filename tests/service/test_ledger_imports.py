@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from tests.service.ledger_rows import NewRow, insert, noted, stored
+from tests.service.ledger_rows import NewRow, claim, insert, noted, stored
 from wrenchbook.service.ledger import (
     ImportOrigin,
     Ledger,
@@ -242,7 +242,7 @@ def test_a_row_tells_who_brought_it(ledger):
         15,
     )
     job, _ = ledger.accept(*SOLVE)
-    ledger.claim("me")
+    claim(ledger, "me")
     row = ledger.commit(job.id, 1, (0.0,) * 6)
     assert ledger.import_of(row.seq) is None
 

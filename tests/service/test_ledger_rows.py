@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from tests.service.ledger_rows import NewRow, insert, noted, stored
+from tests.service.ledger_rows import NewRow, claim, insert, noted, stored
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.ledger import (
     DamagedRowError,
@@ -166,12 +166,12 @@ def test_a_flipped_bit_in_a_record_of_several_rows_takes_its_own_row_alone(ledge
 def test_a_damaged_row_of_a_job_is_solved_again_when_it_is_asked_for(ledger):
     wrench, displacement = ROWS[1].wrench, ROWS[1].displacement
     job, _ = ledger.accept("plate", "f1", wrench)
-    ledger.claim("me")
+    claim(ledger, "me")
     seq = ledger.commit(job.id, 1, displacement).seq
     damage(ledger, "displacement", seq)
     seen = ledger.row_changes("plate", 0).last_seq
     assert ledger.accept("plate", "f1", wrench)[0].status == "waiting"
-    ledger.claim("me")
+    claim(ledger, "me")
     assert ledger.commit(job.id, 2, displacement).displacement == displacement
     assert [row.seq for row in stored(ledger, "plate")] == [seq]
     assert ledger.row_changes("plate", seen).rows.seq.tolist() == [seq]
@@ -266,11 +266,11 @@ def test_a_file_that_is_no_ledger_of_this_version_is_refused_and_left_as_it_is(
 
 def test_a_job_whose_row_is_withdrawn_may_be_solved_to_another_row(ledger):
     job, _ = ledger.accept("plate", "f1", ROWS[1].wrench)
-    ledger.claim("me")
+    claim(ledger, "me")
     first = ledger.commit(job.id, 1, ROWS[1].displacement)
     ledger.withdraw("plate", first.seq)
     ledger.accept("plate", "f1", ROWS[1].wrench)
-    ledger.claim("me")
+    claim(ledger, "me")
     second = ledger.commit(job.id, 2, (1, 0, 0, 0, 0, 0))
     assert [row.seq for row in stored(ledger, "plate")] == [second.seq]
 
@@ -344,7 +344,7 @@ _LAST_KEY = "CAST(substr(key, 1, 16 * count - 16) || zeroblob(16) AS BLOB)"
 )
 def test_damaged_keys_are_written_anew_from_the_rows(path, statement):
     ledger = Ledger(path)
-    job = ledger.claim("me")
+    job = claim(ledger, "me")
     ledger.commit(job.id, 1, (0.5,) * 6)
     before, digest = stored(ledger, "rig"), ledger.digest("rig", 10**9)
     assert len(before) == 481

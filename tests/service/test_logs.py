@@ -7,6 +7,7 @@ import logging
 import pytest
 from starlette.testclient import TestClient
 
+from tests.service.ledger_rows import claim
 from wrenchbook.service.files.redact import redact, redact_values
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.ops.logs import JsonLines, Repeats, TextLines, add_request_id
@@ -133,9 +134,9 @@ def test_a_server_without_the_option_logs_no_request(http, lines):
 def test_the_end_of_each_job_is_a_line_with_its_number(lines, ledger):
     done, _ = ledger.accept("rig", "f", [1.0] * 6)
     ledger.accept("rig", "f", [2.0] * 6)
-    job = ledger.claim("me")
+    job = claim(ledger, "me")
     row = ledger.commit(job.id, job.attempt, [0.0] * 6)
-    job = ledger.claim("me")
+    job = claim(ledger, "me")
     ledger.fail(job.id, job.attempt, {"kind": "died", "message": "a\nb", "remedy": ""})
     result = {(line["job"], line["level"]): line for line in lines() if "job" in line}
     ended = result[done.id, "info"]

@@ -5,6 +5,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 import wrenchbook
+from tests.service.ledger_rows import claim
 from tests.service.live import answer_fast, as_rows, clean_wrenches, moved
 from wrenchbook.service.ops.counts import EDGES, Counts
 
@@ -158,7 +159,7 @@ def test_kinds_of_failures_beyond_a_number_are_told_together(ledger, monkeypatch
     monkeypatch.setattr("wrenchbook.service.ledger.job_statistics.MAX_KINDS", 3)
     for number in range(6):
         ledger.accept("a", "f", [float(number)] * 6)
-        job = ledger.claim("me")
+        job = claim(ledger, "me")
         error = {"kind": f"k{number}", "message": "", "remedy": ""}
         ledger.fail(job.id, job.attempt, error)
     results = ledger.statistics().failures

@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from tests.service.ledger_rows import claim
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.submission import GRAINS, Submission, spread
@@ -61,7 +62,7 @@ def test_a_done_job_is_found_again_even_at_the_limit(opened):
     submission, ledger = opened[0], opened[0]._ledger
     wrench = wrenches(submission, 1, 7)
     job = submission.queue(NAME, wrench)[0].job
-    claimed = ledger.claim("test")
+    claimed = claim(ledger, "test")
     assert claimed.id == job.id
     ledger.commit(job.id, claimed.attempt, [0.0] * 6)
     submission.queue(NAME, wrenches(submission, 50, 8))
@@ -77,7 +78,7 @@ def test_a_cancelled_job_or_one_of_a_withdrawn_row_is_not_joined_but_asked_for_a
     wrench = wrenches(submission, 1, 9)
     job = submission.queue(NAME, wrench)[0].job
     if withdrawn:
-        row = ledger.commit(job.id, ledger.claim("test").attempt, [0.0] * 6)
+        row = ledger.commit(job.id, claim(ledger, "test").attempt, [0.0] * 6)
         ledger.withdraw(NAME, row.seq)
     else:
         ledger.cancel(job.id)

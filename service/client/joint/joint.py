@@ -193,7 +193,6 @@ class Joint:
         return self._last_wrench()
 
     def _last_wrench(self) -> Vector:
-        """Return the wrench of the last step."""
         return np.array(self._reply["wrench"])
 
     @property
@@ -451,8 +450,7 @@ class Joint:
 
     def _inputs(self, wrench: Vector) -> Vector:
         """Return the table's inputs with a wrench at the tip, shape (n,), SI."""
-        packed = self._packed
-        loads = np.concatenate([np.zeros(packed.inputs - len(self._further)), self._further])
+        loads = np.concatenate([np.zeros(self._packed.inputs - len(self._further)), self._further])
         loads[self._at] = np.ravel(wrench)
         return loads
 

@@ -163,7 +163,6 @@ def _with_keyframes(spec: Spec, tip: str, before: Any) -> Spec:
 
 
 def _compiled(read: Callable[[], Spec], scene: str | Path) -> Spec:
-    """Return a scene that MuJoCo compiles."""
     try:
         spec = read()
         spec.compile()

@@ -177,8 +177,7 @@ class MujocoMount:
             self._now = now
             return False
         wrench = self._read()
-        pose = self.mount.step(wrench)
-        self._write(*pose)
+        self._write(*self.mount.step(wrench))
         self._due += self._sync
         if self._due < now:  # syncs were missed
             self._due = now + self._sync - self._half_step

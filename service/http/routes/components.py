@@ -121,8 +121,7 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
                 listed = await run_in_threadpool(workspace.library.faces_of_zip, upload.file)
                 return Response(listed, media_type="application/json")
             decks = permission_of(request.scope).allows("admin")
-            add_zip = workspace.library.add_zip
-            component = await run_in_threadpool(add_zip, upload.file, decks=decks)
+            component = await run_in_threadpool(workspace.library.add_zip, upload.file, decks=decks)
     elif kind == "application/json":
         body = read_body(TableOnlyComponent, await read_limited(request.receive))
         fields = body.model_dump(exclude_none=True)

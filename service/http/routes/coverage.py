@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
-from fastapi import APIRouter, Query
+from fastapi import Query
 from numpy.typing import NDArray
 from starlette.responses import Response
 
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.service.contract import COVERAGE, LOADS, OUTPUTS
-from wrenchbook.service.http.openapi import answers, refused
+from wrenchbook.service.http.openapi import answers, component_router, refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Newest, Opened, json_reply
 from wrenchbook.service.library.bundles import faces_of, surface_of
@@ -26,7 +26,7 @@ from wrenchbook.surrogate.table.axes import AXES, LoadAxis
 from wrenchbook.surrogate.table.physics_checks import check_physics
 from wrenchbook.surrogate.table.rows import ZERO_LOAD, Floats, LoadRange
 
-router = APIRouter(prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 422))
+router = component_router("components")
 MAX_ROWS = 5_000  # what a browser turns in 3-D without delay; the reply is then some 1 MB
 SAMPLE = 128  # wrenches: the covered share of a range to some 4 %
 CELLS = 7  # of each load in the grid of an axis; odd, so that no load is a middle of one

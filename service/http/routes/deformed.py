@@ -8,22 +8,20 @@ from collections import Counter
 from typing import Annotated, Literal, cast
 
 import numpy as np
-from fastapi import APIRouter, Query, Request
+from fastapi import Query, Request
 from numpy.typing import NDArray
 from starlette.responses import Response
 
 from wrenchbook.service.contract import LOADS, Coverage
 from wrenchbook.service.fields import surface_files
-from wrenchbook.service.http.openapi import BYTES, answers, refused
+from wrenchbook.service.http.openapi import BYTES, answers, component_router
 from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.routes import Newest, Opened, json_reply
 from wrenchbook.service.library.component import interface_of, require_single_wrench
 from wrenchbook.service.messages import DeformedShape, Stress
 from wrenchbook.service.workspace import Workspace
 
-router = APIRouter(
-    prefix="/v1/components/{name}", tags=["components"], responses=refused(404, 409, 422)
-)
+router = component_router("components", codes=(404, 409, 422))
 
 _Number = Annotated[float, Query(allow_inf_nan=False)]
 _FILES = {  # by format: the writer, the media type, the ending of the name

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
@@ -23,7 +23,7 @@ from wrenchbook.service.http.body import (
     refuse_query,
     spooled,
 )
-from wrenchbook.service.http.openapi import answers, refused, takes
+from wrenchbook.service.http.openapi import answers, component_router, refused, takes
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.protocol import ANSWERED
 from wrenchbook.service.http.routes import DirectRoute, json_reply
@@ -41,12 +41,7 @@ from wrenchbook.service.workspace import Workspace
 Read = TypeVar("Read", Query, tuple[Floats, Query])
 
 
-router = APIRouter(
-    prefix="/v1/components/{name}",
-    tags=["displacement"],
-    route_class=DirectRoute,
-    responses=refused(404, 409, 422, 429),
-)
+router = component_router("displacement", codes=(404, 409, 422, 429), route=DirectRoute)
 
 
 _SOLVED, _UNSOLVED = (
@@ -115,8 +110,7 @@ async def displacements(name: str, request: Request) -> Response:
         wrenches, query = await run_in_threadpool(_permitted, permission, lambda: read(body))
         async with batch.few_large(len(wrenches)):
             outcome = await answer_or_submit_many(workspace, name, wrenches, query)
-    coverage = outcome.replies.coverage
-    request.app.state.counts.add_batch(coverage, outcome.method, outcome.elapsed_us)
+    request.app.state.counts.add_batch(outcome.replies.coverage, outcome.method, outcome.elapsed_us)
     return await run_in_threadpool(batch.write_binary if binary else batch.write_batch, outcome)
 
 

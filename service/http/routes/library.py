@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from fastapi import APIRouter, Path, Query, Request
+from fastapi import Path, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 from typing_extensions import TypedDict
@@ -17,7 +17,7 @@ from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
 from wrenchbook.service.http.body import JsonRoute, read_body, read_limited
-from wrenchbook.service.http.openapi import TEXT, answers, refused, takes
+from wrenchbook.service.http.openapi import TEXT, answers, component_router, refused, takes
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.http.routes.components import component_body
@@ -38,12 +38,7 @@ from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.findings.cycles import measured_stiffness
 
-router = APIRouter(
-    prefix="/v1/components/{name}",
-    tags=["library"],
-    responses=refused(404, 422),
-    route_class=JsonRoute,
-)
+router = component_router("library", route=JsonRoute)
 ImportId = Annotated[int, Path(ge=1, lt=2**63)]
 Finding = Annotated[str | None, Query(max_length=100)]
 _comparison_lock = asyncio.Lock()
@@ -315,8 +310,7 @@ def _two_loads(between: str) -> tuple[float, float]:
 
 @router.get("/demand", summary="Demand map of queries that were not covered", response_model=Demand)
 def demand(name: str, workspace: Opened) -> Response:
-    component = workspace.library[name]
-    counts = workspace.query_counts.map_of(name, component.load_range)
+    counts = workspace.query_counts.map_of(name, workspace.library[name].load_range)
     return json_reply(Demand(component=name, **counts))
 
 
@@ -364,8 +358,7 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
         now = f"{name!r} is {newer!r} now. Rename that, or copy: POST /v1/components/{name}/copy."
         raise HttpProblemError(409, "renamed", "The component was renamed already", now)
     copy = workspace.library.add_copy(name, body.name, body.title)
-    card = workspace.catalogue[name]
-    workspace.catalogue.change(copy.name, notes=card.notes, copied_from=name)
+    workspace.catalogue.change(copy.name, notes=workspace.catalogue[name].notes, copied_from=name)
     if body.rows:
         key = permission_of(request.scope).key
         origin = ImportOrigin(key.name if key else "", format="copy")

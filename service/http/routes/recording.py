@@ -25,7 +25,7 @@ from wrenchbook.service.http.body import (
     read_limited,
     with_wrenches,
 )
-from wrenchbook.service.http.openapi import answers, refused, takes
+from wrenchbook.service.http.openapi import answers, component_router, refused, takes
 from wrenchbook.service.http.routes import DirectRoute, json_reply
 from wrenchbook.service.query import job_link
 from wrenchbook.service.recording.start import (
@@ -44,12 +44,7 @@ Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
 # Each wrench six numbers of 17 digits and a comma, and some blanks.
 MAX_BLOCK_BYTES = MAX_BLOCK * 6 * 40
 
-router = APIRouter(
-    prefix="/v1/components/{name}",
-    tags=["recording"],
-    responses=refused(404, 422),
-    route_class=JsonRoute,
-)
+router = component_router("recording", route=JsonRoute)
 blocks = APIRouter(route_class=DirectRoute, responses=refused(409))  # read their own bodies
 _BLOCK = takes(BlockBody, BINARY_BODY, BlockKey)
 
@@ -87,23 +82,15 @@ async def record(name: str, request: Request) -> Response:
     wrenches, block = await _block(name, request)
     result = await run_in_threadpool(_store(request).record, name, wrenches, block)
     fields = _block_fields(name, len(wrenches), result)
-    body = Recorded(**fields, **_counts(result.tally))
-    return json_reply(body, 200 if result.known else 201)
+    return json_reply(Recorded(**fields, **_counts(result.tally)), 200 if result.known else 201)
 
 
 @router.get("/recording", summary="Show the recording", response_model=messages.Recording)
 def get_recording(name: str, request: Request) -> Response:
     recording = _store(request).recording(name)
     tally = recording.tally
-    return json_reply(
-        messages.Recording(
-            component=name,
-            outside=tally.outside,
-            reason=_thinning(tally),
-            wrenches=recording.wrenches,
-            **_counts(tally),
-        )
-    )
+    fields = {"reason": _thinning(tally), "wrenches": recording.wrenches, **_counts(tally)}
+    return json_reply(messages.Recording(component=name, outside=tally.outside, **fields))
 
 
 @router.delete("/recording", summary="Clear the recording", response_model=Cleared)
@@ -133,8 +120,7 @@ async def widen_envelope(name: str, request: Request) -> Response:
     result = await run_in_threadpool(_store(request).widen, name, wrenches, block)
     envelope = await run_in_threadpool(_store(request).envelope, name)
     fields, (low, high) = _block_fields(name, len(wrenches), result), envelope.box
-    count = envelope.tally.offered
-    return json_reply(Widened(**fields, count=count, min=low, max=high))
+    return json_reply(Widened(**fields, count=envelope.tally.offered, min=low, max=high))
 
 
 @router.get(
@@ -211,8 +197,7 @@ async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] |
     else:
 
         def read() -> tuple[Floats, BlockBody]:
-            fields = parsed_json(body)
-            return with_wrenches(BlockBody, fields, len(space.inputs), np.inf, MAX_BLOCK)
+            return with_wrenches(BlockBody, parsed_json(body), len(space.inputs), np.inf, MAX_BLOCK)
 
         wrenches, key = await run_in_threadpool(read)
     if key.client is None or key.sequence is None:

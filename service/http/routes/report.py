@@ -6,19 +6,17 @@ import time
 from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query
+from fastapi import Query
 from starlette.responses import Response
 
-from wrenchbook.service.http.openapi import JSON, TEXT, answers, refused
+from wrenchbook.service.http.openapi import JSON, TEXT, answers, component_router, refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.submission import NoSetupError
 from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
-router = APIRouter(
-    prefix="/v1/components/{name}/report", tags=["report"], responses=refused(404, 422)
-)
+router = component_router("report", "/report")
 
 _MEDIA_TYPES = {
     "json": JSON,
@@ -100,5 +98,4 @@ def get_report(
 def _state(workspace: Workspace, name: str) -> Response:
     latest = workspace.reports.state(name)
     body = {"component": name, **asdict(latest), "url": f"/v1/components/{name}/report"}
-    status = 202 if latest.state == "running" else 200
-    return json_reply(body, status)
+    return json_reply(body, 202 if latest.state == "running" else 200)

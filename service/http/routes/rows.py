@@ -6,19 +6,17 @@ import math
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path
+from fastapi import Path
 
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
-from wrenchbook.service.http.openapi import refused
+from wrenchbook.service.http.openapi import component_router, refused
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.ledger import ImportRecord, LedgerRow, UnknownRowError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
-router = APIRouter(
-    prefix="/v1/components/{name}/table/{row}", tags=["table"], responses=refused(404, 422)
-)
+router = component_router("table", "/table/{row}")
 
 # The ledger's numbers are SQLite's: 64 bits with a sign.
 RowId = Annotated[int, Path(ge=1, lt=2**63)]
@@ -43,8 +41,7 @@ def restore_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
 def _edited(
     workspace: Workspace, name: str, row: int, edit: Callable[[str, int], None], done: str
 ) -> dict[str, Any]:
-    component = workspace.library[name]
-    edit(component.name, row)
+    edit(workspace.library[name].name, row)
     current = workspace.tables.catch_up(name, CATCH_UP_S)
     version = workspace.tables.surrogate(name).version
     return {

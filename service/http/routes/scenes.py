@@ -86,8 +86,7 @@ def scene_table(
 
     # With the plan, of a rigid or linear component too.
     plan = orjson.loads(json_reply(_plan(workspace, component, table, need)).body)
-    content = b"".join(cut(table.packed, need, plan))
-    return Response(content, 200, naming(tag), PACKED_TYPE)
+    return Response(b"".join(cut(table.packed, need, plan)), 200, naming(tag), PACKED_TYPE)
 
 
 def _plan(workspace: Workspace, component: Component, table: ServedTable, need: Need) -> Plan:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple
 from weakref import WeakValueDictionary
 
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import Header, Query, Request
 from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
@@ -22,7 +22,7 @@ from starlette.responses import FileResponse, Response
 from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.imports import Imported, ImportQuery
-from wrenchbook.service.http.openapi import BODIES, BYTES, answers, refused, takes
+from wrenchbook.service.http.openapi import BODIES, BYTES, answers, component_router, refused, takes
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
 from wrenchbook.service.ledger import ImportOrigin
@@ -37,9 +37,7 @@ from wrenchbook.service.tables.store import setup_of
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.kernel.format import SUFFIX
 
-router = APIRouter(
-    prefix="/v1/components/{name}/table", tags=["table"], responses=refused(404, 422)
-)
+router = component_router("table", "/table")
 _READER_WAIT_S: Final = 60.0  # for the caller's other table: the processor time it may take
 MAX_TABLE_BYTES: Final = 512 * 1024 * 1024  # 5,000,000 rows (`MAX_ROWS`) of 107 characters
 _MAX_APPENDED_BYTES: Final = 1 << 20  # a block: 1,000 rows of 1 KiB as JSON
@@ -196,7 +194,10 @@ async def import_table(
     options = replace(query.options(rig), solved=solved, linear=component.linear)
     most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
     async with received(request, most) as sent:
-        _check_logs(query, len(sent.files))
+        alone = query.model_fields_set & {"time_offset_s", "max_gap_s"}
+        if len(sent.files) == 1 and alone:
+            message = "needs two logs; send the second one (--displacements FILE), or leave it out"
+            raise bad_body([{"loc": f"query.{min(alone)}", "msg": message}])
         key = permission_of(request.scope).key
         origin = ImportOrigin(
             who=key.name if key else "",
@@ -239,14 +240,6 @@ def _check_content_type(kind: str) -> None:
             "application/octet-stream, gzipped or not; the content decides the format."
         )
         raise HttpProblemError(415, "media-type", "Not a form of table this call takes", why)
-
-
-def _check_logs(query: ImportQuery, files: int) -> None:
-    """Raise 422 if an option of two logs comes with one file."""
-    alone = query.model_fields_set & {"time_offset_s", "max_gap_s"}
-    if files == 1 and alone:
-        message = "needs two logs; send the second one (--displacements FILE), or leave it out"
-        raise bad_body([{"loc": f"query.{min(alone)}", "msg": message}])
 
 
 def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
