@@ -124,6 +124,12 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
             add_zip = workspace.library.add_zip
             component = await run_in_threadpool(add_zip, upload.file, decks=decks)
     elif kind == "application/json":
+        if faces:
+            message = (
+                "lists the faces of a bundle's mesh: send the zip as the file 'bundle' of "
+                "multipart/form-data, or leave faces out to add a table-only component"
+            )
+            raise bad_body([{"loc": "query.faces", "msg": message}])
         body = read_body(TableOnlyComponent, await read_limited(request.receive))
         fields = body.model_dump(exclude_none=True)
         component = await run_in_threadpool(lambda: workspace.library.add_table_only(**fields))
