@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from statistics import median
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import orjson
@@ -20,7 +20,7 @@ from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.routes import Newest, Opened, holds, json_reply, naming
 from wrenchbook.service.http.routes.table import PACKED_TYPE
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.messages import Message, Plan
+from wrenchbook.service.messages import Message, Part, Plan
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.scene.cut import cut
@@ -110,7 +110,7 @@ def _plan(
             f"counted: the first design of an empty table has {whole} wrenches for the whole load "
             f"range and {scene} for the scene{time_saved}"
         )
-    tolerance = None
+    tolerance: dict[Part, Any] | None = None
     if need.tolerance is not None:
         tolerance = {
             "translation": need.tolerance.translation,
