@@ -185,6 +185,7 @@ class Workspace:
         self.shapes = DeformedSurfaces(self.fields)
         self.reports = Reports(settings.data / "reports", settings.data / "tables")
         self.polls = Polls(self.ledger)
+        self.comparison_lock = asyncio.Lock()  # each comparison builds a table
         self._compliance_requested: dict[str, tuple[str, int]] = {}
 
     def start(self) -> None:

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from wrenchbook.service.cli.render import Screen, job_state, plain
-from wrenchbook.service.client import Client, Job, ProblemError
+from wrenchbook.service.client import Client, Job, ProblemError, ServerTimeout, ServerUnreachable
 
 POLL_S = 0.2
 INTERRUPTED = 130  # exit status of shells: 128 + SIGINT
@@ -50,11 +50,14 @@ def cancelled_on_interrupt(client: Client, jobs: Sequence[Job]) -> Iterator[None
     except KeyboardInterrupt:
         queued = [job for job in jobs if job.raw.get("new")]
         count = 0
-        for job in queued:
-            with suppress(ProblemError):  # 409: it has ended
-                count += client.cancel(job).status == "cancelled"
         others = len(jobs) - len(queued)
         rest = f"; {others} that were queued before go on" if others else ""
+        try:
+            for job in queued:
+                with suppress(ProblemError):  # 409: it has ended
+                    count += client.cancel(job).status == "cancelled"
+        except (ServerUnreachable, ServerTimeout) as error:
+            rest += f"; the others were not cancelled: the server does not answer: {error}"
         plain(
             Screen(stderr=True), f"Interrupted: {count} solve(s) of this command cancelled{rest}."
         )

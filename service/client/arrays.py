@@ -384,10 +384,14 @@ def _torch_function(
             return change, *[None] * (ctx.counts[1] - 1)
 
         @staticmethod
-        def vmap(_: object, dims: tuple[int | None, ...], *tensors: Array) -> tuple[Array, Array]:
-            pairs = zip(tensors, dims, strict=True)
-            first = [tensor if dim is None else tensor.movedim(dim, 0) for tensor, dim in pairs]
-            results = Function.apply(*first)
+        def vmap(info: Any, dims: tuple[int | None, ...], *tensors: Array) -> tuple[Array, Array]:
+            lines = [
+                tensor.expand(info.batch_size, *tensor.shape)
+                if dim is None
+                else tensor.movedim(dim, 0)
+                for tensor, dim in zip(tensors, dims, strict=True)
+            ]
+            results = Function.apply(*lines)
             return results, (0,) * len(results)
 
     return Function.apply

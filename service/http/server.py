@@ -49,6 +49,8 @@ def server_config(app: Any, log_level: str = "warning", **more: Any) -> uvicorn.
 class Server(uvicorn.Server):
     """uvicorn's server, with a frozen heap after the start; event streams end before it stops."""
 
+    _loop: asyncio.AbstractEventLoop | None = None  # before the start, when no request can run
+
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start; objects that stay are not looked through for garbage from then on."""
         self._loop = asyncio.get_running_loop()
@@ -87,7 +89,7 @@ class Server(uvicorn.Server):
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         """Stop at a signal; end the requests of a retired server after `FINISH_S`."""
-        if self.should_exit:
+        if self.should_exit and self._loop is not None:
             self._loop.call_soon_threadsafe(self._loop.call_later, FINISH_S, self._end_requests)
         super().handle_exit(sig, frame)
 

@@ -158,14 +158,12 @@ class TableBuilder:
     def _follow(self) -> None:
         version = None
         while not self._stopping.wait(POLL_S):
-            # A table that changes while it is built is built once more, after that.
-            for name in self._behind - self._running:
-                self._behind.discard(name)
-                self._running.add(name)
-                lane = self._small if self._store.small([name]) else self._large
-                lane.submit(self._bring_up, name)
             pause = 0.0
             try:
+                # A table that changes while it is built is built once more, after that.
+                for name in self._behind - self._running:
+                    lane = self._small if self._store.small([name]) else self._large
+                    self._submit(lane, name)
                 now = self._ledger.version(), self._library.version()
                 if now != version:
                     self._behind |= {name for name in self._library.names() if self._lags(name)}
@@ -181,6 +179,15 @@ class TableBuilder:
             except OSError as error:
                 log.warning("the builder's status cannot be written for web workers: %s", error)
             self._stopping.wait(pause)
+
+    def _submit(self, lane: ThreadPoolExecutor, name: str) -> None:
+        self._running.add(name)
+        try:
+            lane.submit(self._bring_up, name)
+        except BaseException:
+            self._running.discard(name)
+            raise
+        self._behind.discard(name)
 
     def _lags(self, name: str) -> bool:
         """Whether a table is not of the component as it is now, or not of the ledger's rows."""
@@ -216,10 +223,9 @@ class TableBuilder:
 
     def _bring_up(self, name: str) -> None:
         """Build a component's table from the rows that the ledger has now."""
-        try:
+        goal = 0
+        with suppress(Exception):  # the build meets it too, and reports it
             goal = self._ledger.last_seq(name)
-        except LedgerUnavailableError:
-            goal = 0
         if not self._guarded(name, self._build_newest, self._faults):
             self._failed_at[name] = goal
         with self._ended:
@@ -257,17 +263,23 @@ class TableBuilder:
             self._versions[name].save_at = None  # its HDF5 file has these rows
 
     def _build(self, component: Component, rows: Rows, number: int) -> None:
-        started, name = time.monotonic(), component.name
+        started = time.monotonic()
+        name = component.name
         before = self._versions.get(name)
-        origin, error = self._store.origin(component, number), self._store.solver_error(component)
+        origin = self._store.origin(component, number)
+        error = self._store.solver_error(component)
         table = build_table(component, rows, number, error, before and before.table)
-        content, save_at = packed_bytes(table, component, origin), SAVE_AFTER_QUIET_S
+        content = packed_bytes(table, component, origin)
+        save_at = SAVE_AFTER_QUIET_S
         try:
             self._store.write_packed(name, number, content)
             content = b""
-        except OSError as error:  # the version before answers; `_write` tries again
-            log.warning("the packed table of %s cannot be written: %s", name, with_remedy(error))
-            save_at, self._unwritten[name], self._failed_at[name] = 0.0, with_remedy(error), number
+        except OSError as failure:  # the version before answers; `_write` tries again
+            why = with_remedy(failure)
+            log.warning("the packed table of %s cannot be written: %s", name, why)
+            save_at = 0.0
+            self._unwritten[name] = why
+            self._failed_at[name] = number
         now = time.monotonic()
         self._versions[name] = _Version(component, number, table, now + save_at, content, now)
         log.debug("%s: version %d, %.3f s", name, number, now - started)

@@ -86,11 +86,16 @@ def compiler_command(target: str | None = None) -> list[str]:
     """Return the command of the C compiler: `CC` of the environment, one of `COMPILERS`, ziglang.
 
     `target`: what ziglang is to compile for; None for this machine.
-    Raises KernelBuildError if there is none.
+    Raises KernelBuildError if there is none, or not the one of `CC`.
     """
     if target is None:
         named = os.environ.get("CC", "").split()
-        if named and shutil.which(named[0]):
+        if named and shutil.which(named[0]) is None:
+            raise KernelBuildError(
+                f"the C compiler {named[0]!r}, which the environment variable CC names, is not on "
+                "the PATH; set CC to one that is, such as clang, or unset it"
+            )
+        if named:
             return named
         compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
         if compiler is not None:

@@ -11,8 +11,8 @@ from __future__ import annotations
 import json
 import mmap
 import os
+import secrets
 import stat
-import tempfile
 import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -123,15 +123,15 @@ def write_file(path: Path, content: list[bytes]) -> None:
 
     Raises OSError if it cannot be written.
     """
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
+    partial = path.with_name(f".{path.name}-{secrets.token_hex(8)}")  # tempfile's are mode 0600
     try:
-        with os.fdopen(handle, "wb") as file:
+        with partial.open("xb") as file:
             file.writelines(content)
             file.flush()
             os.fsync(file.fileno())
-        Path(name).replace(path)
+        partial.replace(path)
     except BaseException:
-        Path(name).unlink(missing_ok=True)
+        partial.unlink(missing_ok=True)
         raise
 
 

@@ -39,7 +39,7 @@ Index = tuple[int, ...]
 # is best of 15 solves. Responses of solves are smooth: contact and friction are no part of them.
 SLOPES_SMOOTHNESS, SECOND_SMOOTHNESS = 3, 4
 
-NUMBERS = 4_000_000  # covariances that are computed at once: 32 MB
+MAX_COVARIANCES = 4_000_000  # computed at once: 32 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,9 +127,11 @@ def joins(loads: int, here: int, there: int) -> tuple[NDArray[np.intp], Floats]:
     """
     order = order_of(here, loads) + order_of(there, loads)
     position = {index: number for number, index in enumerate(indices(loads, order))}
-    left, right = indices(loads, order_of(here, loads)), indices(loads, order_of(there, loads))
+    left = indices(loads, order_of(here, loads))
+    right = indices(loads, order_of(there, loads))
     joined = np.array([[position[tuple(sorted(a + b))] for b in right] for a in left])
     sign = np.tile([(-1.0) ** len(b) for b in right], (here, 1))
+    joined.flags.writeable = sign.flags.writeable = False  # shared by all callers
     return joined, sign
 
 
@@ -241,7 +243,7 @@ def covariance(
         wanted_v = known_v[columns, :there]
         for here, rows_x in _rows_by_order(known_x, x.shape[1]):
             size = len(rows_x) * len(columns) * here * there
-            for rows in np.array_split(rows_x, 1 + size // NUMBERS):
+            for rows in np.array_split(rows_x, 1 + size // MAX_COVARIANCES):
                 wanted_x = known_x[rows, :here]
                 values = block(x[rows], v[columns], hyperparameters, here, there)
                 values = values.reshape(wanted_x.size, wanted_v.size)

@@ -28,15 +28,19 @@ class Savings:
     origin: dict[str, str]  # where each number comes from
 
 
+def not_measured(why: str) -> Savings:
+    """Return savings without numbers."""
+    keys = ("build_s", "memory_bytes", "us_per_answer")
+    return Savings(None, None, None, dict.fromkeys(keys, f"not measured: {why}"))
+
+
 def measured(table: Table, plan: ScenePlan) -> Savings:
     """Return the savings of the scene's table against the component's.
 
     A component that is rigid in the scene needs no table: all is saved.
     """
     if not any(len(surrogate.used) for surrogate in table.groups):
-        none = "not measured: there are no rows yet"
-        keys = ("build_s", "memory_bytes", "us_per_answer")
-        return Savings(None, None, None, dict.fromkeys(keys, none))
+        return not_measured("there are no rows yet")
     # Wrenches of the scene, (k, n), N and N·m.
     low, high = plan.need.span.low, plan.need.span.high
     wrenches = low + np.random.default_rng(0).uniform(size=(ANSWERS, len(low))) * (high - low)

@@ -9,10 +9,12 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 from rich.console import Console
 from rich.table import Table
 
@@ -24,9 +26,9 @@ from tests.service.test_client_calls import COVERED, QUEUED
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli.jobs import event_line
 from wrenchbook.service.cli.main import main
-from wrenchbook.service.cli.progress import Pace
+from wrenchbook.service.cli.progress import Pace, cancelled_on_interrupt
 from wrenchbook.service.cli.render import Screen, matrix_table
-from wrenchbook.service.client import Client, Event
+from wrenchbook.service.client import Client, Event, Job, ServerUnreachable
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -326,6 +328,31 @@ def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):
         assert " ".join(errors.split()) == (
             f"Interrupted: {len(states)} solve(s) of this command cancelled."
         )
+
+
+def test_ctrl_c_while_the_server_stops_says_that_solves_were_not_cancelled(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    job = Job.read({"id": 8, "component": "plate", "status": "waiting", "attempt": 1, "new": True})
+    calls = []
+
+    def cancel(_: Client, cancelled: Job) -> Job:
+        calls.append(cancelled)
+        if len(calls) == 1:
+            return replace(cancelled, status="cancelled")
+        raise ServerUnreachable("nothing answers at http://127.0.0.1:1")
+
+    monkeypatch.setattr(Client, "cancel", cancel)
+    with (
+        pytest.raises(typer.Exit) as ended,
+        cancelled_on_interrupt(Client("http://127.0.0.1:1"), [job] * 3),
+    ):
+        raise KeyboardInterrupt
+    assert (ended.value.exit_code, len(calls)) == (130, 2)
+    assert " ".join(capfd.readouterr().err.split()) == (
+        "Interrupted: 1 solve(s) of this command cancelled; the others were not cancelled: the "
+        "server does not answer: nothing answers at http://127.0.0.1:1."
+    )
 
 
 def test_a_package_that_is_missing_is_named_with_its_installation(

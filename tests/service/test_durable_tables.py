@@ -2,6 +2,7 @@
 
 import random
 import shutil
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -183,6 +184,28 @@ def test_an_exception_in_one_tables_build_starves_no_other(site, monkeypatch):
         site.tables.caught_up("aaa", 5)
     monkeypatch.undo()
     site.insert(1, first=5, name="aaa")
+    until(lambda: not site.tables.faults())
+
+
+@pytest.mark.parametrize(
+    ("part", "call"), [("_ledger", "last_seq"), ("_store", "small"), ("_small", "submit")]
+)
+def test_a_table_is_built_after_any_step_before_its_build_has_failed(site, monkeypatch, part, call):
+    whole, failures = getattr(getattr(site.builder, part), call), []
+
+    def fails_at_first(*arguments):
+        in_build = threading.current_thread().name.startswith(("build", "tables-follow"))
+        if in_build and len(failures) < 2:
+            failures.append(arguments)
+            raise RuntimeError("of this step")
+        return whole(*arguments)
+
+    monkeypatch.setattr(getattr(site.builder, part), call, fails_at_first)
+    monkeypatch.setattr(builds, "RETRY_S", 0.05)
+    insert(site.ledger, "rig", "", new_rows(5))
+    until(lambda: len(failures) == 2)
+    site.insert(1, first=5)
+    assert site.wrenches() == expected(6)
     until(lambda: not site.tables.faults())
 
 

@@ -2,13 +2,20 @@
 
 import csv
 import io
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from starlette.responses import Response
+from starlette.testclient import TestClient
 
 from tests.service.ledger_rows import NewRow, insert
 from tests.service.test_http_library import http, load  # noqa: F401 (a fixture)
+from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.routes import library
 from wrenchbook.service.tables import comparison
+from wrenchbook.service.workspace import Settings
 
 # Of a clamped bar, SI: tension, bending and twist in closed form.
 L, EI, EA, GJ = 1.0, 2800.0, 8.4e7, 1820.0
@@ -122,3 +129,15 @@ def test_what_cannot_be_compared_says_what_can(bar):
         assert refused.json()["detail"].endswith(f"import {number + 7}; its last are {number}")
     own = bar.get(CALL, params={"import": number, "against": number})
     assert (own.status_code, "own reference" in own.json()["detail"]) == (409, True)
+
+
+def test_comparisons_take_turns_in_each_server_of_a_process(tmp_path, monkeypatch):
+    def slow(*_):
+        time.sleep(0.2)
+        return Response("{}")
+
+    monkeypatch.setattr(library, "_compared", slow)
+    for name in ("first", "second"):
+        app = create_app(Settings(tmp_path / name, solvers=0))
+        with TestClient(app) as client, ThreadPoolExecutor(2) as threads:
+            assert [*threads.map(lambda _: client.get(CALL).status_code, range(2))] == [200, 200]

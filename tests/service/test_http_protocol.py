@@ -4,6 +4,7 @@ import contextlib
 import logging
 import math
 import re
+import signal
 import socket
 import struct
 import threading
@@ -28,6 +29,7 @@ from tests.until import until
 from wrenchbook.service.http import protocol
 from wrenchbook.service.http.access import Permission
 from wrenchbook.service.http.protocol import FastPath, FastPathProtocol
+from wrenchbook.service.http.server import Server, server_config
 from wrenchbook.service.keys import Keyring
 
 PATH = "/v1/components/solved/displacement"
@@ -586,6 +588,13 @@ def test_a_connection_of_queries_of_the_fast_path_alone_is_not_closed_as_unused(
         assert straight() == 1
         (connection,) = connections
         assert connection._late(connection.loop.time() + 2 * protocol.HEAD_S) == ""
+
+
+def test_two_signals_before_the_start_stop_a_server():
+    server = Server(server_config(None))
+    for _ in range(2):
+        server.handle_exit(signal.SIGTERM, None)
+    assert server.should_exit
 
 
 def test_an_uncovered_query_costs_its_key_one_request(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from collections.abc import Iterator
 from itertools import product
@@ -306,6 +307,21 @@ def test_a_component_without_rows_is_planned(link):
     assert link.app.state.workspace.tables.catch_up("bare", 600)
     plan = planned(link, SCENE, "bare").json()["components"]["bare"]
     assert plan["decision"] == "table"
+
+
+def test_a_scenes_file_has_the_same_bytes_under_the_same_entity_tag(link):
+    call, wanted = "/v1/components/straight/scene", {"wanted": json.dumps(SCENE)}
+    first, second = (link.get(call, params=wanted) for _ in range(2))
+    assert first.status_code == 200
+    assert first.headers["ETag"] == second.headers["ETag"]
+    assert first.content == second.content
+
+
+def test_unknown_further_inputs_are_listed_in_the_order_of_the_request(link):
+    names = ["speed", "age", "humidity", "wear", "current"]
+    reply = planned(link, {**SCENE, "inputs": {key: [0, 1] for key in names}})
+    places = [mistake["loc"].rpartition(".")[2] for mistake in reply.json()["errors"]]
+    assert (reply.status_code, places) == (422, names)
 
 
 def filled(link, **more):

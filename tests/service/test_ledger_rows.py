@@ -217,7 +217,7 @@ def test_a_ledger_that_cannot_be_written_is_read_and_later_written(tmp_path, mon
     def full(_):
         raise sqlite3.OperationalError("database or disk is full")
 
-    monkeypatch.setattr(connection, "_use_wal", full)
+    monkeypatch.setattr(connection, "_upgrade", full)
     patient = Ledger(path, patient=True)
     assert [len(stored(patient, "plate")), patient.last_seq("plate")] == [3, 3]
     assert "full" in patient.trouble()

@@ -39,9 +39,9 @@ from wrenchbook.service.library.component import (
 )
 from wrenchbook.service.messages import JobLink, Queued
 from wrenchbook.service.query import job_link
-from wrenchbook.service.tables.mapped import warning_of
+from wrenchbook.service.tables.mapped import ServedTable, warning_of
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.solver_error import UNKNOWN
+from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 from wrenchbook.surrogate.table.rows import Tolerance
 
 router = APIRouter(prefix="/v1/components", tags=["components"], route_class=JsonRoute)
@@ -123,6 +123,12 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
             decks = permission_of(request.scope).allows("admin")
             component = await run_in_threadpool(workspace.library.add_zip, upload.file, decks=decks)
     elif kind == "application/json":
+        if faces:
+            message = (
+                "lists the faces of a bundle's mesh: send the zip as the file 'bundle' of "
+                "multipart/form-data, or leave faces out to add a table-only component"
+            )
+            raise bad_body([{"loc": "query.faces", "msg": message}])
         body = read_body(TableOnlyComponent, await read_limited(request.receive))
         fields = body.model_dump(exclude_none=True)
         component = await run_in_threadpool(lambda: workspace.library.add_table_only(**fields))
@@ -168,20 +174,8 @@ def fill(name: str, workspace: Opened, order: FillBody) -> Response:
 
 def component_body(workspace: Workspace, component: Component) -> dict[str, Any]:
     """Return all there is to say about a component."""
-    table, limit = workspace.tables.surrogate(component.name), component.tolerance
+    table = workspace.tables.surrogate(component.name)
     error = workspace.solver_error(component.name) if component.has_fea else None
-    warnings = [*warnings_of(component.folder)]  # of its check
-    if not table.bars_are_complete:
-        warnings.append({"where": WHERE, "message": UNKNOWN})
-    elif error is not None and limit is not None:  # the newest estimate takes the check's place
-        warnings = [warning for warning in warnings if warning["where"] != WHERE]
-        newest = over_tolerance(error.values, limit.translation, limit.rotation)
-        warnings += ({"where": mistake.where, "message": mistake.message} for mistake in newest)
-    # A large table may still be in the making, and rows be in the ledger and not in the table.
-    findings = workspace.ledger.findings(component.name)
-    if message := warning_of(component, table):
-        warnings.append({"where": "rows", "message": message})
-    warnings += ({"where": f"import {finding['import']}", **finding} for finding in findings)
     solver_error = None  # of a measured table
     if error is not None:
         names = ("mesh_basis", "linearity_basis", "buckling")
@@ -195,13 +189,33 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
         "contract": CONTRACT,
         "interface": interface_of(component),
         **({"interfaces": interfaces_of(component)} if component.space.several else {}),
-        "warnings": warnings,
+        "warnings": _warnings(workspace, component, table, error),
         "vibration": vibration_of(component.folder, component.fingerprint),
         "solver_error": solver_error,
         "sources": dict(sorted(table.sources.items())),
         "coverage": table.summary,
         "jobs": workspace.ledger.counts(component.name),
     }
+
+
+def _warnings(
+    workspace: Workspace, component: Component, table: ServedTable, error: SolverError | None
+) -> list[dict[str, Any]]:
+    """Return the warnings of a component's check, solver error, rows and imports."""
+    limit = component.tolerance
+    warnings: list[dict[str, Any]] = [*warnings_of(component.folder)]
+    if not table.bars_are_complete:
+        warnings.append({"where": WHERE, "message": UNKNOWN})
+    elif error is not None and limit is not None:  # the newest estimate takes the check's place
+        warnings = [warning for warning in warnings if warning["where"] != WHERE]
+        newest = over_tolerance(error.values, limit.translation, limit.rotation)
+        warnings += ({"where": mistake.where, "message": mistake.message} for mistake in newest)
+    # A large table may still be in the making, and rows be in the ledger and not in the table.
+    findings = workspace.ledger.findings(component.name)
+    if message := warning_of(component, table):
+        warnings.append({"where": "rows", "message": message})
+    warnings += ({"where": f"import {finding['import']}", **finding} for finding in findings)
+    return warnings
 
 
 def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:

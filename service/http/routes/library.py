@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
@@ -41,7 +40,6 @@ from wrenchbook.surrogate.findings.cycles import measured_stiffness
 router = component_router("library", route=JsonRoute)
 ImportId = Annotated[int, Path(ge=1, lt=2**63)]
 Finding = Annotated[str | None, Query(max_length=100)]
-_comparison_lock = asyncio.Lock()
 MAX_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
 
 
@@ -226,7 +224,7 @@ async def get_comparison(
     format: Literal["json", "csv"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
     table = await workspace.newest(name, CATCH_UP_S)
-    async with _comparison_lock:  # each builds a table
+    async with workspace.comparison_lock:
         return await run_in_threadpool(_compared, workspace, name, table, number, against, format)
 
 

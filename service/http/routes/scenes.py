@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from statistics import median
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import orjson
@@ -20,12 +20,12 @@ from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.routes import Newest, Opened, holds, json_reply, naming
 from wrenchbook.service.http.routes.table import PACKED_TYPE
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.messages import Message, Plan
+from wrenchbook.service.messages import Message, Part, Plan
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.scene.cut import cut
 from wrenchbook.surrogate.scene.plan import Need, NeedError, need_of, plan_of
-from wrenchbook.surrogate.scene.savings import measured
+from wrenchbook.surrogate.scene.savings import measured, not_measured
 from wrenchbook.surrogate.table.rows import Floats, LoadRange
 from wrenchbook.surrogate.table.space import Space
 
@@ -84,29 +84,45 @@ def scene_table(
     if holds(if_none_match, tag):
         return Response(None, 304, naming(tag))
 
-    # With the plan, of a rigid or linear component too.
-    plan = orjson.loads(json_reply(_plan(workspace, component, table, need)).body)
-    return Response(b"".join(cut(table.packed, need, plan)), 200, naming(tag), PACKED_TYPE)
+    # With the plan, of a rigid or linear component too. A strong ETag names bytes: without timings.
+    plan = _plan(workspace, component, table, need, timed=False)
+    content = b"".join(cut(table.packed, need, orjson.loads(json_reply(plan).body)))
+    return Response(content, 200, naming(tag), PACKED_TYPE)
 
 
-def _plan(workspace: Workspace, component: Component, table: ServedTable, need: Need) -> Plan:
-    """Return a scene's plan of a component."""
-    built, limit = table.surrogate(), need.tolerance
+def _plan(
+    workspace: Workspace,
+    component: Component,
+    table: ServedTable,
+    need: Need,
+    *,
+    timed: bool = True,
+) -> Plan:
+    """Return a scene's plan of a component; unless `timed` the same for the same table."""
+    built = table.surrogate()
     plan = plan_of(built, need, solved=component.has_fea)
-    (whole, scene), savings = plan.solves, measured(built, plan)
+    savings = measured(built, plan) if timed else not_measured("see POST /v1/scenes/plan")
+    whole, scene = plan.solves
     solves = "the component has no finite-element setup: nothing is solved"
     if component.has_fea:
+        time_saved = _time_saved(workspace, component, whole - scene) if timed else ""
         solves = (
             f"counted: the first design of an empty table has {whole} wrenches for the whole load "
-            f"range and {scene} for the scene{_time_saved(workspace, component, whole - scene)}"
+            f"range and {scene} for the scene{time_saved}"
         )
+    tolerance: dict[Part, Any] | None = None
+    if need.tolerance is not None:
+        tolerance = {
+            "translation": need.tolerance.translation,
+            "rotation": need.tolerance.rotation,
+        }
     return Plan(
         decision=plan.decision,
         reason=plan.reason,
         loads=tuple(need.loads),
         axes=need.axes(),
         outputs=tuple(need.output_names()),
-        tolerance=limit and {"translation": limit.translation, "rotation": limit.rotation},
+        tolerance=tolerance,
         displacement_bound=plan.bound,
         solves={"whole": whole, "scene": scene},
         saves={
@@ -135,8 +151,7 @@ def _time_saved(workspace: Workspace, component: Component, fewer_solves: int) -
 
 
 def _need_of(component: Component, wanted: bodies.SceneComponent, where: str) -> Need:
-    parts = wanted, wanted.outputs, wanted.tolerance
-    return need_from(component, *parts, where, f"{where}.outputs")
+    return need_from(component, wanted, wanted.outputs, wanted.tolerance, where, f"{where}.outputs")
 
 
 def need_from(
@@ -192,7 +207,9 @@ def _unknown(span: bodies.SpaceSpan, space: Space, where: str) -> list[dict[str,
         elif name not in space.interfaces:
             text = f"is not an interface of the component; name one of {known}"
             mistakes.append((f"loads.{name}", text))
-    for name in set(span.inputs or ()).difference(further):
+    for name in span.inputs or ():
+        if name in further:
+            continue
         text = "is not a further input here: the component has none; leave inputs out"
         if further:
             text = f"is not a further input here; name one of {', '.join(further)}"

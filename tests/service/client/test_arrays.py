@@ -161,6 +161,17 @@ def test_the_inverse_is_the_kernels_with_the_stiffness_as_its_derivative(on):
     assert np.isnan(result[3:5]).all()
 
 
+def test_the_inverse_from_many_starts_of_one_displacement_is_that_of_a_batch_under_vmap(on):
+    table, starts = downloaded("solved"), asked_of(table_of("solved"), 5, 9, 0.3)
+    own, moved = on.evaluator(table, "kriging"), table.packed.batch(starts).outputs
+    if isinstance(on, OnTorch):
+        starts, moved = on.torch.tensor(starts), on.torch.tensor(moved)
+    by_start = each_of(on, lambda start: own.inverse(moved[0], start))(starts)
+    by_moved = each_of(on, lambda target: own.inverse(target, starts[0]))(moved)
+    np.testing.assert_array_equal(by_start, own.inverse(moved[0], starts))
+    np.testing.assert_array_equal(by_moved, own.inverse(moved, starts[0]))
+
+
 def test_beyond_the_range_the_start_decides_between_wrenches_of_one_displacement(on):
     table, source = downloaded("clean and full"), table_of("clean and full")
     asked = asked_of(source, 150, 3, 2.5)

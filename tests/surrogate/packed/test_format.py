@@ -2,6 +2,7 @@
 
 import os
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -80,6 +81,16 @@ def test_a_written_file_answers_and_its_arrays_are_mapped(tmp_path):
     expected = packed_of("solved", (1,)).batch(asked)
     for one, other in zip(packed.batch(asked), expected, strict=True):
         assert one.tobytes() == other.tobytes()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no file modes of groups")
+def test_others_may_read_a_written_file_as_the_umask_says(tmp_path):
+    before = os.umask(0o027)
+    try:
+        write_file(tmp_path / "plate.wbt", [b"content"])
+    finally:
+        os.umask(before)
+    assert (tmp_path / "plate.wbt").stat().st_mode & 0o777 == 0o640
 
 
 def test_any_changed_byte_of_header_and_directory_is_refused():
