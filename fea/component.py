@@ -392,8 +392,9 @@ def _attach(
         section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     else:
         if not _spans_a_plane(mesh.points[nodes]):
-            on_line = f'"{interface.section}" lies on one line, so it has no rotation'
-            message = f"{on_line}: it has {len(nodes)} nodes; name the group of a face"
+            some = "has 1 node" if len(nodes) == 1 else f"has {len(nodes)} nodes on one line"
+            message = f'"{interface.section}" {some}, so it has no rotation'
+            message += "; name the group of a face"
             problems.append(BundleProblem(key, message))
         if interface.section in mesh.facet_groups:
             section = section_of_facets(mesh.points, mesh.facet_groups[interface.section])

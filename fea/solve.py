@@ -17,7 +17,12 @@ from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import ROUNDOFF, System
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
-from wrenchbook.fea.coupling.coupling import SectionCoupling, from_origin, largest_rotation
+from wrenchbook.fea.coupling.coupling import (
+    SectionCoupling,
+    each_interface,
+    from_origin,
+    largest_rotation,
+)
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.element.pressure_projection import pressure_notes
@@ -477,9 +482,10 @@ def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> No
 
     displacement: of all interfaces, shape (6 i,), m and rad, under this part of the load.
     """
-    degrees = float(np.degrees(largest_rotation(displacement)))
-    if degrees > MAX_DEGREES:
-        raise rotation_too_large(degrees, MAX_DEGREES, load_factor)
+    degrees = np.degrees([largest_rotation(each) for each in each_interface(displacement)])
+    if (largest := float(degrees.max())) > MAX_DEGREES:
+        which = f" {degrees.argmax() + 1} (of component.toml)" if len(degrees) > 1 else ""
+        raise rotation_too_large(largest, MAX_DEGREES, load_factor, which)
 
 
 def system_of(component: ComponentModel, active: Array) -> System:

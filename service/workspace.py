@@ -337,7 +337,8 @@ class Workspace:
         """Return the problems of single components, by name; the others answer."""
         damaged: dict[str, str] = {}
         if losses := self.ledger.losses():
-            damaged["(ledger)"] = f"{'; '.join(losses)}. Note it with: wrenchbook doctor --repair"
+            damaged["(ledger)"] = f"{'; '.join(losses)}. Note it with: wrenchbook doctor --repair "
+            damaged["(ledger)"] += f"--data {self.settings.data}"
         for seq, name in self.ledger.damaged.items():
             damaged[name] = f"row {seq} is damaged on the disk and left out of the table"
         broken, touches = {**damaged, **self.tables.faults()}, CALLER.get().touches
@@ -352,7 +353,7 @@ class Workspace:
         """Return why a read-only server refuses a write of a path, and which server takes it."""
         send = f"Send it to {self.copies.get('followed', {}).get('server', 'the main server')}"
         if path.startswith("/v1/keys"):  # those of the main server are not valid here
-            send = "Change its keys on its machine: wrenchbook keys"
+            send = f"Change its keys on its machine: wrenchbook keys --data {self.settings.data}"
         why = "This server answers from a replica and accepts no writes; nothing was changed"
         return f"{why}. {send}"
 

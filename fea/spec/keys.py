@@ -134,13 +134,18 @@ def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
     path = folder / name
     try:
         # Resolved, so that a symbolic link out of the folder is refused too.
-        inside = path.resolve().is_relative_to(folder.resolve()) and not Path(name).is_absolute()
+        inside = path.resolve().is_relative_to(folder.resolve())
         there = path.is_file()
     except (OSError, RuntimeError) as error:  # a name that no disk takes; a loop of symbolic links
         reason = error.strerror if isinstance(error, OSError) else "a loop of symbolic links"
         raise ValueError(f'"{name[:100]}" cannot be a file ({reason}); rename it') from None
     if not inside:
         raise ValueError(f'"{name}" is outside the bundle; put the file into its folder')
+    if Path(name).is_absolute():
+        relative = path.resolve().relative_to(folder.resolve()).as_posix()
+        raise ValueError(
+            f'"{name}" is an absolute path; write it relative to component.toml: "{relative}"'
+        )
     if not there:
         known = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
         there_are = f"only {', '.join(known)}" if known else "which has no files"

@@ -239,4 +239,6 @@ def _number(message: Message, name: str, axis: str) -> float:
     try:
         return float(member)
     except (TypeError, ValueError):
-        raise InvalidArgument(f"{name}.{axis} must be a number, not {member!r}") from None
+        raise InvalidArgument(
+            f"{name}.{axis} must be a number such as -12.5, not {member!r}"
+        ) from None

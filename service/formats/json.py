@@ -65,7 +65,11 @@ def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         number = Digits if _VANISHING.search(text) else float
         values = list(islice(_values(text, number), 2))
         if len(values) != 1:
-            reason = "text follows its end; remove it" if values else "it is empty; send a table"
+            reason = "it is empty; send a table"
+            if values:
+                end = json.JSONDecoder().raw_decode(text, len(text) - len(text.lstrip()))[1]
+                line = text.count("\n", 0, len(text) - len(text[end:].lstrip())) + 1
+                reason = f"a second value follows in line {line}; remove it, or send a list: [...]"
             raise JsonError(f"is not JSON: {reason}")
         yield from _read_table(values[0], options, report)
     except ValueError as error:

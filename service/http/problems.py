@@ -19,7 +19,7 @@ from starlette.responses import Response
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.service import keys, ledger
 from wrenchbook.service.actors import NotPermittedError
-from wrenchbook.service.events import TooManyListenersError
+from wrenchbook.service.events import FIRST_POLL_S, TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.formats.cells import UnitError
@@ -27,7 +27,7 @@ from wrenchbook.service.formats.rig import RigError
 from wrenchbook.service.formats.xlsx import SheetFullError
 from wrenchbook.service.jobs.waiting import TooManyPollsError
 from wrenchbook.service.library import component
-from wrenchbook.service.library.rigs import UnknownRigError
+from wrenchbook.service.library.rigs import ShippedRigError, UnknownRigError
 from wrenchbook.service.ops.logs import REQUEST_ID
 from wrenchbook.service.query import BeyondRangeError, NotCoveredError, SolveFailedError, job_link
 from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
@@ -66,17 +66,21 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ledger.ImportRunningError: (503, "importing", "Another table is being imported"),
     ledger.UnknownRowError: (404, "unknown-row", "No such row"),
     ledger.UnknownImportError: (404, "unknown-import", "No such import"),
+    ledger.UnknownFindingError: (404, "unknown-import", "The import has no such finding"),
+    ledger.UnfinishedImportError: (404, "unknown-import", "The import is still running"),
     keys.UnknownKeyError: (404, "unknown-key", "No such key"),
+    keys.ExpiredKeyError: (404, "unknown-key", "The key has expired"),
     keys.KeysBusyError: (503, "busy", "The keys are being changed"),
     keys.KeysFullError: (409, "keys-full", "The server has as many keys as it can"),
     keys.KeysUnavailableError: (507, "disk", "The keys cannot be read or written"),
     UnknownRigError: (404, "unknown-rig", "No such rig"),
-    RigError: (422, "rig", "The rig cannot be read"),
+    ShippedRigError: (409, "shipped", "The rig cannot be removed"),
+    RigError: (422, "rig", "The rig is not accepted"),
     NoFieldsError: (409, "no-surface", "No deformed surface can be shown"),
     TooFarError: (409, "beyond-range", "Outside the component's load range"),
     NotCoveredError: (409, "not-covered", "The table does not cover this"),
     BeyondRangeError: (409, "beyond-range", "Outside the component's load range"),
-    ledger.BlockKeyError: (409, "block-key", "The block's key leaves open whether it was recorded"),
+    ledger.BlockKeyError: (409, "block-key", "The block's number cannot be used"),
     ledger.InvalidTransitionError: (409, "job-status", "The job's status does not allow this"),
     TooManyPollsError: (503, "busy", "Too many callers wait for jobs"),
     TooManyListenersError: (503, "too-many-listeners", "Too many listeners"),
@@ -85,14 +89,15 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ledger.RowStatusError: (409, "row-status", "The row's state does not allow this"),
     UnitError: (422, "unit", "Not a unit this export can use"),
     SheetFullError: (409, "export", "This export cannot be made"),
-    SandboxError: (422, "too-costly", "The file cannot be read within its limits"),
+    SandboxError: (422, "too-costly", "The file cannot be read"),
     SandboxBusyError: (503, "busy", "Too many files are being read"),
     ledger.ReadOnlyError: (403, "read-only", "This server takes no writes"),
     ledger.LedgerFullError: (507, "disk", "The disk is full; nothing was accepted"),
+    ledger.LedgerBusyError: (503, "ledger", "The ledger is busy"),
     ledger.LedgerUnavailableError: (
         503,
         "ledger",
-        "The ledger cannot be written; nothing was accepted",
+        "The ledger cannot be used; nothing was changed",
     ),
 }
 # Of a full disk, a quota and a limit of file sizes: bodies and parsed files are temporary files.
@@ -199,6 +204,8 @@ def _retry_after(error: Exception) -> dict[str, str] | None:
     """Return the header that says when to repeat the request, of errors that end by themselves."""
     if isinstance(error, ledger.QuotaError):
         return {"Retry-After": str(ceil(error.retry_s))}
+    if isinstance(error, ledger.LedgerBusyError):
+        return {"Retry-After": f"{FIRST_POLL_S:g}"}
     return {"Retry-After": _BUILT_S} if isinstance(error, TableBehindError) else None
 
 
@@ -223,7 +230,8 @@ def install(app: FastAPI) -> None:
 
     def crash(request: Request, _: Exception) -> Response:
         path = request.url.path[:MAX_PLACE]
-        detail = f"{request.method} {path} failed; the server's log has the traceback."
+        detail = f"{request.method} {path} failed. Search the server's log for the request_id, "
+        detail += "which has the traceback, then send the request again."
         return HttpProblemError(500, "internal", "Internal server error", detail).response()
 
     def gone(_: Request, __: Exception) -> Response:

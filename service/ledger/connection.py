@@ -159,7 +159,7 @@ def open_file(path: Path) -> Connection:
             raise LedgerFileError(
                 f"there is {log.name} without {path}: the ledger's file was moved or deleted. "
                 "Nothing was changed. Put the file back; if it is lost, wrenchbook doctor --repair "
-                "creates it from the tables and moves the log aside"
+                f"--data {path.parent} creates it from the tables and moves the log aside"
             )
         with suppress(FileExistsError):
             os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))

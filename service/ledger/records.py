@@ -156,6 +156,10 @@ class LedgerUnavailableError(LedgerError):
     """The ledger could not be read or written now (disk full, locked); nothing was changed."""
 
 
+class LedgerBusyError(LedgerUnavailableError):
+    """The ledger gave no answer in time."""
+
+
 class ReadOnlyError(LedgerUnavailableError):
     """The ledger is a replica's copy; the text names the server that takes writes."""
 
@@ -174,6 +178,14 @@ class UnknownRowError(LedgerError, LookupError):
 
 class UnknownImportError(LedgerError, LookupError):
     """The component has no import of this number, or the import no such finding."""
+
+
+class UnknownFindingError(UnknownImportError):
+    """The import has no finding of this cause."""
+
+
+class UnfinishedImportError(UnknownImportError):
+    """The import is still running."""
 
 
 class InvalidTransitionError(LedgerError):

@@ -346,7 +346,7 @@ def _check_chunks(name: str, dataset: h5py.Dataset) -> None:
     if size > MAX_CHUNK_BYTES:
         raise TableFileError(
             f"has chunks of {size / MIB:.0f} MiB in {name}, the limit is "
-            f"{MAX_CHUNK_BYTES // MIB}; write smaller chunks"
+            f"{MAX_CHUNK_BYTES // MIB} MiB; write smaller chunks"
         )
 
 

@@ -83,11 +83,13 @@ def test_a_name_is_one_keys(keyring):
 
 
 def test_a_key_is_rotated_while_it_is_valid(keyring):
-    with pytest.raises(KeysError, match="create it with: wrenchbook keys add ann"):
+    with pytest.raises(KeysError, match="create it with: wrenchbook keys add ann --data"):
         keyring.rotate("ann", 0.0)
     keyring.add("ann", "read", expires=time.time() + 0.05)
     time.sleep(0.1)
-    with pytest.raises(KeysError, match=r"expired, so .* keys revoke ann; wrenchbook keys add ann"):
+    with pytest.raises(
+        KeysError, match=r"expired, so .* keys revoke ann --data .*; wrenchbook keys add ann --data"
+    ):
         keyring.rotate("ann", 0.0)
 
 

@@ -102,12 +102,17 @@ def read_keywords(text: DeckText) -> Iterator[Keyword]:
         yield from _without_instances(text)
         return
     parts: dict[str, list[Keyword]] = {}
+    defined: dict[str, str] = {}  # the place of each part
     frame, part, count = Frame(), None, 0
     for keyword in _blocks(text):
         if keyword.word == "PART":
             name = keyword.options.get("NAME", "").upper()
             if name in parts:
-                raise keyword.wrong(f'defines the part "{name}" again; rename one of the two')
+                raise keyword.wrong(
+                    f'defines the part "{name}" again, first at {defined[name]}; rename one of the '
+                    "two"
+                )
+            defined[name] = keyword.where
             part = parts.setdefault(name, [])
         elif keyword.word == "INSTANCE":
             count += 1

@@ -149,7 +149,10 @@ def _constants(
             raise MeshFileError(f'its *ORIENTATION "{name}" is {why}, but must be rectangular')
         axes = np.reshape(values, (3, 3))
     elif keyword.frame.rotation not in ((), _UPRIGHT) or not reader.turned.keys().isdisjoint(nodes):
-        raise MeshFileError("its nodes have rotated axes; name an ORIENTATION")
+        turned = next((node for node in nodes if node in reader.turned), nodes[0])
+        raise MeshFileError(
+            f"its node {turned % STRIDE} has rotated axes; give *SPRING an ORIENTATION"
+        )
     return freedoms, axes, size
 
 
