@@ -472,7 +472,7 @@ def _weights(
         weights = np.zeros(len(nodes))
         weights[np.searchsorted(nodes, ids[inside])] = sizes[inside]
         if sizes[~inside].any():
-            message = f"{(~inside).sum()} nodes are in no solid cell; remove their weights"
+            message = f"nodes in no solid cell: {(~inside).sum()}; remove their weights"
         elif not weights.sum() > 0:
             total = f"the deck weights add up to {weights.sum():g}, not above 0"
             message = f'{total}; correct them, or write "area" or "equal"'

@@ -99,7 +99,7 @@ def _text(value: str) -> str:
     if steering := STEERING.search(value):
         raise ValueError(f"must be one line of printable characters, without {steering[0]!r}")
     if not value.strip():
-        raise ValueError("must not be empty; write a text")
+        raise ValueError("must not be empty; write a word or more")
     return value
 
 
@@ -393,7 +393,7 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
     if error in _KINDS:
         return f"must be {_KINDS[error]}, not {shown(value)}"
     if error == "literal_error" and type(value) is not str:
-        return f"must be a text, not {shown(value)}"
+        return f"must be a string, not {shown(value)}; put it in quotation marks"
     if error == "literal_error":
         among = extra.get("among") or _QUOTED.findall(context["expected"])
         return f'must be one of {", ".join(among)}, not "{value}"{suggest(value, among)}'

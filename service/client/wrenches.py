@@ -186,7 +186,7 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
     try:
         block = np.asarray(values)
     except ValueError:
-        raise InvalidArgument(f"{name} must be numbers in rows of one length") from None
+        raise InvalidArgument(f"{name} has rows of different lengths; make them equal") from None
     if block.dtype.kind not in "fiu" and block.size:
         for at, item in np.ndenumerate(np.asarray(values, dtype=object)):
             if isinstance(item, bool | np.bool) or not isinstance(item, Real):

@@ -146,11 +146,13 @@ def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> Htt
     At most MAX_ERRORS of them are listed.
     """
     first = f"{errors[0]['loc']}: {errors[0]['msg']}" if errors else "see the documentation"
+    mistakes = f"{len(errors)} mistake{'s' * (len(errors) > 1)}"
     return HttpProblemError(
         422,
         "bad-request-body",
         "The request does not have the form of this call",
-        detail or f"Nothing was changed. {len(errors)} mistake(s); the first is {first}.",
+        detail
+        detail or f"Nothing was changed. {mistakes}; the first is {first}.",
         errors=list(errors[:MAX_ERRORS]),
     )
 

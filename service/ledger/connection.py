@@ -305,7 +305,7 @@ def damaged_file(path: Path, why: str) -> LedgerDamagedError:
     return LedgerDamagedError(
         f"the ledger {path} is damaged ({why}). It stays unchanged, and tables answer from their "
         "files. Stop the server and put back a copy, or rebuild what can be read with: wrenchbook "
-        "doctor --repair"
+        f"doctor --repair --data {path.parent}"
     )
 
 

@@ -135,6 +135,25 @@ def test_a_solver_that_cannot_be_found_is_named(folder, monkeypatch, name):
     assert name in error_of(folder)["message"]
 
 
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        ("None.solve", "the module broken cannot be imported: AttributeError: 'NoneType'"),
+        ("def", "the module broken cannot be imported: SyntaxError: invalid syntax"),
+        ("solve = 3", "the module broken has no function 'solve'"),
+    ],
+)
+def test_a_solver_whose_module_fails_is_told_by_the_cause(
+    folder, tmp_path, monkeypatch, content, why
+):
+    (tmp_path / "broken.py").write_text(content)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "broken", raising=False)
+    monkeypatch.setenv("WRENCHBOOK_SOLVE", "broken:solve")
+    assert runjob.run_attempt(folder) == 1
+    assert why in error_of(folder)["message"]
+
+
 def embedded(monkeypatch, fingerprint, fields=None):
     """Put stand-ins in the place of the finite-element room; `fields` is what a solve leaves."""
     solution = types.SimpleNamespace(

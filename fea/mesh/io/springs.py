@@ -171,7 +171,7 @@ def _check_between(case: LoadCase, ends: list[CoupledGroup], shift: Array) -> No
     if first.weighted != second.weighted:
         raise MeshFileError("it joins a coupling with weights and one without")
     if across > _ALONG * np.abs(points).max():
-        raise MeshFileError(f"its points are {across:.3g} apart across its direction")
+        raise MeshFileError(f"its points are {across:.3g} from the line along its direction")
     if case.nonlinear:
         raise MeshFileError("with NLGEOM its direction stays, but that of [[spring]] rotates")
 
