@@ -65,11 +65,7 @@ class KeysError(ValueError):
 
 
 class UnknownKeyError(KeysError, LookupError):
-    """No key has this name."""
-
-
-class ExpiredKeyError(UnknownKeyError):
-    """The key has expired, so it cannot be rotated."""
+    """No valid key has this name."""
 
 
 class KeysBusyError(KeysError):
@@ -226,7 +222,7 @@ class Keyring:
             known = [key for key in named if key.is_valid()]
             if not known:
                 why = f"the key {name!r} has expired, so it cannot be rotated; replace it with: "
-                raise ExpiredKeyError(
+                raise UnknownKeyError(
                     f"{why}wrenchbook keys revoke {name} {self._option}; "
                     f"wrenchbook keys add {name} {self._option}"
                 )

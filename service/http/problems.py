@@ -52,11 +52,7 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     component.ComponentExistsError: (409, "component-exists", "The name is taken"),
     UnknownMethodError: (422, "method", "Not a method of this table"),
     component.OneWrenchError: (409, "one-wrench", "The call takes one wrench alone"),
-    component.LibraryUnavailableError: (
-        507,
-        "disk",
-        "The component cannot be written; nothing was added",
-    ),
+    component.LibraryUnavailableError: (507, "disk", "The component cannot be written"),
     TableBehindError: (503, "table-behind", "The table is older than the ledger"),
     ledger.DamagedRowError: (500, "damaged-row", "A row is damaged on the disk"),
     NoSetupError: (409, "no-fea-setup", "The component has no finite-element setup"),
@@ -65,11 +61,9 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ledger.AppendError: (409, "append", "Rows cannot be appended to this import"),
     ledger.ImportRunningError: (503, "importing", "Another table is being imported"),
     ledger.UnknownRowError: (404, "unknown-row", "No such row"),
-    ledger.UnknownImportError: (404, "unknown-import", "No such import"),
-    ledger.UnknownFindingError: (404, "unknown-import", "The import has no such finding"),
+    ledger.UnknownImportError: (404, "unknown-import", "No such import or finding"),
     ledger.UnfinishedImportError: (404, "unknown-import", "The import is still running"),
-    keys.UnknownKeyError: (404, "unknown-key", "No such key"),
-    keys.ExpiredKeyError: (404, "unknown-key", "The key has expired"),
+    keys.UnknownKeyError: (404, "unknown-key", "No valid key has this name"),
     keys.KeysBusyError: (503, "busy", "The keys are being changed"),
     keys.KeysFullError: (409, "keys-full", "The server has as many keys as it can"),
     keys.KeysUnavailableError: (507, "disk", "The keys cannot be read or written"),
@@ -94,11 +88,7 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ledger.ReadOnlyError: (403, "read-only", "This server takes no writes"),
     ledger.LedgerFullError: (507, "disk", "The disk is full; nothing was accepted"),
     ledger.LedgerBusyError: (503, "ledger", "The ledger is busy"),
-    ledger.LedgerUnavailableError: (
-        503,
-        "ledger",
-        "The ledger cannot be used; nothing was changed",
-    ),
+    ledger.LedgerUnavailableError: (503, "ledger", "The ledger cannot be used"),
 }
 # Of a full disk, a quota and a limit of file sizes: bodies and parsed files are temporary files.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -151,7 +141,6 @@ def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> Htt
         422,
         "bad-request-body",
         "The request does not have the form of this call",
-        detail
         detail or f"Nothing was changed. {mistakes}; the first is {first}.",
         errors=list(errors[:MAX_ERRORS]),
     )

@@ -40,7 +40,6 @@ from wrenchbook.service.ledger.records import (
     Status as Status,
     TableAt as TableAt,
     UnfinishedImportError as UnfinishedImportError,
-    UnknownFindingError as UnknownFindingError,
     UnknownImportError as UnknownImportError,
     UnknownJobError as UnknownJobError,
     UnknownRowError as UnknownRowError,

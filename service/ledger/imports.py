@@ -30,7 +30,6 @@ from wrenchbook.service.ledger.records import (
     ImportRunningError,
     NotedRows,
     UnfinishedImportError,
-    UnknownFindingError,
     UnknownImportError,
 )
 
@@ -346,7 +345,7 @@ def edit_import(
     lists = [finding["keys"] for finding in _stored(record[0]) if finding.get("cause") == cause]
     if cause is not None and not lists:
         causes = ", ".join(str(finding.get("cause")) for finding in _stored(record[0])) or "none"
-        raise UnknownFindingError(
+        raise UnknownImportError(
             f"import {number} of {component!r} has no finding {cause!r}; its findings are {causes}"
         )
     keys = [key for some in lists for key in some] if all(lists) else []

@@ -180,10 +180,6 @@ class UnknownImportError(LedgerError, LookupError):
     """The component has no import of this number, or the import no such finding."""
 
 
-class UnknownFindingError(UnknownImportError):
-    """The import has no finding of this cause."""
-
-
 class UnfinishedImportError(UnknownImportError):
     """The import is still running."""
 
