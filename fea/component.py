@@ -393,8 +393,9 @@ def _attach(
     else:
         if not _spans_a_plane(mesh.points[nodes]):
             some = "has 1 node" if len(nodes) == 1 else f"has {len(nodes)} nodes on one line"
-            message = f'"{interface.section}" {some}, so it has no rotation'
-            message += "; name the group of a face"
+            message = (
+                f'"{interface.section}" {some}, so it has no rotation; name the group of a face'
+            )
             problems.append(BundleProblem(key, message))
         if interface.section in mesh.facet_groups:
             section = section_of_facets(mesh.points, mesh.facet_groups[interface.section])

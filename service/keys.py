@@ -52,7 +52,7 @@ _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
 _EXAMPLE: Final = '["plate_*"]'
 _MAX_NAMED: Final = 20  # keys in a message
 _MAX_OVERLAP_S: Final = 1e9  # 30 years: a time in milliseconds is a mistake
-_FULL: Final = f"{MAX_KEYS} keys, the limit, exist; revoke one with: wrenchbook keys revoke NAME "
+_FULL: Final = f"{MAX_KEYS} keys, the limit, exist; revoke one with: wrenchbook keys revoke NAME"
 _WITHOUT_KEYS: Final = (
     "other machines can reach {host}, but {folder} has no keys, so anybody there could change "
     "tables. Create a key (wrenchbook keys add NAME --scope admin --data {folder}), start with "
@@ -197,7 +197,7 @@ class Keyring:
         secret = PREFIX + secrets.token_urlsafe(32)
         with self._changing() as keys:
             if len(keys) >= MAX_KEYS:
-                raise KeysFullError(_FULL + self._option)
+                raise KeysFullError(f"{_FULL} {self._option}")
             if any(key.name == name for key in keys.values()):
                 taken = f"a key {name!r} exists; choose another name, or revoke it first with: "
                 raise KeysError(taken + f"wrenchbook keys revoke {name} {self._option}")
@@ -230,7 +230,7 @@ class Keyring:
                 hours = overlap_s / 3600.0
                 raise KeysError(f"the overlap must be from 0 to 277777 hours, not {hours:g}")
             if len(keys) >= MAX_KEYS:
-                raise KeysFullError(_FULL + self._option)
+                raise KeysFullError(f"{_FULL} {self._option}")
             newest, now = max(known, key=lambda key: key.created), time.time()
             for old in known:
                 del keys[old.digest]
@@ -266,11 +266,7 @@ class Keyring:
                 try:
                     write_atomically(self._path, content.encode(), mode=0o600)
                 except OSError as error:
-                    raise KeysUnavailableError(
-                        f"{self._path} cannot be written ({error.strerror}); "
-                        f"{_disk_remedy(error, self._path.parent)}, then repeat this. No key "
-                        "changed"
-                    ) from error
+                    raise _unusable(self._path, "written", error) from error
                 self._read()
         finally:
             os.close(descriptor)
@@ -280,10 +276,7 @@ class Keyring:
         try:
             keys = [] if stamp is None else _stored_keys(self._path.read_bytes())
         except OSError as error:
-            raise KeysUnavailableError(
-                f"{self._path} cannot be read ({error.strerror}); "
-                f"{_disk_remedy(error, self._path)}, then repeat this"
-            ) from error
+            raise _unusable(self._path, "read", error) from error
         except ValueError as error:
             raise KeysUnavailableError(
                 f"{self._path} is damaged: {error}. Correct it, or move it away and create new "
@@ -300,14 +293,15 @@ class Keyring:
         return status.st_mtime_ns, status.st_size, status.st_ino
 
 
-def _disk_remedy(error: OSError, path: Path) -> str:
-    """Return what makes a file or folder usable to this process after an error of the disk."""
+def _unusable(path: Path, done: str, error: OSError) -> KeysUnavailableError:
+    """Return the error of a file of keys that cannot be read or written, by the disk's error."""
+    user, remedy = os.geteuid(), "check its disk and how it is mounted"
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return "make room on its disk"
-    if not isinstance(error, PermissionError):
-        return "check its disk and how it is mounted"
-    user = os.geteuid()
-    return f"this process runs as the user {user}: run it as the owner, or chown {user} {path}"
+        remedy = "make room on its disk"
+    elif isinstance(error, PermissionError):
+        remedy = f"run this as the owner of {path.parent}, or give it to user {user}"
+    why = f"{path} cannot be {done} ({error.strerror}); {remedy}, then repeat this"
+    return KeysUnavailableError(why + ". No key changed")
 
 
 def is_loopback(host: str) -> bool:
@@ -350,10 +344,8 @@ def _stored_keys(content: bytes) -> list[Key]:
             if wrong:
                 raise ValueError(f"the field {wrong[0]!r} is {'missing' if lacking else 'unknown'}")
             if not isinstance(entry.get("components", []), list):
-                raise ValueError(
-                    f"components must be a list of strings such as {_EXAMPLE}, not "
-                    f"{entry['components']!r}"
-                )
+                given = entry["components"]
+                raise ValueError(f"components must be a list such as {_EXAMPLE}, not {given!r}")
             keys.append(_checked(entry))
         except ValueError as error:
             raise ValueError(f"keys[{number}]: {error}") from None
@@ -378,17 +370,14 @@ def _checked(values: dict[str, Any]) -> Key:
         raise ValueError(f"give 1 to 100 patterns of components, not {len(key.components)}")
     for name in key.components:
         if not _PATTERN.fullmatch(str(name)):
-            raise ValueError(
-                f"{name!r} is not a pattern of components; use 1 to 64 letters, digits, _ - * and "
-                f"?, such as {_EXAMPLE}"
-            )
+            why = f"the pattern {name!r} must have 1 to 64 letters, digits, _ - * and ?, such as "
+            raise ValueError(why + _EXAMPLE)
     # Before the year 5138: a time in milliseconds is a mistake.
     end = 1 if key.expires is None else key.expires
     if not (isinstance(end, int | float) and 0 < end < 1e11):
-        sent = f"{end:.0f}" if isinstance(end, int | float) else repr(end)
         raise ValueError(
-            f"expires is {sent}, but must be in seconds since 1970 (now {time.time():.0f}); divide "
-            "milliseconds by 1000, or leave it out for no end"
+            f"expires is {end!r}, but must be in seconds since 1970 (now {time.time():.0f}); "
+            "divide milliseconds by 1000, or leave it out for no end"
         )
     if not re.fullmatch(r"[0-9a-f]{64}", str(key.digest)):
         raise ValueError(f"digest must be 64 hexadecimal digits, not {key.digest!r}")

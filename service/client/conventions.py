@@ -240,5 +240,5 @@ def _number(message: Message, name: str, axis: str) -> float:
         return float(member)
     except (TypeError, ValueError):
         raise InvalidArgument(
-            f"{name}.{axis} must be a number such as -12.5, not {member!r}"
+            f"{name}.{axis} must be a number such as 1.5, not {member!r}"
         ) from None

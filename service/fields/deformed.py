@@ -57,8 +57,9 @@ class NoFieldsError(Exception):
         solve = f"Solve wrenches that have no row: POST /v1/components/{name}/solve"
         if rows:  # those whose files are damaged
             numbers = ", ".join(map(str, rows[:10])) + (", ..." if len(rows) > 10 else "")
-            verb = "s of rows {} of {!r} are" if len(rows) > 1 else " of row {} of {!r} is"
-            text = f"the stored surface{verb.format(numbers, name)} {why}. To store one again, "
+            text = (
+                f"no stored surface of {name!r} can be used: {why} (row {numbers}). For a new one "
+            )
             text += f"DELETE /v1/components/{name}/table/{rows[0]}, then POST /v1/components/"
             text += f"{name}/solve with the wrench of that row"
         elif unusable:
@@ -262,7 +263,7 @@ class DeformedSurfaces:
         """Return the interpolation of the rows nearest to a wrench, cached if they are the same."""
         first = next(self._readable(component, rows.wrench), None)
         if first is None:
-            raise NoFieldsError(component, "damaged", rows=rows.seq.tolist())
+            raise NoFieldsError(component, "all are damaged", rows=rows.seq.tolist())
         row_bytes = _ARRAYS * _FLOAT_BYTES * (first.displacement.size + first.stress.size)
         limit = min(MAX_ROWS, max(MIN_ROWS, BLEND_BYTES // max(row_bytes, 1)))
         near = rows.take(nearest_rows(rows.wrench, wrench, component.load_range, limit))
@@ -277,7 +278,7 @@ class DeformedSurfaces:
         for place, row_wrench in enumerate(near.wrench):
             read += [(place, row) for row in self._readable(component, row_wrench[None])]
         if not read:
-            why = "damaged, of all the rows nearest to this wrench"
+            why = "those nearest to this wrench are damaged"
             raise NoFieldsError(component, why, rows=near.seq.tolist())
         digest = read[-1][1].meta["geometry"]  # a mesher of another version makes another mesh
         same_mesh = [(place, row) for place, row in read if row.meta["geometry"] == digest]

@@ -39,7 +39,6 @@ from wrenchbook.service.ledger.records import (
     StaleAttemptError as StaleAttemptError,
     Status as Status,
     TableAt as TableAt,
-    UnfinishedImportError as UnfinishedImportError,
     UnknownImportError as UnknownImportError,
     UnknownJobError as UnknownJobError,
     UnknownRowError as UnknownRowError,

@@ -29,7 +29,6 @@ from wrenchbook.service.ledger.records import (
     AppendError,
     ImportRunningError,
     NotedRows,
-    UnfinishedImportError,
     UnknownImportError,
 )
 
@@ -334,7 +333,7 @@ def edit_import(
     if record is None:
         running = "SELECT 1 FROM imports WHERE id = ? AND component = ?"
         if db.execute(running, (number, component)).fetchone():
-            raise UnfinishedImportError(
+            raise UnknownImportError(
                 f"import {number} of {component!r} is still running; repeat this when it has ended"
             )
         listed = f"SELECT id FROM imports WHERE component = ? AND {_ENDED}"

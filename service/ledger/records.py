@@ -180,10 +180,6 @@ class UnknownImportError(LedgerError, LookupError):
     """The component has no import of this number, or the import no such finding."""
 
 
-class UnfinishedImportError(UnknownImportError):
-    """The import is still running."""
-
-
 class InvalidTransitionError(LedgerError):
     """The job's status does not allow this; see `TRANSITIONS`."""
 

@@ -72,7 +72,7 @@ def test_a_key_that_cannot_be_is_refused_and_nothing_is_written(
     with pytest.raises(KeysError) as refused:
         keyring.add(name, scope, **limits)
     if limits.get("expires"):
-        assert "expires is 1800000000000, but must be in seconds since 1970" in str(refused.value)
+        assert "expires is 1800000000000.0, but must be in seconds since 1970" in str(refused.value)
     assert not (tmp_path / FILE).exists()
 
 
@@ -108,9 +108,9 @@ def test_a_key_is_rotated_while_it_is_valid(keyring):
         ("unknown scope", r"keys\[0\]: the scope must be one of read, write, admin, not 'root'"),
         (
             "texts",
-            r"""keys\[0\]: components must be a list of strings .*\["plate_\*"\], not '\*'""",
+            r"""keys\[0\]: components must be a list such as \["plate_\*"\], not '\*'""",
         ),
-        ("a pattern", r"""keys\[0\]: '\+' is not a pattern of components; .*\["plate_\*"\]"""),
+        ("a pattern", r"""keys\[0\]: the pattern '\+' must have .*\["plate_\*"\]"""),
     ],
 )
 def test_damaged_keys_let_nobody_in_and_are_told_of(tmp_path, content, why):
@@ -155,7 +155,7 @@ def test_keys_that_a_full_disk_does_not_take_stay_as_they_were(keyring, tmp_path
 @pytest.mark.parametrize(
     ("code", "remedy"),
     [
-        (errno.EACCES, rf"the user {os.geteuid()}: run it as the owner, or chown"),
+        (errno.EACCES, rf"run this as the owner of .* to user {os.geteuid()}"),
         (errno.EIO, "disk"),
     ],
 )

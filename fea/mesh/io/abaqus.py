@@ -109,8 +109,7 @@ def read_keywords(text: DeckText) -> Iterator[Keyword]:
             name = keyword.options.get("NAME", "").upper()
             if name in parts:
                 raise keyword.wrong(
-                    f'defines the part "{name}" again, first at {defined[name]}; rename one of the '
-                    "two"
+                    f'defines "{name}" of {defined[name]} again; rename one of the two'
                 )
             defined[name] = keyword.where
             part = parts.setdefault(name, [])

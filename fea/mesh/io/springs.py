@@ -150,9 +150,7 @@ def _constants(
         axes = np.reshape(values, (3, 3))
     elif keyword.frame.rotation not in ((), _UPRIGHT) or not reader.turned.keys().isdisjoint(nodes):
         turned = next((node for node in nodes if node in reader.turned), nodes[0])
-        raise MeshFileError(
-            f"its node {turned % STRIDE} has rotated axes; give *SPRING an ORIENTATION"
-        )
+        raise MeshFileError(f"its node {turned % STRIDE} has rotated axes; name an ORIENTATION")
     return freedoms, axes, size
 
 

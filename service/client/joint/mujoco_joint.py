@@ -101,13 +101,10 @@ class MujocoJoint(Joint):
         inputs: Mapping[str, float] | None = None,
     ) -> None:
         if not (isinstance(model, engine.MjModel) and isinstance(data, engine.MjData)):
-            sent = " and ".join(
-                f"{type(each).__module__}.{type(each).__qualname__}" for each in (model, data)
-            )
-            remedy = "of dm_control pass physics.model.ptr and physics.data.ptr"
+            kinds = [f"{type(each).__module__}.{type(each).__name__}" for each in (model, data)]
             raise InvalidArgument(
                 "model and data must be a mujoco.MjModel and a mujoco.MjData, not "
-                f"{sent.replace('builtins.', '')}; {remedy}"
+                f"{' and '.join(kinds)}; of dm_control pass physics.model.ptr and physics.data.ptr"
             )
         super().__init__(table, damping, interface=interface, method=method, inputs=inputs)
         refuse_rk4(model)
@@ -395,7 +392,7 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
         for start, tip in zip(joint._starts, joint._tips, strict=True):
             if of_scene[start] is not joint:
                 raise JointError(
-                    f"a later joint at the tip {tip!r} replaced this one; step that joint instead"
+                    f"a later joint at {tip!r} replaced this one; step that one instead"
                 )
     if len(of_scene) > len(stepped):
         others = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
