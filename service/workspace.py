@@ -165,7 +165,8 @@ class Workspace:
             allow_decks=settings.allow_decks,
             on_added=self._on_added,
             on_checked=self._on_checked,
-            on_copy=self._on_copy,
+            # Before rows of the copy can be answered without the solver's error.
+            on_copy=lambda old, name: self.errors.copy(old.name, old.fingerprint, name),
             noted=lambda name: noted(self.ledger, "component.add", name, component=name),
         )
         self.catalogue = Catalogue(self.ledger)
@@ -371,10 +372,6 @@ class Workspace:
     def _on_added(self, component: Component) -> None:
         with suppress(TableBehindError):  # the ledger has rows of an earlier one of this name
             self.surrogate(component.name)
-
-    def _on_copy(self, component: Component, name: str) -> None:
-        """Carry the solver's error along, before rows of the copy can be answered without it."""
-        self.errors.copy(component.name, component.fingerprint, name)
 
     def _ask_compliance(self, name: str, table: ServedTable) -> None:
         """Queue the solves of a linear component's compliance, once a version of its table."""

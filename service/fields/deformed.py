@@ -57,11 +57,9 @@ class NoFieldsError(Exception):
         solve = f"Solve wrenches that have no row: POST /v1/components/{name}/solve"
         if rows:  # those whose files are damaged
             numbers = ", ".join(map(str, rows[:10])) + (", ..." if len(rows) > 10 else "")
-            text = (
-                f"no stored surface of {name!r} can be used: {why} (row {numbers}). For a new one "
-            )
-            text += f"DELETE /v1/components/{name}/table/{rows[0]}, then POST /v1/components/"
-            text += f"{name}/solve with the wrench of that row"
+            text = f"no stored surface of {name!r} can be used: {why} (row {numbers}). For another "
+            text += f"DELETE /v1/components/{name}/table/{rows[0]}, then POST /v1/components/{name}"
+            text += "/solve with the wrench of that row"
         elif unusable:
             text = f"the stored surfaces of {name!r} cannot be used: {why}. {solve}"
         elif component.has_fea:

@@ -224,12 +224,9 @@ def install(app: FastAPI) -> None:
         detail += "which has the traceback, then send the request again."
         return HttpProblemError(500, "internal", "Internal server error", detail).response()
 
-    def gone(_: Request, __: Exception) -> Response:
-        return Response(status_code=CLIENT_GONE)  # no caller reads it
-
     bodies = BundleError, keys.KeysError, ValidationError, RequestValidationError
     for kind in (HttpProblemError, OSError, SolveFailedError, *bodies, *_NAMED):
         app.add_exception_handler(kind, answer)
     app.add_exception_handler(HTTPException, http_answer)
-    app.add_exception_handler(ClientDisconnect, gone)
+    app.add_exception_handler(ClientDisconnect, lambda *_: Response(status_code=CLIENT_GONE))
     app.add_exception_handler(Exception, crash)

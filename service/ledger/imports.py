@@ -333,9 +333,8 @@ def edit_import(
     if record is None:
         running = "SELECT 1 FROM imports WHERE id = ? AND component = ?"
         if db.execute(running, (number, component)).fetchone():
-            raise UnknownImportError(
-                f"import {number} of {component!r} is still running; repeat this when it has ended"
-            )
+            still = f"import {number} of {component!r} is still running; repeat this when it has "
+            raise UnknownImportError(f"{still}ended")
         listed = f"SELECT id FROM imports WHERE component = ? AND {_ENDED}"
         ids = db.execute(f"{listed} ORDER BY id DESC LIMIT 10", (component,))
         newest = ", ".join(str(known) for (known,) in ids)

@@ -102,16 +102,16 @@ def read_keywords(text: DeckText) -> Iterator[Keyword]:
         yield from _without_instances(text)
         return
     parts: dict[str, list[Keyword]] = {}
-    defined: dict[str, str] = {}  # the place of each part
+    lines: dict[str, str] = {}  # of each part
     frame, part, count = Frame(), None, 0
     for keyword in _blocks(text):
         if keyword.word == "PART":
             name = keyword.options.get("NAME", "").upper()
             if name in parts:
                 raise keyword.wrong(
-                    f'defines "{name}" of {defined[name]} again; rename one of the two'
+                    f'defines "{name}" of line {lines[name]} again; rename one of them'
                 )
-            defined[name] = keyword.where
+            lines[name] = keyword.at
             part = parts.setdefault(name, [])
         elif keyword.word == "INSTANCE":
             count += 1

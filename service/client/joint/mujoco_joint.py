@@ -391,9 +391,7 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
                 )
         for start, tip in zip(joint._starts, joint._tips, strict=True):
             if of_scene[start] is not joint:
-                raise JointError(
-                    f"a later joint at {tip!r} replaced this one; step that one instead"
-                )
+                raise JointError(f"a later joint at {tip!r} replaced this one; step that joint")
     if len(of_scene) > len(stepped):
         others = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
         sides = [[tip for joint in some for tip in joint._tips] for some in (joints, others)]
