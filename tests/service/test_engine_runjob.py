@@ -197,7 +197,7 @@ def test_a_surface_that_cannot_be_kept_costs_the_answer_nothing(folder, monkeypa
     embedded(monkeypatch, "f1", fields)
     assert runjob.run_attempt(folder) == 0
     assert read_outcome(replace(SPEC, folder=folder)).status == "done"
-    assert "displacement has numbers that are not finite" in capsys.readouterr().err
+    assert "3 of the 3 numbers of displacement are not finite" in capsys.readouterr().err
     assert not list(folder.glob("*.fields"))
 
 
