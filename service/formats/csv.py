@@ -269,6 +269,8 @@ def encoding_of(path: Path) -> str:
     """Return utf-8-sig, utf-16 (with a mark) or cp1252; ContentError."""
     with path.open("rb") as content:
         head = content.read(4)
+        if head.startswith(b"PK\x03\x04"):
+            raise ContentError("is a zip file, not an XLSX workbook; unpack it and send the table")
         utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
         other = "UTF-16, as its mark says" if utf16 else "Windows-1252"
         for encoding in ("utf-16",) if utf16 else ("utf-8-sig", "cp1252"):
