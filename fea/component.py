@@ -392,8 +392,10 @@ def _attach(
         section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     else:
         if not _spans_a_plane(mesh.points[nodes]):
-            on_line = f'"{interface.section}" lies on one line, so it has no rotation'
-            message = f"{on_line}: it has {len(nodes)} nodes; name the group of a face"
+            some = "has 1 node" if len(nodes) == 1 else f"has {len(nodes)} nodes on one line"
+            message = (
+                f'"{interface.section}" {some}, so it has no rotation; name the group of a face'
+            )
             problems.append(BundleProblem(key, message))
         if interface.section in mesh.facet_groups:
             section = section_of_facets(mesh.points, mesh.facet_groups[interface.section])
@@ -471,7 +473,7 @@ def _weights(
         weights = np.zeros(len(nodes))
         weights[np.searchsorted(nodes, ids[inside])] = sizes[inside]
         if sizes[~inside].any():
-            message = f"{(~inside).sum()} nodes are in no solid cell; remove their weights"
+            message = f"nodes in no solid cell: {(~inside).sum()}; remove their weights"
         elif not weights.sum() > 0:
             total = f"the deck weights add up to {weights.sum():g}, not above 0"
             message = f'{total}; correct them, or write "area" or "equal"'

@@ -88,16 +88,19 @@ def gave_way(kind: str, factor: float) -> SolveFailed | None:
     return failure
 
 
-def rotation_too_large(degrees: float, limit: float, load_factor: float = 1.0) -> SolveFailed:
+def rotation_too_large(
+    degrees: float, limit: float, load_factor: float = 1.0, which: str = "Interface"
+) -> SolveFailed:
     """Return the failure of an interface that rotates further than tables cover.
 
     degrees, limit: its rotation, and the largest allowed.
     load_factor: the part of the wrench under which it does.
+    which: the interface, where the part has several.
     """
     under = f" under {load_factor:.3g} of this wrench already" if load_factor < 1.0 else ""
     return SolveFailed(
         "rotation_too_large",
-        f"The interface turns by {degrees:.1f} degrees{under}; a table holds at most {limit:.0f} "
-        "degrees.",
+        f"{which} turns by {degrees:.1f} degrees{under}; a table holds at most "
+        f"{limit:.0f} degrees.",
         "Lower the load range, or stiffen the part; wrenchbook is for small deformations only.",
     )

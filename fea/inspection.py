@@ -458,7 +458,7 @@ def support_warnings(component: ComponentModel) -> list[BundleProblem]:
     if facets_within(surface, nodes).blocks:
         return []
     message = (
-        f"has {len(nodes)} nodes but no complete face; an elastic body has no finite displacement "
+        f"has no complete face (nodes: {len(nodes)}); an elastic body has no finite displacement "
         "at a point load, so the answer depends on the mesh size. Fix faces"
     )
     only_fixed = len(nodes) == len(component.fixed_nodes)

@@ -17,7 +17,7 @@ from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import ROUNDOFF, System
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
-from wrenchbook.fea.coupling.coupling import SectionCoupling, from_origin, largest_rotation
+from wrenchbook.fea.coupling.coupling import SectionCoupling, from_origin
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.element.pressure_projection import pressure_notes
@@ -477,9 +477,10 @@ def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> No
 
     displacement: of all interfaces, shape (6 i,), m and rad, under this part of the load.
     """
-    degrees = float(np.degrees(largest_rotation(displacement)))
-    if degrees > MAX_DEGREES:
-        raise rotation_too_large(degrees, MAX_DEGREES, load_factor)
+    degrees = np.degrees(np.linalg.norm(displacement.reshape(-1, 6)[:, 3:], axis=1))
+    if (largest := float(degrees.max())) > MAX_DEGREES:
+        number = f" {degrees.argmax() + 1} of component.toml" if len(degrees) > 1 else ""
+        raise rotation_too_large(largest, MAX_DEGREES, load_factor, f"Interface{number}")
 
 
 def system_of(component: ComponentModel, active: Array) -> System:

@@ -21,7 +21,7 @@ from starlette.concurrency import run_in_threadpool
 
 from wrenchbook.service.actors import CALLER
 from wrenchbook.service.jobs.attempt import read_progress
-from wrenchbook.service.ledger import JobRecord, LedgerError, LedgerUnavailableError
+from wrenchbook.service.ledger import JobRecord, LedgerBusyError, LedgerError
 from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.service.workspace import Workspace
 
@@ -211,7 +211,7 @@ class Events:
         """Return a listener that receives all changes after its greeting.
 
         A first poll comes before the greeting, so that no change between the two is lost. Raises
-        LedgerUnavailableError if the ledger cannot be read, TooManyListenersError.
+        LedgerBusyError if the ledger cannot be read, TooManyListenersError.
         """
         if self._task is None or self._task.done():
             self._polled.clear()
@@ -220,8 +220,10 @@ class Events:
         try:
             await asyncio.wait_for(self._polled.wait(), FIRST_POLL_S)
         except TimeoutError:
-            raise LedgerUnavailableError(
-                "the ledger could not be read; connect again in a moment"
+            raise LedgerBusyError(
+                f"the ledger gave no answer within {FIRST_POLL_S:g} s, so no events can be sent; "
+                f"connect again in {FIRST_POLL_S:g} s. If that lasts, run on the server's machine: "
+                f"wrenchbook doctor --data {self._workspace.ledger.path.parent}"
             ) from None
         versions: dict[str, int | None] = {**self._last.versions} if self._last else {}
         if component is not None:

@@ -49,6 +49,7 @@ MEGABYTES: Final = 512
 _PATTERN: Final = re.compile(r"[A-Za-z0-9_*?-]{1,64}")  # the same to fnmatch and to SQLite's GLOB
 _MAX_PATTERNS: Final = 100
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
+_EXAMPLE: Final = '["plate_*"]'
 _MAX_NAMED: Final = 20  # keys in a message
 _MAX_OVERLAP_S: Final = 1e9  # 30 years: a time in milliseconds is a mistake
 _FULL: Final = f"{MAX_KEYS} keys, the limit, exist; revoke one with: wrenchbook keys revoke NAME"
@@ -64,7 +65,7 @@ class KeysError(ValueError):
 
 
 class UnknownKeyError(KeysError, LookupError):
-    """No key has this name."""
+    """No valid key has this name."""
 
 
 class KeysBusyError(KeysError):
@@ -128,7 +129,7 @@ class Keyring:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / FILE
+        self._path, self._option = folder / FILE, f"--data {folder}"
         self._lock = threading.Lock()
         self._stamp: tuple[int, int, int] | None = None
         self._keys: dict[str, Key] = {}
@@ -196,18 +197,18 @@ class Keyring:
         secret = PREFIX + secrets.token_urlsafe(32)
         with self._changing() as keys:
             if len(keys) >= MAX_KEYS:
-                raise KeysFullError(_FULL)
+                raise KeysFullError(f"{_FULL} {self._option}")
             if any(key.name == name for key in keys.values()):
                 taken = f"a key {name!r} exists; choose another name, or revoke it first with: "
-                raise KeysError(taken + f"wrenchbook keys revoke {name}")
+                raise KeysError(taken + f"wrenchbook keys revoke {name} {self._option}")
             values = {"name": name, "scope": scope, "digest": digest_of(secret)}
             try:
                 key = _checked({**values, "created": time.time(), **limits})
             except ValueError as error:
                 raise KeysError(str(error)) from None
             if not key.is_valid():
-                past = f"expires {key.expires:.0f} is in the past: now is {time.time():.0f} s"
-                raise KeysError(past + " since the epoch; give a later time, or leave it out")
+                past = f"expires {key.expires:.0f} is in the past: now it is {time.time():.0f}"
+                raise KeysError(past + " (s since 1970); give a later time, or leave it out")
             keys[key.digest] = key
         return secret
 
@@ -217,18 +218,19 @@ class Keyring:
         with self._changing() as keys:
             named = [key for key in keys.values() if key.name == name]
             if not named:
-                raise _unknown_key(name, keys.values())
+                raise _unknown_key(name, keys.values(), self._option)
             known = [key for key in named if key.is_valid()]
             if not known:
                 why = f"the key {name!r} has expired, so it cannot be rotated; replace it with: "
                 raise UnknownKeyError(
-                    why + f"wrenchbook keys revoke {name}; wrenchbook keys add {name}"
+                    f"{why}wrenchbook keys revoke {name} {self._option}; "
+                    f"wrenchbook keys add {name} {self._option}"
                 )
             if not 0.0 <= overlap_s < _MAX_OVERLAP_S:
                 hours = overlap_s / 3600.0
                 raise KeysError(f"the overlap must be from 0 to 277777 hours, not {hours:g}")
             if len(keys) >= MAX_KEYS:
-                raise KeysFullError(_FULL)
+                raise KeysFullError(f"{_FULL} {self._option}")
             newest, now = max(known, key=lambda key: key.created), time.time()
             for old in known:
                 del keys[old.digest]
@@ -244,7 +246,7 @@ class Keyring:
         with self._changing() as keys:
             digests = [digest for digest, key in keys.items() if key.name == name]
             if not digests:
-                raise _unknown_key(name, keys.values())
+                raise _unknown_key(name, keys.values(), self._option)
             for digest in digests:
                 del keys[digest]
 
@@ -264,12 +266,7 @@ class Keyring:
                 try:
                     write_atomically(self._path, content.encode(), mode=0o600)
                 except OSError as error:
-                    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-                    remedy = "make room on its disk" if full else "let this user write its folder"
-                    raise KeysUnavailableError(
-                        f"{self._path} cannot be written ({error.strerror}); {remedy}, then repeat "
-                        "the command. No key changed"
-                    ) from error
+                    raise _unusable(self._path, "written", error) from error
                 self._read()
         finally:
             os.close(descriptor)
@@ -279,9 +276,7 @@ class Keyring:
         try:
             keys = [] if stamp is None else _stored_keys(self._path.read_bytes())
         except OSError as error:
-            raise KeysUnavailableError(
-                f"{self._path} cannot be read ({error.strerror}); let the server's user read it"
-            ) from error
+            raise _unusable(self._path, "read", error) from error
         except ValueError as error:
             raise KeysUnavailableError(
                 f"{self._path} is damaged: {error}. Correct it, or move it away and create new "
@@ -298,6 +293,17 @@ class Keyring:
         return status.st_mtime_ns, status.st_size, status.st_ino
 
 
+def _unusable(path: Path, done: str, error: OSError) -> KeysUnavailableError:
+    """Return the error of a file of keys that cannot be read or written, by the disk's error."""
+    user, remedy = os.geteuid(), "check its disk and how it is mounted"
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        remedy = "make room on its disk"
+    elif isinstance(error, PermissionError):
+        remedy = f"run this as the owner of {path.parent}, or give it to user {user}"
+    why = f"{path} cannot be {done} ({error.strerror}); {remedy}, then repeat this"
+    return KeysUnavailableError(why + ". No key changed")
+
+
 def is_loopback(host: str) -> bool:
     """Return whether an address to listen on is reached from this machine alone."""
     try:
@@ -312,10 +318,11 @@ def require_keys(host: str, folder: Path) -> None:
         raise KeysNeededError(_WITHOUT_KEYS.format(host=host, folder=folder))
 
 
-def _unknown_key(name: str, keys: Iterable[Key]) -> UnknownKeyError:
+def _unknown_key(name: str, keys: Iterable[Key], option: str) -> UnknownKeyError:
     names = sorted({key.name for key in keys})
     known = ", ".join(names[:_MAX_NAMED]) + (", ..." if len(names) > _MAX_NAMED else "")
-    remedy = f"name one of: {known}" if names else f"create it with: wrenchbook keys add {name}"
+    create = f"create it with: wrenchbook keys add {name} {option}"
+    remedy = f"name one of: {known}" if names else create
     return UnknownKeyError(f"there is no key {name!r}; " + remedy)
 
 
@@ -337,7 +344,8 @@ def _stored_keys(content: bytes) -> list[Key]:
             if wrong:
                 raise ValueError(f"the field {wrong[0]!r} is {'missing' if lacking else 'unknown'}")
             if not isinstance(entry.get("components", []), list):
-                raise ValueError("components must be a list of texts")
+                given = entry["components"]
+                raise ValueError(f"components must be a list such as {_EXAMPLE}, not {given!r}")
             keys.append(_checked(entry))
         except ValueError as error:
             raise ValueError(f"keys[{number}]: {error}") from None
@@ -362,11 +370,15 @@ def _checked(values: dict[str, Any]) -> Key:
         raise ValueError(f"give 1 to 100 patterns of components, not {len(key.components)}")
     for name in key.components:
         if not _PATTERN.fullmatch(str(name)):
-            raise ValueError(f"{name!r} is no pattern; use 1 to 64 letters, digits, _ - * and ?")
+            why = f"the pattern {name!r} must have 1 to 64 letters, digits, _ - * and ?, such as "
+            raise ValueError(why + _EXAMPLE)
     # Before the year 5138: a time in milliseconds is a mistake.
     end = 1 if key.expires is None else key.expires
     if not (isinstance(end, int | float) and 0 < end < 1e11):
-        raise ValueError(f"expires must be s since the epoch, now {time.time():.0f}, not {end!r}")
+        raise ValueError(
+            f"expires is {end!r}, but must be in seconds since 1970 (now {time.time():.0f}); "
+            "divide milliseconds by 1000, or leave it out for no end"
+        )
     if not re.fullmatch(r"[0-9a-f]{64}", str(key.digest)):
         raise ValueError(f"digest must be 64 hexadecimal digits, not {key.digest!r}")
     return key

@@ -462,7 +462,7 @@ def _being_built(component: Component, table: ServedTable, count: int) -> str:
     """
     if not count:
         return ""
-    rows = f"{count} row(s) are being built"
+    rows = f"{count} new row{'s are' if count > 1 else ' is'} being built"
     if not (component.has_fea or table.row_count):
         raise TableBehindError.unbuilt(component.name, rows)
     return f"{rows}; the table answers from them soon"

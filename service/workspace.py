@@ -165,8 +165,8 @@ class Workspace:
             allow_decks=settings.allow_decks,
             on_added=self._on_added,
             on_checked=self._on_checked,
-            # The solver's error goes along, before rows of the copy can be answered without it.
-            on_copy=lambda of, copy: self.errors.copy(of.name, of.fingerprint, copy),
+            # Before rows of the copy can be answered without the solver's error.
+            on_copy=lambda old, name: self.errors.copy(old.name, old.fingerprint, name),
             noted=lambda name: noted(self.ledger, "component.add", name, component=name),
         )
         self.catalogue = Catalogue(self.ledger)
@@ -336,7 +336,8 @@ class Workspace:
         """Return the problems of single components, by name; the others answer."""
         damaged: dict[str, str] = {}
         if losses := self.ledger.losses():
-            damaged["(ledger)"] = f"{'; '.join(losses)}. Note it with: wrenchbook doctor --repair"
+            damaged["(ledger)"] = f"{'; '.join(losses)}. Note it with: wrenchbook doctor --repair "
+            damaged["(ledger)"] += f"--data {self.settings.data}"
         for seq, name in self.ledger.damaged.items():
             damaged[name] = f"row {seq} is damaged on the disk and left out of the table"
         broken, touches = {**damaged, **self.tables.faults()}, CALLER.get().touches
@@ -351,7 +352,7 @@ class Workspace:
         """Return why a read-only server refuses a write of a path, and which server takes it."""
         send = f"Send it to {self.copies.get('followed', {}).get('server', 'the main server')}"
         if path.startswith("/v1/keys"):  # those of the main server are not valid here
-            send = "Change its keys on its machine: wrenchbook keys"
+            send = f"Change its keys on its machine: wrenchbook keys --data {self.settings.data}"
         why = "This server answers from a replica and accepts no writes; nothing was changed"
         return f"{why}. {send}"
 

@@ -347,7 +347,7 @@ class _Reader:
         for each in known:
             if each not in output:
                 needs = f'the reader "{name}" needs {" and ".join(reader.keys)}'
-                self.wrong(f"deck.output.{each}", f"is missing; {needs}, each a text in quotes")
+                self.wrong(f"deck.output.{each}", f"is missing; {needs}, each a string in quotes")
         for each in output:
             if each not in known:
                 message = f"is an unknown key; known: {', '.join(known)}{suggest(each, known)}"

@@ -38,15 +38,16 @@ def _kind_of_mesh(mesh: Mapping[str, Any]) -> type:
     return GeometryFile if is_geometry else MeshFile
 
 
-def _kind_of_material(material: Mapping[str, Any]) -> type:
-    return Orthotropic if material.get("law") == "orthotropic" else Material
-
-
 Mesh = Annotated[
     MeshFile | GeometryFile | Bar | Plate | Spring,
     union(_kind_of_mesh, MeshFile, GeometryFile, Bar, Plate, Spring),
 ]
-MaterialTable = Annotated[AnyMaterial, union(_kind_of_material, Material, Orthotropic)]
+MaterialTable = Annotated[
+    AnyMaterial,
+    union(
+        lambda m: Orthotropic if m.get("law") == "orthotropic" else Material, Material, Orthotropic
+    ),
+]
 
 
 @table

@@ -61,7 +61,12 @@ def estimate(component: ComponentModel) -> Cost:
     precision = _SINGLE_PRECISION if numbers > SINGLE_NUMBERS else 1.0
     factors = 2 if component.bolts else 1  # one more while bolts are tightened
     linear = factors * (assembly + precision * factorisation)
-    times = _NONLINEAR * (_PROJECTED if _projects(component) else 1.0)
+    # Whether some cells take the pressure as a separate unknown.
+    projects = bool({"hex20", "hex27"} & set(component.mesh.cell_counts)) and any(
+        material.law != "orthotropic" and np.max(material.poisson_ratio) > NEARLY_INCOMPRESSIBLE
+        for material in component.materials
+    )
+    times = _NONLINEAR * (_PROJECTED if projects else 1.0)
     nonlinear = times * (factors * (assembly + factorisation))
     if component.analysis.nonlinear:
         precision = 1.0
@@ -116,11 +121,3 @@ def _elimination(points: Array, groups: list[Array], free: Array) -> tuple[float
         operations += m**3 / 3 + m * m * b + m * b * b
         numbers += m * m / 2 + m * b
     return operations, numbers
-
-
-def _projects(component: ComponentModel) -> bool:
-    """Return whether some cells take the pressure as a separate unknown."""
-    return bool({"hex20", "hex27"} & set(component.mesh.cell_counts)) and any(
-        material.law != "orthotropic" and np.max(material.poisson_ratio) > NEARLY_INCOMPRESSIBLE
-        for material in component.materials
-    )

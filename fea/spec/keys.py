@@ -99,7 +99,7 @@ def _text(value: str) -> str:
     if steering := STEERING.search(value):
         raise ValueError(f"must be one line of printable characters, without {steering[0]!r}")
     if not value.strip():
-        raise ValueError("must not be empty; write a text")
+        raise ValueError("must not be empty; write a word or more")
     return value
 
 
@@ -134,13 +134,18 @@ def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
     path = folder / name
     try:
         # Resolved, so that a symbolic link out of the folder is refused too.
-        inside = path.resolve().is_relative_to(folder.resolve()) and not Path(name).is_absolute()
+        inside = path.resolve().is_relative_to(folder.resolve())
         there = path.is_file()
     except (OSError, RuntimeError) as error:  # a name that no disk takes; a loop of symbolic links
         reason = error.strerror if isinstance(error, OSError) else "a loop of symbolic links"
         raise ValueError(f'"{name[:100]}" cannot be a file ({reason}); rename it') from None
     if not inside:
         raise ValueError(f'"{name}" is outside the bundle; put the file into its folder')
+    if Path(name).is_absolute():
+        relative = path.resolve().relative_to(folder.resolve()).as_posix()
+        raise ValueError(
+            f'"{name}" is an absolute path; write it relative to component.toml: "{relative}"'
+        )
     if not there:
         known = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
         there_are = f"only {', '.join(known)}" if known else "which has no files"
@@ -388,7 +393,7 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
     if error in _KINDS:
         return f"must be {_KINDS[error]}, not {shown(value)}"
     if error == "literal_error" and type(value) is not str:
-        return f"must be a text, not {shown(value)}"
+        return f"must be a string, not {shown(value)}; put it in quotation marks"
     if error == "literal_error":
         among = extra.get("among") or _QUOTED.findall(context["expected"])
         return f'must be one of {", ".join(among)}, not "{value}"{suggest(value, among)}'

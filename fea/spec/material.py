@@ -43,11 +43,6 @@ def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
     return expansion
 
 
-def _alike(expansion: float | tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return one coefficient as that of all three directions."""
-    return _small(expansion if isinstance(expansion, tuple) else (expansion, expansion, expansion))
-
-
 def _no_list(expansion: object) -> object:
     """Refuse a list, which a file has; a tuple comes from a material that was read before."""
     if isinstance(expansion, list):
@@ -58,7 +53,7 @@ def _no_list(expansion: object) -> object:
 Expansion = Annotated[
     tuple[float, float, float],
     either(Number, Three),
-    AfterValidator(_alike),
+    AfterValidator(lambda value: _small(value if isinstance(value, tuple) else (value,) * 3)),
     BeforeValidator(_no_list),
 ]
 

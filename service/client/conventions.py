@@ -239,4 +239,4 @@ def _number(message: Message, name: str, axis: str) -> float:
     try:
         return float(member)
     except (TypeError, ValueError):
-        raise InvalidArgument(f"{name}.{axis} must be a number, not {member!r}") from None
+        raise InvalidArgument(f"{name}.{axis} must be a float, as 1.5 is, not {member!r}") from None

@@ -72,7 +72,7 @@ class Response:
 def component_path(name: str, call: str = "") -> str:
     """Return the path of a component's call, or of the component itself."""
     if not isinstance(name, str):
-        raise InvalidArgument(f"a component's name must be a text such as 'plate', not {name!r}")
+        raise InvalidArgument(f"a component's name must be a string such as 'plate', not {name!r}")
     return f"/v1/components/{quote(name, safe='')}" + (f"/{call}" if call else "")
 
 
@@ -97,7 +97,7 @@ class Connection:
                 f"{url!r} is not a server address; write for example http://127.0.0.1:8000"
             ) from None
         if not (isinstance(timeout, Real) and timeout > 0.0):
-            raise InvalidArgument(f"timeout must be a number of seconds above 0, not {timeout!r}")
+            raise InvalidArgument(f"timeout must be above 0 s, such as 10.0, not {timeout!r}")
         self._path = parts.path.rstrip("/")
         self.url = f"{parts.scheme}://{parts.netloc}{self._path}"
         self.timeout, self.retry_s = timeout, RETRY_S

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from numbers import Real
 from typing import Protocol, TypeVar, get_args
 
 import numpy as np
@@ -185,10 +186,14 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
     try:
         block = np.asarray(values)
     except ValueError:
-        raise InvalidArgument(f"{name} must be numbers in rows of one length") from None
+        raise InvalidArgument(f"{name} has rows of different lengths; make them equal") from None
     if block.dtype.kind not in "fiu" and block.size:
-        kind = "text" if block.dtype.kind in "SU" else block.dtype
-        raise InvalidArgument(f"{name} must be numbers, not {kind}")
+        for at, item in np.ndenumerate(np.asarray(values, dtype=object)):
+            if isinstance(item, bool | np.bool) or not isinstance(item, Real):
+                place = f"{name}[{', '.join(map(str, at))}]" if at else name
+                remedy = "a float (0.0 for no load)" if item is None else "a float, such as 1.5"
+                raise InvalidArgument(f"{place} is {item!r:.80}, not a number; give {remedy}")
+        raise InvalidArgument(f"{name} has the type {block.dtype}; convert it to float64")
     if "numpy.ma" in sys.modules and np.ma.is_masked(values):  # np.ma takes 8 ms to load
         raise InvalidArgument(f"{name} must be numbers, but some are masked; fill or remove these")
     return block.astype(float)

@@ -50,10 +50,17 @@ _FLOAT_BYTES = 8
 class NoFieldsError(Exception):
     """No row gives a deformed surface: none has fields, or those stored are `unusable`."""
 
-    def __init__(self, component: Component, why: str, *, unusable: bool = False) -> None:
+    def __init__(
+        self, component: Component, why: str, *, unusable: bool = False, rows: Sequence[int] = ()
+    ) -> None:
         name = component.name
         solve = f"Solve wrenches that have no row: POST /v1/components/{name}/solve"
-        if unusable:
+        if rows:  # those whose files are damaged
+            numbers = ", ".join(map(str, rows[:10])) + (", ..." if len(rows) > 10 else "")
+            text = f"no stored surface of {name!r} can be used: {why} (row {numbers}). For another "
+            text += f"DELETE /v1/components/{name}/table/{rows[0]}, then POST /v1/components/{name}"
+            text += "/solve with the wrench of that row"
+        elif unusable:
             text = f"the stored surfaces of {name!r} cannot be used: {why}. {solve}"
         elif component.has_fea:
             text = f"{name!r} has no deformed surface yet: {why}. {solve} or .../fill. For the "
@@ -205,9 +212,8 @@ class DeformedSurfaces:
         wrenches = rows.wrench[solved]
         having = self._store.has(component.name, component.fingerprint, wrenches.tolist())
         if not having:
-            why = f"none of its {len(rows)} rows has fields"
-            why += f" ({len(solved)} are solves of its present setup within the load range)"
-            raise NoFieldsError(component, why)
+            why = f"no row has fields (rows: {len(rows)}; solves of its present setup within the "
+            raise NoFieldsError(component, f"{why}load range: {len(solved)})")
         cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
         chosen = solved[having][np.sort(first)]
@@ -255,8 +261,7 @@ class DeformedSurfaces:
         """Return the interpolation of the rows nearest to a wrench, cached if they are the same."""
         first = next(self._readable(component, rows.wrench), None)
         if first is None:
-            why = f"the files of all {len(rows)} solved rows with fields are damaged"
-            raise NoFieldsError(component, why, unusable=True)
+            raise NoFieldsError(component, "all are damaged", rows=rows.seq.tolist())
         row_bytes = _ARRAYS * _FLOAT_BYTES * (first.displacement.size + first.stress.size)
         limit = min(MAX_ROWS, max(MIN_ROWS, BLEND_BYTES // max(row_bytes, 1)))
         near = rows.take(nearest_rows(rows.wrench, wrench, component.load_range, limit))
@@ -271,8 +276,8 @@ class DeformedSurfaces:
         for place, row_wrench in enumerate(near.wrench):
             read += [(place, row) for row in self._readable(component, row_wrench[None])]
         if not read:
-            why = f"the files of the {len(near)} rows nearest to this wrench are damaged"
-            raise NoFieldsError(component, why, unusable=True)
+            why = "those nearest to this wrench are damaged"
+            raise NoFieldsError(component, why, rows=near.seq.tolist())
         digest = read[-1][1].meta["geometry"]  # a mesher of another version makes another mesh
         same_mesh = [(place, row) for place, row in read if row.meta["geometry"] == digest]
         used = near.take([place for place, _ in same_mesh])

@@ -270,7 +270,7 @@ def encoding_of(path: Path) -> str:
     with path.open("rb") as content:
         head = content.read(4)
         if head.startswith(b"PK\x03\x04"):
-            raise ContentError("this is a spreadsheet or zip file; save it as CSV first")
+            raise ContentError("is a zip file, not an XLSX workbook; unpack it and send the table")
         utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
         other = "UTF-16, as its mark says" if utf16 else "Windows-1252"
         for encoding in ("utf-16",) if utf16 else ("utf-8-sig", "cp1252"):

@@ -65,7 +65,11 @@ def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         number = Digits if _VANISHING.search(text) else float
         values = list(islice(_values(text, number), 2))
         if len(values) != 1:
-            reason = "text follows its end; remove it" if values else "it is empty; send a table"
+            reason = "it is empty; send a table"
+            if values:
+                end = json.JSONDecoder().raw_decode(text, len(text) - len(text.lstrip()))[1]
+                line = text.count("\n", 0, len(text) - len(text[end:].lstrip())) + 1
+                reason = f"a second value follows in line {line}; remove it, or send a list: [...]"
             raise JsonError(f"is not JSON: {reason}")
         yield from _read_table(values[0], options, report)
     except ValueError as error:
@@ -121,7 +125,8 @@ def _records(values: Iterator[Any]) -> Iterator[Record]:
             raise JsonError(f"row {number} has columns that row 1 lacks: {more}; add them to row 1")
         for name, cell in row.items():
             if not (cell is None or isinstance(cell, str)):
-                raise JsonError(f"row {number}: {name!r} is {cell!s:.40}; write a number or a text")
+                shown = json.dumps(cell, default=str)[:40]
+                raise JsonError(f"row {number}: {name!r} is {shown}; write a number or a string")
         yield number, [row.get(name) or "" for name in names]
 
 
@@ -223,7 +228,7 @@ def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, s
     for key in TEXTS:
         text = row.get(key)
         if not (text is None or type(text) is str):
-            problems.append((key, "must be a text; put it in quotation marks"))
+            problems.append((key, "must be a string; put it in quotation marks"))
         cells.append(text or "")
     return cells, problems
 

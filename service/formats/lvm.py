@@ -107,8 +107,11 @@ def _segment(
         texts = {at: cell.strip() for at, cell in enumerate(tags.get(tag, [])) if at}
         texts = {at: value for at, value in texts.items() if value}
         for at in sorted(texts.keys() - channels):
-            problem = f"{tag} has the value {texts[at]!r} in column {at + 1}, which is none of the"
-            raise ValueError(f"{problem} channels {', '.join(filter(None, names))}; remove it")
+            known = ", ".join(f"{names[each]} in {each + 1}" for each in sorted(channels))
+            raise ValueError(
+                f"{tag} has {texts[at]!r} in column {at + 1}, but that column has no channel name "
+                f"(channels: {known}); name the channel in the line of labels, or clear the cell"
+            )
         return texts
 
     units, kind = values("Y_Unit_Label"), set(values("X_Dimension").values())

@@ -117,7 +117,7 @@ class Rig:
         name = values.get("name", cls.digest(text))
         if not isinstance(name, str):
             raise RigError(
-                f"name: must be a text, not {str(name)[:100]}; put it in quotation marks"
+                f"name: must be a string, not {str(name)[:100]}; put it in quotation marks"
             )
         if len(name) > _MAX_NAME:
             raise RigError(f"name: has {len(name)} characters, at most {_MAX_NAME}; shorten it")

@@ -59,11 +59,12 @@ _TRIES: Final = 1000  # for the lock, 1 ms; its holder was stopped in the middle
 
 Fields = tuple[tuple[bytes, bytes], ...]
 
-_TWO_USERS: Final = (
-    "The header of the user or of the groups is there twice; nothing was changed. Let the proxy "
-    "replace the caller's header, not add its own."
+_TWICE: Final = (
+    "The request has the header {} more than once; nothing was changed. Let the proxy replace the "
+    "caller's header, not add its own."
 )
 
+_DATA: Final = "--data FOLDER (the server's data directory)"
 _NOTHING: Final = b"default-src 'none'; frame-ancestors 'none'; sandbox"
 # The page's scripts and styles are files of this server; plotly sets styles and makes pictures.
 _PAGE: Final = (
@@ -292,8 +293,10 @@ class AccessControl:
         try:
             if PERMISSION not in scope:  # the fast path has admitted and counted it already
                 proxy, names = self.security.proxy, [name for name, _ in scope["headers"]]
-                if proxy and (names.count(proxy.user) > 1 or names.count(proxy.groups) > 1):
-                    raise HttpProblemError(400, "users", "More than one user", _TWO_USERS)
+                for name in (proxy.user, proxy.groups) if proxy else ():
+                    if names.count(name) > 1:
+                        title, why = "A proxy header is there twice", _TWICE.format(name.decode())
+                        raise HttpProblemError(400, "users", title, why)
                 peer = scope.get(PEER) or (scope.get("client") or ("",))[0]
                 head[PEER_FIELD] = peer.encode()
                 scope[PERMISSION] = self.check(scope["method"], scope["path"], head)
@@ -434,7 +437,7 @@ def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:
     assert permission.key is not None
     name, scope = permission.key.name, permission.key.scope
     holder = "key"
-    remedy = f"Create another key with: wrenchbook keys add NAME --scope {needed}"
+    remedy = f"Create another key with: wrenchbook keys add NAME --scope {needed} {_DATA}"
     if name.startswith(USER):
         holder = "user"
         remedy = f"Start the server with: wrenchbook serve --trust-proxy-scopes GROUP={needed}"
@@ -449,7 +452,7 @@ def _beyond_key(key: Key) -> HttpProblemError:
     """Return the refusal of a body that is larger than a key may send."""
     remedy = (
         f"Send it in parts, or with another key: wrenchbook keys add NAME --megabytes "
-        f"{2 * key.megabytes}"
+        f"{2 * key.megabytes} {_DATA}"
     )
     return too_large(key.megabytes << 20, f"the limit of the key {key.name!r}", remedy)
 
@@ -468,7 +471,7 @@ def _check_components(caller: Caller, method: str, path: str) -> None:
         concern, command = repr(name[:100]), "wrenchbook keys add NAME --component PATTERN"
     why = (
         f"The key {caller.actor!r} is for {', '.join(caller.components)}, but this call concerns "
-        f"{concern}; nothing was changed. Create another key with: {command}"
+        f"{concern}; nothing was changed. Create another key with: {command} {_DATA}"
     )
     raise HttpProblemError(403, "components", "The key is not for this component", why)
 
@@ -495,7 +498,8 @@ def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
 def _no_key(why: str) -> HttpProblemError:
     why = (
         f"{why} Send the header Authorization: Bearer KEY (client: key=; commands: variable "
-        "WRENCHBOOK_KEY). The server's operator creates a key with: wrenchbook keys add NAME"
+        "WRENCHBOOK_KEY). The server's operator creates a key with: wrenchbook keys add NAME "
+        f"{_DATA}"
     )
     headers = {"WWW-Authenticate": 'Bearer realm="wrenchbook"'}
     return HttpProblemError(401, "key", "A key is needed", why, headers=headers)

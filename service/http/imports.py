@@ -141,7 +141,7 @@ def _pairs(text: str) -> dict[str, str]:
         raise ValueError(f"must be a JSON object of the form {_MAPPING_FORM}")
     for column, name in pairs.items():
         if not isinstance(name, str):
-            why = f"maps the column {column[:100]!r} to {name!r:.100}, which is no text"
+            why = f"maps the column {column[:100]!r} to {name!r:.100}, which is not a string"
             raise ValueError(why + f"; write {_MAPPING_FORM}")
     if len(pairs) > _MAX_COLUMNS:
         raise ValueError(f"names {len(pairs)} columns, at most {_MAX_COLUMNS} fit; leave some out")

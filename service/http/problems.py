@@ -19,7 +19,7 @@ from starlette.responses import Response
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.service import keys, ledger
 from wrenchbook.service.actors import NotPermittedError
-from wrenchbook.service.events import TooManyListenersError
+from wrenchbook.service.events import FIRST_POLL_S, TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.formats.cells import UnitError
@@ -27,7 +27,7 @@ from wrenchbook.service.formats.rig import RigError
 from wrenchbook.service.formats.xlsx import SheetFullError
 from wrenchbook.service.jobs.waiting import TooManyPollsError
 from wrenchbook.service.library import component
-from wrenchbook.service.library.rigs import UnknownRigError
+from wrenchbook.service.library.rigs import ShippedRigError, UnknownRigError
 from wrenchbook.service.ops.logs import REQUEST_ID
 from wrenchbook.service.query import BeyondRangeError, NotCoveredError, SolveFailedError, job_link
 from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
@@ -52,11 +52,7 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     component.ComponentExistsError: (409, "component-exists", "The name is taken"),
     UnknownMethodError: (422, "method", "Not a method of this table"),
     component.OneWrenchError: (409, "one-wrench", "The call takes one wrench alone"),
-    component.LibraryUnavailableError: (
-        507,
-        "disk",
-        "The component cannot be written; nothing was added",
-    ),
+    component.LibraryUnavailableError: (507, "disk", "The component cannot be written"),
     TableBehindError: (503, "table-behind", "The table is older than the ledger"),
     ledger.DamagedRowError: (500, "damaged-row", "A row is damaged on the disk"),
     NoSetupError: (409, "no-fea-setup", "The component has no finite-element setup"),
@@ -65,18 +61,19 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ledger.AppendError: (409, "append", "Rows cannot be appended to this import"),
     ledger.ImportRunningError: (503, "importing", "Another table is being imported"),
     ledger.UnknownRowError: (404, "unknown-row", "No such row"),
-    ledger.UnknownImportError: (404, "unknown-import", "No such import"),
-    keys.UnknownKeyError: (404, "unknown-key", "No such key"),
+    ledger.UnknownImportError: (404, "unknown-import", "No such finished import or finding"),
+    keys.UnknownKeyError: (404, "unknown-key", "No valid key has this name"),
     keys.KeysBusyError: (503, "busy", "The keys are being changed"),
     keys.KeysFullError: (409, "keys-full", "The server has as many keys as it can"),
     keys.KeysUnavailableError: (507, "disk", "The keys cannot be read or written"),
     UnknownRigError: (404, "unknown-rig", "No such rig"),
-    RigError: (422, "rig", "The rig cannot be read"),
+    ShippedRigError: (409, "shipped", "The rig cannot be removed"),
+    RigError: (422, "rig", "The rig is not accepted"),
     NoFieldsError: (409, "no-surface", "No deformed surface can be shown"),
     TooFarError: (409, "beyond-range", "Outside the component's load range"),
     NotCoveredError: (409, "not-covered", "The table does not cover this"),
     BeyondRangeError: (409, "beyond-range", "Outside the component's load range"),
-    ledger.BlockKeyError: (409, "block-key", "The block's key leaves open whether it was recorded"),
+    ledger.BlockKeyError: (409, "block-key", "The block's number cannot be used"),
     ledger.InvalidTransitionError: (409, "job-status", "The job's status does not allow this"),
     TooManyPollsError: (503, "busy", "Too many callers wait for jobs"),
     TooManyListenersError: (503, "too-many-listeners", "Too many listeners"),
@@ -85,15 +82,12 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ledger.RowStatusError: (409, "row-status", "The row's state does not allow this"),
     UnitError: (422, "unit", "Not a unit this export can use"),
     SheetFullError: (409, "export", "This export cannot be made"),
-    SandboxError: (422, "too-costly", "The file cannot be read within its limits"),
+    SandboxError: (422, "too-costly", "The file cannot be read"),
     SandboxBusyError: (503, "busy", "Too many files are being read"),
     ledger.ReadOnlyError: (403, "read-only", "This server takes no writes"),
     ledger.LedgerFullError: (507, "disk", "The disk is full; nothing was accepted"),
-    ledger.LedgerUnavailableError: (
-        503,
-        "ledger",
-        "The ledger cannot be written; nothing was accepted",
-    ),
+    ledger.LedgerBusyError: (503, "ledger", "The ledger is busy"),
+    ledger.LedgerUnavailableError: (503, "ledger", "The ledger cannot be used"),
 }
 # Of a full disk, a quota and a limit of file sizes: bodies and parsed files are temporary files.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -140,11 +134,12 @@ def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> Htt
     At most MAX_ERRORS of them are listed.
     """
     first = f"{errors[0]['loc']}: {errors[0]['msg']}" if errors else "see the documentation"
+    mistakes = f"{len(errors)} mistake{'s' * (len(errors) > 1)}"
     return HttpProblemError(
         422,
         "bad-request-body",
         "The request does not have the form of this call",
-        detail or f"Nothing was changed. {len(errors)} mistake(s); the first is {first}.",
+        detail or f"Nothing was changed. {mistakes}; the first is {first}.",
         errors=list(errors[:MAX_ERRORS]),
     )
 
@@ -198,6 +193,8 @@ def _retry_after(error: Exception) -> dict[str, str] | None:
     """Return the header that says when to repeat the request, of errors that end by themselves."""
     if isinstance(error, ledger.QuotaError):
         return {"Retry-After": str(ceil(error.retry_s))}
+    if isinstance(error, ledger.LedgerBusyError):
+        return {"Retry-After": f"{FIRST_POLL_S:g}"}
     return {"Retry-After": _BUILT_S} if isinstance(error, TableBehindError) else None
 
 
@@ -217,15 +214,13 @@ def install(app: FastAPI) -> None:
 
     def crash(request: Request, _: Exception) -> Response:
         path = request.url.path[:MAX_PLACE]
-        detail = f"{request.method} {path} failed; the server's log has the traceback."
+        detail = f"{request.method} {path} failed. Search the server's log for the request_id, "
+        detail += "which has the traceback, then send the request again."
         return HttpProblemError(500, "internal", "Internal server error", detail).response()
-
-    def gone(_: Request, __: Exception) -> Response:
-        return Response(status_code=CLIENT_GONE)  # no caller reads it
 
     bodies = BundleError, keys.KeysError, ValidationError, RequestValidationError
     for kind in (HttpProblemError, OSError, SolveFailedError, *bodies, *_NAMED):
         app.add_exception_handler(kind, answer)
     app.add_exception_handler(HTTPException, http_answer)
-    app.add_exception_handler(ClientDisconnect, gone)
+    app.add_exception_handler(ClientDisconnect, lambda *_: Response(status_code=CLIENT_GONE))
     app.add_exception_handler(Exception, crash)

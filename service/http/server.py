@@ -49,7 +49,7 @@ def server_config(app: Any, log_level: str = "warning", **more: Any) -> uvicorn.
 class Server(uvicorn.Server):
     """uvicorn's server, with a frozen heap after the start; event streams end before it stops."""
 
-    _loop: asyncio.AbstractEventLoop | None = None  # before the start, when no request can run
+    _loop: asyncio.AbstractEventLoop  # from the start on; before it no request can run
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start; objects that stay are not looked through for garbage from then on."""
@@ -89,7 +89,7 @@ class Server(uvicorn.Server):
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         """Stop at a signal; end the requests of a retired server after `FINISH_S`."""
-        if self.should_exit and self._loop is not None:
+        if self.should_exit and hasattr(self, "_loop"):
             self._loop.call_soon_threadsafe(self._loop.call_later, FINISH_S, self._end_requests)
         super().handle_exit(sig, frame)
 

@@ -310,13 +310,15 @@ def _named_solver() -> Solve | None:
     if not name:
         return None
     module, separator, function = name.partition(":")
-    why = "it has not the form package.module:function"
+    why = "it does not have the form package.module:function"
     if separator and module:
         try:
-            return getattr(importlib.import_module(module), function)
-        except ImportError as error:
-            why = f"the module cannot be imported: {error}"
-        except AttributeError:
+            imported = importlib.import_module(module)
+        except Exception as error:  # whatever the module's own code raises
+            why = f"the module {module} cannot be imported: {type(error).__name__}: {error}"
+        else:
+            if callable(solve := getattr(imported, function, None)):
+                return solve
             why = f"the module {module} has no function {function!r}"
     remedy = "set it to package.module:function, importable by the solvers, or unset it"
     raise SolveRefusedError("no_solver", f"{SOLVE_VARIABLE}={name!r}: " + why, remedy)

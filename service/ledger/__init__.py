@@ -21,6 +21,7 @@ from wrenchbook.service.ledger.records import (
     ImportRunningError as ImportRunningError,
     InvalidTransitionError as InvalidTransitionError,
     JobRecord as JobRecord,
+    LedgerBusyError as LedgerBusyError,
     LedgerDamagedError as LedgerDamagedError,
     LedgerError as LedgerError,
     LedgerFileError as LedgerFileError,

@@ -159,7 +159,7 @@ def open_file(path: Path) -> Connection:
             raise LedgerFileError(
                 f"there is {log.name} without {path}: the ledger's file was moved or deleted. "
                 "Nothing was changed. Put the file back; if it is lost, wrenchbook doctor --repair "
-                "creates it from the tables and moves the log aside"
+                f"--data {path.parent} creates it from the tables and moves the log aside"
             )
         with suppress(FileExistsError):
             os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
@@ -306,7 +306,7 @@ def damaged_file(path: Path, why: str) -> LedgerDamagedError:
     return LedgerDamagedError(
         f"the ledger {path} is damaged ({why}). It stays unchanged, and tables answer from their "
         "files. Stop the server and put back a copy, or rebuild what can be read with: wrenchbook "
-        "doctor --repair"
+        f"doctor --repair --data {path.parent}"
     )
 
 

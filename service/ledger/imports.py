@@ -331,9 +331,14 @@ def edit_import(
     select = f"SELECT findings FROM imports WHERE id = ? AND component = ? AND {_ENDED}"
     record = db.execute(select, (number, component)).fetchone()
     if record is None:
-        listed = "SELECT id FROM imports WHERE component = ? ORDER BY id DESC LIMIT 10"
-        last = ", ".join(str(known) for (known,) in db.execute(listed, (component,)))
-        remedy = f"the last are {last}" if last else "import a file first"
+        running = "SELECT 1 FROM imports WHERE id = ? AND component = ?"
+        if db.execute(running, (number, component)).fetchone():
+            still = f"import {number} of {component!r} is still running; repeat this when it has "
+            raise UnknownImportError(f"{still}ended")
+        listed = f"SELECT id FROM imports WHERE component = ? AND {_ENDED}"
+        ids = db.execute(f"{listed} ORDER BY id DESC LIMIT 10", (component,))
+        newest = ", ".join(str(known) for (known,) in ids)
+        remedy = f"its newest imports are {newest}" if newest else "import a file first"
         raise UnknownImportError(f"{component!r} has no import {number}; {remedy}")
     lists = [finding["keys"] for finding in _stored(record[0]) if finding.get("cause") == cause]
     if cause is not None and not lists:

@@ -103,7 +103,7 @@ def charged(db: Connection, component: str, quota: Quota | None) -> str:
         if db.execute(open_, (actor,)).fetchone()[0] >= quota.open_jobs:
             raise QuotaError(
                 f"{actor} would exceed its quota of {quota.open_jobs} open jobs (serve "
-                "--actor-jobs). Nothing was queued; ask for fewer, wait, or cancel some",
+                "--actor-jobs). Nothing was queued; send fewer wrenches, wait, or cancel some",
                 solve_seconds(db, component) or UNKNOWN_SECONDS,
             )
     if quota.solver_seconds is not None:

@@ -156,6 +156,10 @@ class LedgerUnavailableError(LedgerError):
     """The ledger could not be read or written now (disk full, locked); nothing was changed."""
 
 
+class LedgerBusyError(LedgerUnavailableError):
+    """The ledger gave no answer in time."""
+
+
 class ReadOnlyError(LedgerUnavailableError):
     """The ledger is a replica's copy; the text names the server that takes writes."""
 

@@ -42,7 +42,7 @@ _DECKS_REFUSED = (
 )
 _NOT_BY_THIS_KEY = (
     "A deck names a command that solvers run, so only an admin key may add one; create such a key "
-    "with: wrenchbook keys add NAME --scope admin"
+    "with: wrenchbook keys add NAME --scope admin --data FOLDER (the server's data directory)"
 )
 _TAKEN = (
     "There already is a component {name!r}. Give the new one another name, because rows of "
@@ -232,7 +232,8 @@ class Library:
             patterns = ", ".join(CALLER.get().components)
             raise NotPermittedError(
                 f"the key allows {patterns}, not {name!r}; give the component a name that matches, "
-                f"or create a key with: wrenchbook keys add NAME --component {name}"
+                f"or create a key with: wrenchbook keys add NAME --component {name} "
+                "--data FOLDER (the server's data directory)"
             )
         final = self._local / name
         with self._lock:

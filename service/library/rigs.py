@@ -18,6 +18,10 @@ class UnknownRigError(LookupError):
     """There is no profile of this name; the message lists those there are."""
 
 
+class ShippedRigError(ValueError):
+    """The profile is part of the program and cannot be removed."""
+
+
 def profiles(ledger: Ledger) -> dict[str, tuple[str, str]]:
     """Return the TOML text of each profile and whether it is stored or shipped, by name."""
     shipped = {file.stem: (file.read_text("utf-8"), "shipped") for file in SHIPPED.glob("*.toml")}
@@ -55,14 +59,14 @@ def store_rig(ledger: Ledger, name: str, profile: str) -> None:
 
 
 def remove_rig(ledger: Ledger, name: str) -> None:
-    """Remove a stored profile; UnknownRigError."""
+    """Remove a stored profile; UnknownRigError, ShippedRigError."""
     with ledger.writing() as db:
         before = _stored(db, name)
         if before is None:
-            why = f"there is no rig {name!r}; list them with: wrenchbook rig list"
             if (SHIPPED / f"{name}.toml").is_file():
-                why = f"the rig {name!r} is part of the program; only stored rigs can be removed"
-            raise UnknownRigError(why)
+                why = f"the rig {name!r} is part of the program and stays; wrenchbook rig list "
+                raise ShippedRigError(f"{why}shows which are stored")
+            raise UnknownRigError(f"there is no rig {name!r}; list them with: wrenchbook rig list")
         db.execute("DELETE FROM rigs WHERE name = ?", (name,))
         note(db, "rig.remove", name, before=before)
 

@@ -296,8 +296,9 @@ def _claim_block(
     last = db.execute(f"SELECT max(sequence) FROM blocks WHERE {key}", of_client).fetchone()[0]
     if last is not None and sequence <= last - BLOCKS_OF_A_CLIENT:
         raise BlockKeyError(
-            f"block {sequence} of client {client!r} is more than {BLOCKS_OF_A_CLIENT} before its "
-            f"newest, {last}, so it is unknown whether it was recorded. Send blocks in order, or "
+            f"block {sequence} of client {client!r} is {last - sequence} before its newest, "
+            f"{last}; only the last {BLOCKS_OF_A_CLIENT} are remembered, so it is unknown whether "
+            "it was recorded. Send blocks in order, or "
             "use another client name to record it now"
         )
     added = db.execute(

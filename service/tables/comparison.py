@@ -115,7 +115,7 @@ def _selection(
             known = ", ".join(map(str, listed))
             raise UncomparableError(
                 f"the table has no measured rows of import {wanted}; "
-                + (f"its last are {known}" if known else "import a file of measured rows first")
+                + (f"its newest are {known}" if known else "import a file of measured rows first")
             )
     if number is not None and number == against:
         raise UncomparableError(f"import {number} cannot be its own reference; name two imports")

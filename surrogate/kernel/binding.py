@@ -526,4 +526,4 @@ def _why_no_rate(stiffness: Floats, inverse_mass: Floats) -> str:
 
 
 def _closed(*_: object) -> int:
-    raise ValueError("the packed table is closed; open it again")
+    raise ValueError("the packed table is closed; open it again with Table.open(FILE)")

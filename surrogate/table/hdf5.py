@@ -319,7 +319,7 @@ def _check_contained(file: h5py.File) -> None:
                 )
             if name != "note" and size > MAX_STRING_BYTES:
                 raise TableFileError(
-                    f"has texts of {size} bytes in {place}, the limit is {MAX_STRING_BYTES}; "
+                    f"has strings of {size} bytes in {place}, the limit is {MAX_STRING_BYTES}; "
                     "shorten them"
                 )
             room -= dataset.nbytes
@@ -346,7 +346,7 @@ def _check_chunks(name: str, dataset: h5py.Dataset) -> None:
     if size > MAX_CHUNK_BYTES:
         raise TableFileError(
             f"has chunks of {size / MIB:.0f} MiB in {name}, the limit is "
-            f"{MAX_CHUNK_BYTES // MIB}; write smaller chunks"
+            f"{MAX_CHUNK_BYTES // MIB} MiB; write smaller chunks"
         )
 
 
@@ -493,7 +493,7 @@ def _columns_of(name: str, dataset: h5py.Dataset) -> list[NamedColumn]:
     if not (dataset.ndim == 1 or is_vector) or not (is_text or dataset.dtype.kind in "iufb"):
         raise TableFileError(
             f"has {name} of shape {dataset.shape} and type {dataset.dtype}; write each column as a "
-            "one-dimensional dataset of numbers or texts (data frames: to_parquet or to_csv)"
+            "one-dimensional dataset of numbers or strings (data frames: to_parquet or to_csv)"
         )
     (label,) = _labels(dataset, [name])
     column = dataset.asstr() if is_text else _Vector(dataset) if is_vector else dataset

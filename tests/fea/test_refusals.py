@@ -63,6 +63,14 @@ def test_a_mesh_file_that_is_a_link_astray_is_refused(bundle, target, words):
         read_bundle(folder)
 
 
+def test_a_mesh_file_by_an_absolute_path_is_told_its_relative_one(bundle):
+    folder = bundle("blocks")
+    file = folder / "component.toml"
+    file.write_text(file.read_text().replace('"blocks.msh"', f'"{folder}/blocks.msh"'))
+    with pytest.raises(BundleError, match=r'blocks\.msh" is an absolute path; .*: "blocks\.msh"$'):
+        read_bundle(folder)
+
+
 def test_an_included_file_that_is_there_twice_or_cannot_be_read_is_refused(tmp_path):
     deck, folder = tmp_path / "deck.inp", tmp_path / "sub"
     folder.mkdir()

@@ -291,7 +291,12 @@ def test_a_user_of_a_trusted_proxy_alone_is_named(http, keys):
         )
         assert proxy.get("/v1/keys", headers={**user, "X-Groups": "ops"}).status_code == 200
         doubled = [*user.items(), ("X-Forwarded-User", "root")]
-        assert proxy.get("/v1/jobs", headers=doubled).status_code == 400
+        refused = proxy.get("/v1/jobs", headers=doubled)
+        assert (refused.status_code, refused.json()["title"]) == (
+            400,
+            "A proxy header is there twice",
+        )
+        assert "header x-forwarded-user more than once" in refused.json()["detail"]
         assert proxy.get("/v1/jobs", headers={"X-Forwarded-User": "a\tb"}).status_code == 403
         assert proxy.get("/v1/jobs").status_code == 401
     assert ("user:ann@lab.example", "job.accept") in [entry[:2] for entry in entries(http, keys)]

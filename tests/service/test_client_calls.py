@@ -157,10 +157,12 @@ def test_a_call_is_given_the_time_that_it_lets_the_server_hold_it_back(stub: Stu
         ([0, np.nan, 0], None, "fy must be finite, not nan"),
         ([0, 0, 0], [0, 0, np.inf], "mz must be finite, not inf"),
         ([0, 0, 0, 0, -np.inf, 0], None, "my must be finite, not -inf"),
-        (["1", "2", "3"], None, "force must be numbers"),
-        ([1, None, 3], None, "force must be numbers"),
-        ([[1], [2, 3]], None, "rows of one length"),
-        ([True, False, True], None, "force must be numbers"),
+        (["1", "2", "3"], None, r"force\[0\] is '1', not a number; give a float, such as 1.5"),
+        ([1, None, 3], None, r"force\[1\] is None, not a number; give a float \(0.0 for no load"),
+        ([0, 0, 1], {}, r"moment is \{\}, not a number"),
+        (np.array([1, 2, 3], dtype=object), None, "force has the type object; convert it to"),
+        ([[1], [2, 3]], None, "force has rows of different lengths; make them equal"),
+        ([True, False, True], None, r"force\[0\] is True, not a number"),
     ],
 )
 def test_a_bad_wrench_is_named_before_anything_is_sent(stub: Stub, client, force, moment, says):
@@ -317,7 +319,7 @@ def test_fill_until_stops_when_a_whole_round_fails(stub: Stub, client: Client):
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda client: client.component(5), "name must be a text such as 'plate', not 5"),
+        (lambda client: client.component(5), "name must be a string such as 'plate', not 5"),
         (
             lambda client: client.displacement("plate", loads=[1] * 6),
             "loads must map names to values",
@@ -326,8 +328,8 @@ def test_fill_until_stops_when_a_whole_round_fails(stub: Stub, client: Client):
         (lambda _: Client("127.0.0.1:99999"), "not a server address"),
         (lambda _: Client("http://127.0.0.1:x"), "not a server address"),
         (lambda _: Client(None), "None is not a server address"),
-        (lambda _: Client(timeout="5"), "timeout must be a number of seconds above 0, not '5'"),
-        (lambda _: Client(timeout=-1), "timeout must be a number of seconds above 0, not -1"),
+        (lambda _: Client(timeout="5"), "timeout must be above 0 s, such as 10.0, not '5'"),
+        (lambda _: Client(timeout=-1), "timeout must be above 0 s, such as 10.0, not -1"),
     ],
 )
 def test_an_argument_of_another_type_is_named_and_nothing_is_sent(

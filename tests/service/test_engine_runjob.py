@@ -135,6 +135,25 @@ def test_a_solver_that_cannot_be_found_is_named(folder, monkeypatch, name):
     assert name in error_of(folder)["message"]
 
 
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        ("None.solve", "the module broken cannot be imported: AttributeError: 'NoneType'"),
+        ("def", "the module broken cannot be imported: SyntaxError: invalid syntax"),
+        ("solve = 3", "the module broken has no function 'solve'"),
+    ],
+)
+def test_a_solver_whose_module_fails_is_told_by_the_cause(
+    folder, tmp_path, monkeypatch, content, why
+):
+    (tmp_path / "broken.py").write_text(content)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "broken", raising=False)
+    monkeypatch.setenv("WRENCHBOOK_SOLVE", "broken:solve")
+    assert runjob.run_attempt(folder) == 1
+    assert why in error_of(folder)["message"]
+
+
 def embedded(monkeypatch, fingerprint, fields=None):
     """Put stand-ins in the place of the finite-element room; `fields` is what a solve leaves."""
     solution = types.SimpleNamespace(
@@ -178,7 +197,7 @@ def test_a_surface_that_cannot_be_kept_costs_the_answer_nothing(folder, monkeypa
     embedded(monkeypatch, "f1", fields)
     assert runjob.run_attempt(folder) == 0
     assert read_outcome(replace(SPEC, folder=folder)).status == "done"
-    assert "displacement has numbers that are not finite" in capsys.readouterr().err
+    assert "3 of the 3 numbers of displacement are not finite" in capsys.readouterr().err
     assert not list(folder.glob("*.fields"))
 
 

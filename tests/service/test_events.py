@@ -4,6 +4,7 @@ import asyncio
 import json
 import socket
 import threading
+import types
 
 import pytest
 
@@ -20,7 +21,9 @@ from wrenchbook.service.http.access import (
     Permission,
     SecuritySettings,
 )
+from wrenchbook.service.http.problems import problem_of
 from wrenchbook.service.keys import Keyring
+from wrenchbook.service.ledger import LedgerBusyError
 
 ROWS = as_rows(clean_wrenches(), moved(clean_wrenches()))
 
@@ -224,6 +227,31 @@ def test_many_changed_jobs_are_one_event(tmp_path):
         reported = next(events)
         assert (reported.kind, reported.body["count"]) == ("jobs", 100)
         events.close()
+
+
+def test_a_ledger_that_gives_no_answer_is_busy_and_told_when_to_connect_again(
+    tmp_path, monkeypatch
+):
+    may_end = threading.Event()
+    monkeypatch.setattr(feed_module, "FIRST_POLL_S", 0.1)
+    monkeypatch.setattr(feed_module, "poll", lambda *_: may_end.wait(60))
+    ledger = types.SimpleNamespace(path=tmp_path / "ledger.sqlite")
+
+    async def run():
+        events = feed_module.Events(types.SimpleNamespace(ledger=ledger))
+        try:
+            await events.listen(None, None)
+        finally:
+            may_end.set()
+            await events.stop()
+
+    with pytest.raises(
+        LedgerBusyError, match=rf"within 0.1 s, .*doctor --data {tmp_path}"
+    ) as caught:
+        asyncio.run(run())
+    problem = problem_of(caught.value)
+    assert (problem.status, problem.body["title"]) == (503, "The ledger is busy")
+    assert problem.headers == {"Retry-After": "10"}
 
 
 def test_after_a_break_it_goes_on_where_it_was(tmp_path):

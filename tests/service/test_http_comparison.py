@@ -126,7 +126,7 @@ def test_what_cannot_be_compared_says_what_can(bar):
     for query in ({"import": number + 7}, {"against": number + 7}):
         refused = bar.get(CALL, params=query)
         assert refused.status_code == 409
-        assert refused.json()["detail"].endswith(f"import {number + 7}; its last are {number}")
+        assert refused.json()["detail"].endswith(f"import {number + 7}; its newest are {number}")
     own = bar.get(CALL, params={"import": number, "against": number})
     assert (own.status_code, "own reference" in own.json()["detail"]) == (409, True)
 

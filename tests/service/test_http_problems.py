@@ -123,7 +123,7 @@ def test_a_refusal_quotes_at_most_200_characters(http, call, sent):
 def test_a_sheet_that_is_not_there_is_no_sheet_none(http):
     workbook = Path("data/tables/workbook.xlsx").read_bytes()
     reply = http.post("/v1/components/rig/table?sheet=Run 9", content=workbook)
-    assert "1 mistake(s), the first in file: there is no sheet 'Run 9'" in reply.json()["detail"]
+    assert "1 mistake, the first in file: there is no sheet 'Run 9'" in reply.json()["detail"]
 
 
 def test_every_call_with_a_path_parameter_is_called_wrongly_here(document):

@@ -302,7 +302,7 @@ def test_rows_that_are_being_built_are_never_no_rows(rig, slow_build, call):
     for on_thin in ("queue", "wait", "estimate", "reject"):
         reply = rig.post(f"/v1/components/rig/{call}", json={**asked, "on_thin": on_thin})
         assert reply.status_code == 503
-        assert "40 row(s) are being built" in reply.json()["detail"]
+        assert "40 new rows are being built" in reply.json()["detail"]
         assert int(reply.headers["Retry-After"]) > 0
     slow_build.set()
     wait_for_version(rig, "rig", rig.app.state.workspace.ledger.last_seq("rig"))
@@ -364,11 +364,11 @@ def test_an_older_table_answers_by_its_own_version_while_rows_are_added(rig, slo
     estimate = rig.post(path, json={**body, **limit, "on_thin": "estimate"})
     assert (estimate.status_code, estimate.json()["table_version"]) == (200, version)
     if call == "displacement":
-        assert "30 row(s) are being built" in estimate.json()["reason"]
+        assert "30 new rows are being built" in estimate.json()["reason"]
     for on_thin in ("queue", "wait", "reject"):  # as without new rows: a stream of them never ends
         reply = rig.post(path, json={**body, **limit, "on_thin": on_thin})
         assert reply.status_code == 409
-        assert "30 row(s) are being built" in reply.json()["detail"]
+        assert "30 new rows are being built" in reply.json()["detail"]
         assert "oad more rows" not in reply.json()["detail"]
     slow_build.set()
 

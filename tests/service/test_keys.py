@@ -69,8 +69,10 @@ def test_a_server_takes_up_what_a_command_changes(keyring, tmp_path):
 def test_a_key_that_cannot_be_is_refused_and_nothing_is_written(
     keyring, tmp_path, name, scope, limits
 ):
-    with pytest.raises(KeysError):
+    with pytest.raises(KeysError) as refused:
         keyring.add(name, scope, **limits)
+    if limits.get("expires"):
+        assert "expires is 1800000000000.0, but must be in seconds since 1970" in str(refused.value)
     assert not (tmp_path / FILE).exists()
 
 
@@ -83,11 +85,13 @@ def test_a_name_is_one_keys(keyring):
 
 
 def test_a_key_is_rotated_while_it_is_valid(keyring):
-    with pytest.raises(KeysError, match="create it with: wrenchbook keys add ann"):
+    with pytest.raises(KeysError, match="create it with: wrenchbook keys add ann --data"):
         keyring.rotate("ann", 0.0)
     keyring.add("ann", "read", expires=time.time() + 0.05)
     time.sleep(0.1)
-    with pytest.raises(KeysError, match=r"expired, so .* keys revoke ann; wrenchbook keys add ann"):
+    with pytest.raises(
+        KeysError, match=r"expired, so .* keys revoke ann --data .*; wrenchbook keys add ann --data"
+    ):
         keyring.rotate("ann", 0.0)
 
 
@@ -102,13 +106,18 @@ def test_a_key_is_rotated_while_it_is_valid(keyring):
         ('{"keys": [{"name": "x"}]}', r"keys\[0\]: the field 'scope' is missing"),
         ("unknown field", r"keys\[0\]: the field 'scope_' is unknown"),
         ("unknown scope", r"keys\[0\]: the scope must be one of read, write, admin, not 'root'"),
-        ("texts", r"keys\[0\]: components must be a list"),
+        (
+            "texts",
+            r"""keys\[0\]: components must be a list such as \["plate_\*"\], not '\*'""",
+        ),
+        ("a pattern", r"""keys\[0\]: the pattern '\+' must have .*\["plate_\*"\]"""),
     ],
 )
 def test_damaged_keys_let_nobody_in_and_are_told_of(tmp_path, content, why):
     edits = {
         "unknown field": ('"scope"', '"scope_": "admin", "scope"'),
         "unknown scope": ('"read"', '"root"'),
+        "a pattern": ('"*"', '"+"'),
         "texts": ('[\n    "*"\n   ]', '"*"'),
     }
     if content in edits:
@@ -141,6 +150,28 @@ def test_keys_that_a_full_disk_does_not_take_stay_as_they_were(keyring, tmp_path
         keyring.add("bob", "read")
     assert sorted(tmp_path.iterdir()) == before
     assert [key.name for key in keyring.listed()] == ["ann"]
+
+
+@pytest.mark.parametrize(
+    ("code", "remedy"),
+    [
+        (errno.EACCES, rf"run this as the owner of .* to user {os.geteuid()}"),
+        (errno.EIO, "disk"),
+    ],
+)
+def test_keys_that_cannot_be_read_are_told_by_the_cause(
+    keyring, tmp_path, monkeypatch, code, remedy
+):
+    keyring.add("ann", "read")
+
+    def refused(_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr("pathlib.Path.read_bytes", refused)
+    with pytest.raises(
+        KeysError, match=rf"keys\.json cannot be read \({os.strerror(code)}\); .*{remedy}"
+    ):
+        Keyring(tmp_path)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.1"])

@@ -10,6 +10,7 @@ from wrenchbook.service.ledger import (
     ImportOrigin,
     Ledger,
     NotedRows,
+    UnknownImportError,
     UnknownRowError,
     imports,
     row_keys,
@@ -197,6 +198,10 @@ def test_a_row_that_another_writer_brings_during_an_import_is_there_once(ledger,
     assert sorted(row.wrench for row in present) == sorted(map(tuple, wrench.tolist()))
     assert ledger.import_rows("rig", blocks(10, lots=1), ImportOrigin()) == (0, 10, None)
     assert ledger.count_rows("rig") == 10
+    with pytest.raises(UnknownImportError, match=f"no import 99; its newest imports are {number}"):
+        ledger.edit_import("rig", 99, withdrawn=True)
+    with pytest.raises(UnknownImportError, match="has no finding 'x'; its findings are none"):
+        ledger.edit_import("rig", number, "x", withdrawn=True)
     assert ledger.edit_import("rig", number, withdrawn=True) == 9
     assert [row.origin for row in stored(ledger, "rig")] == ["note"]
 

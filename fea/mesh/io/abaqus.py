@@ -102,12 +102,16 @@ def read_keywords(text: DeckText) -> Iterator[Keyword]:
         yield from _without_instances(text)
         return
     parts: dict[str, list[Keyword]] = {}
+    lines: dict[str, str] = {}  # of each part
     frame, part, count = Frame(), None, 0
     for keyword in _blocks(text):
         if keyword.word == "PART":
             name = keyword.options.get("NAME", "").upper()
             if name in parts:
-                raise keyword.wrong(f'defines the part "{name}" again; rename one of the two')
+                raise keyword.wrong(
+                    f'defines "{name}" of line {lines[name]} again; rename one of them'
+                )
+            lines[name] = keyword.at
             part = parts.setdefault(name, [])
         elif keyword.word == "INSTANCE":
             count += 1

@@ -329,7 +329,10 @@ def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         axes = []
         for label in labels:
             if label not in deck.nodes:
-                raise MeshFileError(f"turns node {label % STRIDE}, not defined above; add *NODE")
+                raise MeshFileError(
+                    f'turns the node {label % STRIDE} of "{keyword.options["NSET"]}", which no '
+                    "*NODE above defines; correct the set, or move *NODE up"
+                )
             try:
                 axes.append(radial_axes(axial, deck.nodes[label] - start))
             except MeshFileError:  # any direction across it will do, as in CalculiX

@@ -149,7 +149,8 @@ def _constants(
             raise MeshFileError(f'its *ORIENTATION "{name}" is {why}, but must be rectangular')
         axes = np.reshape(values, (3, 3))
     elif keyword.frame.rotation not in ((), _UPRIGHT) or not reader.turned.keys().isdisjoint(nodes):
-        raise MeshFileError("its nodes have rotated axes; name an ORIENTATION")
+        turned = next((node for node in nodes if node in reader.turned), nodes[0])
+        raise MeshFileError(f"its node {turned % STRIDE} has rotated axes; name an ORIENTATION")
     return freedoms, axes, size
 
 
@@ -168,7 +169,7 @@ def _check_between(case: LoadCase, ends: list[CoupledGroup], shift: Array) -> No
     if first.weighted != second.weighted:
         raise MeshFileError("it joins a coupling with weights and one without")
     if across > _ALONG * np.abs(points).max():
-        raise MeshFileError(f"its points are {across:.3g} apart across its direction")
+        raise MeshFileError(f"its points are {across:.3g} from the line along its direction")
     if case.nonlinear:
         raise MeshFileError("with NLGEOM its direction stays, but that of [[spring]] rotates")
 

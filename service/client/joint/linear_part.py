@@ -85,7 +85,9 @@ class LinearPart:
                 )
         slope = packed.derivative(centre.tolist())[np.ix_(indices, indices)]
         compliance = 0.5 * (slope + slope.T)
-        remedy = f"run wrenchbook fill {table.name} --for-joint, or give another load"
+        is_solved = "fea" in packed.meta.get("provenance", {}).get("sources", {"fea": 1})
+        more = f"run wrenchbook fill {table.name} --for-joint" if is_solved else "measure more rows"
+        remedy = f"{more}, or give another load"
         if not np.isfinite(compliance).all():
             raise InvalidArgument(
                 f"{table.name} has no stiffness at this load, because its derivative is unknown; "

@@ -101,9 +101,10 @@ class MujocoJoint(Joint):
         inputs: Mapping[str, float] | None = None,
     ) -> None:
         if not (isinstance(model, engine.MjModel) and isinstance(data, engine.MjData)):
+            kinds = [f"{type(each).__module__}.{type(each).__name__}" for each in (model, data)]
             raise InvalidArgument(
                 "model and data must be a mujoco.MjModel and a mujoco.MjData, not "
-                f"{type(model).__name__} and {type(data).__name__}"
+                f"{' and '.join(kinds)}; of dm_control pass physics.model.ptr and physics.data.ptr"
             )
         super().__init__(table, damping, interface=interface, method=method, inputs=inputs)
         refuse_rk4(model)
@@ -367,8 +368,10 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
     scenes = len({joint._data for joint in joints})
     if scenes != 1:
         raise JointError(
-            f"a step needs one or more joints of one MjData, not {len(joints)} of {scenes}; step "
-            "the joints of each MjData apart"
+            f"the {len(joints)} joints belong to {scenes} MjData; call step_joints once for the "
+            "joints of each"
+            if joints
+            else "no joint was given; pass the joints of the scene: step_joints(a, b)"
         )
     refuse_rk4(joints[0]._model)  # it may have been chosen since
     stepped = [start for joint in joints for start in joint._starts]
@@ -388,7 +391,7 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
                 )
         for start, tip in zip(joint._starts, joint._tips, strict=True):
             if of_scene[start] is not joint:
-                raise JointError(f"the tip {tip!r} has a later joint; step that joint instead")
+                raise JointError(f"a later joint at {tip!r} replaced this one; step that joint")
     if len(of_scene) > len(stepped):
         others = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
         sides = [[tip for joint in some for tip in joint._tips] for some in (joints, others)]

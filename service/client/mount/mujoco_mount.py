@@ -298,8 +298,8 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
                 repr(_name(model, child)) for child in np.flatnonzero(children).tolist()
             )
             raise SensorError(
-                f"{names} are attached beside {name!r} to the mocap body, so its sensors do not "
-                "feel them; put all in one child, or the site on the mocap body itself"
+                f"the mocap body {mocap!r} carries also {names}, which the sensors on {name!r} do "
+                "not feel; put all in one child, or the site on the mocap body itself"
             )
     _check_forces(model, body, mounted)
     return _Division(number, body, mounted, site, forces, torques)

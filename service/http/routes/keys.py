@@ -87,7 +87,8 @@ def _keyring(request: Request) -> Keyring:
     if not access.keys_needed:
         why = (
             "Every user of this machine may call it. Create the first key on this machine with: "
-            "wrenchbook keys add NAME --scope admin; from then on every call needs a key."
+            "wrenchbook keys add NAME --scope admin --data FOLDER (the server's data "
+            "directory); from then on every call needs a key."
         )
         raise HttpProblemError(409, "no-keys", "This server has no keys", why)
     return access.keyring

@@ -55,7 +55,7 @@ async def put_rig(name: RigName, request: Request, workspace: Opened) -> dict[st
     return {"stored": name}
 
 
-@router.delete("/{name}", summary="Remove a stored rig profile")
+@router.delete("/{name}", summary="Remove a stored rig profile", responses=refused(409))
 def delete_rig(name: RigName, workspace: Opened) -> dict[str, str]:
     remove_rig(workspace.ledger, name)
     return {"removed": name}

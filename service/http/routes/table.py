@@ -260,7 +260,7 @@ def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
         422,
         "bad-rows",
         "The table has mistakes",
-        f"Nothing was loaded; {len(errors)} mistake(s){sheet}, the first in "
+        f"Nothing was loaded; {len(errors)} mistake{'s' * (len(errors) > 1)}{sheet}, the first in "
         f"{place}{first['field']}: {first['message']}. Correct them and send the {unit} "
         f"again{cure}.",
         **{**reply, "errors": places},

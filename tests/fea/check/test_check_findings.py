@@ -262,7 +262,7 @@ def test_supports_that_hold_points_only_are_a_warning(tmp_path):
     reported = report(write_inp(tmp_path, mesh, supports='["pins"]', extra=pins))
     assert reported["ok"]
     (warning,) = messages(reported, "warnings")
-    assert warning.startswith("has 3 nodes but no complete face")
+    assert warning.startswith("has no complete face (nodes: 3); an elastic")
 
 
 def test_steel_in_megapascals_and_a_point_in_millimetres_are_warnings(tmp_path):

@@ -328,8 +328,12 @@ def test_a_scene_that_has_not_the_parts_freedoms_is_refused_by_name(pieces, opti
 def test_two_joints_of_one_tip_or_of_two_scenes_are_refused():
     one, other = (MujocoJoint(*scene(sphere(3)), TABLE) for _ in range(2))
     for joints, text in (
+        ((), "no joint was given; pass the joints of the scene: step_joints"),
         ((one, one), "two of the joints at 'tip', 'tip' have the same tip"),
-        ((one, other), "joints of one MjData, not 2 of 2"),
+        (
+            (one, other),
+            "the 2 joints belong to 2 MjData; call step_joints once for the joints of each",
+        ),
     ):
         with pytest.raises(JointError, match=text):
             step_joints(*joints)
@@ -339,7 +343,7 @@ def test_a_joint_whose_tip_has_a_later_joint_is_not_stepped():
     model, data = scene(sphere(3))
     first, later = (MujocoJoint(model, data, TABLE) for _ in range(2))
     later.step()
-    with pytest.raises(JointError, match="the tip 'tip' has a later joint"):
+    with pytest.raises(JointError, match="a later joint at 'tip' replaced this one"):
         first.step()
 
 

@@ -322,7 +322,7 @@ def test_a_joint_without_its_inputs_is_refused(inputs, words):
         (lambda: Joint(linear_table(), interface="end"), "leave out interface"),
         (
             lambda: MujocoJoint(None, None, linear_table()),
-            "model and data must be a mujoco.MjModel",
+            "not builtins.NoneType and builtins.NoneType; of dm_control pass physics.model.ptr",
         ),
         (lambda: Joint(linear_table(), damping="0.1"), "damping"),
         (lambda: Joint(linear_table(), method="x"), "unknown method"),

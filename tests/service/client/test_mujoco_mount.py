@@ -243,7 +243,7 @@ REFUSED = {  # pieces of the scene, options of the mount, and words of the error
         {"worldbody": LOOSE, "extra": WELD}, {}, "the equality constraint '#0' holds the scene"),
     "a body beside the mounted one": (
         {"base": '<body name="second"><geom size="0.1"/></body>'}, {},
-        "'second' are attached beside 'mounted'"),
+        "mocap body 'base' carries also 'second', which the sensors on 'mounted' do not feel"),
     "sensors at a joint": (
         {"sensors": SENSORS.replace('"mount"', '"tip"')}, {},
         "'rod', where the sensors are, must be a child of"),
