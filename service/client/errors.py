@@ -147,7 +147,7 @@ class JointRangeError(JointError):
 
 
 class JointWarning(UserWarning):
-    """The simulation goes on, with numbers that may be wrong; issued once a joint and kind."""
+    """The simulation goes on, with numbers that may be wrong; issued once for each joint and each kind."""
 
 
 def warn(message: str, category: type[Warning]) -> None:
