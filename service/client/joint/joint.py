@@ -221,7 +221,7 @@ class Joint:
         self.restart()
 
     def new_steps(self, count: int, axes: Vector | None) -> JointSteps:
-        """The kernel's arrays for `count` joints of these options.
+        """Make the kernel's arrays for `count` joints of these options.
 
         `axes` (3, 3) are the interface frame's axes, as columns, in the axes in which the kernel
         reads rotations and spins, those of the tip's body; None where these are the frame's.
