@@ -129,7 +129,7 @@ validate-table: $(VENV)/.installed-dev
 validate-ccx: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest tests/benchmarks/test_fea_calculix.py -p no:cacheprovider --timeout 1800
 
-# the pictures of README.md: the figure, and the page in Chromium
+# the pictures of README.md and the docs: the figure, a response, and the page in Chromium
 pictures: $(VENV)/.installed-dev
 	$(BIN)/python -m tests.pictures
 

@@ -1,6 +1,6 @@
-"""The pictures of the README: a drawn figure, and the page as Chromium shows it.
+"""The pictures of README and docs: a drawn figure, a response, and the page in Chromium.
 
-``make pictures`` makes both anew: the figure from what stands here, the page from a server of its
+``make pictures`` makes them anew: the figure from what stands here, the others from a server of its
 own whose table of `plate_thin` is filled first, a minute or two.
 """
 
@@ -10,7 +10,10 @@ import base64
 import tempfile
 from pathlib import Path
 
+import matplotlib
+
 from tests.service.page.chromium import Browser
+from wrenchbook import plot
 from wrenchbook.service.client import Client
 from wrenchbook.service.workers.private import private_server
 
@@ -134,8 +137,17 @@ def photograph(client: Client) -> bytes:
             browser.close()
 
 
+def draw_response(client: Client) -> None:
+    """Write a response of the filled table with its error band."""
+    with matplotlib.rc_context({"svg.hashsalt": "wrenchbook", "svg.fonttype": "none"}):
+        wrench = [0.0, 0.0, 0.0, 40.0, 0.0, 0.0]
+        axes = plot.response(client, "fz", "uz", component="plate_thin", wrench=wrench)
+        axes.set_title("plate_thin under fz, with mx = 40 N·m")
+        axes.figure.savefig(FOLDER / "response.svg", metadata={"Date": None}, bbox_inches="tight")
+
+
 def main() -> None:
-    """Write both pictures."""
+    """Write the pictures."""
     FOLDER.mkdir(exist_ok=True)
     (FOLDER / "wrenchbook.svg").write_text(figure(), encoding="utf-8")
     with (
@@ -144,6 +156,7 @@ def main() -> None:
     ):
         for _ in client.fill_until("plate_thin", budget=60):
             pass
+        draw_response(client)
         (FOLDER / "page.webp").write_bytes(photograph(client))
 
 

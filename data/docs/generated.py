@@ -52,7 +52,8 @@ def names() -> list[str]:
         if name in _WITH_CALLS:
             methods = inspect.getmembers(value, inspect.isfunction)
             public = [(call, method) for call, method in methods if not call.startswith("_")]
-            rows.append((f"`{name}{_arguments(value)}`", "make one"))
+            made = "Connect to a server." if name == "Client" else "The constructor."
+            rows.append((f"`{name}{_arguments(value)}`", made))
             rows += [
                 (f"`{name}.{call}{_arguments(method)}`", _purpose(method))
                 for call, method in public

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -203,7 +204,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except options.errors as error:
         text = _text_of(error)
         status, reply = 1, {"error": {"title": type(error).__name__, "detail": text}}
-    print(json.dumps(reply) if options.json else text)
+    try:
+        print(json.dumps(reply) if options.json else text, flush=True)
+    except BrokenPipeError:  # `| head` has read enough; the interpreter's own flush fails too
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return status
 
 

@@ -10,7 +10,7 @@ from urllib.parse import urlencode
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
+from rich.table import Column, Table
 
 from wrenchbook.service.cli.connect import DEFAULT_SERVER, AsJson, Data, Server, connected
 from wrenchbook.service.cli.render import Screen, job_table, plain, show
@@ -64,7 +64,8 @@ def audit(
     query = urlencode({name: value for name, value in options.items() if value is not None})
     with connected(server, data) as client:
         entries = client.call_json("GET", f"/v1/audit?{query}")["entries"]
-    table = Table(*(names := ("id", "time", "actor", "action", "component", "object")))
+    names = ("id", "time", "actor", "action", "component", "object")
+    table = Table(*(Column(name, no_wrap=name in ("id", "time")) for name in names))
     for entry in entries:
         table.add_row(*(escape(str(entry[name] or "")) for name in names))
     show(entries, as_json, lambda: [table])

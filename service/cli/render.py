@@ -122,7 +122,7 @@ def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
     if not reference["bars_are_complete"]:
         yield "The reference's bars are not known, since the solver's own error is not."
     table = Table()
-    columns = "import", "", "factor", "± 95 %", "of it bars", "mean residual", "rms"
+    columns = "import", "", "factor", "± 95 %", "from reference", "mean residual", "rms"
     for heading in (*columns, "beyond bars"):
         table.add_column(heading, justify="right" if heading else "left")
     campaigns = reply["campaigns"] if len(reply["campaigns"]) > 1 else []
@@ -251,7 +251,7 @@ def plan_lines(plans: Mapping[str, ComponentPlan]) -> Iterator[Table | str]:
     """Yield a scene's plan, one line a component, then reasons and where the numbers come from."""
     table = Table()
     for heading in ("component", "decision", "axes: loads", "moves at most", "solves", "saves"):
-        table.add_column(heading, no_wrap=True)
+        table.add_column(heading)
     for name, plan in plans.items():
         axes = [
             f"{axis}: {' '.join(part['inputs'])}, {part['dimensions']}-D"

@@ -147,7 +147,7 @@ class JointRangeError(JointError):
 
 
 class JointWarning(UserWarning):
-    """The simulation goes on, with numbers that may be wrong; issued once a joint and kind."""
+    """Numbers may be wrong and the run goes on; once for each joint and each kind of warning."""
 
 
 def warn(message: str, category: type[Warning]) -> None:

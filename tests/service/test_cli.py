@@ -151,6 +151,8 @@ def test_plan_sends_the_scene_of_a_file_and_prints_what_is_left_out(
     for reported in ("z: fz, 1-D", "uz 0.002 m", "5 of 15", "0.5 s", "2 MB", "plate: it bends."):
         assert reported in out
     assert "µs an answer" not in out  # a loss is no saving
+    for heading in ("component", "decision", "axes: loads", "moves at most", "solves", "saves"):
+        assert heading in out  # no heading is cut in a terminal of 80 columns
     stub.answers(Answer({"components": {"plate": one}}))
     status, out, _ = run("plan", str(file), "--json")
     assert json.loads(out) == {"components": {"plate": one}}
@@ -158,6 +160,16 @@ def test_plan_sends_the_scene_of_a_file_and_prints_what_is_left_out(
     status, _, err = run("plan", str(file))
     assert status == 1
     assert "components.plate.force: write three loads" in err
+
+
+def test_audit_in_a_narrow_terminal_breaks_no_time(stub: Stub, run: Run):
+    entry = {
+        "id": 7, "time": "2026-11-28T01:08:25+00:00", "actor": "user:somebody@example.org",
+        "action": "component.replace", "component": "bracket_of_the_left_arm", "object": "serve",
+    }  # fmt: skip
+    stub.answers(Answer({"entries": [entry]}))
+    _, out, _ = run("audit")
+    assert str(entry["time"]) in out
 
 
 def test_a_matrix_in_a_narrow_terminal_has_all_characters_of_its_numbers(capsys):

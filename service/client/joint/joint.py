@@ -215,16 +215,16 @@ class Joint:
         return report_of(self)
 
     def _begin(self, axes: Vector | None) -> None:
-        """Make the kernel's arrays, and forget the last step.
-
-        `axes` (3, 3) are the interface frame's axes, as columns, in the axes in which the kernel
-        reads rotations and spins, those of the tip's body; None where these are the frame's.
-        """
+        """Make the kernel's arrays, with `axes` as in `new_steps`, and forget the last step."""
         self._use(self.new_steps(1, axes), 0)
         self.restart()
 
     def new_steps(self, count: int, axes: Vector | None) -> JointSteps:
-        """Return the kernel's arrays for `count` joints of these options; `axes` as in `_begin`."""
+        """Make the kernel's arrays for `count` joints of these options.
+
+        `axes` (3, 3) are the interface frame's axes, as columns, in the axes in which the kernel
+        reads rotations and spins, those of the tip's body; None where these are the frame's.
+        """
         steps = self._packed.joints(count, self._method, axes)
         steps.inputs[:] = self._inputs(np.zeros(self._size))
         return steps

@@ -66,7 +66,7 @@ class Joints:
         self._hold(joint, int(count), None)
 
     def _hold(self, joint: Joint, count: int, axes: Vector | None) -> None:
-        """Keep the options of a joint, and make the kernel's arrays; `axes` as `Joint._begin`."""
+        """Keep the options of a joint, and make the arrays; `axes` as in `Joint.new_steps`."""
         self._joint, self._steps, self._warned = joint, joint.new_steps(count, axes), False
         self._codes = np.zeros(count, dtype=np.int32)
         Joints.restart(self)

@@ -107,7 +107,7 @@ class Coverage:
 
 
 class Mount:
-    """Where a rigid-body simulation stands on a component that bends.
+    """Takes the wrench at an interface and returns its deformed pose.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ class Mount:
         return R0 @ rotation_matrix(moved[3:]), p0 + R0 @ moved[:3]
 
     def wrench_of(self, force: ArrayLike, moment: ArrayLike, point: ArrayLike) -> Vector:
-        """Return a wrench read in the world as the contract wants it.
+        """Convert a force and moment in world axes at `point` to a wrench at the interface.
 
         Parameters
         ----------

@@ -97,3 +97,14 @@ def test_neither_density_nor_yield_strength_changes_the_fingerprint(tmp_path):
     text = (SHIPPED / "bar" / "component.toml").read_text("utf-8")
     (tmp_path / "component.toml").write_text(text.replace("7850.0", "1.0").replace("355e6", "1e6"))
     assert read_bundle(tmp_path).fingerprint == read_bundle(SHIPPED / "bar").fingerprint
+
+
+def test_a_reader_that_stops_early_ends_the_command_without_a_traceback():
+    """As ``| head -1``: nobody reads the pipe when the report is printed."""
+    command = [sys.executable, "-m", "wrenchbook.fea.check.commands", "check", "--schema"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 0
