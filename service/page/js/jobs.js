@@ -39,7 +39,7 @@ function buttons(job, again) {
   const open = ["waiting", "running"].includes(job.status), retries = ["failed", "cancelled"].includes(job.status);
   return [
     open ? el("button", { type: "button", onclick: act(() => send("DELETE", `v1/jobs/${job.id}`)) }, "Cancel") : null,
-    retries ? el("button", { type: "button", class: "first", onclick: act(() => post(`v1/jobs/${job.id}/retry`, {})) }, "Retry") : null,
+    retries ? el("button", { type: "button", class: job.error ? null : "first", onclick: act(() => post(`v1/jobs/${job.id}/retry`, {})) }, "Retry") : null,
     job.attempt ? el("button", { type: "button", onclick: () => showLog(job.id) }, "Log") : null,
   ];
 }

@@ -57,9 +57,9 @@ async function cover(place, about, signal, isLatest) {
   let glance = null;
   if (rows) {
     glance = await get(`${of(about.name)}/glance`, signal);
-    if (about.has_fea) parts.push(wholeError(glance, about));
+    parts.push(wholeError(glance, about));
     parts.push(sharesOf(glance));
-    parts.push(legend(), el("p", { class: "muted small" }, `Parts of the load range. Covered: the interpolation error is within the tolerance; thin: it is larger or not known; outside: no rows surround the load.${about.has_fea ? " The first bar compares the whole error bar with the tolerance." : ""}${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`));
+    parts.push(legend(), el("p", { class: "muted small" }, `Parts of the load range. Covered: the interpolation error is known and within the tolerance; thin: it is larger or not known; outside: beyond the load range, or beyond the rows for the methods by axes (additive, griddata). Kriging may cover loads a little beyond the rows. The first bar compares the whole error bar with the tolerance.${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`));
   } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : "The table has no rows yet."));
   if (isLatest()) put(place, parts);
   return glance;

@@ -71,7 +71,7 @@ def ask(browser, action="Ask", **loads):
 
 def test_an_uploaded_part_is_queued_solved_and_then_covered(browser, client, tmp_path):
     add(browser, bundle(tmp_path, "rod", nonlinear="true"))
-    browser.named("nav.tabs a", "Ask").click()
+    browser.named("nav.tabs a", "Query").click()
     ask(browser, fz=-50)  # its job is watched, for as long as the solve takes
     browser.named(".pill", "covered")
     (job,) = client.call_json("GET", "/v1/jobs?component=rod")["jobs"]
@@ -84,7 +84,7 @@ def test_an_uploaded_part_is_queued_solved_and_then_covered(browser, client, tmp
 
 def test_a_failed_solve_tells_why_shows_its_log_and_is_tried_again(browser, client, tmp_path):
     add(browser, bundle(tmp_path, "column", nonlinear="true", force="[40000, 100, 100]"))
-    browser.named("nav.tabs a", "Ask").click()
+    browser.named("nav.tabs a", "Query").click()
     ask(browser, fx=-10_000)
     assert "buckles" in browser.named(".note", "The solve failed").text
     browser.named(".note a", "Job").click()
@@ -122,7 +122,7 @@ def test_bad_rows_of_a_measured_file_are_named_mended_imported_and_exported(
     browser.one("#check-again").click()
     browser.one("#import").click()
     browser.named(".note", "6 rows are in the table")
-    browser.named("nav.tabs a", "Ask").click()
+    browser.named("nav.tabs a", "Query").click()
     ask(browser, fz=-250)
     assert "−250" in browser.one("table.answer").text
     browser.named("nav.tabs a", "Import").click()

@@ -284,7 +284,7 @@ def test_a_component_has_at_most_six_groups_and_the_views_of_the_chosen_one(brow
         [item.text for item in browser.all(f".tabs > {row} a")]
         for row in ("div:first-child", ".views")
     )
-    assert groups == ["Overview", "Ask", "Table", "Import & export", "Jobs & demand", "Part"]
+    assert groups == ["Overview", "Query", "Table", "Import & export", "Jobs & demand", "Part"]
     assert views == ["Rows", "Checks", "Compare", "Report"]
 
 
