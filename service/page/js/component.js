@@ -27,6 +27,9 @@ const TABS = [
   ["entry", "Entry", "entry.js", "Part"],
 ];
 
+// Loads the files of all views.
+export const preload = () => Promise.all(TABS.map(([, , file]) => import(`./${file}`)));
+
 export async function show(root, [name, tab = "overview"], signal) {
   // The library's entry is reply at once; all there is to say of a large table takes seconds.
   const { components } = await listed(signal);

@@ -43,7 +43,7 @@ function pointTo(selector) {
     at?.classList.remove("pointed");
     at = found;
     at?.classList.add("pointed");
-    at?.scrollIntoView({ block: "center" });
+    at?.scrollIntoView({ block: innerWidth < 760 ? "start" : "center" }) ; // on a telephone the tour has the lower half
   };
   const watch = new MutationObserver(look);
   watch.observe(document.getElementById("main"), { childList: true, subtree: true });

@@ -185,7 +185,7 @@ def test_where_the_point_of_the_moments_matters_an_import_asks_for_the_load_cell
     header = "Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm],ux [mm],uy [mm],uz [mm]"
     browser.visit("#/c/cell/table")
     browser.drop(".drop", "cell.csv", f"{header}\n-100,0,5,0,-1,0,0,0,12\n")
-    assert "--load-cell moving" in browser.one("#mistakes").text
+    assert "moves with the interface" in browser.one("#mistakes").text
     browser.run(
         "const cell = document.querySelector('#load-cell'); cell.value = 'fixed';"
         "cell.dispatchEvent(new Event('change', {bubbles: true}));"
