@@ -6,13 +6,14 @@ const dark = theme === "dark" || (theme === "auto" && matchMedia("(prefers-color
 document.documentElement.classList.toggle("dark", dark);
 document.documentElement.style.colorScheme = dark ? "dark" : "light";
 
+const rank = (tag) => (tag === "displacement" ? 0 : tag === "umbridge" ? 2 : 1); // the main call first
 const key = sessionStorage.getItem("wrenchbook-key");
 window.SwaggerUIBundle({
   url: new URL("openapi.json", new URL(".", document.baseURI)).href,
   dom_id: "#calls",
   deepLinking: true,
   docExpansion: "list",
-  tagsSorter: (one, other) => (other === "displacement") - (one === "displacement"), // the main call first
+  tagsSorter: (one, other) => rank(one) - rank(other),
   defaultModelsExpandDepth: -1,
   validatorUrl: null, // it would ask another host
   requestInterceptor: (request) => {

@@ -58,13 +58,13 @@ function fill(canvas, flat, order, axes = []) {
   const all = [...flat, ...axes.flat()];
   const [low, high] = [Math.min, Math.max].map((end) => [0, 1].map((k) => end(...all.map((one) => one[k]))));
   const scale = 0.88 * Math.min(SIZE[0] / (high[0] - low[0] || 1), SIZE[1] / (high[1] - low[1] || 1));
-  const at = (one) => [0, 1].map((k) => SIZE[k] / 2 + scale * (flat[one][k] - (low[k] + high[k]) / 2));
+  const at = (one) => [0, 1].map((k) => SIZE[k] / 2 + scale * (one[k] - (low[k] + high[k]) / 2));
   const pen = penOf(canvas), [red, green, blue] = colours().accent.match(/[\d.]+/g).map(Number);
   for (const [corners, normal] of order) {
     const light = 0.45 + 0.55 * Math.max(0, dot(normal, LIGHT));
     pen.fillStyle = pen.strokeStyle = `rgb(${[red, green, blue].map((one) => Math.round(one * light + 60 * light)).join()})`;
     pen.beginPath();
-    for (const one of corners) pen.lineTo(...at(one));
+    for (const one of corners) pen.lineTo(...at(flat[one]));
     pen.closePath();
     pen.fill();
     pen.stroke(); // closes the seams between triangles
