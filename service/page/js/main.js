@@ -51,12 +51,7 @@ function markWhereWeAre(address) {
   }
 }
 
-function noAnswer() {
-  const place = document.getElementById("state");
-  put(place, "no answer");
-  place.className = "state faulty";
-  place.title = "The server does not answer.";
-}
+const noAnswer = () => Object.assign(document.getElementById("state"), { textContent: "no answer", className: "state faulty", title: "The server does not answer." });
 
 async function tellState() {
   if (document.hidden) return;
@@ -83,16 +78,12 @@ function askForKey() {
   const use = async () => {
     setKey(input.value.trim());
     const [needed, known] = await Promise.all(["", key()].map((one) => answers(one)));
-    if (key() && !known && !needed) {
-      setKey("");
-      put(refused, note("outside", "The server refuses this key. Copy it again, or ask for a new one."));
-      return;
-    }
+    if (key() && !known && !needed) return put(refused, note("outside", "The server refuses this key. Copy it again, or ask for a new one."), setKey(""));
     verdict = !key() ? "" : needed ? " (not needed)" : " ✓";
     if (key() && needed) notify("This server needs no key.");
     close();
     markKey();
-    show();
+    return show();
   };
   const form = el("form", {
     method: "dialog", class: "stack",

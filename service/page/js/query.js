@@ -52,12 +52,7 @@ export async function show(root, about, signal) {
   put(root, el("div", { class: "two" }, el("section", { class: "card" }, form.form), el("div", { class: "stack" },
     el("div", { class: "card" }, old, answer), picture_, el("div", { class: "card" }, curl.root, python.root))));
   if (!about.has_fea) return;
-  try {
-    drawing = await picture(picture_, about, form.read, signal);
-  } catch (error) {
-    if (signal.aborted) throw error;
-    picture_.remove(); // a mesh that cannot be drawn
-  }
+  drawing = await picture(picture_, about, form.read, signal).catch(() => { picture_.remove(); return null; }); // a mesh that cannot be drawn
 }
 
 async function query(place, about, wrench, options, signal, watched = null) {
