@@ -170,7 +170,8 @@ const pageWords = (message) => message.replace(ZERO, "count them as zero")
   .replace(/set load_cell=moving \(--load-cell moving\), else load_cell=fixed/, "choose “moves with the interface” as load cell, else “stays on the ground”")
   .replace(/; leave one out with ignore \(--ignore\)/, "; leave one out under Meaning of the columns")
   .replace(/name one by mapping, such as --column '.*'/, "choose one under Meaning of the columns")
-  .replace(/ with mapping \(--column '.*?'\)/, " under Meaning of the columns");
+  .replace(/ with mapping \(--column '.*?'\)/, " under Meaning of the columns")
+  .replaceAll(/ \(--[^)]*\)/g, "");
 
 // What many rows have in common, once with its count.
 function causes(list) {
@@ -182,7 +183,7 @@ function causes(list) {
 function alike(list) {
   const found = new Map();
   for (const one of list) {
-    const words = one.field ? one.message.toLowerCase().replaceAll(`${one.field.toLowerCase()} [`, "[") : one.message;
+    const words = one.field ? pageWords(one.message).toLowerCase().replaceAll(`${one.field.toLowerCase()} [`, "[") : pageWords(one.message);
     found.set(words, [...(found.get(words) || []), one]);
   }
   return [...found.values()];
