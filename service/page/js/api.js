@@ -30,10 +30,10 @@ function counted(change) {
   document.body.classList.toggle("busy", pending > 0);
 }
 
-export async function send(method, path, { json, body, headers = {}, signal, quiet } = {}) {
+export async function send(method, path, { json, body, headers = {}, signal, quiet, as = key() } = {}) {
   const sent = { ...headers };
   if (json !== undefined) sent["Content-Type"] = "application/json";
-  if (key()) sent.Authorization = `Bearer ${key()}`;
+  if (as) sent.Authorization = `Bearer ${as}`;
   let reply;
   if (!quiet) counted(1);
   try {
@@ -42,6 +42,7 @@ export async function send(method, path, { json, body, headers = {}, signal, qui
     });
   } catch (error) {
     if (error.name === "AbortError") throw error;
+    window.dispatchEvent(new Event("no-connection"));
     throw new Problem(0, { title: "No connection", detail: "The server does not answer. Is it running?" });
   } finally {
     if (!quiet) counted(-1);
@@ -80,6 +81,11 @@ export const caughtUp = (name, signal) => get(`${of(name)}/drawing?most=1`, sign
 
 // What is shown where a call has failed: the server's own words, which say what to do.
 export function trouble(error) {
+  const gone = error.status === 0 || /module|Failed to fetch|could not be loaded/.test(error.message) && !(error instanceof Problem);
+  if (gone) {
+    window.dispatchEvent(new Event("no-connection"));
+    return note("outside", el("strong", {}, "No connection"), el("span", {}, "The server does not answer. Start it again, or check the network."), el("div", {}, el("button", { type: "button", onclick: () => location.reload() }, "Retry")));
+  }
   const title = error instanceof Problem ? error.body.title : "Error in the page";
   const mistakes = error.body?.errors || [];
   // A message that contains all mistakes is cut where their list begins.

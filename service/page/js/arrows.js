@@ -15,9 +15,11 @@ const TIP = 0.25; // of the longest arrow
 export async function picture(root, about, read, signal) {
   const [surface, detail] = await Promise.all([get(`${of(about.name)}/surface`, signal), get(of(about.name), signal)]);
   const interfaces = Object.entries(detail.interfaces || { "": detail.interface }).filter(([, one]) => one?.point);
-  const place = el("div", { class: "plot", id: "loads", "data-away": awayFrom(surface.vertices) });
+  const most = LONGEST * extent(surface.vertices);
+  const around = interfaces.flatMap(([, { point }]) => [-most, most].flatMap((way) => [0, 1, 2].map((k) => point.map((one, at) => one + (k === at ? way : 0))))); // where arrows may end
+  const place = el("div", { class: `plot${about.space ? "" : " low"}`, id: "loads", "data-away": awayFrom([...surface.vertices, ...around]) });
   const view = figure(place, "The part and its loads", marks());
-  root.append(view.root);
+  root.append(view.root, interfaces.length ? el("p", { class: "muted small" }, "Lines x, y and z at the point: the axes of the interface, in which loads and displacements are given.") : "");
   const edges = lines(surface.vertices, outline(surface.vertices, surface.triangles), MM);
   const drawing = await draw(place, (shade) => drawn(about, surface, edges, interfaces, read(), shade, view.camera()), signal, `${about.name} with its loads`);
   view.hold(drawing);
@@ -46,13 +48,21 @@ function drawn(about, { vertices, triangles }, edges, interfaces, values, shade,
     return interfaces.flatMap(([, one], k) => (loads[k].some((part) => part) ? arrow(one, loads[k].map((part) => (size * part) / most), size, shade[place ? "query" : "outside"]) : []));
   });
   const axis = (name) => ({ title: { text: `${name}, mm` }, nticks: 4 });
-  return { data: [body, rim, names, ...arrows], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "data", camera }, uirevision: "same" } };
+  return { data: [body, rim, names, ...interfaces.flatMap(([, one]) => frame(one, 0.5 * size, shade)), ...arrows], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "data", camera }, uirevision: "same" } };
 }
 
 const vectorOf = (about, values, name, kind) => {
   const all = named(about, values.map((one) => (Number.isFinite(one) ? one : 0)));
   return (all.loads?.[name] || all)[kind];
 };
+
+// The three axes of an interface, named at their ends.
+function frame({ point, axes }, length, shade) {
+  return axes.map((direction, row) => {
+    const [x, y, z] = [0, 1, 2].map((k) => [point[k] * MM, point[k] * MM + length * direction[k]]);
+    return { type: "scatter3d", mode: "lines+text", x, y, z, text: ["", "xyz"[row]], textfont: { color: shade.ink }, line: { color: shade.ink, width: 3 }, hoverinfo: "skip" };
+  });
+}
 
 // A load in the interface's axes, drawn from its point; the axes are rows in those of the mesh.
 function arrow({ point, axes }, load, size, colour) {

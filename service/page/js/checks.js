@@ -46,7 +46,10 @@ function matrix(values, name, origin) {
   const cell = (value, i, j) => {
     const noise = value && size(value) < NOISE * Math.max(largest(i, j), Math.sqrt(size(values[i][i]) * size(values[j][j])));
     const made = el("td", {}, value === null ? "–" : noise ? "≈ 0" : value ? scientific(value, 3) : "0");
-    const part = largest(i, j) && !noise ? size(value) / largest(i, j) : 0;
+    const mirror = values[j][i], apart = size(value - (mirror ?? value));
+    const undetermined = !noise && value && mirror !== null && apart > 0.5 * Math.max(size(value), size(mirror)); // no symmetry: Maxwell and Betti
+    if (undetermined) { made.classList.add("muted"); made.title = "The rows do not determine this entry: it differs from its mirror entry"; }
+    const part = largest(i, j) && !noise && !undetermined ? size(value) / largest(i, j) : 0;
     made.style.background = `color-mix(in srgb, var(--accent) ${Math.round(26 * part)}%, transparent)`;
     return made;
   };
@@ -54,7 +57,7 @@ function matrix(values, name, origin) {
     el("div", { class: "wide", tabindex: "0", role: "region", "aria-label": `${name}, 6 by 6` }, el("table", { class: "matrix" },
       el("thead", {}, el("tr", {}, el("th", {}), LOADS.map((load) => el("th", { class: "number", scope: "col" }, symbol(load))))),
       el("tbody", {}, values.map((line, i) => el("tr", {}, el("th", { scope: "row" }, symbol(OUTPUTS[i])), line.map((value, j) => cell(value, i, j))))))),
-    el("p", { class: "muted small" }, `Translations in m, rotations in rad, per N or N·m; ${origin}. Shades compare entries of one unit.`),
+    el("p", { class: "muted small" }, `Translations in m, rotations in rad, per N or N·m; ${origin}. Shades compare entries of one unit. Grey entries differ from their mirror entries: the rows do not determine them.`),
   ];
 }
 

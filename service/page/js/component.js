@@ -13,9 +13,9 @@ const OF_ONE = ["shape", "rows", "response", "checks", "compare", "report", "dem
 // View, its name, file, group, and what the component needs for it.
 const TABS = [
   ["overview", "Overview", "overview.js"],
-  ["query", "Query", "query.js", "Ask"],
-  ["response", "Response", "response.js", "Ask"],
-  ["shape", "Shape", "shape.js", "Ask", "has_fea"],
+  ["query", "Query", "query.js", "Query"],
+  ["response", "Response", "response.js", "Query"],
+  ["shape", "Shape", "shape.js", "Query", "has_fea"],
   ["rows", "Rows", "rows.js", "Table"],
   ["checks", "Checks", "checks.js", "Table"],
   ["compare", "Compare", "compare.js", "Table"],
@@ -27,12 +27,16 @@ const TABS = [
   ["entry", "Entry", "entry.js", "Part"],
 ];
 
+// Loads the files of all views.
+export const preload = () => Promise.all(TABS.map(([, , file]) => import(`./${file}`)));
+
 export async function show(root, [name, tab = "overview"], signal) {
   // The library's entry is reply at once; all there is to say of a large table takes seconds.
   const { components } = await listed(signal);
   const about = components.find((one) => one.name === name) || await get(of(name), signal);
   const there = TABS.filter(([view, , , , needs]) => (!needs || about[needs]) && !(about.space && OF_ONE.includes(view)));
   const [chosenTab, text, file] = there.find(([one]) => one === tab) || there[0];
+  const absent = TABS.find(([one]) => one === tab && one !== chosenTab);
   document.title = `${name}: ${text} · wrenchbook`;
   const changed = el("div", { "aria-live": "polite" }), body = el("div", { class: "stack" }), byTab = document.activeElement?.closest(".tabs");
   put(root,
@@ -43,6 +47,7 @@ export async function show(root, [name, tab = "overview"], signal) {
         el("p", { class: "muted" }, about.title)),
       el("div", { class: "line" }, awayPill(about.archived), pill(about.has_fea ? (about.linear ? "finite elements, linear" : "finite elements") : "measured", ""))),
     tabs(name, chosenTab, there),
+    absent ? note("", `This component has no view ${absent[1]}: it needs ${about.space ? "a component with one interface and no further inputs" : absent[4] === "mesh" ? "a mesh" : "finite elements"}. The overview is shown.`) : null,
     changed, body);
   if (byTab) document.querySelector(".tabs [aria-current=page]")?.focus({ preventScroll: true });
   const part = await import(`./${file}`);
@@ -79,15 +84,15 @@ function awayPill(archived) {
   return made;
 }
 
-// The groups, and below them the views of the chosen one; a group of one view has that view's name.
+// The groups, and below them the views of the chosen one, unless it is one view of the same name.
 function tabs(name, chosen, there) {
-  const groups = Map.groupBy(there, ([view, , , group]) => group || view);
+  const groups = Map.groupBy(there, ([, text, , group]) => group || text);
   const link = ([view], text, current) => el("a", { href: `#/c/${encodeURIComponent(name)}/${view}`, "aria-current": current }, text);
   let row = null;
   const heads = [...groups].map(([group, views]) => {
-    const here = views.some(([view]) => view === chosen), one = views.length === 1;
+    const here = views.some(([view]) => view === chosen), one = views.length === 1 && views[0][1] === group;
     if (here && !one) row = el("div", { class: "views" }, views.map((view) => link(view, view[1], view[0] === chosen ? "page" : null)));
-    return link(views[0], one ? views[0][1] : group, here ? (one ? "page" : "true") : null);
+    return link(views[0], group, here ? (one ? "page" : "true") : null);
   });
   return el("nav", { class: "tabs", "aria-label": `Views of ${name}` }, el("div", {}, heads), row);
 }

@@ -1,11 +1,19 @@
 // The calls, shown by Swagger UI from this server alone.
 
+// The colours of the page; Swagger UI has light ones alone.
+const theme = localStorage.getItem("wrenchbook-theme") || "auto";
+const dark = theme === "dark" || (theme === "auto" && matchMedia("(prefers-color-scheme: dark)").matches);
+document.documentElement.classList.toggle("dark", dark);
+document.documentElement.style.colorScheme = dark ? "dark" : "light";
+
+const rank = (tag) => (tag === "displacement" ? 0 : tag === "umbridge" ? 2 : 1); // the main call first
 const key = sessionStorage.getItem("wrenchbook-key");
 window.SwaggerUIBundle({
   url: new URL("openapi.json", new URL(".", document.baseURI)).href,
   dom_id: "#calls",
   deepLinking: true,
   docExpansion: "list",
+  tagsSorter: (one, other) => rank(one) - rank(other),
   defaultModelsExpandDepth: -1,
   validatorUrl: null, // it would ask another host
   requestInterceptor: (request) => {

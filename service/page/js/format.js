@@ -40,8 +40,11 @@ export function scientific(value, digits) {
 const POWERS = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
 const superscript = (power) => [...String(power)].map((one) => POWERS[one]).join("");
 
-// A text of the server as a sentence: a capital letter, and powers of ten in place of 1e-06.
-export const sentence = (text) => text[0].toUpperCase() + text.slice(1).replaceAll(/(\d)e([+-]\d+)/g, (_, digit, power) => `${digit}·10` + superscript(Number(power)));
+// Loads as the fields have them: Fz in place of fz.
+const named = (text) => text.replaceAll(/\b[fm][xyz]\b/g, plain);
+
+// A text of the server as a sentence: a capital letter, µm in place of 1e-06 m, other powers of ten as such.
+export const sentence = (text) => text[0].toUpperCase() + named(text.slice(1)).replaceAll(/(\d(?:\.\d+)?e[+-]\d+) (m|rad|Pa)\b/g, (_, value, unit) => quantity(Number(value), unit)).replaceAll(/(\d)e([+-]\d+)/g, (_, digit, power) => `${digit}·10` + superscript(Number(power)));
 
 // A value and its bar in one unit: of the value as many digits as the bar leaves, three to seven.
 export function withBar(value, bar, unit) {
@@ -90,8 +93,8 @@ export function time(text) {
 const ACTORS = { "(anonymous)": "anonymous", "(local)": "a command", "(server)": "the server" };
 export const actorOf = (name) => ACTORS[name] || name || "";
 
-export function wrench(force, moment) {
-  const said = (values) => values.map((one) => number(one, 3)).join(",\u00a0"); // a line breaks between force and moment
+export function wrench(force, moment, digits = 3) {
+  const said = (values) => values.map((one) => number(one, digits)).join(",\u00a0"); // a line breaks between force and moment
   return `F\u00a0(${said(force)})\u00a0N, M\u00a0(${said(moment)})\u00a0N·m`;
 }
 

@@ -149,11 +149,12 @@ function mistakes(state, errors, result) {
   for (const one of errors) byRow.set(one.row, [...(byRow.get(one.row) || []), one]);
   const shown = [...byRow].slice(0, MENDED), edits = new Map(), mended = state.text && !state.options.displacements();
   const mend = () => { for (const [row, input] of edits) state.text = withLine(state.text, row, input.value.replace(/[\r\n]+/g, " ")); };
-  const named = `${count(byRow.size)} ${byRow.size === 1 ? "row has a mistake" : "rows have mistakes"}`;
+  const ofHeader = errors.every((one) => one.row === 1) && result.rows?.read === 0 && !result.rows.refused; // and so the rows were not read
+  const named = ofHeader ? `the header needs ${errors.length === 1 ? "a decision" : `${errors.length} decisions`}` : `${count(byRow.size)} ${byRow.size === 1 ? "row has a mistake" : "rows have mistakes"}`;
   return [
     note("outside", el("strong", {}, `${state.file.name}: ${named}; nothing was loaded.`), result.inserted ? tallies(result) : null,
       byRow.size > MENDED ? el("span", {}, `The first ${MENDED} are shown.`) : null),
-    causes(result.causes || []),
+    ofHeader ? null : causes(result.causes || []),
     el("div", { class: "stack", id: "mistakes" }, shown.map(([row, list]) => mistake(mended && state.text, row, list, edits))),
     result.columns || byRow.has(1) || byRow.has(0) ? state.options.columns.draw(result, errors) : null,
     errors.some((one) => one.message.includes(ZERO)) ? el("div", {}, el("button", { type: "button", class: "first", id: "zero-loads", onclick: state.options.countAsZero }, "Count missing loads as zero")) : null,
@@ -163,24 +164,33 @@ function mistakes(state, errors, result) {
   ];
 }
 
+// A message of the server with the page's own options in place of those of the command line.
+const pageWords = (message) => message.replace(ZERO, "count them as zero")
+  .replace(/Rename it, map it with mapping \(--column '.*?'\), or skip it with ignore \(--ignore '.*?'\)/, "Choose what it is, or “leave out”, under Meaning of the columns")
+  .replace(/set load_cell=moving \(--load-cell moving\), else load_cell=fixed/, "choose “moves with the interface” as load cell, else “stays on the ground”")
+  .replace(/; leave one out with ignore \(--ignore\)/, "; leave one out under Meaning of the columns")
+  .replace(/name one by mapping, such as --column '.*'/, "choose one under Meaning of the columns")
+  .replace(/ with mapping \(--column '.*?'\)/, " under Meaning of the columns")
+  .replaceAll(/ \(--[^)]*\)/g, "");
+
 // What many rows have in common, once with its count.
 function causes(list) {
   const common = list.filter((one) => one.count > 1);
-  return common.length ? el("ul", { id: "causes" }, common.map((one) => el("li", {}, `${count(one.count)} mistakes`, one.fields.map((field) => [", ", el("code", {}, field)]), ": ", one.message))) : null;
+  return common.length ? el("ul", { id: "causes" }, common.map((one) => el("li", {}, `${count(one.count)} mistakes`, one.fields.map((field) => [", ", el("code", {}, field)]), ": ", pageWords(one.message)))) : null;
 }
 
 // Mistakes of one row that differ by the column's name alone, together: each sentence is there once.
 function alike(list) {
   const found = new Map();
   for (const one of list) {
-    const words = one.field ? one.message.toLowerCase().replaceAll(`${one.field.toLowerCase()} [`, "[") : one.message;
+    const words = one.field ? pageWords(one.message).toLowerCase().replaceAll(`${one.field.toLowerCase()} [`, "[") : pageWords(one.message);
     found.set(words, [...(found.get(words) || []), one]);
   }
   return [...found.values()];
 }
 
 function mistake(text, row, list, edits) {
-  const words = el("ul", {}, alike(list).map((group) => el("li", {}, group.flatMap((one, k) => (one.field ? [k ? ", " : "", el("code", {}, one.field)] : [])), group[0].field ? ": " : "", group[0].message.replace(ZERO, "count them as zero"))));
+  const words = el("ul", {}, alike(list).map((group) => el("li", {}, group.flatMap((one, k) => (one.field ? [k ? ", " : "", el("code", {}, one.field)] : [])), group[0].field ? ": " : "", pageWords(group[0].message))));
   const title = el("strong", {}, row === 0 ? "The file" : text ? `Line ${row}` : `Row ${row}`);
   if (!text || row === 0) return el("div", { class: "note" }, title, words);
   const line = lineOf(text, row); // wrapped: its last cell is seen too

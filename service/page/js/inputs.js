@@ -29,11 +29,11 @@ export function named(about, values) {
 }
 
 // The inputs of a request or a job as a line of text; the units of further inputs are the component's.
-export function said({ loads, force, moment, inputs }, about = {}) {
-  const parts = Object.entries(loads || {}).map(([name, load]) => `${name}: ${[...load.force, ...load.moment].some((one) => one) ? wrench(load.force, load.moment) : "no load"}`);
-  if (force) parts.push(wrench(force, moment));
+export function said({ loads, force, moment, inputs }, about = {}, digits = 5) {
+  const parts = Object.entries(loads || {}).map(([name, load]) => `${name}: ${[...load.force, ...load.moment].some((one) => one) ? wrench(load.force, load.moment, digits) : "no load"}`);
+  if (force) parts.push(wrench(force, moment, digits));
   const unit = (name) => inputsOf(about).find((one) => one.name === name)?.unit || "";
-  return [...parts, ...Object.entries(inputs || {}).map(([name, value]) => `${name} ${number(value)}\u00a0${unit(name)}`.trim())].join("; ");
+  return [...parts, ...Object.entries(inputs || {}).map(([name, value]) => `${name} ${number(value, digits)}\u00a0${unit(name)}`.trim())].join("; ");
 }
 
 const asked = new Map(); // components by name, for their units

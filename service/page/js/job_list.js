@@ -4,7 +4,7 @@ import { get, post, send, trouble } from "./api.js";
 import { el, note, notify, pill, put, save } from "./dom.js";
 import { empty as emptyState } from "./empty.js";
 import { listen } from "./events.js";
-import { actorOf, seconds, time } from "./format.js";
+import { actorOf, seconds, sentence, time } from "./format.js";
 import { saidOf } from "./inputs.js";
 
 const SHOWN = 50, NEWEST = 20; // jobs: of a page; whose solve times are averaged
@@ -170,9 +170,10 @@ export function jobFacts(job) {
   ];
 }
 
+const failure = (error) => note("outside", el("strong", {}, sentence((error.kind || "failed").replaceAll("_", " "))), failureWords(error));
+
 // Why a solve failed, and what helps, each once: messages often hold both.
-function failure({ kind, message, remedy }) {
+export function failureWords({ kind, message, remedy }) {
   const words = kind && message.startsWith(`${kind}: `) ? message.slice(kind.length + 2) : message;
-  return note("outside", el("strong", {}, (kind || "failed").replaceAll("_", " ")), el("span", {}, words),
-    remedy && !words.includes(remedy) ? el("span", {}, `Remedy: ${remedy}`) : null);
+  return [el("span", {}, sentence(words)), remedy && !words.includes(remedy) ? el("span", {}, `Remedy: ${remedy}`) : null].filter(Boolean);
 }

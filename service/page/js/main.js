@@ -1,7 +1,7 @@
 // Which view an address shows, the bar on top, the key and the colours.
 
 import { key, send, setKey, trouble } from "./api.js";
-import { el, put } from "./dom.js";
+import { el, note, notify, put } from "./dom.js";
 
 const VIEWS = [
   [/^\/$/, "library.js"],
@@ -51,6 +51,8 @@ function markWhereWeAre(address) {
   }
 }
 
+const noAnswer = () => Object.assign(document.getElementById("state"), { textContent: "no answer", className: "state faulty", title: "The server does not answer." });
+
 async function tellState() {
   if (document.hidden) return;
   const place = document.getElementById("state");
@@ -63,6 +65,7 @@ async function tellState() {
     place.title = Object.entries(state.broken).map(([name, reason]) => `${name}: ${reason}`).join("\n");
   } catch (error) {
     const fault = error.body?.faults?.[0];
+    if (!error.status) { noAnswer(); return; }
     set(fault ? "not ready" : error.status === 401 ? "needs a key" : "no answer", "faulty");
     place.title = fault || error.message;
   }
@@ -71,13 +74,24 @@ async function tellState() {
 function askForKey() {
   const input = el("input", { type: "password", autocomplete: "off", value: key(), "aria-label": "Key" });
   const close = () => { dialog.close(); dialog.remove(); };
+  const refused = el("div", { "aria-live": "polite" });
+  const use = async () => {
+    setKey(input.value.trim());
+    const [needed, known] = await Promise.all(["", key()].map((one) => answers(one)));
+    if (key() && !known && !needed) return put(refused, note("outside", "The server refuses this key. Copy it again, or ask for a new one."), setKey(""));
+    verdict = !key() ? "" : needed ? " (not needed)" : " ✓";
+    if (key() && needed) notify("This server needs no key.");
+    close();
+    markKey();
+    return show();
+  };
   const form = el("form", {
     method: "dialog", class: "stack",
-    onsubmit: (event) => { event.preventDefault(); setKey(input.value.trim()); close(); markKey(); show(); },
+    onsubmit: (event) => { event.preventDefault(); use(); },
   },
     el("h2", {}, "Key"),
     el("p", {}, "A server that other machines can reach needs a key. The key is stored until this tab is closed and is sent to this server only."),
-    input,
+    input, refused,
     el("div", { class: "line" },
       el("button", { class: "first" }, "Use this key"),
       el("button", { type: "button", onclick: () => { input.value = ""; form.requestSubmit(); } }, "Delete the key"),
@@ -87,8 +101,12 @@ function askForKey() {
   dialog.showModal();
 }
 
+// Whether the server answers a call with a key, or without one.
+const answers = (one) => send("GET", "v1/components?limit=1", { quiet: true, as: one }).then(() => true, (error) => error.status !== 401);
+let verdict = ""; // of the key, once it was tried
+
 function markKey() {
-  document.getElementById("key").textContent = key() ? "Key ✓" : "Key";
+  document.getElementById("key").textContent = key() ? `Key${verdict || " set"}` : "Key";
   markAudit();
 }
 
@@ -130,9 +148,12 @@ window.addEventListener("hashchange", async () => {
   if (!document.activeElement || document.activeElement === document.body) main.focus({ preventScroll: true });
 });
 document.addEventListener("visibilitychange", tellState);
+window.addEventListener("no-connection", noAnswer);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => window.dispatchEvent(new Event("theme")));
 setTheme(localStorage.getItem("wrenchbook-theme") || "auto");
 markKey();
 show();
 tellState();
 setInterval(tellState, 15000);
+// Views are loaded ahead: one that is opened while the server is away says so in its own place.
+setTimeout(async () => { for (const [, file] of VIEWS) await import(`./${file}`).then((view) => view.preload?.()).catch(() => {}); }, 3000);

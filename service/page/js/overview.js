@@ -1,12 +1,13 @@
 // What a component is: contract, range, method, how well its table covers.
 
-import { caughtUp, get, of, post } from "./api.js";
+import { caughtUp, get, of, post, trouble } from "./api.js";
 import { el, facts, field, note, notify, pill, put, table } from "./dom.js";
 import { listenToTable } from "./events.js";
 import { beingBuilt, linkTo } from "./empty.js";
 import { findingNote } from "./findings.js";
 import { count, number, quantity, sentence } from "./format.js";
 import { inputsOf, mark, spansOf } from "./inputs.js";
+import { paint } from "./picture.js";
 import { legend, sharesOf, wholeError } from "./shares.js";
 
 export async function show(root, { name }, signal) {
@@ -28,8 +29,8 @@ export async function show(root, { name }, signal) {
   };
   put(root, warned,
     el("div", { class: "halves" },
-      el("div", { class: "stack" }, el("section", { class: "card" }, el("h2", {}, "Coverage"), glance, about.has_fea ? fill(about) : el("div", {}, linkTo(about, "table", "Import measured rows"))), range),
-      el("div", { class: "stack" }, rows, el("section", { class: "card" }, el("h2", {}, "Conventions"), contract(about)))));
+      el("div", { class: "stack" }, el("section", { class: "card" }, el("h2", {}, "Coverage"), glance, about.has_fea ? fill(about, signal) : el("div", {}, linkTo(about, "table", "Import measured rows"))), range),
+      el("div", { class: "stack" }, rows, el("section", { class: "card" }, el("h2", {}, "Part and conventions"), pictureOf(about, signal), contract(about)))));
   listenToTable(name, about.table_version, signal, () => refresh().catch(() => {}));
   await refresh();
 }
@@ -44,11 +45,17 @@ function warnings(about, signal, done) {
       found.map((one) => el("div", { class: "stack" }, el("p", { class: "muted small" }, `Import ${one.import}${one.filename ? `, ${one.filename}` : ""}`),
         findingNote(about.name, one, one.import, signal, done)))) : null,
     ofRows.length ? note("thin", ofRows.map((one) => el("p", {}, textOf(one))), about.another_setup.wrenches ? resolve(about) : null) : null,
-    checked.length ? note("thin", el("strong", {}, "Warnings of the bundle check"), el("ul", {}, checked.map((one) => el("li", {}, VERB.test(textOf(one)) ? `${one.where} ${textOf(one)}` : sentence(textOf(one)).replace(/([^.])$/, "$1."))))) : null,
+    checked.length ? note("thin", el("strong", {}, "Warnings of the bundle check"), el("ul", {}, checked.map((one) => el("li", {}, causeFirst(VERB.test(textOf(one)) ? `${one.where} ${textOf(one)}` : textOf(one)))))) : null,
   ];
 }
 
 const VERB = /^(is|are|has|have|holds|keeps|counts|names|must|cannot|consists|moves|rotates|fixes|closes|lies|needs) /; // of a message that goes on after its key
+// The cause in bold, then the rest.
+function causeFirst(text) {
+  const words = sentence(text).replace(/([^.])$/, "$1."), end = words.search(/[:;] |\. /);
+  return end < 0 || end > 120 ? words : [el("strong", {}, words.slice(0, end + 1)), words.slice(end + 1)];
+}
+
 const textOf = (one) => (typeof one === "string" ? one : one.message || one.msg || JSON.stringify(one));
 
 async function cover(place, about, signal, isLatest) {
@@ -57,9 +64,9 @@ async function cover(place, about, signal, isLatest) {
   let glance = null;
   if (rows) {
     glance = await get(`${of(about.name)}/glance`, signal);
-    if (about.has_fea) parts.push(wholeError(glance, about));
+    parts.push(wholeError(glance, about));
     parts.push(sharesOf(glance));
-    parts.push(legend(), el("p", { class: "muted small" }, `Parts of the load range. Covered: the interpolation error is within the tolerance; thin: it is larger or not known; outside: no rows surround the load.${about.has_fea ? " The first bar compares the whole error bar with the tolerance." : ""}${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`));
+    parts.push(legend(), el("p", { class: "muted small" }, `Parts of the load range. Covered: the interpolation error is known and within the tolerance; thin: it is larger or not known; outside: beyond the load range, or beyond the rows for the methods by axes (additive, griddata). Kriging may cover loads a little beyond the rows. The first bar compares the whole error bar with the tolerance.${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`));
   } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : "The table has no rows yet."));
   if (isLatest()) put(place, parts);
   return glance;
@@ -76,17 +83,33 @@ function resolve(about) {
   return el("button", { onclick: order }, "Solve them again");
 }
 
-function fill(about) {
+function fill(about, signal) {
   const budget = el("input", { type: "number", min: 1, max: 10000, value: 24, "aria-label": "Largest number of solves" });
   const order = async (event) => {
     event.preventDefault();
     try {
       const reply = await post(`${of(about.name)}/fill`, { budget: Number(budget.value) });
-      notify(reply.jobs.length ? `${reply.jobs.length} solves are queued. ${reply.reason ? sentence(reply.reason) : ""}` : reply.reason || "Nothing to solve.");
-    } catch (error) { notify(error.message, "wrong"); }
+      if (reply.jobs.length) await progress(state, reply, signal); else put(state, reply.reason ? sentence(reply.reason) : "Nothing to solve.");
+    } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
   };
-  return el("form", { class: "line bottom", onsubmit: order },
-    field("Largest number of solves", budget), el("button", { class: "first", id: "fill" }, "Fill the table"));
+  const state = el("div", { "aria-live": "polite" });
+  return [el("form", { class: "line bottom", onsubmit: order },
+    field("Largest number of solves", budget), el("button", { class: "first", id: "fill" }, "Fill the table")), state];
+}
+
+// How many of the queued solves have ended; they end about in their order.
+async function progress(place, { jobs, reason }, signal) {
+  const bar = el("progress", { max: String(jobs.length), value: 0, "aria-label": "Solves that have ended" }), words = el("span", { class: "small muted" });
+  put(place, el("div", { class: "stack tight" }, words, bar, reason ? el("span", { class: "small muted" }, sentence(reason)) : null));
+  let failed = 0;
+  for (const [place_, { id }] of jobs.entries()) {
+    words.textContent = `${place_} of ${jobs.length} solves have ended.`;
+    let job;
+    do job = await get(`v1/jobs/${id}?wait_s=20`, signal); while (["waiting", "running"].includes(job.status));
+    failed += job.status === "done" ? 0 : 1;
+    bar.value = place_ + 1;
+  }
+  words.textContent = `${jobs.length} of ${jobs.length} solves have ended${failed ? `, ${failed} without a row: see the jobs` : ""}. Fill the table again to continue from the new rows.`;
 }
 
 const SOURCES = { fea: "solved" };
@@ -102,7 +125,7 @@ function method(about) {
   return facts([
     ["Rows", sources || "none"],
     ["Method", sources ? cover.method : ""],
-    [sources ? "Reason" : "Method", sentence(cover.method_reason || "–")],
+    [sources ? "Reason" : "Method", about.has_fea || sources ? sentence(cover.method_reason || "–") : "The table has no rows: import measured ones."],
     ["Tolerance", tolerance],
     ["Jobs", jobs.length ? el("a", { class: "line", href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : "none"],
     ["Contradictions", cover.conflicting_wrenches ? `${cover.conflicting_wrenches} ${cover.conflicting_wrenches === 1 ? "wrench has" : "wrenches have"} rows that disagree: withdraw the wrong import under Entry` : ""],
@@ -123,6 +146,15 @@ function loads(about, reach) {
 }
 
 const between = (low, high) => (low === high ? `only ${number(low, 3)}` : `${number(low, 3)} to ${number(high, 3)}`);
+
+// The part, with the axes of its interfaces.
+function pictureOf(about, signal) {
+  const frames = Object.values(about.interfaces || { "": about.interface }).filter((one) => one?.point);
+  if (!about.has_fea) return null;
+  const canvas = el("canvas", { class: "part", role: "img", "aria-label": `The part ${about.name}`, hidden: true });
+  paint(canvas, about, signal, frames).catch(() => {});
+  return el("div", {}, canvas, frames.length ? el("p", { class: "muted small" }, "x, y, z: axes of the interface at its point, in which loads and displacements are given.") : null);
+}
 
 function contract(about) {
   const held = about.interface;

@@ -2,7 +2,7 @@
 
 import { get, of } from "./api.js";
 import { colours } from "./plot.js";
-import { normals } from "./surface.js";
+import { extent, normals } from "./surface.js";
 
 const SIZE = [320, 150]; // CSS pixels
 const surfaces = new Map();
@@ -11,7 +11,7 @@ const LIGHT = [0.2, -0.5, 0.84];
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
 // Draws a part on a canvas from its mesh, which needs no rows; the symbol of a table where there is no mesh to draw.
-export async function paint(canvas, { name, has_fea: meshed }, signal) {
+export async function paint(canvas, { name, has_fea: meshed }, signal, frames = []) {
   if (meshed && !surfaces.has(name)) surfaces.set(name, await get(`${of(name)}/surface`, signal).catch(() => null));
   if (!surfaces.get(name)?.triangles.length) {
     surfaces.delete(name);
@@ -24,7 +24,9 @@ export async function paint(canvas, { name, has_fea: meshed }, signal) {
   const facing = normals(vertices, triangles);
   const order = triangles.map((corners, k) => [corners, facing[k], corners.reduce((sum, one) => sum + flat[one][2], 0)])
     .filter(([, normal]) => dot(normal, TOWARDS) > 0).sort((one, other) => one[2] - other[2]);
-  shown(canvas, () => fill(canvas, flat, order), signal);
+  const length = 0.2 * extent(vertices);
+  const axes = frames.map(({ point, axes: rows }) => [point, ...rows.map((row) => point.map((one, k) => one + length * row[k]))].map((one) => [dot(one, RIGHT), -dot(one, UP)]));
+  shown(canvas, () => fill(canvas, flat, order, axes), signal);
 }
 
 function shown(canvas, draw, signal) {
@@ -51,18 +53,31 @@ function symbol(canvas) {
   for (const row of [0, 1, 2, 3]) for (const column of [0, 1, 2]) pen.strokeRect(left + 30 * column, top + 18 * row, 30, 18);
 }
 
-function fill(canvas, flat, order) {
-  const [low, high] = [Math.min, Math.max].map((end) => [0, 1].map((k) => end(...flat.map((one) => one[k]))));
-  const scale = 0.92 * Math.min(SIZE[0] / (high[0] - low[0] || 1), SIZE[1] / (high[1] - low[1] || 1));
-  const at = (one) => [0, 1].map((k) => SIZE[k] / 2 + scale * (flat[one][k] - (low[k] + high[k]) / 2));
+// `axes` are the point and the ends of the axes of each interface.
+function fill(canvas, flat, order, axes = []) {
+  const all = [...flat, ...axes.flat()];
+  const [low, high] = [Math.min, Math.max].map((end) => [0, 1].map((k) => end(...all.map((one) => one[k]))));
+  const scale = 0.88 * Math.min(SIZE[0] / (high[0] - low[0] || 1), SIZE[1] / (high[1] - low[1] || 1));
+  const at = (one) => [0, 1].map((k) => SIZE[k] / 2 + scale * (one[k] - (low[k] + high[k]) / 2));
   const pen = penOf(canvas), [red, green, blue] = colours().accent.match(/[\d.]+/g).map(Number);
   for (const [corners, normal] of order) {
     const light = 0.45 + 0.55 * Math.max(0, dot(normal, LIGHT));
     pen.fillStyle = pen.strokeStyle = `rgb(${[red, green, blue].map((one) => Math.round(one * light + 60 * light)).join()})`;
     pen.beginPath();
-    for (const one of corners) pen.lineTo(...at(one));
+    for (const one of corners) pen.lineTo(...at(flat[one]));
     pen.closePath();
     pen.fill();
     pen.stroke(); // closes the seams between triangles
+  }
+  pen.strokeStyle = pen.fillStyle = colours().ink;
+  pen.lineWidth = 1.5;
+  for (const [from, ...ends] of axes) {
+    ends.forEach((end, k) => {
+      pen.beginPath();
+      pen.lineTo(...at(from));
+      pen.lineTo(...at(end));
+      pen.stroke();
+      pen.fillText("xyz"[k], at(end)[0] + 3, at(end)[1] - 2);
+    });
   }
 }

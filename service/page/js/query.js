@@ -5,8 +5,9 @@ import { picture } from "./arrows.js";
 import { remember } from "./asked.js";
 import { el, field, note, pill, put, select } from "./dom.js";
 import { listen } from "./events.js";
-import { OUTPUTS, number, percent, sentence, symbol, unitOfOutput, withBar } from "./format.js";
+import { OUTPUTS, number, percent, quantity, sentence, symbol, unitOfOutput, withBar } from "./format.js";
 import { named, said } from "./inputs.js";
+import { failureWords } from "./job_list.js";
 import { solverError } from "./shares.js";
 import { curlOf, pythonOf, snippet } from "./snippet.js";
 import { wrenchForm } from "./wrench_form.js";
@@ -24,7 +25,14 @@ export async function show(root, about, signal) {
   const methods = about.space ? METHODS.filter(([name]) => !BY_AXES.includes(name)) : METHODS;
   const method = select(methods, "", () => tell());
   const options = () => ({ onThin: onThin.value, method: method.value });
-  const ask = (wrench) => query(answer, about, wrench, options(), signal);
+  let asked = null; // what the answer on view is for
+  const old = note("thin");
+  const ask = (wrench) => {
+    asked = { wrench, options: JSON.stringify(options()) };
+    tell();
+    answer.scrollIntoView({ block: "nearest" });
+    return query(answer, about, wrench, options(), signal);
+  };
   const form = wrenchForm(about, {
     action: "Ask", asked: ask, changed: () => tell(),
     more: el("div", { class: "stack" }, field("If the table does not cover the wrench", onThin), field("Method", method)),
@@ -33,15 +41,18 @@ export async function show(root, about, signal) {
     curl.say(curlOf(about, form.read(), options()));
     python.say(pythonOf(about, form.read(), options()));
     drawing?.again();
+    const stale = asked && (asked.options !== JSON.stringify(options()) || String(asked.wrench) !== String(form.read()));
+    answer.parentElement?.classList.toggle("stale", Boolean(stale));
+    old.hidden = !stale;
+    if (stale) put(old, `This answer is for ${said(named(about, asked.wrench), about, TYPED)}. Press Ask for the inputs typed now.`);
   };
   let drawing = null;
+  const picture_ = about.has_fea ? el("section", { class: "card" }, el("h2", {}, about.space ? "Loads at the interfaces" : "Load at the interface")) : null;
   tell();
   put(root, el("div", { class: "two" }, el("section", { class: "card" }, form.form), el("div", { class: "stack" },
-    el("div", { class: "card" }, answer), el("div", { class: "card" }, curl.root, python.root))));
-  if (!about.space || !about.has_fea) return;
-  const place = el("section", { class: "card" }, el("h2", {}, "Loads at the interfaces"));
-  root.append(place);
-  drawing = await picture(place, about, form.read, signal);
+    el("div", { class: "card" }, old, answer), picture_, el("div", { class: "card" }, curl.root, python.root))));
+  if (!about.has_fea) return;
+  drawing = await picture(picture_, about, form.read, signal).catch(() => { picture_.remove(); return null; }); // a mesh that cannot be drawn
 }
 
 async function query(place, about, wrench, options, signal, watched = null) {
@@ -51,27 +62,41 @@ async function query(place, about, wrench, options, signal, watched = null) {
   try {
     answer = await post(`${of(about.name)}/displacement`, body, signal);
   } catch (error) {
-    if (!signal.aborted) put(place, trouble(error));
+    if (signal.aborted) return;
+    const guess = error.body?.type?.endsWith(":not-covered") && options.onThin !== "estimate"; // the page has a button for this option
+    if (guess) put(place, note(error.body.coverage, el("strong", {}, error.body.title), el("span", {}, sentence(error.body.reason || error.message)), el("div", {}, el("button", { type: "button", onclick: () => query(place, about, wrench, { ...options, onThin: "estimate" }, signal) }, "Show the estimate"))));
+    else put(place, trouble(error));
     return;
   }
   remember(about.name, wrench, answer.coverage);
-  put(place, shown(answer, about, wrench));
+  const why = answered(answer) && barUnknown(answer) ? await whyUnknown(about, signal) : null;
+  put(place, shown(answer, about, wrench, why));
   if (answer.job && answer.job.id !== watched) await watch(place, about, wrench, options, answer.job, signal);
 }
 
+const TYPED = 12; // digits: a load as it was typed
 const ROUNDOFF = 1e-20; // m or rad: the kernel's least error bar is 1e-30
 const shareOf = (part) => (part < 10 ? percent(part, 2) : `${number(part, 2)} times`);
 
 const beyond = (about) => `The error bar exceeds the tolerance because of the ${solverError(about)} error. More solves do not lower it; the component's overview says what does.`;
 
-function shown(answer, about, wrench) {
+// Whether an answer lacks an error bar.
+const barUnknown = ({ error, displacements }) => (displacements ? Object.values(displacements) : [{ error }]).some((one) => !one.error || [...one.error.translation, ...one.error.rotation].includes(null));
+
+async function whyUnknown(about, signal) {
+  const { warnings = [], coverage } = await get(of(about.name), signal);
+  return warnings.find((one) => one.where === "tolerance" && one.message.includes("unknown"))?.message || coverage?.method_reason || "the rows are too few for an error bar";
+}
+
+function shown(answer, about, wrench, why) {
   return [
     el("div", { class: "line" }, stateOf(answer), el("span", { class: "muted small" }, about_(answer))),
-    answer.reason ? note(answered(answer) ? answer.coverage : "", sentence(answer.reason)) : null,
+    answer.reason ? note(answered(answer) && !(why && answer.coverage === "covered") ? answer.coverage : "", sentence(answer.reason)) : null,
+    why ? note("thin", el("strong", {}, "The error bar is unknown"), el("span", {}, `${sentence(why)}.`)) : null,
     answer.coverage === "covered" && answer.within_tolerance === false ? note("thin", beyond(about)) : null,
     Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, about.tolerance)),
     answer.notes ? note("thin", el("ul", {}, answer.notes.map((one) => el("li", {}, one)))) : null,
-    el("p", { class: "muted small" }, said(named(about, wrench), about)),
+    el("p", { class: "muted small" }, said(named(about, wrench), about, TYPED)),
   ];
 }
 
@@ -81,7 +106,8 @@ const answered = ({ translation, displacements }) => Boolean(translation || Obje
 function stateOf(answer) {
   const { coverage, within_tolerance: within } = answer;
   if (!answered(answer)) return pill("no answer yet", "");
-  return coverage === "covered" && within === false ? pill("covered, over tolerance", "thin") : pill(coverage);
+  if (coverage !== "covered") return pill(coverage);
+  return barUnknown(answer) ? pill("covered, error bar unknown", "thin") : within === false ? pill("covered, over tolerance", "thin") : pill(coverage);
 }
 
 // The displacement of an interface, its name empty where there is one.
@@ -108,7 +134,7 @@ function row(name, value, bar, share) {
 
 function about_(answer) {
   const source = answer.source === "fea" ? "a solve of this wrench" : answer.source === "table" ? "from the table" : answer.source || "no source";
-  return `${source}${answer.source ? ` · ${answer.method}` : ""} · table version ${answer.table_version} · ${number(answer.elapsed_us, 3)} µs`;
+  return `${source}${answer.source && answer.method !== "row" ? ` · ${answer.method}` : ""} · table version ${answer.table_version} · ${quantity(1e-6 * answer.elapsed_us, "s")}`;
 }
 
 // Events tell how far the solve is; its end is asked for as well, since it may come before them.
@@ -132,7 +158,7 @@ async function watch(place, about, wrench, options, job, signal) {
     if (now.status === "done") {
       if (!about.space) await caughtUp(about.name, signal);
       await query(place, about, wrench, about.space ? { ...options, onThin: "wait" } : options, signal, job.id);
-    } else put(place, note("outside", el("strong", {}, `The solve ${now.status === "failed" ? "failed" : "was cancelled"}.`), now.error ? now.error.message : "", link));
+    } else put(place, note("outside", el("strong", {}, `The solve ${now.status === "failed" ? "failed" : "was cancelled"}.`), now.error ? failureWords(now.error) : null, link));
   } catch (error) {
     ended.abort();
     if (!signal.aborted) put(place, trouble(error));

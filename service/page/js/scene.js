@@ -41,6 +41,9 @@ function needForm(one) {
     const acts = el("input", { type: "checkbox", checked: true, "aria-label": `${load} acts` });
     const [low, high] = spans[place].map((end, which) => el("input", { type: "number", step: "any", value: String(end), "aria-label": `${load} ${which ? "to" : "from"}` }));
     acts.addEventListener("change", () => { low.disabled = high.disabled = !acts.checked; });
+    const ordered = () => high.setCustomValidity(Number(low.value) > Number(high.value) ? `${label(load)}: “from” must not be above “to”.` : "");
+    low.addEventListener("input", ordered);
+    high.addEventListener("input", ordered);
     const root = el("div", { class: "line load" }, el("label", { class: "check" }, acts, mark(load)), low, el("span", { class: "muted" }, "to"), high, el("span", { class: "muted small" }, unit));
     return { root, read: () => (acts.checked ? [Number(low.value), Number(high.value)] : [zero, zero]) };
   });

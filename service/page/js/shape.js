@@ -96,7 +96,7 @@ const CAUSES = { table: "interpolation", mesh: "discretisation", linearity: "lin
 
 function sharesOf(parts) {
   if (!parts) return "";
-  return Object.entries(CAUSES).filter(([cause]) => cause in parts).map(([cause, name]) => `${name} ${parts[cause] === null ? "not known" : quantity(parts[cause], "m", 2)}`).join(", ");
+  return Object.entries(CAUSES).filter(([cause]) => cause in parts).map(([cause, name]) => `${name} ${parts[cause] === null ? "not known" : parts[cause] < 1e-3 * Math.max(...Object.keys(CAUSES).map((one) => parts[one] || 0)) ? "negligible" : quantity(parts[cause], "m", 2)}`).join(", ");
 }
 
 function sourceOf(shape) {
@@ -119,8 +119,13 @@ function picture(shape, sizes, { factor, colour, edges }, shade, camera, narrow)
   const before = { type: "scatter3d", mode: "lines", ...lines(shape.vertices, edges, MM), line: { color: shade.muted, width: 3 }, hoverinfo: "skip", connectgaps: false };
   const after = { ...before, ...lines(points, edges, MM), line: { color: shade.ink, width: 3 } };
   const axis = (name) => ({ ...measure(name, factor), nticks: 5 });
-  return { data: [body, before, after], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: { ...axis("z"), nticks: narrow ? 2 : 4 }, aspectmode: "manual", aspectratio: aspect(points), domain: narrow ? { x: [0, 1], y: [0.2, 1] } : { x: [0, 0.9], y: [0, 1] }, camera }, uirevision: "same" } };
+  const top = farthest(points, sizes);
+  const mark = { type: "scatter3d", mode: "markers", x: [top[0]], y: [top[1]], z: [top[2]], marker: { size: 5, color: shade.query }, hovertemplate: "largest displacement<extra></extra>", showlegend: false };
+  return { data: [body, before, after, mark], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: { ...axis("z"), nticks: narrow ? 2 : 4 }, aspectmode: "manual", aspectratio: aspect(points), domain: narrow ? { x: [0, 1], y: [0.2, 1] } : { x: [0, 0.9], y: [0, 1] }, camera }, uirevision: "same" } };
 }
+
+// Of the points the one that moves most, mm.
+const farthest = (points, sizes) => (points[sizes.indexOf(sizes.reduce((most, one) => Math.max(most, one), 0))] || [0, 0, 0]).map((one) => one * MM);
 
 // Ticks are lengths at true scale alone.
 const measure = (name, factor) => ({ title: { text: factor === 1 ? `${name}, mm` : name }, showticklabels: factor === 1 });
@@ -136,11 +141,11 @@ function aspect(points) {
 function redraw(drawing, shape, factor) {
   const points = moved(shape.vertices, shape.displacement, factor);
   const edges = outline(shape.vertices, shape.triangles);
-  const after = lines(points, edges, MM);
+  const after = lines(points, edges, MM), top = farthest(points, lengths(shape.displacement));
   const axes = Object.fromEntries(["x", "y", "z"].flatMap((name) => Object.entries(measure(name, factor)).map(([key, value]) => [`scene.${name}axis.${key}`, value])));
   drawing.plotly.update(drawing.place, {
-    x: [column(points, 0, MM), after.x], y: [column(points, 1, MM), after.y], z: [column(points, 2, MM), after.z],
-  }, { ...axes, "scene.aspectratio": aspect(points) }, [0, 2]);
+    x: [column(points, 0, MM), after.x, [top[0]]], y: [column(points, 1, MM), after.y, [top[1]]], z: [column(points, 2, MM), after.z, [top[2]]],
+  }, { ...axes, "scene.aspectratio": aspect(points) }, [0, 2, 3]);
 }
 
 function measured(shape, sizes, largest) {
@@ -150,8 +155,9 @@ function measured(shape, sizes, largest) {
   return facts([
     ["Largest displacement", `${size.value}${bar === null ? "" : ` ${size.bar}`} at ${at(where)}`],
     ["Error bar", sharesOf(shape.error_parts)],
-    ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : ` ± ${stress(found.error)} (interpolation error only)`} at ${at(found.at)}` : "not known between the rows here"],
+    ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : found.error < 1e-3 * found.largest ? " (interpolation error negligible; the mesh's error is not included)" : ` ± ${stress(found.error)} (interpolation; the mesh's error is not included)`} at ${at(found.at)}` : "not known between the rows here"],
     ["Yields", found && found.yields !== null ? (found.yields ? "yes" : `no (yield strength ${stress(found.yield_strength)})`) : ""],
+    ["Points", "In the axes of the mesh, undeformed; the mark in the drawing is at the largest displacement."],
     ["Surface", `${shape.vertices.length} points, ${shape.triangles.length} triangles${shape.simplified ? `, simplified from ${shape.simplified.from} points` : ""}`],
   ]);
 }

@@ -5,7 +5,7 @@ import { quantity } from "./format.js";
 import { outputsOf } from "./inputs.js";
 
 const NAMES = ["covered", "thin", "outside"];
-const WHOLE = ["within the tolerance", "beyond it", "outside the rows"];
+const WHOLE = ["within the tolerance", "beyond it", "outside"];
 
 const IS_TRANSLATION = /(^|\.)u[xyz]$/;
 

@@ -6,13 +6,13 @@ const SEEN = "wrenchbook-tour", LOOKS_MS = 10000; // as long as a view may take 
 const STEPS = [
   ["query", "main form button.first", "Ask a wrench", "Type the force and moment that act on the part, and press Ask. The answer is the displacement of its interface with a 95 % error bar."],
   ["overview", "main .halves .card", "See the bar, and where the table is thin", "The bar shows with the first row. Its green share of the load range is answered within the tolerance. Elsewhere the table is thin: an answer there is an estimate, and a query queues a solve."],
-  ["overview", "#fill", "Fill the table", "Fill the table queues the solves that lower the error most. Repeat it until the bar is green; rows of a test rig come in under Import & export."],
+  ["overview", "#fill", "Fill the table", "Fill the table queues the solves that lower the error most. Repeat it until the bar is green. Where the mesh limits the bar, more solves do not help: the warning on this page gives the cell size that does. Rows of a test rig come in under Import & export."],
 ];
 
-// Begins the tour at a part that can be solved, unless this browser has seen it.
+// Begins the tour at a part whose mesh is fine enough for its tolerance, else one that can be solved, unless this browser has seen it.
 export function tour(components, again = false) {
   const parts = components.filter((one) => one.has_fea && !one.space), nonlinear = parts.filter((one) => !one.linear);
-  const part = nonlinear.find((one) => one.rows) ?? nonlinear[0] ?? parts[0];
+  const part = nonlinear.find((one) => one.name === "plate_thin") ?? nonlinear.find((one) => one.rows) ?? nonlinear[0] ?? parts[0];
   if (!part || (!again && localStorage.getItem(SEEN)) || document.querySelector("dialog")) return;
   localStorage.setItem(SEEN, "yes");
   let now = -1, stop = () => {};
@@ -43,7 +43,7 @@ function pointTo(selector) {
     at?.classList.remove("pointed");
     at = found;
     at?.classList.add("pointed");
-    at?.scrollIntoView({ block: "center" });
+    at?.scrollIntoView({ block: innerWidth < 760 ? "start" : "center" }) ; // on a telephone the tour has the lower half
   };
   const watch = new MutationObserver(look);
   watch.observe(document.getElementById("main"), { childList: true, subtree: true });

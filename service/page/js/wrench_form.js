@@ -7,6 +7,7 @@ import { inputsOf, mark, spansOf } from "./inputs.js";
 const A_WRENCH = 6;
 
 const kept = (name) => `wrenchbook-wrench-${name}`;
+export const keepWrench = (name, wrench) => sessionStorage.setItem(kept(name), JSON.stringify(wrench));
 
 export function lastWrench(about) {
   try {
@@ -57,7 +58,7 @@ export function wrenchForm(about, { action, asked, changed, more = [] }) {
     onsubmit: (event) => {
       event.preventDefault();
       const wrench = read();
-      sessionStorage.setItem(kept(about.name), JSON.stringify(wrench));
+      keepWrench(about.name, wrench);
       asked(wrench);
     },
   }, shown, unloaded.length ? el("p", { class: "muted small" }, `No loads at ${unloaded.join(", ")}: the range there is 0.`) : null, more,

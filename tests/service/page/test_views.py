@@ -284,7 +284,7 @@ def test_a_component_has_at_most_six_groups_and_the_views_of_the_chosen_one(brow
         [item.text for item in browser.all(f".tabs > {row} a")]
         for row in ("div:first-child", ".views")
     )
-    assert groups == ["Overview", "Ask", "Table", "Import & export", "Jobs & demand", "Part"]
+    assert groups == ["Overview", "Query", "Table", "Import & export", "Jobs & demand", "Part"]
     assert views == ["Rows", "Checks", "Compare", "Report"]
 
 
@@ -357,6 +357,59 @@ def test_a_field_left_after_the_check_keeps_the_import_button(browser, rig):
     browser.run("document.querySelector('#import').kept = true")
     browser.one("#rig-displacement-point").click()
     assert browser.run("return document.querySelector('#import')?.kept")
+
+
+def test_the_header_of_a_file_needs_decisions_in_the_words_of_the_page(browser, rig):
+    browser.visit("#/c/unmeasured/table")
+    browser.drop(".drop", "bare.csv", "Fz [N],uz [mm],strain\n1,0.1,3\n")
+    browser.named(".note.outside", "the header needs 2 decisions")
+    told = browser.one("#mistakes").text
+    assert "under Meaning of the columns" in told
+    assert "--" not in told
+
+
+def test_an_answer_for_other_loads_than_those_typed_says_so(browser, plate):
+    browser.visit(f"{PLATE}/query")
+    ask(browser, fz=-333.3)
+    browser.named("p", "F (0, 0, −333.3) N")
+    assert not browser.all(".stale")
+    browser.type("input[name=fz]", "-500")
+    browser.named(".stale .note", "This answer is for F (0, 0, −333.3) N")
+    browser.type("input[name=fz]", "-333.3")
+    browser.until(lambda: not browser.all(".stale"))
+
+
+def test_a_load_of_a_scene_from_above_to_is_marked_at_its_field(browser, client):
+    browser.visit("#/scene")
+    browser.named("label", "spring").click()
+    browser.type("input[aria-label='fz from']", "5")
+    browser.type("input[aria-label='fz to']", "-5")
+    field = browser.one("input[aria-label='fz to']")
+    assert "must not be above" in browser.run("return arguments[0].validationMessage", field)
+
+
+def test_the_page_of_a_job_shows_its_displacement_and_leads_to_its_query(browser, plate):
+    (done, *_) = plate.call_json("GET", "/v1/jobs?component=plate_thin&status=done")["jobs"]
+    browser.visit(f"#/jobs/{done['id']}")
+    browser.named("section", "Displacement of this solve")
+    browser.named("a.button", "Query this wrench").click()
+    typed = browser.one("input[name=fz]").get_attribute("value")
+    assert float(typed) == done["force"][2]
+
+
+def test_a_view_without_a_connection_says_so_and_offers_a_retry(browser, client):
+    browser.visit("#/")
+    browser.one("a.card")
+    browser.run("window.fetch = () => Promise.reject(new TypeError('Failed to fetch'))")
+    browser.go("#/jobs")
+    browser.named(".note.outside", "No connection")
+    browser.one(".note button")
+    assert browser.one("#state").text == "no answer"
+
+
+def test_a_direct_link_to_an_absent_view_is_explained(browser, client):
+    browser.visit("#/c/link/response")
+    browser.named(".note", "no view Response: it needs a component with one interface")
 
 
 def measured(client, name, *pulls):
