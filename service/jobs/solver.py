@@ -317,7 +317,8 @@ def _named_solver() -> Solve | None:
         except Exception as error:  # whatever the module's own code raises
             why = f"the module {module} cannot be imported: {type(error).__name__}: {error}"
         else:
-            if callable(solve := getattr(imported, function, None)):
+            solve: Solve | None = getattr(imported, function, None)
+            if callable(solve):
                 return solve
             why = f"the module {module} has no function {function!r}"
     remedy = "set it to package.module:function, importable by the solvers, or unset it"
