@@ -8,7 +8,7 @@ from typing import Any
 import plotly.graph_objects as go
 
 from data.paper.part import OUTPUTS
-from wrenchbook.service.report.layout import STYLE, ReportSection, section_html
+from wrenchbook.service.report.layout import PAGE_STYLE, ReportSection, section_html
 
 LAYOUT = {"template": "plotly_white", "height": 460, "margin": {"t": 20, "r": 20}}
 # Colours that remain apart for the colour-blind (Okabe and Ito 2008).
@@ -36,7 +36,7 @@ def as_page(body: dict[str, Any]) -> str:
         parts += [section_html(table) for table in _components(part["numbers"])]
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{heading}</title>'
-        f"<style>{STYLE}td:nth-child(2){{white-space:normal}}</style></head><body><h1>{heading}</h1>"
+        f"<style>{PAGE_STYLE.read_text('utf-8')}td:nth-child(2){{white-space:normal}}</style></head><body><h1>{heading}</h1>"
         f"<p>{html.escape(body['summary'])}</p>{''.join(parts)}</body></html>"
     )
 

@@ -375,7 +375,6 @@ def unknown(name: str, cls: type) -> str:
 
 
 _KINDS = {
-    "string_type": "a text",
     "bool_type": "true or false",
     "tuple_type": "a list",
     "dataclass_type": "a table",
@@ -390,6 +389,8 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
     unit = extra.get("unit") or "no unit"
     if error == "missing":
         return missing(info)
+    if error == "string_type":
+        return f"must be a string, not {shown(value)}; put it in quotation marks"
     if error in _KINDS:
         return f"must be {_KINDS[error]}, not {shown(value)}"
     if error == "literal_error" and type(value) is not str:
@@ -432,7 +433,7 @@ def _noun(info: FieldInfo | None) -> str:
         return f"one of {', '.join(among)}"
     if kind.get("type") == "integer":
         return f"a whole number from {kind['minimum']} to {MAX_COUNT}"
-    nouns = {"number": f"a number in {unit}", "string": "a text", "boolean": "true or false"}
+    nouns = {"number": f"a number in {unit}", "string": "a string", "boolean": "true or false"}
     return (nouns | {"array": "a list"}).get(kind.get("type", ""), "a table")
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-_STYLE: Final = Path(__file__).with_name("page.css")
+PAGE_STYLE: Final = Path(__file__).with_name("page.css")
 _SCRIPTS: Final = (  # the second draws with the functions of the first
     Path(__file__).parents[1] / "page" / "js" / "report_plots.js",
     Path(__file__).with_name("page.js"),
@@ -223,7 +223,7 @@ def as_page(report: dict[str, Any]) -> str:
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{heading}</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<style>{_STYLE.read_text('utf-8')}</style></head><body><h1>{heading}</h1>"
+        f"<style>{PAGE_STYLE.read_text('utf-8')}</style></head><body><h1>{heading}</h1>"
         f"<p>{html.escape(report['summary'])}</p>"
         f"<p><strong>{html.escape(report['advice'])}</strong></p>"
         f'<div id="plots"></div>{"".join(map(section_html, sections_of(report)))}'

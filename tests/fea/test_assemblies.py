@@ -321,7 +321,7 @@ def test_a_cut_or_a_joint_that_will_not_do_is_refused_by_name():
     bar = replace(bar, regions=bar.regions | {"half": (half,)})
     joint = {"groups": ["z1", "x0"], "coupling": "rigid", "rigid": True}
     for mesh, tables, text in (
-        (bar, {"bolt": [bolt()], "supports": {"fixed": ["x0"]}}, "are fixed along its axis"),
+        (bar, {"bolt": [bolt()], "supports": {"fixed": ["x0"]}}, "also belong to supports.fixed"),
         (
             bar,
             {"bolt": [bolt(point=[0, 0, 9.0])]},

@@ -54,7 +54,7 @@ def test_before_any_solve_it_says_how_to_get_a_surface(served):
     client, *_ = served
     error = refused(client.deformed, "flat", FORCE)
     assert error.status == 409
-    assert "POST this wrench to /v1/components/flat/solve" in error.detail
+    assert "POST /v1/components/flat/solve or .../fill" in error.detail
 
 
 def test_at_a_solved_wrench_it_is_the_solvers_to_nine_digits(served, solve):
@@ -225,7 +225,7 @@ def test_a_row_without_a_surface_gets_one_as_the_text_says(served, solve):
     row = client.solve("sheet", asked).raw["row"]
     kept = client.deformed("sheet", asked).displacement
     shutil.rmtree(data / "fields" / "sheet")
-    assert "none of its" in refused(client.deformed, "sheet", asked).detail
+    assert "no row has fields" in refused(client.deformed, "sheet", asked).detail
     client.call("DELETE", f"/v1/components/sheet/table/{row}")
     client.displacement("sheet", asked, on_thin="wait", wait_s=120)
     answer = client.solve("sheet", asked)

@@ -225,8 +225,12 @@ def test_a_bundle_whose_faces_cannot_be_read_is_refused_with_the_reason(http, fi
 @pytest.mark.parametrize(
     ("toml", "deck", "why"),
     [
-        ("", "1,1,2,3,9", "node 9, which is not defined"),  # of a node that is not there
-        ("", "1,1,1,1,1", "no volume"),
+        (
+            "",
+            "1,1,2,3,9",
+            "node 9, which no *NODE defines: element 1",
+        ),  # of a node that is not there
+        ("", "1,1,1,1,1", "without volume"),
         ("[", "1,1,2,3,4", "not valid TOML"),
     ],
 )

@@ -121,7 +121,7 @@ def test_a_refusal_quotes_at_most_200_characters(http, call, sent):
 
 
 def test_a_sheet_that_is_not_there_is_no_sheet_none(http):
-    workbook = Path("data/tables/workbook.xlsx").read_bytes()
+    workbook = (Path(__file__).parents[2] / "data/tables/workbook.xlsx").read_bytes()
     reply = http.post("/v1/components/rig/table?sheet=Run 9", content=workbook)
     assert "1 mistake, the first in file: there is no sheet 'Run 9'" in reply.json()["detail"]
 

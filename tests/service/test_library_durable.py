@@ -69,7 +69,7 @@ def test_an_upload_is_seen_only_once_its_check_is_kept(tmp_path, monkeypatch):
     assert seen == [False]
 
 
-@pytest.mark.parametrize("write", ["unpack", "sync_tree", "Path.rename"])
+@pytest.mark.parametrize("write", ["bundles.unpack", "sync_tree", "Path.rename"])
 def test_a_bundle_that_cannot_be_written_is_refused_by_name_and_leaves_nothing(
     library, tmp_path, monkeypatch, write
 ):

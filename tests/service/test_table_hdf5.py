@@ -119,7 +119,7 @@ def test_a_group_in_the_place_of_a_column_and_long_texts_are_named(changed):
 
     assert "rows/wrench not as a dataset" in only_error(read_hdf5(changed(grouped))).message
     message = only_error(read_hdf5(changed(long_texts))).message
-    assert "texts of 2000 bytes in rows/source, the limit is 1024" in message
+    assert "strings of 2000 bytes in rows/source, the limit is 1024" in message
 
 
 def test_a_small_file_cannot_unpack_to_more_than_memory_should_hold(changed):

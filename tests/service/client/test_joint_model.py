@@ -97,7 +97,7 @@ def test_a_tip_with_joints_is_refused(path):
 
 def test_a_file_that_is_no_scene_is_refused_with_the_reason(tmp_path):
     (tmp_path / "a.xml").write_text("<nonsense/>")
-    with pytest.raises(JointError, match="MuJoCo cannot read"):
+    with pytest.raises(JointError, match="MuJoCo cannot compile"):
         scene_with_joint(tmp_path / "a.xml", "base", "tip")
 
 

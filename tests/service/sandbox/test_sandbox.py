@@ -79,7 +79,7 @@ def test_an_exception_comes_back_by_its_name_without_its_traceback(run):
 
 
 def test_an_answer_that_is_not_of_the_form_is_refused(run):
-    with pytest.raises(SandboxError, match="reader failed"):
+    with pytest.raises(SandboxError, match="gave no valid result"):
         run("lying")
 
 
