@@ -389,11 +389,9 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
     unit = extra.get("unit") or "no unit"
     if error == "missing":
         return missing(info)
-    if error == "string_type":
-        return f"must be a string, not {shown(value)}; put it in quotation marks"
     if error in _KINDS:
         return f"must be {_KINDS[error]}, not {shown(value)}"
-    if error == "literal_error" and type(value) is not str:
+    if error == "string_type" or (error == "literal_error" and type(value) is not str):
         return f"must be a string, not {shown(value)}; put it in quotation marks"
     if error == "literal_error":
         among = extra.get("among") or _QUOTED.findall(context["expected"])
