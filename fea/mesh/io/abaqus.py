@@ -1,202 +1,39 @@
-"""Keyword blocks and mesh of an Abaqus or CalculiX input deck (.inp).
+"""The mesh of an Abaqus or CalculiX input deck (.inp): nodes, elements, sets and surfaces.
 
 meshio reads these as well, but forgets the nodes of all ``*NODE`` blocks but the last, gives the
 cells of ``*ELEMENT, ELSET=`` to the wrong block and knows no ``*SURFACE``; decks have all three.
-Nodes and elements are numbered by instance, as the parts of an assembly have them, and keywords of
-a part come once for each. Materials, supports and loads are read in `fea.mesh.io.abaqus_content`.
+Keywords are those of `fea.mesh.io.abaqus_keywords`. Materials, supports and loads are read in
+`fea.mesh.io.abaqus_content`.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from wrenchbook.fea.mesh.io.abaqus_keywords import (
+    STRIDE,
+    UNREADABLE,
+    Frame,
+    Keyword,
+    numbers,
+    read_keywords,
+    real,
+    whole,
+)
 from wrenchbook.fea.mesh.io.raw import NODES_PER_LINE, Block, RawMesh
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
-from wrenchbook.fea.spec.deck_text import DeckText, deck_text
+from wrenchbook.fea.spec.deck_text import deck_text
 from wrenchbook.fea.spec.problems import MeshFileError, point_text, suggest
-from wrenchbook.fea.tensors import rotation as turned
 
 Array = np.ndarray
 
 _ON_AXIS = 1e-9  # of the size of a cylinder or the distance along it: roundoff of coordinates
-
-STRIDE = 10**12
-"""Labels of one instance; Abaqus has at most 9 digits, a label above is refused."""
-
-
-@dataclass(frozen=True)
-class Frame:
-    """An instance of a part: its name, its number from 1, and its position in the assembly.
-
-    A deck without parts and the assembly itself have no name and the number 0. `rotation` are
-    nine numbers row by row, no unit; `shift` is in the deck's length unit.
-    """
-
-    name: str = ""
-    number: int = 0
-    rotation: tuple[float, ...] = ()
-    shift: tuple[float, ...] = ()
-
-    def label(self, text: str) -> int:
-        """Return the number of a node or element of this instance, unlike all others'."""
-        number = whole(text)
-        if not 0 <= number < STRIDE:
-            raise MeshFileError(f"has a node or element {number}; write 1 to {STRIDE - 1}")
-        return number + self.number * STRIDE
-
-    def key(self, name: str) -> str:
-        """Return a set's name in the deck: capitals, as solvers compare names."""
-        return (f"{self.name}.{name}" if self.name else name).upper()
-
-    def transformed(self, point: list[float]) -> list[float]:
-        """Return where a point of the part is in the assembly, shape (3,), the deck's unit."""
-        if not self.shift:
-            return point
-        r = np.array(self.rotation).reshape(3, 3)
-        return (r @ np.array(point) + self.shift).tolist()
-
-
-@dataclass(frozen=True)
-class Keyword:
-    """One block: its line, its word, its options by capitals, its rows of fields, its frame.
-
-    `line` counts in the deck with its included files in place, `at` in the file that `at` names.
-    """
-
-    line: int
-    at: str
-    word: str
-    options: dict[str, str]
-    rows: list[list[str]] = field(default_factory=list)
-    frame: Frame = Frame()
-
-    @property
-    def where(self) -> str:
-        """The line and the word."""
-        return f"line {self.at}: *{self.word}"
-
-    def option(self, name: str) -> str:
-        """Return the value of an option; raises MeshFileError if the keyword has none."""
-        if not (value := self.options.get(name)):
-            raise MeshFileError(f"has no {name}; write *{self.word}, {name}=...")
-        return value
-
-    def wrong(self, message: object) -> MeshFileError:
-        """Return the error that names the line."""
-        return MeshFileError(f"{self.where} {message}")
-
-
-def read_keywords(text: DeckText) -> Iterator[Keyword]:
-    """Yield the blocks of a deck in the assembly, those of a part where an instance puts it.
-
-    Raises MeshFileError if an instance is of no part, a part comes twice, or parts have no
-    instances.
-    """
-    if not re.search(r"^\s*\*INSTANCE\b", text, re.I | re.M):
-        yield from _without_instances(text)
-        return
-    parts: dict[str, list[Keyword]] = {}
-    lines: dict[str, str] = {}  # of each part
-    frame, part, count = Frame(), None, 0
-    for keyword in _blocks(text):
-        if keyword.word == "PART":
-            name = keyword.options.get("NAME", "").upper()
-            if name in parts:
-                raise keyword.wrong(
-                    f'defines "{name}" of line {lines[name]} again; rename one of them'
-                )
-            lines[name] = keyword.at
-            part = parts.setdefault(name, [])
-        elif keyword.word == "INSTANCE":
-            count += 1
-            frame = _frame(keyword, count)
-            name = keyword.options.get("PART", "").upper()
-            if name not in parts:
-                known = f"the parts above are {', '.join(parts)}" if parts else "no *PART is above"
-                raise keyword.wrong(
-                    f'names the part "{name}", not defined above ({known}); move its *PART up, or '
-                    "correct the name"
-                )
-            yield replace(keyword, frame=frame)
-            yield from (replace(part, frame=frame) for part in parts[name])
-        elif keyword.word == "END PART":
-            part = None
-        elif keyword.word == "END INSTANCE":
-            frame = Frame()
-        elif part is not None:
-            part.append(keyword)
-        else:
-            yield replace(keyword, frame=frame)
-
-
-def _without_instances(text: DeckText) -> Iterator[Keyword]:
-    """Yield the blocks of a deck of one part at most."""
-    first = None
-    for keyword in _blocks(text):
-        if keyword.word == "PART":
-            if first is not None:
-                raise keyword.wrong(
-                    f"is a second part (the first is in line {first.at}), but no *INSTANCE places "
-                    "them; write the deck with its *ASSEMBLY, or as one part"
-                )
-            first = keyword
-        yield keyword
-
-
-def _blocks(text: DeckText) -> Iterator[Keyword]:
-    """Yield the keywords with their data lines; a line that ends with a comma goes on."""
-    head: Keyword | None = None
-    open_head = ""
-    for number, line in enumerate(text.splitlines(), start=1):
-        line = line.strip()
-        if not line or line.startswith("**"):
-            continue
-        if line.startswith("*") or open_head:
-            if head is not None and not open_head:
-                yield head
-            first = head.line if head is not None and open_head else number
-            line = open_head + line
-            keyword, *options = (part.strip() for part in line.lstrip("*").split(","))
-            pairs = (option.partition("=") for option in options if option)
-            values = {key.strip().upper(): value.strip() for key, _, value in pairs}
-            head = Keyword(first, text.place(first), keyword.upper(), values)
-            open_head = line if line.endswith(",") else ""
-        elif head is not None:
-            head.rows.append([each.strip() for each in line.rstrip(",").split(",")])
-    if head is not None:
-        yield head
-
-
-def _frame(keyword: Keyword, number: int) -> Frame:
-    """Return where an instance is: moved by its first line, then turned by its second."""
-    try:
-        name = keyword.option("NAME")
-        if not keyword.rows:
-            return Frame(name, number)
-        shift, rotation = numbers(keyword, 0, 3), np.eye(3)
-        if len(keyword.rows) > 1:
-            if (count := len(keyword.rows[1])) < 7:
-                raise MeshFileError(
-                    f"has {count} numbers in its second line; write seven: two points of the axis, "
-                    "and the angle in degrees"
-                )
-            a, b, (angle,) = np.split(numbers(keyword, 1, 7), [3, 6])
-            if np.array_equal(a, b):
-                raise MeshFileError(
-                    f"turns about an axis through {point_text(a)} twice; write two different points"
-                )
-            rotation = turned(np.radians(angle) * (b - a) / np.linalg.norm(b - a))
-            shift = rotation @ (shift - a) + a
-    except MeshFileError as error:
-        raise keyword.wrong(error) from None
-    return Frame(name, number, tuple(rotation.ravel().tolist()), tuple(shift.tolist()))
-
 
 _SOLIDS = {"4": "tet4", "6": "wedge6", "8": "hex8", "10": "tet10", "15": "wedge15", "20": "hex20"}
 _SOLIDS |= {"5": "pyramid5", "13": "pyramid13"}
@@ -286,33 +123,6 @@ def cartesian(kind: str, point: Array) -> Array:
     if kind == "S":
         return radius * np.array([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
     return point
-
-
-def numbers(keyword: Keyword, row: int, count: int) -> Array:
-    """Return numbers of a row, those that are not there 0, shape (count,)."""
-    fields = keyword.rows[row] if row < len(keyword.rows) else []
-    return np.array([real(each or "0") for each in (*fields, *["0"] * count)[:count]])
-
-
-def real(text: str) -> float:
-    """Return the number of a field; raises MeshFileError."""
-    try:
-        return float(text)
-    except ValueError:
-        raise MeshFileError(f'has "{text}" in the place of a number; write a number') from None
-
-
-def whole(text: str) -> int:
-    """Return the whole number of a field; raises MeshFileError."""
-    try:
-        return int(text)
-    except ValueError:
-        message = f'has "{text}" in the place of a whole number; write a whole number'
-        raise MeshFileError(message) from None
-
-
-UNREADABLE = "has a data line with too few or too large fields; complete its lines"
-"""Of a keyword whose lines do not have its form, where no message names the field."""
 
 
 def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:

@@ -16,24 +16,26 @@ from wrenchbook.fea.mesh.deck_content import (
     SolidSection,
 )
 from wrenchbook.fea.mesh.io.abaqus import (
-    STRIDE,
     TAKERS,
-    UNREADABLE,
     Deck,
-    Frame,
-    Keyword,
     add,
     add_weighted,
     axes_through,
     kind_of,
     named,
-    numbers,
     parsed,
     radial_axes,
     raw_mesh,
-    real,
     set_key,
     set_names,
+)
+from wrenchbook.fea.mesh.io.abaqus_keywords import (
+    STRIDE,
+    UNREADABLE,
+    Frame,
+    Keyword,
+    numbers,
+    real,
     whole,
 )
 from wrenchbook.fea.mesh.io.abaqus_supports import (

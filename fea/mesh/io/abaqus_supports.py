@@ -7,7 +7,8 @@ from collections import Counter, defaultdict
 
 from wrenchbook.fea.mesh.deck_content import CoupledGroup, HeldGroup
 from wrenchbook.fea.mesh.facets import FACES
-from wrenchbook.fea.mesh.io.abaqus import SOLID_FACES, STRIDE, Deck
+from wrenchbook.fea.mesh.io.abaqus import SOLID_FACES, Deck
+from wrenchbook.fea.mesh.io.abaqus_keywords import STRIDE
 from wrenchbook.fea.mesh.io.reader import Motions, Reader
 
 GLOBAL: tuple[float, ...] = ()  # axes

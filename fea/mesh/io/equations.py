@@ -6,7 +6,8 @@ import math
 from collections import defaultdict
 
 from wrenchbook.fea.mesh.element_order import SECOND
-from wrenchbook.fea.mesh.io.abaqus import Deck, Keyword, named, real, whole
+from wrenchbook.fea.mesh.io.abaqus import Deck, named
+from wrenchbook.fea.mesh.io.abaqus_keywords import Keyword, real, whole
 from wrenchbook.fea.mesh.io.reader import Reader
 from wrenchbook.fea.spec.problems import MeshFileError
 

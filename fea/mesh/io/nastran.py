@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes, whole
+from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes
+from wrenchbook.fea.mesh.io.abaqus_keywords import whole
 from wrenchbook.fea.mesh.io.raw import Case, Translated
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from wrenchbook.fea.mesh.deck_content import Constant, DeckContent
-from wrenchbook.fea.mesh.io.abaqus import Keyword
+from wrenchbook.fea.mesh.io.abaqus_keywords import Keyword
 
 
 @dataclass

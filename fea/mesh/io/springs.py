@@ -9,7 +9,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckSpring, LoadCase
-from wrenchbook.fea.mesh.io.abaqus import STRIDE, Deck, Keyword, add, named, real, whole
+from wrenchbook.fea.mesh.io.abaqus import Deck, add, named
+from wrenchbook.fea.mesh.io.abaqus_keywords import STRIDE, Keyword, real, whole
 from wrenchbook.fea.mesh.io.reader import Reader, Step
 from wrenchbook.fea.spec.problems import MeshFileError
 
