@@ -119,11 +119,11 @@ class _Joining:
         ):
             if count > limit:
                 raise ValueError(f"which exceeds the limit, {limit} {unit}; include less")
-        found = _inside(self.folder, stack[-1].parent, name, beside)
-        self.included.append(found)
-        if found in stack:
+        path = _inside(self.folder, stack[-1].parent, name, beside)
+        self.included.append(path)
+        if path in stack:
             raise ValueError("which includes itself; remove one of the two lines")
-        return found, _plain(found)
+        return path, _plain(path)
 
 
 def _file_name(match: re.Match[str], text: str) -> str | None:

@@ -248,9 +248,7 @@ def doctor(
     data: Folder = DEFAULT_DATA,
     repair: Annotated[
         bool,
-        typer.Option(
-            "--repair", "--mend", help="repair the ledger or a table from the copy that is intact"
-        ),
+        typer.Option("--repair", help="repair the ledger or a table from the copy that is intact"),
     ] = False,
     as_json: AsJson = False,
 ) -> None:

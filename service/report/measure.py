@@ -48,8 +48,8 @@ def measure(
     wrenches = acting(wrenches, np.flatnonzero(locked).tolist())
     levels = _solve_levels(bundle, wrenches, report)
     displacements = [level.pop("displacement") for level in levels]
-    own = [level["level"] for level in levels].index("own")
-    solved = np.isfinite(displacements[-1] + displacements[own]).all(axis=1)
+    index_of_own = [level["level"] for level in levels].index("own")
+    solved = np.isfinite(displacements[-1] + displacements[index_of_own]).all(axis=1)
     if not solved.any():
         kinds = {failure["kind"] for level in levels for failure in level["failures"]}
         raise ValueError(

@@ -99,7 +99,7 @@ class _Readings(NamedTuple):
     terms: Floats  # (n, t): terms of a polynomial of the loads
     steps: Floats  # (n, t): their change from the place before; 0 at the first of a session
     # (s, m): whether the session's response is no cubic of each load, and no straight line: its
-    # scale can then be told from the part's response, and other sessions load the same
+    # scale can then be separated from the part's response, and other sessions load the same
     is_identifiable: NDArray[np.bool_]
     is_shared: NDArray[np.bool_]
     scaled: Floats  # (n, m), dimensionless: the response over its largest value

@@ -356,9 +356,9 @@ def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         else:
             first, last, value = (*fields, "", "", "")[:3]  # a field that is not there is empty
             if not first.isdigit():
-                words = ", ".join(_BOUNDARY_TYPES)
+                types = ", ".join(_BOUNDARY_TYPES)
                 raise MeshFileError(
-                    f'has "{first}" of {target}; write a freedom, 1 to 6, or {words}'
+                    f'has "{first}" of {target}; write a freedom, 1 to 6, or {types}'
                 )
             held = set(range(whole(first) - 1, min(whole(last or first), 6)))
             if held and real(value or "0"):

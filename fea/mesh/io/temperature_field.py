@@ -86,8 +86,8 @@ def _table(field: Path) -> Array:
         with field.open(encoding="utf-8", errors="replace") as file:
             lines = ((number, line.strip()) for number, line in enumerate(file, 1) if number > 1)
             bad = (f'"{line[:60]}" in line {number}' for number, line in lines if _is_bad(line))
-            found = next(bad, "no such line")
-        raise _wrong(f"must have four finite numbers a line, x, y, z (m) and T, but has {found}")
+            first = next(bad, "no such line")
+        raise _wrong(f"must have four finite numbers a line, x, y, z (m) and T, but has {first}")
     return table
 
 
