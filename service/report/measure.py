@@ -57,7 +57,7 @@ def measure(
             f"with: wrenchbook solve {bundle.name} --force FX FY FZ, or lower the range in "
             "component.toml"
         )
-    reference, same_mesh = displacements[-1][solved], displacements[own][solved]
+    reference, same_mesh = displacements[-1][solved], displacements[index_of_own][solved]
     # An error is relative to the range of its output, or to a floor if that is near zero.
     span = np.ptp(reference, axis=0)
     scale = np.maximum(span, NEAR_ZERO * space.largest_of_kind(span))
@@ -68,7 +68,7 @@ def measure(
     report(SOLVES_FRACTION, "measuring tables")
     linear, limit = not bundle.analysis.nonlinear, bundle.tolerance
     solves = wrenches[solved], (reference, same_mesh)
-    seconds = levels[own]["seconds_p50"]
+    seconds = levels[index_of_own]["seconds_p50"]
     tables = _measure_tables(rows, load_range, linear, *solves, scale, seconds)
     summary = build(rows, load_range, linear=linear).coverage_summary()
     return {
@@ -88,7 +88,9 @@ def measure(
             "full_wrench_rows": summary["full_wrench_rows"],
         },
         # None where the component's mesh is the finest: its error is not known.
-        "mesh_error": levels[own]["largest_error"] if own < len(levels) - 1 else None,
+        "mesh_error": levels[index_of_own]["largest_error"]
+        if index_of_own < len(levels) - 1
+        else None,
         "fea": levels,
         "tables": tables,
         "pareto": pareto([*tables, *levels]),
