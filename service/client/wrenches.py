@@ -207,7 +207,8 @@ def floats_of(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Vector:
         raise InvalidArgument(f"{name} must be numbers of shape {shape}, not {values!r}") from None
     if array.shape != shape:
         raise InvalidArgument(f"{name} must have shape {shape}, not {array.shape}")
-    if not np.isfinite(array).all():
+    # A sum is the cheapest test of all numbers; that of finite ones may overflow.
+    if not (math.isfinite(array.sum()) or np.isfinite(array).all()):
         raise InvalidArgument(f"{name} must be finite, not {array.tolist()}")
     return array
 

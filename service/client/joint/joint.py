@@ -304,15 +304,15 @@ class Joint:
             no rotation, or a shape wrong or a number not finite.
         """
         k, size = len(self.interfaces), self._size
-        R = floats_of("R", R, shape_of(k, 3, 3))
+        rotations = floats_of("R", R, (k, 3, 3)) if self._several else [R]
         p = floats_of("p", p, shape_of(k, 3))
         velocity = floats_of("velocity", velocity, shape_of(k, FREEDOMS))
         inverse_mass = floats_of("inverse_mass", inverse_mass, (size, size))
-        dt = floats_of("dt", dt, ()).item()
-        if dt <= 0.0:
-            raise InvalidArgument(f"dt must be above 0 s, not {dt:g} s")
+        dt = float(dt) if isinstance(dt, Real) else floats_of("dt", dt, ()).item()
+        if not 0.0 < dt < math.inf:
+            raise InvalidArgument(f"dt must be a finite number of seconds above 0, not {dt:g} s")
         steps = self._steps
-        turned = [quaternion(rotation_vector(matrix)) for matrix in R.reshape(k, 3, 3)]
+        turned = [quaternion(rotation_vector(matrix)) for matrix in rotations]
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = p, np.squeeze(turned)
         steps.velocities[0], steps.inverse_masses[0] = velocity, inverse_mass
         steps.step(dt, self.damping)

@@ -280,8 +280,11 @@ STATE = {"R": np.eye(3), "p": np.zeros(3), "velocity": np.zeros(6), "inverse_mas
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        *(({"dt": dt}, "dt must be above 0 s, not") for dt in (0.0, -1e-3)),
-        ({"dt": np.nan}, "dt must be finite, not nan"),
+        *(
+            ({"dt": dt}, "dt must be a finite number of seconds above 0, not")
+            for dt in (0.0, -1e-3)
+        ),
+        ({"dt": np.nan}, "dt must be a finite number of seconds above 0, not nan"),
         ({"velocity": np.full(6, np.nan)}, "velocity must be finite"),
         ({"p": np.zeros(2)}, r"p must have shape \(3,\), not \(2,\)"),
         ({"velocity": np.zeros(3)}, r"velocity must have shape \(6,\), not \(3,\)"),
