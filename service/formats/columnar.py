@@ -18,8 +18,7 @@ from wrenchbook.service.formats.header import array_header, named_columns, readi
 from wrenchbook.service.formats.options import MAX_ROWS, Array, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_columns, read_pieces
 from wrenchbook.service.formats.xlsx import chosen_sheet
-from wrenchbook.surrogate.table.hdf5 import foreign_tables, is_table
-from wrenchbook.surrogate.table.hdf5_columns import foreign_columns, matlab_object
+from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table, matlab_object
 from wrenchbook.surrogate.table.rows import unknown_column
 from wrenchbook.surrogate.table.space import Space
 

@@ -23,8 +23,7 @@ from wrenchbook.fea.bundle.read import BundleError, BundleProblem, read_bundle
 from wrenchbook.service.files.redact import redact
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.sandbox import MIB, Limits, Part, Sandbox, SandboxError, run
-from wrenchbook.surrogate.table.hdf5 import TableFileError
-from wrenchbook.surrogate.table.hdf5_columns import leads_out
+from wrenchbook.surrogate.table.hdf5 import TableFileError, leads_out
 
 MAX_BUNDLE_BYTES: Final = 512 * 1024 * 1024  # a mesh of some million cells
 MAX_FILES: Final = 1000  # a component is its component.toml, a mesh, and what a deck includes
