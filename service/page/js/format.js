@@ -32,13 +32,13 @@ export function number(value, digits = 4) {
   return size >= 1e6 || size < 1e-4 ? scientific(value, digits) : minus(String(Number(value.toPrecision(digits))));
 }
 
-export function scientific(value, digits) {
+function scientific(value, digits) {
   const [mantissa, power] = value.toExponential(digits - 1).split("e");
   return minus(`${Number(mantissa)}·10`) + superscript(Number(power));
 }
 
 const POWERS = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
-const superscript = (power) => [...String(power)].map((one) => POWERS[one]).join("");
+export const superscript = (power) => [...String(power)].map((one) => POWERS[one]).join("");
 
 // Loads as the fields have them: Fz in place of fz.
 const named = (text) => text.replaceAll(/\b[fm][xyz]\b/g, plain);
