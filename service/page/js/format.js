@@ -32,7 +32,7 @@ export function number(value, digits = 4) {
   return size >= 1e6 || size < 1e-4 ? scientific(value, digits) : minus(String(Number(value.toPrecision(digits))));
 }
 
-function scientific(value, digits) {
+export function scientific(value, digits) {
   const [mantissa, power] = value.toExponential(digits - 1).split("e");
   return minus(`${Number(mantissa)}·10`) + superscript(Number(power));
 }
