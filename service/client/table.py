@@ -421,7 +421,7 @@ class Table:
 
     @property
     def packed(self) -> PackedTable:
-        """Its packed table."""
+        """The packed table that answers: arrays and metadata."""
         return self._now[0]
 
     def __repr__(self) -> str:
