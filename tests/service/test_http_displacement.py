@@ -342,6 +342,15 @@ def test_an_empty_batch_of_either_form_is_answered_with_nothing(http):
     assert http.post(f"{CALL}s", content=b"", headers=kind).content == b""
 
 
+@pytest.mark.parametrize("value", [True, False])
+def test_a_truth_value_in_a_batch_is_refused_as_in_a_single_wrench(http, value):
+    """true was 1 N, and false 0 N."""
+    wrenches = [[1.5] * 6, [2.5, 3, value, 0, 0, 0]]
+    reply = http.post(f"{CALL}s", json={"wrenches": wrenches, "on_thin": "estimate"})
+    assert reply.status_code == 422
+    assert [error["loc"] for error in reply.json()["errors"]] == ["wrenches.1.2"]
+
+
 def test_what_is_not_covered_can_be_refused(http):
     load_plane_table(http)
     body = {"wrenches": [[1e6, 0, 0, 0, 0, 0]], "on_thin": "reject"}
