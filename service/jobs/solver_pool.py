@@ -235,7 +235,7 @@ class LocalEngine(attempts.Listeners):
     def _ending(self) -> list[SolverProcess]:
         """Return those that will wait for work in a moment, their outcome being there.
 
-        None if a solver waits already.
+        An empty list if a solver waits already.
         """
         at_work = [(solver, solver.attempt) for solver in self._solvers if solver.attempt]
         if len(at_work) < len(self._solvers):

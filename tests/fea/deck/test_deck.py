@@ -1,5 +1,6 @@
 """Decks: the wrench goes in, the solver runs, the motion comes back; nothing fails in silence."""
 
+import signal
 import subprocess
 import sys
 
@@ -13,6 +14,7 @@ from tests.refusals import assert_told, cases
 from tests.until import until
 from wrenchbook.fea import readers
 from wrenchbook.fea.bundle.read import BundleError
+from wrenchbook.fea.deck import running
 from wrenchbook.fea.deck.running import deck_report, filled
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.readers import NumbersReader, Reading
@@ -188,6 +190,30 @@ def test_a_run_out_of_time_is_ended_with_all_that_it_started(tmp_path, deaf):
     assert result.kind == "timed_out"
     assert "after 1 s" in result.message
     assert all(gone(pid) for pid in pids_in(tmp_path / "attempt"))
+
+
+def test_a_signal_while_the_solver_is_started_ends_it_too(tmp_path, monkeypatch):
+    """Its handler raised before the pid was known: a cancelled solve left ccx running."""
+
+    def cancel(*_):
+        raise InterruptedError
+
+    children, start = [], subprocess.Popen
+
+    def started(*arguments, **options):
+        children.append(start(*arguments, **options))
+        signal.raise_signal(signal.SIGTERM)
+        return children[-1]
+
+    monkeypatch.setattr(running.subprocess, "Popen", started)
+    before = signal.signal(signal.SIGTERM, cancel)
+    try:
+        with pytest.raises(InterruptedError):
+            running.run_command(["sleep", "100"], tmp_path, tmp_path / "printed.txt", 100)
+        assert children[0].returncode is not None
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        children[0].kill()
 
 
 def test_what_a_solver_leaves_running_is_ended_as_well(tmp_path):
