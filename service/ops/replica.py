@@ -287,8 +287,8 @@ class Shipper:
             with suppress(ReplicaError):
                 manifest = self._replica.manifest(name)
                 if stays(manifest.created, retained):
-                    retained.append(manifest.created)
                     entries = *self._replica.files(manifest).values(), manifest.files
+                    retained.append(manifest.created)
                     needed.update(*(blocks for _, blocks in entries))
                     continue
             del place[name]
