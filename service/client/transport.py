@@ -31,6 +31,8 @@ from .errors import (
 JSON = "application/json"
 BINARY = "application/octet-stream"
 RETRY_S = 10.0  # a restart takes 2.5 s with 20 tables of 20,000 rows
+# 11 days: a socket waits 2^31 ms at most, and a call's own wait is added.
+MAX_TIMEOUT_S = 1e6
 BACKOFF_S = (0.1, 1.0)  # between attempts: doubled from, up to
 _ONE_WRITE = 65_536  # bytes that are worth copying to be sent at once: any request but a batch
 # What a call raises when the other side has closed an idle connection.
@@ -92,12 +94,14 @@ class Connection:
             port, hostname = parts.port, parts.hostname
             if parts.scheme not in ("http", "https") or not hostname:
                 raise ValueError
-        except (TypeError, ValueError):  # no text, no port
+            hostname.encode("idna")  # as a connection does; UnicodeError is a ValueError
+        except (TypeError, ValueError):  # no text, no port, an empty label
             raise InvalidArgument(
                 f"{url!r} is not a server address; write for example http://127.0.0.1:8000"
             ) from None
-        if not (isinstance(timeout, Real) and timeout > 0.0):
-            raise InvalidArgument(f"timeout must be above 0 s, such as 10.0, not {timeout!r}")
+        if not (isinstance(timeout, Real) and 0.0 < timeout <= MAX_TIMEOUT_S):
+            limits = f"above 0 s and at most {MAX_TIMEOUT_S:,.0f} s"
+            raise InvalidArgument(f"timeout must be {limits}, such as 10.0, not {timeout!r}")
         self._path = parts.path.rstrip("/")
         self.url = f"{parts.scheme}://{parts.netloc}{self._path}"
         self.timeout, self.retry_s = timeout, RETRY_S
