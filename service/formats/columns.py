@@ -205,9 +205,9 @@ def _readings(name: str, unit: str) -> Iterator[tuple[str, str, float]]:
     for end in sorted({len(name), *(gap.start() for gap in _GAP.finditer(name))}, reverse=True):
         # mm_err is the unit mm of an uncertainty.
         rest, last = name[end:].lstrip(" _./,-"), ""
-        parts = _GAP.split(rest)
-        if len(parts) > 1 and parts[-1].lower() in (*_HALF_WIDTH, *_STANDARD):
-            rest, last = rest[: -len(parts[-1]) - 1], f"_{parts[-1]}"
+        gaps = list(_GAP.finditer(rest))
+        if gaps and rest[gaps[-1].end() :].lower() in (*_HALF_WIDTH, *_STANDARD):
+            rest, last = rest[: gaps[-1].start()], f"_{rest[gaps[-1].end() :]}"
         meanings = sorted(_columns(name[:end] + last))
         rest = rest.removeprefix("(").removesuffix(")").replace("_", "*")
         if not meanings or (unit and rest):
