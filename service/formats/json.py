@@ -21,7 +21,13 @@ import numpy as np
 from wrenchbook.service.formats.cells import Digits, quoted, vanished
 from wrenchbook.service.formats.columns import ARRAYS, ORIGIN, TEXTS, Columns, WritableRows
 from wrenchbook.service.formats.header import Record, array_header
-from wrenchbook.service.formats.options import MAX_MISTAKES, Options, ParsedTable, ReadReport
+from wrenchbook.service.formats.options import (
+    MAX_MISTAKES,
+    Mistakes,
+    Options,
+    ParsedTable,
+    ReadReport,
+)
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_pieces, read_records
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
@@ -177,30 +183,40 @@ def _read_table(table: Any, options: Options, report: ReadReport) -> Iterator[Pa
             mistakes.ruin(0, key, problem)
             return
 
-    def pieces() -> Iterator[Piece]:
-        rows, end = enumerate(table["rows"], 1), 0
-        while some := list(islice(rows, PIECE)):
-            start, good = end, []
-            cells: list[list[Any]] = []
-            for end, row in some:
-                line, problems = _row_cells(row, columns)
-                for key, message in problems:
-                    mistakes.add(end, key, message)
-                if not problems:
-                    good.append(end)
-                    cells.append(line)
-                if mistakes.count > MAX_MISTAKES:
-                    break
-            lines = list(zip(*cells, strict=True))
-            numbers = [
-                np.full(len(line), np.nan)
-                if line.count(None) == len(line)
-                else np.array(line, float)
-                for line in lines[: -len(TEXTS)]
-            ]
-            yield Piece(good, [*numbers, *lines[-len(TEXTS) :]], end - start)
+    pieces = _pieces(table["rows"], columns, mistakes)
+    yield from read_pieces(array_header(columns), pieces, options, report, CellFormat())
 
-    yield from read_pieces(array_header(columns), pieces(), options, report, CellFormat())
+
+def _pieces(rows: list[Any], columns: Columns, mistakes: Mistakes) -> Iterator[Piece]:
+    """Yield the good rows, of `PIECE` rows of the file at a time."""
+    for start in range(0, len(rows), PIECE):
+        yield _piece(rows[start : start + PIECE], start, columns, mistakes)
+
+
+def _piece(rows: list[Any], start: int, columns: Columns, mistakes: Mistakes) -> Piece:
+    """Return the good ones of some rows, the first of which is row `start` + 1 of the file."""
+    good: list[int] = []
+    cells: list[list[Any]] = []
+    number = start
+    for number, row in enumerate(rows, start + 1):
+        line, problems = _row_cells(row, columns)
+        for key, message in problems:
+            mistakes.add(number, key, message)
+        if not problems:
+            good.append(number)
+            cells.append(line)
+        if mistakes.count > MAX_MISTAKES:
+            break
+    lines = list(zip(*cells, strict=True))
+    numbers = [_float_column(line) for line in lines[: -len(TEXTS)]]
+    return Piece(good, [*numbers, *lines[-len(TEXTS) :]], number - start)
+
+
+def _float_column(cells: Sequence[float | None]) -> np.ndarray:
+    """Return a column, shape (n,), float64, NaN for None."""
+    if cells.count(None) == len(cells):
+        return np.full(len(cells), np.nan)
+    return np.array(cells, float)
 
 
 def _no_table(columns: Columns) -> str:
