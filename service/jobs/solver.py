@@ -259,7 +259,8 @@ def run_attempt(folder: str | Path, solve: Solve | None = None) -> int:
     try:
         with _hearing_sigterm():
             solver = solve or _named_solver() or ComponentSolver().solve
-            outcome = _checked(solver(attempt, _Reporter(attempt.folder)))
+            numbers = solver(attempt, _Reporter(attempt.folder))
+            outcome = _checked(numbers, loads=len(attempt.wrench))
         _write_patiently(attempt, outcome)
         return DONE
     except Cancelled:
@@ -325,26 +326,51 @@ def _named_solver() -> Solve | None:
     raise SolveRefusedError("no_solver", f"{SOLVE_VARIABLE}={name!r}: " + why, remedy)
 
 
-def _checked(numbers: Mapping[str, Any]) -> Outcome:
-    """Return the outcome of what a solver reports; raises SolveRefusedError without an answer."""
+def _checked(numbers: Mapping[str, Any], loads: int) -> Outcome:
+    """Return the outcome of what a solver reports; raises SolveRefusedError without an answer.
+
+    A displacement has 6 numbers an interface, a compliance that many lines of `loads` numbers, a
+    curvature loads (loads + 1) (loads + 2) / 6 numbers. The last two are dropped if not finite.
+    """
     plain = {name: _plain(value) for name, value in numbers.items()}
     outcome = Outcome.of(plain | {"status": "done", "program": solver_version()})
-    displacement, why = outcome.displacement, ""
-    remedy = f"correct the function that {SOLVE_VARIABLE} names"
-    if not isinstance(displacement, list):
-        why = f"is {type(displacement).__name__}, not a list of numbers"
-    elif len(displacement) < 6:
-        why = f"has {len(displacement)} numbers, not 6 an interface"
-    elif None in displacement:
-        why = f"has numbers that are not finite: {numbers['displacement']!s:.200}"
-        remedy = "check the component's mesh and supports; see log.txt among the job's files"
-    if why:
-        raise SolveRefusedError("bad_answer", "the solver's displacement " + why, remedy)
-    if any(None in line for line in outcome.compliance or ()):
-        outcome.compliance = None
-    if None in (outcome.curvature or ()):
-        outcome.curvature = None
+    displacement = outcome.displacement
+    interfaces = len(displacement) // 6 if isinstance(displacement, list) else 1
+    outputs = 6 * max(interfaces, 1)
+    _require_form("displacement", displacement, outputs)
+    if None in (displacement or ()):
+        raise SolveRefusedError(
+            "bad_answer",
+            "the solver's displacement has numbers that are not finite: "
+            f"{numbers['displacement']!s:.200}",
+            "check the component's mesh and supports; see log.txt among the job's files",
+        )
+    if outcome.compliance is not None:
+        _require_form("compliance", outcome.compliance, outputs, loads)
+        if any(None in line for line in outcome.compliance):
+            outcome.compliance = None
+    if outcome.curvature is not None:
+        _require_form("curvature", outcome.curvature, loads * (loads + 1) * (loads + 2) // 6)
+        if None in outcome.curvature:
+            outcome.curvature = None
     return outcome
+
+
+def _require_form(name: str, values: Any, *shape: int) -> None:
+    """Raise SolveRefusedError unless values are nested lists of numbers or nulls of a shape."""
+    if not _has_form(values, *shape):
+        form = " x ".join(map(str, shape))
+        message = f"the solver's {name} must be a list of {form} numbers, not {values!s:.200}"
+        remedy = f"correct the function that {SOLVE_VARIABLE} names"
+        raise SolveRefusedError("bad_answer", message, remedy)
+
+
+def _has_form(values: Any, *shape: int) -> bool:
+    if not shape:
+        is_number = type(values) in (int, float) and abs(values) <= sys.float_info.max
+        return values is None or is_number
+    is_list = isinstance(values, list) and len(values) == shape[0]
+    return is_list and all(_has_form(value, *shape[1:]) for value in values)
 
 
 def _plain(value: Any) -> Any:

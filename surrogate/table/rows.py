@@ -257,7 +257,7 @@ class Rows:
         count = int(index.sum()) if index.dtype == bool else len(index)
         columns = {name: getattr(self, name) for name in _COLUMNS}
         for name, column in columns.items():
-            unknown = _is_unknown(column)  # of which another takes no memory either
+            unknown = is_unknown(column)  # of which another takes no memory either
             columns[name] = unknown_column(count, *column.shape[1:]) if unknown else column[index]
         return Rows(**columns, space=self.space)
 
@@ -325,7 +325,8 @@ def unknown_column(count: int, *shape: int) -> Floats:
     return np.broadcast_to(np.nan, (count, *shape))
 
 
-def _is_unknown(column: NDArray[Any]) -> bool:
+def is_unknown(column: NDArray[Any]) -> bool:
+    """Return whether a column is one of `unknown_column`."""
     return column.ndim > 1 and not any(column.strides) and column.size > 0
 
 
@@ -339,7 +340,7 @@ def joined(parts: Sequence[Rows]) -> Rows:
         columns = [getattr(part, name) for part in some]
         # NaN stands for a curvature, (n, p), that some have and others, (n, 0), have not.
         width = max(column.shape[1:] for column in columns)
-        if all(map(_is_unknown, columns)):
+        if all(map(is_unknown, columns)):
             merged[name] = unknown_column(sum(map(len, columns)), *width)
             continue
         blank = [unknown_column(len(column), *width) for column in columns]

@@ -235,6 +235,19 @@ def test_old_manifests_go_with_the_blocks_that_no_other_needs(shipped, tmp_path,
     assert len(list((tmp_path / "replica" / "manifests").iterdir())) == 1
 
 
+def test_a_manifest_with_a_damaged_file_list_takes_no_good_one_with_it(
+    shipped, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(replica, "KEEP_S", ((600.0, 60.0),))
+    shipped.round()
+    good = shipped.shipper._latest
+    shipped.insert(5, first=30)
+    (digest,) = shipped.round().files[1]
+    (tmp_path / "replica" / "blocks" / digest[:2] / digest).unlink()
+    shipped.shipper.collect()
+    assert Replica(shipped.url).manifests() == [good]
+
+
 def test_manifests_stay_for_ten_minutes_then_by_the_hour_and_the_day():
     kept = []
     for created in range(10 * 86_400, 0, -60):

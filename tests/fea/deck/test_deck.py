@@ -249,7 +249,10 @@ def test_a_linear_deck_may_hold_freedoms_and_print_roundoff(tmp_path):
     assert result.compliance[2, 5] == pytest.approx(1e-7)
 
 
-@pytest.mark.parametrize("wrench", [[1, 2, 3], [np.nan, 0, 0, 0, 0, 0], [np.inf] * 6])
+@pytest.mark.parametrize(
+    "wrench",
+    [[1, 2, 3], [np.nan, 0, 0, 0, 0, 0], [np.inf] * 6, [10**400] * 6, [1, "2", 0, 0, 0, 0]],
+)
 def test_a_wrench_is_six_finite_numbers(tmp_path, wrench):
     with pytest.raises(ValueError, match="six finite numbers"):
         solve(component(tmp_path), wrench)
