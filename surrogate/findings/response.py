@@ -35,7 +35,7 @@ MIN_ROWS_TO_JUDGE = 12  # rows: with fewer the others do not show the expected v
 # Deviations of an outlier: of normal errors 1 in 1e32 lies so far out; heavy tails of real rigs
 # reach 6.
 DEVIATIONS = 12.0
-# Times the residual of 90 % of the rows: beyond this an outlier is a misfit of the response.
+# Ratio to the residual of 90 % of the rows: beyond it an outlier is a misfit of the response.
 TAIL = 14.0
 MIN_OUTLIER = 0.05  # part of the output's range: smaller errors do not spoil a table's error bars
 SENTINEL = 3.0  # ranges of deviation: no response jumps so far at one row
