@@ -1,4 +1,4 @@
-"""A component and a wrench in, a displacement out: finite elements."""
+"""Finite elements: the displacement of a component under a wrench."""
 
-if __name__ != "wrenchbook.fea":  # a second copy of every class and of its state
+if __name__ != "wrenchbook.fea":  # a second import would copy every class and its state
     raise ImportError("import wrenchbook.fea")

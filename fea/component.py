@@ -38,28 +38,30 @@ from wrenchbook.fea.tensors import rotation_less_identity
 Array = np.ndarray
 
 _ZERO = 1e-9
-"""Relative, of projections and of the width of a set of points: smaller ones are roundoff, since
-axes and coordinates are written to about so many digits."""
+"""Relative size of projections, and relative width of a set of points: smaller values are
+roundoff, since axes and coordinates are written to about as many digits."""
 _ANY_MOTION = np.array([0.3, 0.5, 0.7, 0.2, 0.6, 0.4])
-"""Of a section, m and rad: any, without a pattern by which two parts of it could cancel."""
+"""Motion of a section, m and rad: an arbitrary one, without a pattern by which parts of it could
+cancel.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class AttachedInterface:
-    """An interface, or a bushing, with its section found in the mesh."""
+    """An interface, or a bushing, with the nodes of its section in the mesh."""
 
-    key: str  # where the bundle has it: ``interface``, ``interface[1]``, ``supports.bushing[0]``
-    name: str  # empty if it is alone
+    key: str  # its key in the bundle: ``interface``, ``interface[1]``, ``supports.bushing[0]``
+    name: str  # empty for a single interface
     section: InterfaceSection  # its nodes with their area weights
     point: Array  # its reference point, shape (3,), m
     axes: Array  # shape (3, 3), row i is the direction of its frame's axis i
     coupling: str
     locked: tuple[str, ...]
-    weights: str = "area"  # those of its nodes: "area", "equal" or "deck"
+    weights: str = "area"  # kind of its nodes' weights: "area", "equal" or "deck"
 
     @property
     def where(self) -> str:
-        """The key of its nodes."""
+        """The bundle's key of its nodes."""
         if self.key.startswith("supports."):
             return f"{self.key}.group"
         return f"{self.key}.{'groups' if self.key.startswith('spring[') else 'section'}"
@@ -67,17 +69,18 @@ class AttachedInterface:
 
 @dataclass(frozen=True, eq=False)
 class AttachedJoint:
-    """Two groups with a spring between them, or one rigid body of both."""
+    """A spring between two groups, or one rigid body of both."""
 
-    ends: tuple[AttachedInterface, ...]  # of the spring, at one point; one of a rigid joint
-    stiffness: Array | None  # shape (6, 6); None of a rigid joint
+    # Both ends of a spring, at one point; the single frame of a rigid joint.
+    ends: tuple[AttachedInterface, ...]
+    stiffness: Array | None  # shape (6, 6), N/m, N/rad and N·m/rad; None for a rigid joint
 
 
 @dataclass(frozen=True, eq=False)
 class ComponentModel:
     """A deformable part, ready to be solved; all in metres and pascals."""
 
-    bundle: Bundle  # what it was built from
+    bundle: Bundle  # the bundle from which it was built
     mesh: Mesh  # with bolts cut; every other point belongs to a cell
     # materials, material_of_cells: the materials, and for each block of the mesh an array of shape
     # (m,) with the number of each cell's material.
@@ -91,13 +94,14 @@ class ComponentModel:
     sliding: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
     # Each with its stiffness, shape (6, 6); no node is in two, in a section, or fixed
     bushings: tuple[tuple[AttachedInterface, Array], ...] = ()
-    further: tuple[ScalarInput, ...] = ()  # the inputs behind the loads
-    ties: tuple[TiedNodes, ...] = ()  # in the order of the bundle's; the mesh has their nodes
+    further: tuple[ScalarInput, ...] = ()  # the inputs after the loads
+    # In the bundle's order; the mesh has their nodes at their final positions.
+    ties: tuple[TiedNodes, ...] = ()
     # Shape (n,): the part of the temperature's rise at each node; None for 1 everywhere
     temperature_rise: Array | None = None
     joints: tuple[AttachedJoint, ...] = ()
     bolts: tuple[BoltCut, ...] = ()
-    uncut: Mesh | None = None  # of `uncut_mesh`; None without bolts
+    uncut: Mesh | None = None  # the mesh before bolts are cut; None without bolts
 
     @property
     def uncut_mesh(self) -> Mesh:
@@ -106,16 +110,16 @@ class ComponentModel:
 
     @property
     def frames(self) -> list[AttachedInterface]:
-        """Frames that are no interfaces: those of bushings, then of the ends of joints."""
+        """Frames that are no interfaces: those of bushings, then those of the ends of joints."""
         ends = [end for joint in self.joints for end in joint.ends]
         return [*(bushing for bushing, _ in self.bushings), *ends]
 
     @property
     def springs(self) -> list[tuple[tuple[int, ...], Array]]:
-        """Each spring's stiffness, and the number of its frame, or of its two."""
+        """The stiffness of each spring, with the indices of the one or two frames it acts on."""
         springs: list[tuple[tuple[int, ...], Array]]
         springs = [((i,), stiffness) for i, (_, stiffness) in enumerate(self.bushings)]
-        frame = len(springs)  # the number of the first frame of a joint, see `frames`
+        frame = len(springs)  # index of the first frame of a joint, see `frames`
         for joint in self.joints:
             if joint.stiffness is not None:
                 springs.append(((frame, frame + 1), joint.stiffness))
@@ -124,7 +128,7 @@ class ComponentModel:
 
     @property
     def guided(self) -> tuple[Array, Array]:
-        """Nodes that slide, as `sliding`, and the slips of bolts, which do so along their axes."""
+        """Nodes that slide, in the form of `sliding`, and the slips of bolts along their axes."""
         nodes, held = self.sliding
         guides = [np.eye(3) - np.outer(bolt.axis, bolt.axis) for bolt in self.bolts]
         held = np.array([*held, *guides]).reshape(-1, 3, 3)
@@ -132,22 +136,22 @@ class ComponentModel:
 
     @property
     def temperature(self) -> ScalarInput | None:
-        """The temperature, if it is an input: the first behind the loads."""
+        """The temperature, if it is an input; it is then the first after the loads."""
         return next((scalar for scalar in self.further if scalar.name == TEMPERATURE), None)
 
     @property
     def accelerated(self) -> bool:
-        """Whether the acceleration is an input: the last three."""
+        """Whether the acceleration is an input; it is then the last three."""
         return any(scalar.name in ACCELERATIONS for scalar in self.further)
 
     @property
     def at_rest(self) -> Array:
-        """Inputs without effect: no loads, shape (6 i,), and the references of the others."""
+        """Inputs without effect: zero loads, shape (6 i,), and the references of the others."""
         loads = np.zeros(len(FREEDOMS) * len(self.interfaces))
         return np.append(loads, [scalar.reference for scalar in self.further])
 
     def warming(self, inputs: Array) -> float:
-        """Return the temperature among inputs, shape (k,), K from the reference; 0 if none is."""
+        """Return the temperature of inputs (k,), K from the reference; 0 if it is no input."""
         warm = self.temperature
         index = len(FREEDOMS) * len(self.interfaces)
         return 0.0 if warm is None else float(inputs[index] - warm.reference)
@@ -173,11 +177,12 @@ class ComponentModel:
 
 
 def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
-    """Build the mesh of `bundle`, unless it is given, and resolve the groups it names.
+    """Build the mesh of `bundle`, unless it is given, and find the groups that the bundle names.
 
     A mesh that is given has no bolts cut.
 
-    Raises BundleError if there is nothing to solve, or a file, group, material or support is wrong.
+    Raises BundleError if the bundle has no mesh to solve, or a file, group, material or support is
+    wrong.
     """
     source = _mesh_source(bundle)
     mesh = mesh_of(source) if mesh is None else mesh
@@ -205,7 +210,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     for frame in attached:
         sliding = _free_sliding(mesh, sliding, frame, problems)
 
-    # Ties move their nodes onto the main surfaces, and make them follow those.
+    # Ties move their nodes onto the main surfaces, and constrain them to these.
     held[fixed], held[sliding[0]] = np.eye(3), sliding[1]
     sections = [(frame.where, frame.section.node_ids) for frame in attached]
     mesh, ties = joined(mesh, bundle.ties, held, sections, problems)
@@ -216,7 +221,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     problems = cell_problems(mesh) + problems
     _check_disjoint(mesh, fixed, attached, problems)
     occupied = [("supports.fixed", fixed), *sections]
-    if mesh.dependents is not None:  # tied nodes, with those that they follow
+    if mesh.dependents is not None:  # tied nodes, and the nodes that they depend on
         leading = [mesh.dependents.map[tie.nodes].indices for tie in ties]
         both = [np.append(tie.nodes, nodes) for tie, nodes in zip(ties, leading, strict=True)]
         occupied += [(f"tie[{i}]", nodes) for i, nodes in enumerate(both)]
@@ -252,8 +257,11 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
 
 
 def _mesh_source(bundle: Bundle) -> MeshSource:
-    """Return the mesh of a bundle; raise BundleError if there is nothing to solve."""
-    tables = {  # beside a [deck], any of them may be missing
+    """Return the mesh of a bundle.
+
+    Raises BundleError if the bundle has no mesh to solve.
+    """
+    tables = {  # beside a [deck], each of these tables is optional
         "mesh": bundle.mesh,
         "material": bundle.materials,
         "interface": bundle.interface,
@@ -269,7 +277,7 @@ def _mesh_source(bundle: Bundle) -> MeshSource:
 
 
 def _materials(bundle: Bundle) -> tuple[AnyMaterial, ...]:
-    """Return the materials, which expand only where the temperature is an input."""
+    """Return the materials, with thermal expansion only if the temperature is an input."""
     if any(scalar.name == TEMPERATURE for scalar in bundle.further):
         return bundle.materials
     return tuple(replace(material, thermal_expansion=None) for material in bundle.materials)
@@ -298,7 +306,7 @@ def _projectors(held: Array) -> tuple[Array, Array]:
 
 
 def _without_cuts(mesh: Mesh, uncut: Mesh) -> Mesh:
-    """Return the mesh before bolts were cut with what ties moved and let follow since."""
+    """Return the mesh before bolts were cut, with the effects of ties on its nodes."""
     size = len(uncut.points)
     dependents = mesh.dependents and mesh.dependents.of_first(size)
     return replace(uncut, points=mesh.points[:size], dependents=dependents)
@@ -307,7 +315,7 @@ def _without_cuts(mesh: Mesh, uncut: Mesh) -> Mesh:
 def mesh_of(source: MeshSource) -> Mesh:
     """Return the mesh of a bundle, each point used by a cell.
 
-    Raises BundleError if the file cannot be read, or its geometry not be meshed.
+    Raises BundleError if the file cannot be read, or its geometry cannot be meshed.
     """
     if isinstance(source, Generator):
         return source.mesh()
@@ -334,7 +342,10 @@ def surface_of(source: MeshSource) -> Surface:
 def _material_numbers(
     mesh: Mesh, materials: tuple[AnyMaterial, ...], problems: list[BundleProblem]
 ) -> tuple[Array, ...]:
-    """Return the number of each cell's material; "all" fills what no other material names."""
+    """Return the index of each cell's material.
+
+    "all" stands for cells that no other material names.
+    """
     numbers = tuple(np.full(len(block), -1) for block in mesh.blocks)
     named = [(i, m) for i, m in enumerate(materials) if m.region != "all"]
     for i, material in named:
@@ -370,11 +381,15 @@ def _material_numbers(
 
 
 def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) -> Array:
-    """Return the fixed nodes, sorted, (k,); note if they are all that holds, and on one line."""
+    """Return the fixed nodes, sorted, (k,).
+
+    Note a problem if they alone hold the part and lie on one line.
+    """
     names = [(f"supports.fixed[{i}]", name) for i, name in enumerate(supports.fixed)]
     groups = [group_nodes(mesh, key, name, problems) for key, name in names]
     nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *groups]))
-    if not groups or supports.sliding or supports.bushings:  # `fea.check.mechanisms` looks at all
+    # `fea.check.mechanisms` checks all supports together.
+    if not groups or supports.sliding or supports.bushings:
         return nodes
     if all(len(ids) for ids in groups) and not _spans_a_plane(mesh.points[nodes]):
         on_line = f"its {len(nodes)} nodes lie on one line, so the component can rotate"
@@ -421,7 +436,7 @@ def _attach(
 
 
 def _join(mesh: Mesh, key: str, joint: Joint, problems: list[BundleProblem]) -> AttachedJoint:
-    """Return a joint with its groups found; its point is midway between them unless it is given."""
+    """Return a joint with the nodes of its groups; by default its point is midway between them."""
     ends = [_attach(mesh, key, joint.end(group), problems) for group in joint.groups]
     if joint.point is None:
         middle = 0.5 * (ends[0].point + ends[1].point)
@@ -440,7 +455,7 @@ def _check_bolts(
     sliding: tuple[Array, Array],
     problems: list[BundleProblem],
 ) -> None:
-    """Note cuts with nodes that a key of `occupied` names too, or that are held along their axis.
+    """Note cuts whose nodes a key of `occupied` names too, or a support holds along their axis.
 
     sliding: as `ComponentModel.sliding`.
     """
@@ -490,7 +505,7 @@ def _free_sliding(
     attached: AttachedInterface,
     problems: list[BundleProblem],
 ) -> tuple[Array, Array]:
-    """Return the sliding nodes less those of a rigid coupling.
+    """Return the sliding nodes without those of a rigid coupling.
 
     It is a problem if locked freedoms do not hold a rigid section's sliding nodes, or if all nodes
     of a distributed section slide, so that their mean is not free.
@@ -512,7 +527,7 @@ def _free_sliding(
         problems.append(BundleProblem(attached.where, message))
     elif off > _ZERO * max(np.abs(arms).max(), 1.0):
         message = f"{slide}, but its free motions would move them off; let none of them slide"
-        if attached.key.startswith("interface"):  # others have no locked freedoms
+        if attached.key.startswith("interface"):  # bushings and joints have no locked freedoms
             message += ", or lock those motions with locked"
         problems.append(BundleProblem(attached.where, message))
     return nodes[~shared], projectors[~shared]
@@ -548,7 +563,7 @@ def _check_disjoint(
 def _check_locked(
     bundle: Bundle, interfaces: list[AttachedInterface], problems: list[BundleProblem]
 ) -> None:
-    """Note a single locked rotation where displacements count from the tightened state."""
+    """Note a single locked rotation if displacements are relative to the tightened state."""
     analysis = bundle.analysis
     if not (bundle.bolts and analysis.nonlinear and analysis.zero == "preloaded"):
         return

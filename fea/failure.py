@@ -1,59 +1,59 @@
-"""Named failures of a solve, each with what to do about it."""
+"""Named failures of a solve, each with its remedy."""
 
 from __future__ import annotations
 
 from typing import Any
 
 REMEDIES = {
-    # A Newton's method that stopped short of an equilibrium.
+    # Newton's method ends before an equilibrium.
     "not_converged": (
         "Check that the part can carry this load; then try a smaller load, or a finer mesh where "
         "the part bends most."
     ),
-    # Supports that leave a motion without resistance.
+    # Supports leave a motion without resistance.
     "mechanism": (
         "Fix at least three points that are not on one line, join parts that only touch, and mesh "
         "each section with at least two reduced-integration hex20 cells, or use integration = "
         "'full'."
     ),
-    # Equations whose roundoff reaches the digits that count.
+    # Roundoff of the equations reaches the significant digits.
     "ill_conditioned": (
         "Reduce the ratio of the stiffnesses or the slenderness: mesh thin walls with thicker or "
         "fewer cells, and give nearly rigid parts a lower modulus."
     ),
-    # Cells turned inside out.
+    # Cells are turned inside out.
     "inverted_elements": (
         "If the undeformed mesh has these cells, repair it in the mesher (often midside nodes are "
         "too far from the middle of their edge); otherwise reduce the load."
     ),
-    # A part that buckles or snaps over before the load is reached.
+    # The part buckles or snaps over before the full load.
     "snap_through": (
         "The part has no unique answer at this load. Keep the load range below the buckling load, "
         "or lock the freedoms of the interface that the real assembly guides (locked)."
     ),
-    # Cells that are no good for a nearly incompressible material.
+    # The kind of cell locks with a nearly incompressible material.
     "locking_material": (
         "Mesh that region with 27-node hexahedra (hex27; in gmsh Mesh.SecondOrderIncomplete = 0), "
         "which are accurate up to a ratio of 0.4999; for a higher ratio write 0.4999."
     ),
-    # A part of which a fraction, named in the message, yields.
+    # A part of the volume, stated in the message, yields.
     "yields": ('Or accept such answers: write on_yield = "warn" under [analysis].'),
 }
-"""What to change after a failure of each kind that has the same remedy everywhere."""
+"""The remedy of failures whose remedy does not depend on the place."""
 
 
 class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a programming error
-    """A solve that gave no answer that can be trusted.
+    """A solve without a reliable answer.
 
-    kind: one of ``not_converged``, ``mechanism``, ``ill_conditioned``, ``inverted_elements``,
-    ``snap_through``, ``rotation_too_large``, ``locking_material``; for a deck also those of
+    kind: ``not_converged``, ``mechanism``, ``ill_conditioned``, ``inverted_elements``,
+    ``snap_through``, ``rotation_too_large`` or ``locking_material``; for a deck also those of
     `fea.deck.running`.
-    message: what happened, in an FEA engineer's words.
-    remedy: what to change; None takes that of `REMEDIES`.
+    message: the failure, in an FEA engineer's words.
+    remedy: the change to make; None takes that of `REMEDIES`.
     """
 
     history: tuple = ()  # the iterations up to the failure (`fea.solution.Iteration`)
-    # The part of the wrench at which the part snaps through or buckles, if known
+    # The part of the wrench at which the component snaps through or buckles, if known
     load_factor: float | None = None
     # The last converged state: its load factor, and the displacement of each mesh point in the
     # mesh's axes, shape (n, 3), m; None if there is none.
@@ -73,9 +73,9 @@ class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a prog
 def gave_way(kind: str, factor: float) -> SolveFailed | None:
     """Return the failure of a part whose equilibrium path ends below the full load.
 
-    kind: of the ending (`fea.solver.arc_length.Ending`): ``"limit"`` or ``"bifurcation"``; None
-    comes of others.
-    factor: the part of the wrench at which it ends.
+    kind: kind of the ending (`fea.solver.arc_length.Ending`), ``"limit"`` or ``"bifurcation"``; for
+    others the result is None.
+    factor: the part of the wrench at which the path ends.
     """
     if kind == "limit":
         message = "The part snaps through at {} of this wrench, where its load has a maximum."
@@ -94,8 +94,8 @@ def rotation_too_large(
     """Return the failure of an interface that rotates further than tables cover.
 
     degrees, limit: its rotation, and the largest allowed.
-    load_factor: the part of the wrench under which it does.
-    which: the interface, where the part has several.
+    load_factor: the part of the wrench under which it rotates so.
+    which: the name of the interface, if the part has several.
     """
     under = f" under {load_factor:.3g} of this wrench already" if load_factor < 1.0 else ""
     return SolveFailed(

@@ -51,7 +51,7 @@ Array = np.ndarray
 
 _IDEAL_VOLUME = {"tet": 0.5**0.5, "pyr": 0.5**0.5, "wed": 0.75**0.5, "hex": 1.0}
 """Volume that the three edges of length 1 at a corner of the ideal cell span, by kind of cell."""
-_NO_LENGTH = 1e-300  # m: in place of a length of 0, by which nothing can be divided
+_NO_LENGTH = 1e-300  # m: replaces a length of 0 in a divisor
 
 
 @dataclass(frozen=True)
@@ -61,10 +61,10 @@ class Measure:
     name: str  # its key in the report
     # From points of shape (n, 3), m, and a block of m cells to the values, shape (m,), no unit
     of: Callable[[Array, CellBlock], Array]
-    # limit, larger_is_worse: from where on it is bad, and on which side
+    # limit, larger_is_worse: the limit of a bad cell, and on which side of it cells are bad
     limit: float
     larger_is_worse: bool
-    description: str  # what a bad cell is called
+    description: str  # the description of a bad cell
 
 
 def scaled_jacobian(points: Array, block: CellBlock) -> Array:
@@ -175,16 +175,16 @@ _OPPOSITE = np.array([(0, 1), (2, 4), (3, 5)])
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Cells that hang together by faces."""
+    """Groups of cells that are connected by faces."""
 
     count: int  # number of bodies; numbered from the body with the most cells
-    cells: Array  # number of cells of each, shape (count,), int64, dimensionless
-    nodes: list[Array]  # the nodes of each, shape (k,), int64: indices, ascending
+    cells: Array  # number of cells of each body, shape (count,), int64
+    nodes: list[Array]  # the nodes of each body, shape (k,), int64: indices, ascending
 
 
 def bodies_of(mesh: Mesh) -> Bodies:
     """Group the cells that share faces; cells that share only an edge or a point do not join."""
-    # A graph of cells, and behind these of faces, with an edge from each cell to each of its faces.
+    # A graph of cells, then faces, with an edge from each cell to each of its faces.
     faces, owners = _faces(mesh)
     total = sum(len(block) for block in mesh.blocks)
     size = total + int(faces.max(initial=-1)) + 1
@@ -209,7 +209,7 @@ def bodies_of(mesh: Mesh) -> Bodies:
 
 
 def _faces(mesh: Mesh) -> tuple[Array, Array]:
-    """Return a number for each face of each cell, equal where its corners are, and the cell."""
+    """Return a face number for each face of each cell, equal for equal corners, and the cell."""
     corners, owners, first = [], [], 0
     for block in mesh.blocks:
         for face in FACES[block.kind]:
@@ -223,9 +223,10 @@ def _faces(mesh: Mesh) -> tuple[Array, Array]:
 
 
 def stacked_singly(mesh: Mesh) -> Array:
-    """Return the middles of hex20 cells that follow each other with none at their sides.
+    """Return the middles of hex20 cells that are stacked singly, without cells at their sides.
 
-    Shape (k, 3), m: two or more in a row, each joined to others along one direction only.
+    Shape (k, 3), m. Two or more cells in a row, each joined to others along one direction only, are
+    a stack.
     """
     if all(block.kind != "hex20" for block in mesh.blocks):
         return np.empty((0, 3))
@@ -241,14 +242,14 @@ def stacked_singly(mesh: Mesh) -> Array:
             single = joined.sum(axis=0) <= 1
             single_faces.append(number[faces].reshape(-1, len(block))[:, single])
             middles.append(mesh.points[block.nodes[single]].mean(axis=1))
-    # Of these, cells with a face that another of them has too.
+    # Of these, cells that share a face with another of them.
     faces_of_single = np.hstack(single_faces)
     times = np.bincount(faces_of_single.ravel(), minlength=int(number.max()) + 1)
     return np.concatenate(middles)[(times[faces_of_single] > 1).any(axis=0)]
 
 
 def coincident_nodes(mesh: Mesh) -> Array:
-    """Return pairs of coincident surface nodes, which share no unknowns and do not follow others.
+    """Return pairs of coincident surface nodes that share no unknowns and do not depend on others.
 
     Shape (k, 2), int64: indices of nodes.
     """
@@ -266,24 +267,29 @@ def gap(mesh: Mesh, nodes: Array, others: Array) -> float:
     return float(tree.query(mesh.points[others])[0].min())
 
 
-_MAX_REPORTED = 5  # pairs of bodies with unmerged nodes
-# Pa: soft rubber to nearly diamond (1.1e12). kg/m^3: light foam (15) to more than osmium (22,600);
-# steel in MPa, GPa or g/cm^3 (7.85) is far below.
+# Pairs of bodies with unmerged nodes in the warnings; the message counts the others.
+_MAX_REPORTED = 5
+# Usual ranges. Pa: soft rubber to nearly diamond (1.1e12). kg/m^3: light foam (15) to more than
+# osmium (22,600); steel in MPa, GPa or g/cm^3 (7.85) is far below.
 _USUAL = {
     "youngs_modulus": (1e6, 1e12, "Pa", "softer than rubber or stiffer than diamond", "MPa or GPa"),
     "density": (10, 3e4, "kg/m^3", "lighter than foam or heavier than osmium", "g/cm^3 or t/mm^3"),
 }
-# Of the mesh's diagonal. Longer levers than this are millimetres written where metres belong.
+# Largest lever over the mesh's diagonal: longer ones are probably millimetres read as metres.
 _LONGEST_LEVER = 3.0
 
 
-_FINER = 60  # main nodes of a secondary node: 30 of cells of one size, 64 to 80 of half the size
-_WIDE = 3.0  # diagonal of a main facet over the tie's size: at 4 half the size lacks over half
-_CLOSED = 0.1  # of the distance: a hundredth of an edge, as much as meshes of round surfaces differ
+# Main nodes of a secondary node that show a coarse side: 30 for cells of one size, 64 to 80 for
+# half the size.
+_FINER = 60
+# Diagonal of a main facet over the tie's size: at 4 the tie lacks over half of its stiffness.
+_WIDE = 3.0
+# Part of the distance, a hundredth of an edge: the difference of two meshes of a round surface.
+_CLOSED = 0.1
 
 
 def warnings_of(component: ComponentModel) -> list[BundleProblem]:
-    """Return all that `fea.check` would warn of, in its order, and stacks of single cells."""
+    """Return all warnings of `fea.check` in its order, and stacks of single cells."""
     mesh = component.uncut_mesh
     bodies, pairs = bodies_of(mesh), coincident_nodes(mesh)
     shape = [BundleProblem("mesh", message) for message in quality_warnings(quality(mesh))]
@@ -292,7 +298,7 @@ def warnings_of(component: ComponentModel) -> list[BundleProblem]:
 
 
 def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return warnings on what the bundle attaches to the mesh: sections, supports and units."""
+    """Return warnings about sections, supports and units of the component."""
     problems = section_warnings(component) + support_warnings(component) + unit_warnings(component)
     problems += tie_warnings(component) + bolt_warnings(component)
     for number, material in enumerate(component.bundle.materials if component.bundle else ()):
@@ -302,12 +308,14 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     return problems
 
 
-_STRAINED = 0.1  # bolts of steel and titanium yield at 0.01 at most, those of nylon at 0.05
-_OBLIQUE = np.radians(3.0)  # 5 % of the force pulls across; straight facets of a round shank show 1
+# Strain of a preload: bolts of steel and titanium yield at 0.01 at most, those of nylon at 0.05.
+_STRAINED = 0.1
+# rad: 5 % of the force pulls across; straight facets of a round shank show 1 degree.
+_OBLIQUE = np.radians(3.0)
 
 
 def bolt_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return warnings on preloads that no shank carries, and axes that are not the shank's."""
+    """Return warnings on preloads that are too large for the shank, and on oblique axes."""
     problems = []
     for bolt in component.bolts:
         strength = strength_at(component, bolt)
@@ -338,14 +346,15 @@ def bolt_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 
 _SIDEWAYS = 0.1
-"""Of the middle direction's area, that of free facets along the axis of a shank: 0.06 of a cone of
-20 degrees; more has no direction."""
+"""Largest area of free facets across a shank's direction, over that of the middle direction: above
+it they show no direction. A cone of 20 degrees has 0.06."""
 
 
 def shank_direction(component: ComponentModel, bolt: BoltCut) -> tuple[float, Array]:
     """Return the angle from a bolt's axis to its shank, rad, and the shank's unit vector, (3,).
 
-    The shank's free facets at the cut run along it. Of others, as of a cone, the angle is 0.
+    The free facets of a shank at the cut run along it. Without such facets, as at a cone, the angle
+    is 0.
     """
     mesh, squares = component.uncut_mesh, np.zeros((3, 3))
     for kind, nodes in outer_surface(mesh.blocks).blocks:
@@ -360,7 +369,7 @@ def shank_direction(component: ComponentModel, bolt: BoltCut) -> tuple[float, Ar
 
 
 def strength_at(component: ComponentModel, bolt: BoltCut) -> float | None:
-    """Return the least yield strength of the cells at a bolt's cut, Pa; None if none is known."""
+    """Return the least yield strength of the cells at a bolt's cut, Pa; None if unknown."""
     pairs = zip(component.material_of_cells, bolt.cells, strict=True)
     numbers = np.unique(np.concatenate([block[cells] for block, cells in pairs])).tolist()
     strengths = [component.materials[number].yield_strength for number in numbers]
@@ -368,10 +377,10 @@ def strength_at(component: ComponentModel, bolt: BoltCut) -> float | None:
 
 
 def stack_problems(component: ComponentModel) -> list[BundleProblem]:
-    """Return a problem if hex20 cells of reduced integration follow each other singly.
+    """Return a problem if hex20 cells of reduced integration are stacked singly.
 
-    Such a stack is a mechanism (hourglass) where it is straight. A curved stack is held by its
-    curvature alone: an arch of 40 cells turned 24 times too far and buckled at 4e-5 of its load.
+    A straight stack is a mechanism (hourglass). A curved stack is held by its curvature alone: an
+    arch of 40 cells turned 24 times too far and buckled at 4e-5 of its load.
     """
     if component.analysis.integration != "reduced":
         return []
@@ -389,9 +398,8 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
 def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
     """Return a warning for the unmerged nodes of each two bodies, and of slits within a body.
 
-    mesh, bodies: a mesh, and what it falls into.
-    pairs: shape (k, 2), int64: indices of coincident nodes
-    (`fea.inspection.coincident_nodes`).
+    mesh, bodies: a mesh, and its connected bodies.
+    pairs: shape (k, 2), int64: indices of coincident nodes (`fea.inspection.coincident_nodes`).
     """
     owner = np.zeros(len(mesh.points), dtype=np.int64)
     for number, nodes in enumerate(bodies.nodes):
@@ -415,7 +423,7 @@ def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Bundl
 
 
 def section_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return warnings on where the section and the supports are."""
+    """Return warnings about the positions of the section and the supports."""
     mesh, constrained = component.mesh, component.fixed_nodes
     surface = outer_surface(mesh.blocks).node_ids
     problems = []
@@ -451,9 +459,12 @@ def section_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 
 def support_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return a warning if the supports hold single nodes only, which answer to mesh size."""
+    """Return a warning if the supports hold single nodes only.
+
+    The answer then depends on the mesh size.
+    """
     surface, nodes = outer_surface(component.mesh.blocks), component.supported_nodes
-    if not nodes.size:  # an interface is held in their place
+    if not nodes.size:  # a held interface replaces the supports
         return []
     if facets_within(surface, nodes).blocks:
         return []
@@ -466,7 +477,7 @@ def support_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 
 def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return warnings on nodes that a tie leaves loose, gaps that it closes, and a coarse side."""
+    """Return warnings about untied nodes, gaps that a tie closes, and a coarse side."""
     problems, dependents = [], component.mesh.dependents
     for i, tie in enumerate(component.ties):
         texts = []
@@ -494,7 +505,7 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 
 def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return warnings on numbers that are rather written in another unit than SI."""
+    """Return warnings about numbers that are probably in another unit than SI."""
     problems = []
     for number, material in enumerate(component.materials):
         for key, (low, high, si, kind, unit) in _USUAL.items():

@@ -1,14 +1,14 @@
 """Readers of the interface's motion in the files of an outside solver.
 
-Built in are "calculix-dat", of what ``*NODE PRINT`` writes into the .dat file of ccx, and
-"numbers", of six numbers in a file. A new reader is a small class with the members of `DeckReader`,
-offered under the entry point group "wrenchbook.deck_readers":
+"calculix-dat" reads the output of ``*NODE PRINT`` in the .dat file of ccx, and "numbers" reads six
+numbers in a file. A new reader is a small class with the members of `DeckReader`, offered under the
+entry point group "wrenchbook.deck_readers":
 
     [project.entry-points."wrenchbook.deck_readers"]
     my-solver = "my_package:MyReader"
 
-A bundle names it with ``output = {reader = "my-solver", ...}``. Often no reader is needed: let the
-command be a script that runs the solver and writes six numbers, for the reader "numbers".
+A bundle names it with ``output = {reader = "my-solver", ...}``. Often no reader is needed: the
+command can be a script that runs the solver and writes six numbers, for the reader "numbers".
 """
 
 from __future__ import annotations
@@ -25,14 +25,17 @@ from wrenchbook.fea.spec.schema import Deck
 
 
 class OutputError(ValueError):
-    """The interface's motion is not in the output; the message says what is missing where."""
+    """The interface's motion is not in the output.
+
+    The message has the missing item and its place.
+    """
 
 
 @dataclass(frozen=True)
 class DeckRun:
-    """Where one run of a deck left its files."""
+    """The files of one run of a deck."""
 
-    folder: Path  # all of them
+    folder: Path  # holds all files of the run
     job: str  # the deck's name without its ending
     printed: Path  # the file with the program's standard output and errors
 
@@ -48,7 +51,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Complaint:
-    """An error that a solver reports: its text, and whether it found no equilibrium."""
+    """An error that a solver reports: its text, and whether the solver found no equilibrium."""
 
     quoted: str
     not_converged: bool = False
@@ -57,7 +60,7 @@ class Complaint:
 class DeckReader(Protocol):
     """A reader of an outside solver's output; made without arguments.
 
-    A class that inherits it needs `moment`, `keys` and `read` alone.
+    A subclass defines `moment`, `keys` and `read`, and may keep the other methods.
     """
 
     moment: str
@@ -66,7 +69,10 @@ class DeckReader(Protocol):
     """The keys of ``[deck] output`` it needs besides ``reader``."""
 
     def read(self, run: DeckRun, options: Mapping[str, str]) -> Reading:
-        """Return the motion that the run found; raise `OutputError` if it cannot be read."""
+        """Return the motion in the output of a run.
+
+        Raises OutputError if the motion cannot be read.
+        """
         ...
 
     def complaint(self, run: DeckRun) -> Complaint | None:
@@ -74,11 +80,11 @@ class DeckReader(Protocol):
         return None
 
     def stage(self, run: DeckRun) -> tuple[float, str] | None:
-        """Return how far a run is, 0 to 1 and a message; None if that is unknown."""
+        """Return the progress of a run, 0 to 1, and a message; None if unknown."""
         return None
 
     def mistakes(self, text: str, deck: Deck) -> list[str]:
-        """Return mistakes in the text of a deck and its files that show without a run."""
+        """Return mistakes in the text of a deck and its files that are visible without a run."""
         return []
 
 
@@ -117,15 +123,15 @@ _PRINTED = re.compile(r"^\*NODE\s*PRINT\b.*?\bNSET\s*=\s*([^,\s]+)", re.IGNORECA
 _INCLUDED = re.compile(
     r"^\*INCLUDE\b.*?\bINPUT\s*=\s*\"?([^,\"\n]+?)\"?\s*$", re.IGNORECASE | re.MULTILINE
 )
-_MAX_QUOTED = 400  # characters
+_MAX_QUOTED = 400  # characters of a solver's errors in a message: longer texts are cut
 
 
 class CalculixDat:
-    """See the module."""
+    """Reader "calculix-dat"; see the module."""
 
-    # The three freedoms of a ROT NODE are the rotation vector, so what works on them is conjugate
-    # to it. Measured against the embedded solver, whose moment is spatial, in
-    # tests/fea/deck/test_deck_ccx.
+    # The three freedoms of a ROT NODE are the rotation vector, so the moment on them is conjugate
+    # to it. tests/fea/deck/test_deck_ccx compares it with the embedded solver, whose moment is
+    # spatial.
     moment = "conjugate"
     keys: tuple[str, ...] = ("point", "rotation")
 
@@ -150,7 +156,10 @@ class CalculixDat:
         return Reading((*translation, *rotation), int(counts[-1]) if counts else 0)
 
     def complaint(self, run: DeckRun) -> Complaint | None:
-        """Return the messages of ccx after ``*ERROR``; it may end with exit code 0 all the same."""
+        """Return the messages of ccx after ``*ERROR``.
+
+        Ccx may end with exit code 0 in spite of them.
+        """
         errors = list(_errors(_text(run.printed)))
         if not errors:
             return None
@@ -170,7 +179,7 @@ class CalculixDat:
         return min(max(time, 0.0), 1.0), f"step {step}, increment {increment}, time {time:g}"
 
     def mistakes(self, text: str, deck: Deck) -> list[str]:
-        """Return the sets that the deck does not print and the files it includes unsaid."""
+        """Return the sets that the deck does not print, and included files missing in ``files``."""
         printed = {name.upper() for name in _PRINTED.findall(text)}
         known = {file.name for file in deck.files}
         unprinted = [
@@ -186,7 +195,7 @@ class CalculixDat:
 
 
 def _last(path: Path, name: str, node_set: str) -> tuple[str, tuple[float, ...]]:
-    """Return time and motion of the last block that `path` has of a set."""
+    """Return time and motion of a set's last block in the file `path`."""
     time, rows, others = "", [], dict[str, None]()
     inside = False
     with path.open(encoding="utf-8", errors="replace") as lines:
@@ -265,12 +274,12 @@ _BUILT_IN: dict[str, type[DeckReader]] = {"calculix-dat": CalculixDat, "numbers"
 
 
 def reader_names() -> tuple[str, ...]:
-    """Return the names of all readers there are."""
+    """Return the names of all built-in and installed readers."""
     return tuple(sorted({*_BUILT_IN, *(entry.name for entry in _offered())}))
 
 
 def reader_named(name: str) -> DeckReader:
-    """Return the reader of that name.
+    """Return the reader of a name.
 
     Raises KeyError if there is none.
     """

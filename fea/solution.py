@@ -36,24 +36,24 @@ class Solution:
     # tightened part, if that is the bundle's zero
     displacement: Array
     # Shape (6 i, k): d displacement / d wrench at this wrench; rows and columns of locked freedoms
-    # are zero. NaN where it is unknown: a nonlinear deck.
+    # are zero. NaN if unknown: a nonlinear deck.
     compliance: Array
-    strain_energy: float  # J, of the stresses. NaN where it is unknown: a nonlinear deck
-    # J. Linear: that of all loads at their full size, without temperature twice the strain energy.
-    # Nonlinear: the external work, and the thermal work, along the load path by quadrature over the
-    # converged load steps, of fourth order. It equals the strain energy (with a temperature but
-    # for a part of the thermal strain's size), so that their difference measures the steps, not the
-    # answer. NaN for a nonlinear deck.
+    strain_energy: float  # J, from the stresses; NaN if unknown: a nonlinear deck
+    # J. Linear: the work of all loads at their full size; without temperature it is twice the
+    # strain energy. Nonlinear: the external work, and the thermal work, along the load path by
+    # quadrature over the converged load steps, of fourth order. It equals the strain energy (with a
+    # temperature but for a part of the thermal strain's size), so that their difference measures
+    # the steps, not the answer. NaN for a nonlinear deck.
     work: float
     unknowns: int  # degrees of freedom solved for; 0 where a deck's solver does not print them
-    # Wall time of this solve; what a `Solver` shares between solves is not counted again
+    # Wall time of this solve, s; work that a `Solver` shares between solves is not counted again
     seconds: float
     # The iterations, in order; empty for a linear solve and a zero wrench
     history: tuple[Iteration, ...]
     # Shape (n, 3), m: displacement of each mesh point, in the mesh's axes; none for a deck. It
     # counts from the mesh, before bolts are tightened; at the slip of a bolt it is the slip.
     nodes: Array
-    notes: tuple[str, ...] = ()  # remarks for the engineer on the way of solving
+    notes: tuple[str, ...] = ()  # remarks on the solve for an engineer
     # Shape (n, 3, k), m per unit of each input: change of `nodes` with them; None for a deck
     tangents: Array | None = None
     # Shape (p,), p = k (k + 1) (k + 2) / 6: third derivatives of the complementary energy by the
@@ -61,8 +61,7 @@ class Solution:
     # and rad over the units of two inputs (`fea.solver.third_derivatives`). Entries of locked
     # freedoms are zero. None for a linear solve, a deck, or more than eight inputs.
     curvature: Array | None = None
-    # Where the equations were left, to start a nearby solve from; None for a linear solve and a
-    # deck.
+    # The state of the equations, as a start of a nearby solve; None for a linear solve and a deck.
     state: CoupledState | None = None
 
 
@@ -75,12 +74,13 @@ def checked_wrench(
 ) -> Array:
     """Return all inputs as a new array, shape (6 i + f,): N and N·m, then f others.
 
-    wrench: shape (6 i + f,); or a mapping from an interface's name to six numbers (none for no
-    load) and from each further input's name to a number.
-    names: of the i interfaces.
-    further: the names of the f inputs behind the loads.
-    Raises ValueError if there are not six finite numbers an interface and one a further input, an
-    interface is unknown, or a further input is missing.
+    wrench: shape (6 i + f,); or a mapping from an interface's name to six numbers (an interface
+    without a load may be missing) and from each further input's name to a number.
+    names: the names of the i interfaces.
+    further: the names of the f inputs after the loads.
+
+    Raises ValueError if there are not six finite numbers for each interface and one for each
+    further input, an interface is unknown, or a further input is missing.
     """
     values = _in_order(wrench, names, further) if isinstance(wrench, Mapping) else wrench
     count = PER_INTERFACE * len(names) + len(further)
@@ -104,7 +104,7 @@ def checked_wrench(
 def _in_order(
     wrench: Mapping[str, Any], names: Sequence[str], further: Sequence[str]
 ) -> list[object]:
-    """List inputs by name in the order of `checked_wrench`, not yet checked to be numbers."""
+    """Return named inputs in the order of `checked_wrench`, before it checks their types."""
     every = (*names, *further)
     for name in wrench:
         if name not in every:

@@ -60,7 +60,7 @@ __all__ = ["MAX_DEGREES", "Solver", "solve"]
 
 Array = np.ndarray
 
-_MAX_ROUNDOFF_ERROR = 1e-6  # relative, of a solve without refinement; a larger one is a note
+_MAX_ROUNDOFF_ERROR = 1e-6  # relative error of a solve without refinement; a larger one is a note
 
 MAX_DEGREES = 20.0
 """Rotation of the interface, degrees, beyond which an answer is refused."""
@@ -78,13 +78,13 @@ def solve(
     Parameters
     ----------
     bundle
-        A bundle, the component built from it, or the solver made ready for that.
+        A bundle, the component built from it, or a solver of either.
     wrench
         As of `Solver.solve`.
     progress
         Called with the fraction done and a message.
     folder
-        Where an outside solver's files stay, and what a failed solve leaves
+        Folder that keeps an outside solver's files, and the files of a failed solve
         (`fea.export.failure_record`); None keeps nothing.
     on_fields
         Called with the solve's surface and stresses; a deck has none.
@@ -111,11 +111,12 @@ def solve(
 
 
 class Solver:
-    """A component made ready once, to be solved for any number of wrenches.
+    """A component prepared once and solved for any number of wrenches.
 
     bundle: a bundle, or the component built from it.
-    Raises BundleError if the bundle cannot be built. Raises SolveFailed: ``inverted_elements`` or
-    ``locking_material``.
+
+    Raises BundleError if the bundle cannot be built, and SolveFailed of kind ``inverted_elements``
+    or ``locking_material`` if its cells cannot be used.
     """
 
     def __init__(self, bundle: Bundle | ComponentModel) -> None:
@@ -144,7 +145,7 @@ class Solver:
 
     @property
     def volumes(self) -> list[tuple[Array, Array]]:
-        """For each sort of cells their materials' numbers and volumes, (cells,) each, m^3."""
+        """For each block of cells their materials' indices and volumes, (cells,) each, m^3."""
         volumes = [part.gradients.weights.sum(axis=1) for part in self.body.parts]
         return list(zip(material_of_parts(self.component, self.body), volumes, strict=True))
 
@@ -152,7 +153,8 @@ class Solver:
     def linear(self) -> LinearResponse:
         """The response to small loads, from one factorisation.
 
-        Raises SolveFailed: ``mechanism`` or ``ill_conditioned``.
+        Raises SolveFailed of kind ``mechanism`` or ``ill_conditioned`` if the equations are
+        singular.
         """
         return linear_response(self._system)
 
@@ -160,8 +162,10 @@ class Solver:
     def second_derivatives(self) -> Array | None:
         """The second derivatives of nonlinear displacements at no load, shape (6 i, k, k), SI.
 
-        None of more inputs than `MAX_CURVATURE_INPUTS`, and of a part whose weight or bolts move
-        it at no load. Raises SolveFailed as `linear` does.
+        None if there are more inputs than `MAX_CURVATURE_INPUTS`, or if weight or bolts move the
+        part at no load.
+
+        Raises SolveFailed as `linear` does.
         """
         if self._hangs or self._system.inputs > MAX_CURVATURE_INPUTS:
             return None
@@ -169,13 +173,16 @@ class Solver:
 
     @property
     def _tightening(self) -> System:
-        """The equations while bolts are tightened, their preload as the weight: slips are free."""
+        """The equations while bolts are tightened: the preload is the weight, slips are free."""
         system, points = self._system, self.component.mesh.points
         return System(system.body.with_slips(), system.coupling, points, system.preload)
 
     @cached_property
     def tightened(self) -> LinearResponse | None:
-        """The linear response while bolts are tightened, `sag` to their preload; None without."""
+        """The linear response while bolts are tightened.
+
+        Its `sag` is by the preload. None without bolts.
+        """
         if self._system.preload is None:
             return None
         try:
@@ -186,7 +193,10 @@ class Solver:
 
     @cached_property
     def at_rest(self) -> tuple[Array, Array]:
-        """Linear, at no load: displacements (6 i,), m and rad, and nodes' from the mesh, (n, 3)."""
+        """Linear displacements at no load, of interfaces (6 i,), m and rad, and nodes (n, 3), m.
+
+        Those of nodes are from the mesh, before bolts are tightened.
+        """
         linear, tight = self.linear, self.tightened
         if tight is None:
             return linear.sag_displacement, linear.sag
@@ -196,7 +206,7 @@ class Solver:
 
     @cached_property
     def _tight(self) -> CoupledState | None:
-        """The state as bolts are tightened, nonlinear; None without."""
+        """The nonlinear state after bolts are tightened; None without bolts."""
         if self._system.preload is None:
             return None
         try:
@@ -218,7 +228,10 @@ class Solver:
 
     @cached_property
     def unloaded(self) -> Equilibrium:
-        """The nonlinear equilibrium under self-weight and bolts; raises SolveFailed as `solve`."""
+        """The nonlinear equilibrium under self-weight and bolts.
+
+        Raises SolveFailed as `solve` does.
+        """
         self._system.undeformed.release()  # for `notes`, while no other factor is in memory
         if self._system.weight is None and self._tight is not None:
             return at_rest(self._system, self._tight)
@@ -231,7 +244,7 @@ class Solver:
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """Notes for an engineer: the warnings of `fea.check`, and how it is solved."""
+        """Notes for an engineer: the warnings of `fea.check`, and remarks on the method."""
         notes = tuple(
             f"{warning.where}: {warning.message}" for warning in warnings_of(self.component)
         )
@@ -248,15 +261,18 @@ class Solver:
     def vibration(self, riding: Riding) -> Vibration:
         """Return the first natural frequency with a rigid mass on the interface, unloaded.
 
-        Materials without a density weigh nothing. Raises as `first_vibration` does.
+        Materials without a density weigh nothing.
+
+        Raises the errors of `first_vibration`.
         """
         return first_vibration(self._system, self._mass, riding)
 
     def craig_bampton(self, modes: int) -> CraigBampton:
-        """Return the part's stiffness and mass, of its frames and some modes, unloaded.
+        """Return the part's stiffness and mass for its frames and some modes, unloaded.
 
-        The first frame is the held interface's, or else the mesh's axes, for the supports. Raises
-        as `fea.solver.vibration.craig_bampton` does.
+        The first frame is the held interface's, or else that of the supports, with the mesh's axes.
+
+        Raises the errors of `fea.solver.vibration.craig_bampton`.
         """
         held, frames = [("base", np.zeros(3), np.eye(3))], []
         for interface in self.component.interfaces:
@@ -290,8 +306,10 @@ class Solver:
     def buckling(self, wrench: Loads) -> tuple[float, float]:
         """Return the multiples of a wrench, and of its opposite, at which the part buckles.
 
-        By linear buckling (`fea.solver.vibration`); infinite where no multiple buckles it. The
-        wrench is as of `solve`. Raises ValueError and SolveFailed as `solve` and `linear` do.
+        The method is linear buckling (`fea.solver.vibration`). A factor is infinite if no multiple
+        buckles the part. The wrench is as of `solve`.
+
+        Raises ValueError and SolveFailed as `solve` and `linear` do.
         """
         acting = self.inputs(wrench) - self.component.at_rest
         fields = self.linear.fields @ acting
@@ -310,15 +328,15 @@ class Solver:
         ----------
         wrench
             Force and moment on the component at each interface's point, in its undeformed frame,
-            shape (6 i,) for i interfaces, or six numbers by name, N and N·m. What acts on locked
-            freedoms, and so on an interface that is held, does nothing. Further inputs of the
-            component follow, or come by their names: "temperature", then "ax", "ay" and "az".
+            shape (6 i,) for i interfaces, or six numbers by name, N and N·m. Loads on locked
+            freedoms, and so on a held interface, have no effect. Further inputs of the component
+            follow, or are given by their names: "temperature", then "ax", "ay" and "az".
         progress
             Called with the fraction done and a message.
         start
             `Solution.state` of a nearby wrench of the same component. It makes a nonlinear solve
-            faster and changes nothing else: what it leads to must pass the tests of a solve from
-            no load, and if it does not the solve starts from there.
+            faster and changes nothing else: its result must pass the tests of a solve from no load,
+            or else the solve starts again from no load.
 
         Raises
         ------
@@ -326,11 +344,11 @@ class Solver:
             If the wrench is not six finite numbers an interface, names an unknown interface, or
             lacks a further input.
         SolveFailed
-            If there is no answer that can be trusted; its `kind` says why, its `remedy` what to do.
+            If there is no reliable answer; `kind` is the cause, `remedy` the change to make.
         """
         started = time.perf_counter()
         inputs = self.inputs(wrench)
-        # Loads on locked freedoms do nothing; the inputs behind the loads act by their rise.
+        # Loads on locked freedoms have no effect; further inputs act relative to their references.
         acting, loads = inputs - self.component.at_rest, self._system.coupling.freedoms
         acting[np.setdiff1d(np.arange(loads), self._active)] = 0.0
         analysis = self.component.analysis
@@ -338,7 +356,7 @@ class Solver:
             solution = self._solve_linear(inputs, acting)
         else:
             solution = self._solve_nonlinear(inputs, acting, progress, start)
-        # Where the loads alone exclude that anything yields, no stresses of the answer are needed.
+        # If the loads alone exclude yielding, the answer's stresses are not needed.
         by_loads_alone = not (analysis.nonlinear or self._hangs or self.body.expands)
         if not (by_loads_alone and np.abs(acting) @ self._most_used <= 1.0):
             exceeded = yielding(self.component, self.body, solution)
@@ -355,16 +373,20 @@ class Solver:
         return most_used(self.component, self.body, self.linear.fields)
 
     def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
-        """Return the linear answer to inputs that act, (k,); `wrench` has all inputs."""
+        """Return the linear answer.
+
+        `acting` (k,): the inputs with an effect, `wrench`: all inputs.
+        """
         linear, tight = self.linear, self.tightened
         displacement, nodes = linear.compliance @ acting, linear.fields @ acting
-        after = nodes + linear.sag  # after bolts are tightened, with the self-weight
+        after = nodes + linear.sag  # the state after bolts are tightened, with the self-weight
         inputs = acting if self._system.weight is None else np.append(acting, 1.0)
         energy = 0.5 * inputs @ linear.energies @ inputs
         work = acting[: len(displacement)] @ (displacement + linear.sag_displacement)
         work += np.vdot(self._system.dead_forces(acting), after)
         if tight is not None:
-            # The mutual energy with the tightened state is the preload's work on what follows.
+            # The mutual energy with the tightened state is the work of the preload on later
+            # displacements.
             assert self._system.preload is not None
             mutual = np.vdot(self._system.preload, after)
             energy += 0.5 * tight.energies[-1, -1] + mutual
@@ -393,10 +415,13 @@ class Solver:
     def _solve_nonlinear(
         self, wrench: Array, acting: Array, progress: Progress | None, start: CoupledState | None
     ) -> Solution:
-        """Return the nonlinear answer to inputs that act, (k,); `wrench` has all inputs."""
+        """Return the nonlinear answer.
+
+        `acting` (k,): the inputs with an effect, `wrench`: all inputs.
+        """
         unloaded, tight = self.unloaded if self._hangs else None, self._tight
         if start is not None and tight is not None:
-            # Bolts keep the length of this solver's; another's differs by roundoff.
+            # Bolts keep the length of this solver's state; another solver's differs by roundoff.
             nodes, held = start.nodes.copy(), self.body.slips & ~self.body.free
             nodes[held] = tight.nodes[held]
             start = replace(start, nodes=nodes)
@@ -416,7 +441,7 @@ class Solver:
             failure.last = factor, self.body.expanded(nodes) @ self.component.axes
             raise
         work = path.work
-        if unloaded is not None:  # from where the path begins: with the work of constant loads
+        if unloaded is not None:  # the start of the path: with the work of constant loads
             sunk = equilibrium.balance.state.nodes - unloaded.balance.state.nodes
             constant = self._system.dead_forces(np.zeros_like(acting))
             work += unloaded.balance.energy + float(np.vdot(constant, sunk))
@@ -425,7 +450,7 @@ class Solver:
     def _solution(
         self, wrench: Array, equilibrium: Equilibrium, work: float, history: tuple[Iteration, ...]
     ) -> Solution:
-        """Return the answer that an equilibrium and the work of all loads on its way there make."""
+        """Return the answer from an equilibrium and the work of all loads on the path to it."""
         balance = equilibrium.balance
         displacement, compliance = balance.state.interface, equilibrium.tangent.compliance
         if self._origin is not None:
@@ -452,14 +477,17 @@ class Solver:
         )
 
     def _curvature(self, balance: Balance, tangent: Linearisation) -> Array | None:
-        """Return the packed third derivatives at a state; None if linear or of too many inputs."""
+        """Return the packed third derivatives at a state.
+
+        None if linear, or if there are too many inputs.
+        """
         if not self.component.analysis.nonlinear or self._system.inputs > MAX_CURVATURE_INPUTS:
             return None
         return packed(third_derivatives(self._system, balance, tangent, self._origin))
 
     @property
     def _origin(self) -> Array | None:
-        """The interfaces' displacement (6 i,), m and rad, that counts as none, nonlinear."""
+        """The interfaces' nonlinear displacement (6 i,), m and rad, that is the zero of answers."""
         preloaded = self.component.analysis.zero == "preloaded"
         return self._tight.interface if preloaded and self._tight is not None else None
 
@@ -475,7 +503,8 @@ def _check_rotation(balance: Balance) -> None:
 def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:
     """Raise SolveFailed if an interface turns by more than `MAX_DEGREES`.
 
-    displacement: of all interfaces, shape (6 i,), m and rad, under this part of the load.
+    displacement: displacements of all interfaces, shape (6 i,), m and rad, under this part of the
+    load.
     """
     degrees = np.degrees(np.linalg.norm(displacement.reshape(-1, 6)[:, 3:], axis=1))
     if (largest := float(degrees.max())) > MAX_DEGREES:
@@ -484,9 +513,9 @@ def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> No
 
 
 def system_of(component: ComponentModel, active: Array) -> System:
-    """Set up the equations in the first interface's frame, its origin at that interface's point.
+    """Set up the equations in the first interface's frame, with its point as the origin.
 
-    `active` has shape (k,): indices of the freedoms that are not locked, dimensionless.
+    active: shape (k,): indices of the freedoms that are not locked.
     """
     mesh = component.mesh
     mesh = replace(mesh, points=(mesh.points - component.interfaces[0].point) @ component.axes.T)
@@ -533,7 +562,7 @@ def system_of(component: ComponentModel, active: Array) -> System:
 
 
 def _warmed(block: CellBlock, cells: CellStiffness, rise: Array, integration: str) -> CellStiffness:
-    """Return cells that expand by the part of the temperature's rise at each point, (nodes,)."""
+    """Return cells with a thermal expansion times the rise at each node, (nodes,), a part of 1."""
     values = reference_element(block.kind, integration).values
     assert cells.expansion is not None
     part = rise[block.nodes] @ values.T
@@ -541,7 +570,7 @@ def _warmed(block: CellBlock, cells: CellStiffness, rise: Array, integration: st
 
 
 def _anchors(component: ComponentModel) -> Array:
-    """Return three nodes far apart of each section whose mean alone may hold the part."""
+    """Return three distant nodes of each section whose mean may be the only support of the part."""
     anchors = [np.empty(0, dtype=np.int64)]
     held = [interface for interface in component.interfaces if interface.locked == FREEDOMS]
     held = [] if component.fixed_nodes.size else held

@@ -10,19 +10,19 @@ import numpy as np
 Array = np.ndarray
 
 ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
-"""Of the six numbers of a symmetric 3x3 matrix: xx, yy, zz, xy, xz, yz."""
+"""Indices of the six numbers of a symmetric 3x3 matrix: xx, yy, zz, xy, xz, yz."""
 
 _DERIVATIVE_TERMS = 30
-"""Terms of exp: at 2 rad, the most that Newton's method lets pass, 2^26 / 26! is below 1e-18."""
-_SERIES_TERMS = 12  # of sin t / t and its like: the next is below 1/24! = 2e-24
-_SERIES_LIMIT = 1.0  # rad^2: of the squared angle; below it the closed forms cancel
+"""Terms of exp: at 2 rad, the largest rotation in Newton's method, 2^26 / 26! is below 1e-18."""
+_SERIES_TERMS = 12  # terms of sin t / t and similar series: the next is below 1/24! = 2e-24
+_SERIES_LIMIT = 1.0  # rad^2, of the squared angle: below it the closed forms cancel
 _COMPLEX_STEP = 1e-30  # rad: its square vanishes against any number here
 
 
 def skew(vector: Array) -> Array:
     """Return the matrices [v]x with [v]x a = v x a: shapes (..., 3) -> (..., 3, 3).
 
-    They have the unit of the vectors, whichever that is: rad, m or N.
+    The matrices have the unit of the vectors: rad, m or N.
     """
     vector = np.asarray(vector)
     matrix = np.zeros((*vector.shape[:-1], 3, 3), dtype=vector.dtype)
@@ -45,7 +45,7 @@ def rotation(vector: Array) -> Array:
 
 
 def rotation_less_identity(vector: Array) -> Array:
-    """Return exp([r]x) - I without the roundoff of subtracting it.
+    """Return exp([r]x) - I without the roundoff of a subtraction.
 
     Shapes (3,), rad, to (3, 3), dimensionless.
     """
@@ -125,7 +125,7 @@ def _series(square: complex, start: int) -> complex:
 def von_mises(stress: Array) -> Array:
     """Return the von Mises stress, shape (...), Pa, of stresses, shape (..., 6), Pa.
 
-    The six are xx, yy, zz, xy, xz, yz; any other unit goes through as it is.
+    The six components are xx, yy, zz, xy, xz, yz; the result has the unit of the stresses.
     """
     xx, yy, zz, xy, xz, yz = np.moveaxis(stress, -1, 0)
     normal = (xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2

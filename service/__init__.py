@@ -1,4 +1,4 @@
 """HTTP, ledger, engines and command line."""
 
-if __name__ != "wrenchbook.service":  # a second copy of every class and of its state
+if __name__ != "wrenchbook.service":  # a second import would copy every class and its state
     raise ImportError("import wrenchbook.service")

@@ -1,4 +1,4 @@
-"""The caller of a request or a command: the actor that its writes name, and its limits."""
+"""The caller of a request or a command: the actor of its writes, and its limits."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ from contextvars import ContextVar
 from fnmatch import fnmatchcase
 from typing import Final, NamedTuple
 
-ANY: Final = ("*",)  # patterns that all components match
-# Names of keys have no parentheses, names of users begin with `USER`: no caller has one of these.
-LOCAL: Final = "(local)"  # a command on the machine, in the data directory
+ANY: Final = ("*",)  # patterns that match all components
+# Names of keys have no parentheses, and names of users begin with `USER`, so that no caller can
+# have one of these names.
+LOCAL: Final = "(local)"  # a command on the machine, on the data directory
 ANONYMOUS: Final = "(anonymous)"  # a request to a server without keys
-SERVER: Final = "(server)"  # what a server does by itself
-USER: Final = "user:"  # before the name that a trusted proxy sends
+SERVER: Final = "(server)"  # actions of the server itself
+USER: Final = "user:"  # prefix of names that a trusted proxy sends
 
 
 class NotPermittedError(Exception):
-    """The caller may not touch this component or job; nothing was changed."""
+    """The caller may not use this component or job; nothing was changed."""
 
 
 class Caller(NamedTuple):
-    """An actor, the patterns of the components that it may touch, and its scope of others' jobs."""
+    """An actor, the patterns of its permitted components, and its rights on others' jobs."""
 
     actor: str
     components: tuple[str, ...] = ANY
@@ -33,17 +34,17 @@ class Caller(NamedTuple):
         return patterns == ANY or any(fnmatchcase(component, pattern) for pattern in patterns)
 
     def visible(self, component: str | None) -> str | None:
-        """Return a component's name; None if the caller may not touch it."""
+        """Return a component's name; None if the caller may not use it."""
         return component if component and self.touches(component) else None
 
 
 CALLER: ContextVar[Caller] = ContextVar("caller", default=Caller(LOCAL))  # noqa: B039 (a tuple)
-"""The caller that this context works for; threads of a server have the default, without limits."""
+"""The caller of this context; threads of a server have the default, without limits."""
 
 
 @contextmanager
 def acting_as(actor: str) -> Iterator[None]:
-    """Let writes name another actor, which has no limits."""
+    """Set another actor for writes, without limits, within a `with`."""
     token = CALLER.set(Caller(actor))
     try:
         yield

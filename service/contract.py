@@ -1,4 +1,4 @@
-"""The wrench contract: the conventions every wrench and displacement on the wire follows."""
+"""The wrench contract: the conventions of every wrench and displacement in a request or reply."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ OUTPUTS, OUTPUT_UNITS = space.OUTPUTS, space.OUTPUT_UNITS
 Coverage = Literal["covered", "thin", "outside"]
 OnThin = Literal["queue", "wait", "estimate", "reject"]
 
-MAX_BATCH: Final = 1_000_000  # wrenches of a batch
-MAX_BLOCK: Final = 10_000  # wrenches of a block, as many as a recording keeps
+MAX_BATCH: Final = 1_000_000  # wrenches of a batch: 48 MB as float64
+MAX_BLOCK: Final = 10_000  # wrenches of a block: the most that a recording keeps
 
 MOMENT_POINT: Final = "the interface point where it is now"
 
@@ -41,9 +41,9 @@ CONTRACT: Final[dict[str, str]] = {
 
 
 def by_part(values: Sequence[float | None], interfaces: Sequence[str] = ()) -> dict[str, Any]:
-    """Six numbers an interface by ``translation`` and ``rotation``, m and rad.
+    """Return six numbers an interface as ``translation`` and ``rotation``, m and rad.
 
-    With names of interfaces these by interface.
+    With names of interfaces the result has an entry for each name.
     """
     if interfaces:
         return {name: by_part(values[6 * k : 6 * k + 6]) for k, name in enumerate(interfaces)}

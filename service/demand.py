@@ -1,7 +1,7 @@
-"""Query statistics: which queries a table did not cover, by cells of its load range.
+"""Query statistics: queries that a table did not cover, by cells of its load range.
 
-Queries are counted a thousand times a second, so in a dictionary of bounded size. Every second, and
-when the map is read, the counts of this process are added to the ledger's database.
+Queries are counted a thousand times a second, so the counts are in a dictionary of bounded size.
+Every second, and when the map is read, this process adds its counts to the ledger's database.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ from wrenchbook.surrogate.table.rows import LoadRange
 log = logging.getLogger(__name__)
 
 MAX_COMPONENTS: Final = 500
-MAX_CELLS: Final = 2000  # of a component; a query that finds none is counted as `elsewhere`
+MAX_CELLS: Final = 2000  # cells of a component; queries of further cells count as `elsewhere`
 MAX_LATEST: Final = 200
-MAX_OF_A_BATCH: Final = 10_000  # wrenches counted; of more, every k-th counts k times
-CELL: Final = 0.2  # of half a load's range: five cells to each side of zero
-_BEYOND: Final = 10  # cells from zero; queries farther off count in the outermost one
-SAVE_S: Final = 1.0  # between two additions of a process' counts to the database
+# Wrenches counted of a batch; in a larger one every k-th counts k times.
+MAX_OF_A_BATCH: Final = 10_000
+CELL: Final = 0.2  # part of half a load's range: five cells to each side of zero
+_BEYOND: Final = 10  # cells from zero; queries farther away count in the outermost one
+SAVE_S: Final = 1.0  # s between two additions of a process' counts to the database
 
 Cell = tuple[int, ...]
 
 
 class CellCount(NamedTuple):
-    """Numbers of the queries of a cell by their coverage."""
+    """Numbers of the queries in a cell by their coverage."""
 
     thin: float = 0
     outside: float = 0
@@ -46,7 +47,7 @@ class CellCount(NamedTuple):
 class QueryCounts:
     """The map of one component.
 
-    `since` is when the first query was counted, s since the epoch; `cells` are the counts by cell,
+    `since` is the time of the first query, s since the epoch; `cells` are the counts by cell,
     `elsewhere` counts queries beyond `MAX_CELLS` cells, `latest` has the newest wrenches.
     """
 
@@ -74,7 +75,7 @@ class QueryCounts:
 
 
 class QueryStatistics:
-    """Queries of each component that were thin or outside, of all processes of a directory."""
+    """Thin and outside queries of each component, by all processes of a data directory."""
 
     def __init__(self, ledger: Ledger) -> None:
         self._ledger = ledger
@@ -85,11 +86,11 @@ class QueryStatistics:
         self._thread = threading.Thread(target=self._keep_saving, name="demand", daemon=True)
 
     def start(self) -> None:
-        """Save every second what was counted, so that other processes have it too."""
+        """Start to save the counts every second, for the other processes."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Save what was counted last."""
+        """Save the last counts."""
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -127,7 +128,7 @@ class QueryStatistics:
             self.note(name, span, wrench, COVERAGE[int(coverage[place])], count * step)
 
     def map_of(self, name: str, span: LoadRange) -> dict[str, Any]:
-        """Return a component's map as a reply has it, the most frequent cells first."""
+        """Return a component's map in the form of the reply, the most frequent cells first."""
         self.save()
         counts = QueryCounts()
         try:
@@ -136,7 +137,7 @@ class QueryStatistics:
         except LedgerError as error:
             self._warn(error)
         with self._lock:
-            if name in self._unsaved:  # the ledger takes nothing at present
+            if name in self._unsaved:  # the ledger cannot be written at present
                 counts.add(self._unsaved[name])
         size = CELL * span.scale
         cells = sorted(counts.cells.items(), key=lambda cell: -sum(cell[1]))
@@ -159,7 +160,10 @@ class QueryStatistics:
         }
 
     def forget(self, name: str) -> None:
-        """Begin a component's map anew; raises LedgerUnavailableError."""
+        """Delete a component's map.
+
+        Raises LedgerUnavailableError if the ledger cannot be written.
+        """
         with self._ledger.writing(durable=False) as db:
             db.execute("DELETE FROM demand WHERE component = ?", (name,))
             note(db, "demand.forget", name, name)
@@ -167,7 +171,7 @@ class QueryStatistics:
             self._unsaved.pop(name, None)
 
     def save(self) -> None:
-        """Add what was counted here to the database."""
+        """Add the counts of this process to the database."""
         with self._lock:
             counted, self._unsaved = self._unsaved, {}
         if not counted:
@@ -197,7 +201,7 @@ class QueryStatistics:
                 self._unsaved = counted
 
     def _warn(self, error: Exception) -> None:
-        """Log that the ledger cannot be used, once until it can again."""
+        """Log that the ledger cannot be used, once until it can be used again."""
         (log.debug if self._refused else log.warning)("the demand map is not saved: %s", error)
         self._refused = True
 

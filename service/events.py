@@ -1,6 +1,6 @@
-"""Server-sent events: changes of jobs and tables, whichever process made them.
+"""Server-sent events: changes of jobs and tables by any process.
 
-`Events` compares the state with that of its last poll while it has listeners, and `Feed` keeps the
+`Events` compares the state with that of its last poll while it has listeners, and `Feed` stores the
 events for a while and gives them to its listeners. Both are used on one event loop.
 """
 
@@ -27,34 +27,34 @@ from wrenchbook.service.workspace import Workspace
 
 _log = logging.getLogger(__name__)
 
-MAX_EVENTS = 2_000  # events held for listeners that are behind or come back: 0.6 MB
-MAX_LISTENERS = 64  # each is a connection
+MAX_EVENTS = 2_000  # stored events, for listeners that are slow or reconnect: 0.6 MB
+MAX_LISTENERS = 64  # listeners, each with a connection
 
-POLL_S = 0.25  # between polls of progress and tables, which no commit announces
-FIRST_POLL_S = 10.0  # as long as a ledger may be busy; later the caller must retry
-LINGER_S = 300.0  # polled after the last listener left: it may only be connecting again
-ONE_BY_ONE = 50  # changed jobs reported one by one; more are reported as a number
+POLL_S = 0.25  # s between polls of progress and tables, which no commit announces
+FIRST_POLL_S = 10.0  # s for which a ledger may be busy; later the caller must retry
+LINGER_S = 300.0  # s of polls after the last listener has left: it may be reconnecting
+ONE_BY_ONE = 50  # changed jobs with an event each; a larger number is reported as a count
 
 Notice = tuple[str, str | None, dict[str, Any]]  # kind, component (None for all), data
 
 
 class TooManyListenersError(Exception):
-    """There are `MAX_LISTENERS` already."""
+    """The server already has `MAX_LISTENERS` listeners."""
 
 
 class Listener:
-    """A connection that reads the events of a component, or of all that its caller may touch."""
+    """A connection that reads the events of a component, or of all that its caller may use."""
 
     def __init__(self, feed: Feed, component: str | None, number: int, greeting: bytes) -> None:
         self._component, self._caller = component, CALLER.get()
-        self.number = number  # of the last event read
+        self.number = number  # number of the last event that was read
         self.ended = False
         self._feed, self._greeting = feed, greeting
         self._ready = asyncio.Event()
         self._ready.set()
 
     def hears(self, component: str | None) -> bool:
-        """Return whether the listener reads the events of a component; None: of all."""
+        """Return whether the listener reads the events of a component; None: of all components."""
         of_listener = self._component in (None, component)
         return component is None or (of_listener and self._caller.touches(component))
 
@@ -68,7 +68,7 @@ class Listener:
         self._ready.set()
 
     async def read(self, seconds: float) -> bytes:
-        """Return all lines there are, waiting for the first; nothing after `seconds`."""
+        """Return all available lines, waiting for the first; nothing after `seconds`."""
         try:
             await asyncio.wait_for(self._ready.wait(), seconds)
         except TimeoutError:
@@ -99,11 +99,11 @@ class Feed:
 
     @property
     def listeners(self) -> int:
-        """How many listen."""
+        """The number of listeners."""
         return len(self._listeners)
 
     def publish(self, kind: str, component: str | None, body: dict[str, Any]) -> None:
-        """Keep an event, and wake its listeners."""
+        """Store an event, and wake its listeners."""
         self._number += 1
         self._events.append(_Event(self._number, component, _wire(kind, body, self._newest())))
         for listener in self._listeners:
@@ -111,9 +111,9 @@ class Feed:
                 listener.wake()
 
     def listen(self, component: str | None, last_id: str | None, hello: dict[str, Any]) -> Listener:
-        """Add a listener, which reads what came after `last_id` and then what comes.
+        """Add a listener, which reads the events after `last_id` and then new ones.
 
-        Raises TooManyListenersError.
+        Raises TooManyListenersError if there are `MAX_LISTENERS` already.
         """
         if len(self._listeners) >= MAX_LISTENERS:
             raise TooManyListenersError(
@@ -136,7 +136,10 @@ class Feed:
         return listener
 
     def unread(self, listener: Listener) -> bytes:
-        """Return the lines of a listener's further events; a listener too far behind ends."""
+        """Return the lines of a listener's further events.
+
+        End a listener that is too far behind.
+        """
         count = self._number - listener.number
         listener.number = self._number
         if count > len(self._events):
@@ -151,16 +154,16 @@ class Feed:
         return b"".join(event.wire for event in events if listener.hears(event.component))
 
     def leave(self, listener: Listener) -> None:
-        """Forget a listener."""
+        """Remove a listener."""
         self._listeners.discard(listener)
 
     def forget(self) -> None:
-        """Take another mark: nobody has listened for long, and what has happened is not known."""
+        """Take another mark after a time without listeners, whose events are unknown."""
         self._mark = secrets.token_hex(4)
         self._events.clear()
 
     def close(self) -> None:
-        """End all listeners: the server stops."""
+        """End all listeners, as the server stops."""
         self.closed = True
         for listener in self._listeners:
             listener.end()
@@ -170,7 +173,7 @@ class Feed:
 
 
 def _wire(kind: str, body: dict[str, Any], number: str | None) -> bytes:
-    """Return an event's lines; JSON on one line, so no data of it can be taken for a field."""
+    """Return an event's lines; its JSON is one line, so that no data looks like a field."""
     lines = [b"event: " + kind.encode(), b"data: " + orjson.dumps(body)]
     if number is not None:
         lines.insert(0, b"id: " + number.encode())
@@ -188,7 +191,7 @@ class Snapshot:
 
 
 class Events:
-    """Polls a workspace for as long as its feed has listeners."""
+    """Polls a workspace as long as its feed has listeners."""
 
     def __init__(self, workspace: Workspace) -> None:
         self.feed = Feed()
@@ -197,7 +200,7 @@ class Events:
         self._last: Snapshot | None = None
         self._polled = asyncio.Event()
         self._wake = asyncio.Event()
-        self.wake = self._wake.set  # poll soon: something was committed; for the loop
+        self.wake = self._wake.set  # poll soon, as something was committed; call it in the loop
 
     async def stop(self) -> None:
         """End the listeners and stop polling."""
@@ -210,8 +213,10 @@ class Events:
     async def listen(self, component: str | None, last_id: str | None) -> Listener:
         """Return a listener that receives all changes after its greeting.
 
-        A first poll comes before the greeting, so that no change between the two is lost. Raises
-        LedgerBusyError if the ledger cannot be read, TooManyListenersError.
+        A first poll precedes the greeting, so that no change between the two is lost.
+
+        Raises LedgerBusyError if the ledger cannot be read, and TooManyListenersError if there are
+        too many listeners.
         """
         if self._task is None or self._task.done():
             self._polled.clear()
@@ -242,13 +247,13 @@ class Events:
                     self.feed.publish(*notice)
                 self._polled.set()
             except LedgerError:
-                await asyncio.sleep(1.0)  # the ledger itself reports it
+                await asyncio.sleep(1.0)  # the ledger itself reports the error
             except Exception:
                 _log.exception("polling for events failed; trying again")
                 await asyncio.sleep(1.0)
             if self.feed.listeners:
                 used = loop.time()
-            await asyncio.sleep(POLL_S / 5)  # changes that come together are sent together
+            await asyncio.sleep(POLL_S / 5)  # simultaneous changes are sent together
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._wake.wait(), POLL_S)
         self.feed.forget()
@@ -256,7 +261,7 @@ class Events:
 
 
 def poll(workspace: Workspace, last: Snapshot | None) -> tuple[Snapshot, list[Notice]]:
-    """Return the state now, and the events that lead to it from the last state."""
+    """Return the present state, and the events between the last state and it."""
     ledger, before = workspace.ledger, last or Snapshot()
     now = Snapshot(ledger.version(), before.newest_job, before.jobs)
     tables: list[Notice] = []
@@ -297,7 +302,7 @@ def _job_event(job: JobRecord, **more: Any) -> Notice:
 
 
 def _of_jobs(changed: list[JobRecord]) -> list[Notice]:
-    """Return an event for each changed job, or for each component with many their number."""
+    """Return an event for each changed job, or for each component with many the number."""
     of_component: dict[str, list[JobRecord]] = {}
     for job in sorted(changed, key=lambda job: job.id):
         of_component.setdefault(job.component, []).append(job)
@@ -312,7 +317,7 @@ def _of_jobs(changed: list[JobRecord]) -> list[Notice]:
 
 
 def _progressed(workspace: Workspace, before: Snapshot, now: Snapshot) -> list[Notice]:
-    """Return the progress of running jobs where it has changed."""
+    """Return events of running jobs whose progress has changed."""
     notices: list[Notice] = []
     running = [number for number, state in now.jobs.items() if state[0] == "running"]
     for number in running[:ONE_BY_ONE]:

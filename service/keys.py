@@ -31,26 +31,29 @@ log = logging.getLogger(__name__)
 
 Scope = Literal["read", "write", "admin"]
 SCOPES: Final[tuple[Scope, ...]] = get_args(Scope)
-"""From the least to the most: each allows what those before it do."""
+"""From the least to the most: each scope includes those before it."""
 
 FILE: Final = "keys.json"
-USED: Final = "keys-used"  # folder: a file a key, whose date is that of its last use
-OVERLAP_HOURS: Final = 24.0  # that the old secret of a rotated key is valid: a day's deployments
-POLL_S: Final = 0.5  # between checks of the file: a revoked key is valid at most so long
+USED: Final = "keys-used"  # folder of a file for each key, whose date is that of its last use
+# Time that the old secret of a rotated key is valid: a day's deployments.
+OVERLAP_HOURS: Final = 24.0
+POLL_S: Final = 0.5  # s between checks of the file: a revoked key is valid for at most this time
 MAX_KEYS: Final = 1000
-OWN_KEY: Final = "WRENCHBOOK_OWN_KEY"  # a private server's, in its environment
-PREFIX: Final = "wb_"  # marks a key as one of this program, for secret scanners
+OWN_KEY: Final = "WRENCHBOOK_OWN_KEY"  # a private server's key, in its environment
+PREFIX: Final = "wb_"  # marks a key of this program for secret scanners
 RATE: Final = 5000.0
-"""Requests a second that a key may send unless said otherwise: a loop of 1 kHz on each of a few
-components; a server answers some 10,000."""
+"""Default of the requests a second that a key may send: a loop of 1 kHz on each of a few
+components; a server answers some 10,000.
+"""
 MEGABYTES: Final = 512
-"""Largest body a key may send unless said otherwise, MiB: that of the largest bundle."""
+"""Default of the largest body that a key may send, MiB: that of the largest bundle."""
 
-_PATTERN: Final = re.compile(r"[A-Za-z0-9_*?-]{1,64}")  # the same to fnmatch and to SQLite's GLOB
+# Means the same in fnmatch and in SQLite's GLOB.
+_PATTERN: Final = re.compile(r"[A-Za-z0-9_*?-]{1,64}")
 _MAX_PATTERNS: Final = 100
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
 _EXAMPLE: Final = '["plate_*"]'
-_MAX_NAMED: Final = 20  # keys in a message
+_MAX_NAMED: Final = 20  # keys in a message: more would hide its remedy
 _MAX_OVERLAP_S: Final = 1e9  # 30 years: a time in milliseconds is a mistake
 _FULL: Final = f"{MAX_KEYS} keys, the limit, exist; revoke one with: wrenchbook keys revoke NAME"
 _WITHOUT_KEYS: Final = (
@@ -61,7 +64,7 @@ _WITHOUT_KEYS: Final = (
 
 
 class KeysError(ValueError):
-    """No key was changed; of this class itself: a value is not valid, or a name is taken."""
+    """No key was changed; the class itself means an invalid value, or a name that is taken."""
 
 
 class UnknownKeyError(KeysError, LookupError):
@@ -73,7 +76,7 @@ class KeysBusyError(KeysError):
 
 
 class KeysFullError(KeysError):
-    """There are as many keys as there can be."""
+    """The largest number of keys is reached."""
 
 
 class KeysUnavailableError(KeysError):
@@ -81,18 +84,18 @@ class KeysUnavailableError(KeysError):
 
 
 class KeysNeededError(RuntimeError):
-    """A server that other machines reach needs keys, and there are none."""
+    """A server that other machines reach needs keys, but there are none."""
 
 
 @dataclass(frozen=True)
 class Key:
     """The stored form of a key: its owner's name, its scope, its limits, a digest of its secret.
 
-    The digest is SHA-256, hexadecimal: the secret has 256 random bits, so a slower function gains
-    nothing. `rate` is in requests a second, with twice as many at once; `megabytes` the largest
-    body, MiB; `created` and `expires`, the end of its validity, are seconds since the epoch. It is
-    for components whose name matches a pattern of `components`. A rotated key has two secrets, and
-    so two of these, until the older one expires.
+    The digest is SHA-256, hexadecimal: the secret has 256 random bits, so that a slower function
+    gains nothing. `rate` is in requests a second, with twice as many at once; `megabytes` the
+    largest body, MiB; `created` and `expires`, the end of its validity, are seconds since the
+    epoch. It permits components whose name matches a pattern of `components`. A rotated key has two
+    secrets, and so two entries, until the older one expires.
     """
 
     name: str
@@ -123,9 +126,9 @@ def digest_of(secret: str) -> str:
 
 
 class Keyring:
-    """The keys of one data directory; raises KeysError if they cannot be read.
+    """The keys of one data directory. A server whose keys cannot be read accepts no request.
 
-    A server whose keys cannot be read accepts no request.
+    Raises KeysError if the keys cannot be read.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -147,7 +150,7 @@ class Keyring:
 
     def find(self, secret: str) -> Key | None:
         """Return the key of a secret, expired or not; None if no key has it."""
-        # Searched by digest: the time it takes reveals nothing about the secrets.
+        # Searched by digest: the duration reveals nothing about the secrets.
         return self._keys.get(digest_of(secret))
 
     def has(self, key: Key) -> bool:
@@ -155,9 +158,9 @@ class Keyring:
         return self._keys.get(key.digest) == key and key.is_valid()
 
     def note_use(self, key: Key, every_s: float) -> None:
-        """Note that a key is used now, unless a process has noted it in the last `every_s`."""
+        """Store that a key is used now, unless a process has stored it in the last `every_s`."""
         path = self._path.with_name(USED) / key.digest[:16]
-        with suppress(OSError):  # a key answers on a full disk
+        with suppress(OSError):  # a key is valid on a full disk
             if abs(time.time() - (self.last_use(key) or 0.0)) >= every_s:
                 path.parent.mkdir(mode=0o700, exist_ok=True)
                 path.touch(mode=0o600)
@@ -172,7 +175,7 @@ class Keyring:
         return [key.public() | {"last_used": self.last_use(key)} for key in self.listed()]
 
     def refresh(self, patience: float = POLL_S) -> int:
-        """Read the file if it was changed; return a number that differs then, or at an expiry."""
+        """Read the file if it was changed; return a number that changes then, or at an expiry."""
         now = time.monotonic()
         if now < self._next_poll and patience:
             return self.version
@@ -192,7 +195,8 @@ class Keyring:
     def add(self, name: str, scope: Scope, **limits: Any) -> str:
         """Make a key and return its secret, which is not stored; `limits` are fields of `Key`.
 
-        Raises KeysError if the name is taken or a value is invalid, KeysFullError.
+        Raises KeysError if the name is taken or a value is invalid, KeysFullError if there are too
+        many keys.
         """
         secret = PREFIX + secrets.token_urlsafe(32)
         with self._changing() as keys:
@@ -242,7 +246,10 @@ class Keyring:
         return secret
 
     def revoke(self, name: str) -> None:
-        """Revoke a key, which servers notice within a second; UnknownKeyError if there is none."""
+        """Revoke a key, which servers notice within a second.
+
+        Raises UnknownKeyError if there is no such key.
+        """
         with self._changing() as keys:
             digests = [digest for digest, key in keys.items() if key.name == name]
             if not digests:
@@ -252,7 +259,7 @@ class Keyring:
 
     @contextmanager
     def _changing(self) -> Iterator[dict[str, Key]]:
-        """Give the present keys to be changed, and replace the file of all keys afterwards."""
+        """Yield the present keys to be changed, and replace the file of all keys afterwards."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = take(self._path.with_name(f"{FILE}.lock"))
         if descriptor is None:
@@ -315,7 +322,10 @@ def is_loopback(host: str) -> bool:
 
 
 def require_keys(host: str, folder: Path) -> None:
-    """Raise KeysNeededError without keys where other machines reach the address; KeysError."""
+    """Check that an address that other machines reach has keys.
+
+    Raises KeysNeededError without keys, and KeysError if they cannot be read.
+    """
     if not len(Keyring(folder)) and not is_loopback(host):
         raise KeysNeededError(_WITHOUT_KEYS.format(host=host, folder=folder))
 
@@ -329,7 +339,10 @@ def _unknown_key(name: str, keys: Iterable[Key], option: str) -> UnknownKeyError
 
 
 def _stored_keys(content: bytes) -> list[Key]:
-    """Return the keys of the file's JSON; ValueError with the place of what is wrong in it."""
+    """Return the keys of the file's JSON.
+
+    Raises ValueError with the place of a mistake in it.
+    """
     try:
         document = json.loads(content)
     except ValueError as error:
@@ -355,7 +368,10 @@ def _stored_keys(content: bytes) -> list[Key]:
 
 
 def _checked(values: dict[str, Any]) -> Key:
-    """Return the key of its fields; ValueError if the value of one is invalid."""
+    """Return the key of its fields.
+
+    Raises ValueError if a value is invalid.
+    """
     key = Key(**{**values, "components": tuple(values.get("components", ANY))})
     if not isinstance(key.name, str) or not _NAME.fullmatch(key.name):
         raise ValueError(

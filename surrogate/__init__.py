@@ -1,4 +1,4 @@
-"""Rows in; displacement, error bar and coverage out."""
+"""Error-bounded interpolation of measured and solved rows."""
 
-if __name__ != "wrenchbook.surrogate":  # a second copy of every class and of its state
+if __name__ != "wrenchbook.surrogate":  # a second import would copy every class and its state
     raise ImportError("import wrenchbook.surrogate")

@@ -38,27 +38,27 @@ from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import RowIndex, merge, row_conflicts
 from .table.rows import Floats, LoadRange, Rows, Tolerance
 
-STEEPER = 2.0  # slope of a row without a tangent, at most, over that of a proportional response
+STEEPER = 2.0  # largest slope of a row without a tangent, over the slope of a proportional response
 
 
 class Group:
     """The interpolators of outputs that the same rows have.
 
-    `outputs`: indices, in `OUTPUTS`, of the outputs it answers; the others are 0 and count for
-    nothing.
-    `rows`: all rows that have them, in ascending order of `seq`.
-    `merged`: those rows, repeated ones merged.
-    `used`: those that answers are made of: merged, and within the load range.
-    `members`: the numbers (`seq`) of the rows behind each of `used`.
-    `choice`: the default method, and why.
+    `outputs`: indices, in `OUTPUTS`, of the outputs that the group answers. Arrays of six outputs
+    hold 0 for the others, and these are ignored.
+    `rows`: all rows that have these outputs, in ascending order of `seq`.
+    `merged`: the same rows, with repeated ones merged.
+    `used`: the merged rows within the load range, from which answers are computed.
+    `members`: the numbers (`seq`) of the rows merged into each of `used`.
+    `choice`: the default method, and its reason.
     `has_axes`: whether straight direction influence is defined: one interface without further
     inputs.
     `full_wrenches`: rows that load more than one axis.
-    `row_index`: which of `rows` is at or next to a wrench.
-    `row_uncertainty` (k, 6), m and rad: of the rows of `merged`; NaN where it is not known.
-    `steepest` (6,), m and rad: what each output moves over half the load range, at most, by a row
-    without a tangent.
-    `build_s`, s: processor time that building it took.
+    `row_index`: finds the row of `rows` at or next to a wrench.
+    `row_uncertainty` (k, 6), m and rad: uncertainty of the rows of `merged`; NaN where unknown.
+    `steepest` (6,), m and rad: the largest movement of each output over half the load range that a
+    row without a tangent is assumed to have.
+    `build_s`, s: processor time of the build.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Group:
         locked: Sequence[int] = (),
         outputs: tuple[int, ...] = (),
     ) -> None:
-        """Build from rows; axes that another version has as well are taken from it."""
+        """Build from rows; axes with the same points are taken from the version `before`."""
         started = thread_time()
         self.has_axes = load_range.space.is_default
         self.outputs = outputs or tuple(range(len(load_range.space.outputs)))
@@ -90,8 +90,8 @@ class Group:
         self.full_wrenches = count_multi_axis(self.used, load_range) if self.has_axes else 0
         self.row_index = RowIndex(rows.wrench, load_range.scale)
         self.steepest = STEEPER * self.ranges
-        # A solve repeats itself; a mean of readings has their noise, however near each other they
-        # happen to be.
+        # Solves at one wrench repeat to the last bit. Readings at one wrench have noise, even if
+        # they happen to agree, so their scatter is no measure of it.
         stated, readings = self.merged.rows.uncertainty, self.merged.observations.number
         noise = self._noise_of_a_reading() / np.sqrt(np.maximum(readings, 1.0))
         self.row_uncertainty = np.where(readings > 0, noise, np.nan_to_num(stated))
@@ -100,7 +100,8 @@ class Group:
     def _noise_of_a_reading(self) -> Floats:
         """Return the noise of one reading, 95 %, (m,), m and rad; NaN where unknown.
 
-        That of the kriging; else what all repeated readings scatter by, with Student's t.
+        This is the kriging's estimate, or else the scatter of all repeated readings with Student's
+        t.
         """
         number, scatter = self.merged.observations
         freedom = np.maximum(number - 1, 0.0).sum(axis=0)
@@ -115,7 +116,7 @@ class Group:
 
     @property
     def default(self) -> str:
-        """The method that answers where a query names none."""
+        """The method that answers a query without `method`."""
         return self.choice.method
 
     @cached_property
@@ -138,12 +139,12 @@ class Group:
 
     @property
     def by_kriging(self) -> bool:
-        """Whether the kriging answers by default: then its error bars hold."""
+        """Whether the kriging answers by default; only then error bars have a confidence level."""
         return self.default == "kriging" and self.kriging is not None
 
     @cached_property
     def kriging(self) -> Kriging | None:
-        """The kriging; None of linear components, and where rows are too few or contradict."""
+        """The kriging; None for linear components, and where rows are too few or contradictory."""
         if self.linear:
             return None
         try:
@@ -164,18 +165,18 @@ class Group:
 
     @property
     def is_exact(self) -> bool:
-        """Whether the compliance answers alone, with its error bars."""
+        """Whether the compliance alone answers, with its error bars."""
         by_compliance = self.linear or (not self.has_axes and self.default == "linear")
         return by_compliance and self.fit.complete
 
     @property
     def can_answer(self) -> bool:
-        """Whether there are rows to answer from, and a method that does."""
+        """Whether the group has rows and a method that answers from them."""
         by_axes_or_kriging = self.has_axes or self.by_kriging
         return len(self.used) > 0 and (by_axes_or_kriging or self.is_exact)
 
     def coverage_summary(self) -> dict[str, Any]:
-        """Return how the rows cover the load range, JSON-able; seconds for 100,000 rows."""
+        """Return how the rows cover the load range, JSON-able; takes seconds for 100,000 rows."""
         fit, no_axes = self.fit, self.default == "linear" or not self.has_axes
         kriging = self.kriging if self.by_kriging else None
         return {
@@ -198,24 +199,24 @@ class Group:
 
 @dataclass
 class Table:
-    """One version of a table; `build` makes one."""
+    """One version of a table, made by `build`."""
 
-    # all of them as measured, in ascending order of `seq`; NaN where an output was not measured
+    # all rows as measured, in ascending order of `seq`; NaN where an output was not measured
     rows: Rows
     load_range: LoadRange
-    # outputs that the same rows have, those of the fewest rows first: where they are thin, some
-    # output is. An output that no row has is in no group.
+    # Groups of outputs that the same rows have, the group of the fewest rows first, as it limits
+    # the coverage. An output that no row has is in no group.
     groups: tuple[Group, ...]
     tolerance: Tolerance | None  # m and rad
     linear: bool  # whether the component is linear, so that its 6x6 compliance is exact
     version: int
     # indices, in `LOADS`, of the loads on locked freedoms: every call sets them to zero first
     locked: tuple[int, ...]
-    # error of the solver: in no error bar here; `bars_are_complete` says whether it is known
+    # error of the solver; the table's own error bars leave it out
     solver_error: SolverError | None
     bars_are_complete: bool
     rig_error: Floats  # (6,), m and rad: see `findings.find.without_effects`: in no error bar here
-    # a `PackedTable` of the same table; None until it is made
+    # the `PackedTable` of this table; None until it is packed
     packed: Any = None
 
     @cached_property
@@ -279,7 +280,8 @@ def build(
     locked : sequence of int
         Indices, in `LOADS`, of the loads on locked freedoms: answers leave these loads out.
     """
-    if (np.diff(rows.seq) < 0).any():  # so that the order they come in changes nothing
+    # A fixed order makes the result independent of the order of arrival.
+    if (np.diff(rows.seq) < 0).any():
         rows = rows.take(np.argsort(rows.seq, kind="stable"))
     known = {group.outputs: group for group in before.groups} if before is not None else {}
     of_part, rig_error = without_effects(rows, load_range)
@@ -306,11 +308,12 @@ def build(
 
 
 def _between_sources(rows: Rows, load_range: LoadRange, groups: Sequence[Group]) -> Floats:
-    """Return how far answers are from the rows of a source by a factor or an offset, (m,).
+    """Return the distance of the sources from the answers, (m,), m and rad.
 
-    m and rad, over the range of each output; of outputs that the kriging answers. A source is the
-    solver or a session of measured rows: answers of a table whose rows contradict each other are
-    those of neither.
+    A source is the solver or a session of measured rows. Sources may differ from each other by a
+    factor or an offset, counted over the range of each output; answers of a table whose rows
+    contradict each other then agree with no source. Only outputs that the kriging answers have a
+    distance.
     """
     source, largest = np.zeros(len(rows), dtype=np.intp), np.zeros(rows.displacement.shape[1])
     measured = ~rows.is_solved
@@ -329,10 +332,10 @@ def _between_sources(rows: Rows, load_range: LoadRange, groups: Sequence[Group])
 
 
 def _by_output(rows: Rows) -> list[tuple[tuple[int, ...], Rows]]:
-    """Return which outputs the same rows have, and those rows, 0 for all others.
+    """Return the groups of outputs that the same rows have, each with its rows.
 
-    Their slopes are 0 too, and there are no third derivatives: those of a displacement that is not
-    there would contradict it.
+    All other outputs of these rows are 0. Their slopes are 0 too, and third derivatives are
+    dropped, so that no derivative contradicts the missing displacement.
     """
     if not rows.partial:
         return [(tuple(range(rows.displacement.shape[1])), rows)]

@@ -1,7 +1,8 @@
 """The width of error bars, from the errors at points that were left out.
 
-Axes, kriging, compliance and deformed surfaces predict an error in different ways; the quantile
-that holds a level of errors over predictions, and its uncertainty with few points, are here.
+Axes, kriging, compliance and deformed surfaces predict an error in different ways. This module has
+the quantile of errors over predicted errors that holds a level, and its uncertainty with few
+points.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from scipy.special import gammaincinv
 
 Floats = NDArray[np.float64]
 
-LEVEL = 0.95  # what bars are meant to hold; at least 0.9 is then held on rows not in the table
+# Level that bars are built to hold, so that at least 0.9 holds on rows not in the table.
+LEVEL = 0.95
 # Probability that an error is no larger than few points show. Of 30 random solves, nine responses,
 # seeds 100 and 101 (`make bench NAME=bars`), the kriging's worst output has 81, 84, 86 and
 # 88 % inside with confidences of 0.5, 0.8, 0.95 and 0.99; median bars are 4.6, 4.8, 5.1 and 5.5 x
@@ -33,7 +35,7 @@ def quantile(ratios: Floats) -> float:
 
 
 def widening(freedom: Floats | float, outputs: int = 1) -> Floats:
-    """Return the factor by which errors may exceed those of so many degrees of freedom.
+    """Return the factor by which errors may exceed those seen with `freedom` degrees of freedom.
 
     The factor of normal tolerance intervals, sqrt(f / chi2_a(f)): with it an interval holds its
     content at confidence 1 - a, the centre being known (Krishnamoorthy and Mathew 2009,
@@ -47,9 +49,9 @@ def widening(freedom: Floats | float, outputs: int = 1) -> Floats:
 def common_quantile(ratios: Floats, sizes: Floats) -> float:
     """Return the `quantile` of ratios (k, q) over their outputs' sizes (q,), all outputs together.
 
-    Alone, the largest of ten ratios of an output is small by chance in every fourth table (on five
-    made-up responses 20 % of the tables of 30 rows held less than 0.9, with all together 8 %). An
-    output of size zero does not count, unless all are.
+    For a single output, the largest of ten ratios is small by chance in every fourth table: on five
+    synthetic responses 20 % of the tables of 30 rows held less than 0.9, with all outputs together
+    8 %. An output of size zero does not count, unless all sizes are zero.
     """
     varying = sizes > 0 if (sizes > 0).any() else np.ones_like(sizes, dtype=bool)
     scaled = ratios[:, varying] / np.where(sizes[varying] > 0, sizes[varying], 1.0)
@@ -57,10 +59,10 @@ def common_quantile(ratios: Floats, sizes: Floats) -> float:
 
 
 def conformal_factor(ratios: Floats) -> Floats:
-    """Return per output the factor on predicted errors that holds a level of errors, shape (q,).
+    """Return the factor (q,) on predicted errors that holds a level of errors, for each output.
 
-    `ratios` (h, q) are errors over predicted errors at h points. Each output is by itself, and each
-    point is one degree of freedom. Zero without points.
+    `ratios` (h, q) are errors over predicted errors at h points. Each output is calibrated alone,
+    and each point is one degree of freedom. The factor is zero without points.
     """
     if not len(ratios):
         return np.zeros(ratios.shape[1])

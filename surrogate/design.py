@@ -32,50 +32,55 @@ from .table.rows import LONGEST, ZERO_LOAD, Floats, LoadRange, Rows, Tolerance
 from .table.spread import FORCE_ERROR, sample_of, spread_wrenches, weakest
 
 SAMPLE = 256  # wrenches at which error bars are compared with the tolerance
-ENOUGH = 0.95  # of the sample within the tolerance ends a fill, as bars hold 95 % of errors
-CANDIDATES = 384  # wrenches to choose from: more differ by less than a row changes the bars
-AXIS_CANDIDATES = 32  # of each axis by itself, where a table brings no tangents
-# Each fourth wrench is one of an even spread, as later queries are: where the bar is
-# largest is at the ends of the range, and rows left out there say little of its inside. Over five
-# made-up responses, 39 solves, the worst output's part inside its bar rises from 89 to 93 % by it,
-# and errors stay the same.
+ENOUGH = 0.95  # part of the sample within the tolerance that ends a fill: bars hold 95 % of errors
+# Candidates of a round: their spacing is finer than the range in which one row changes the bars.
+CANDIDATES = 384
+AXIS_CANDIDATES = 32  # candidates on each axis alone, where the rows of a table bring no tangents
+# Each fourth wrench comes from an even sequence, as later queries do. The largest bars are at the
+# ends of the range, and rows left out there show little of its inside. Over five synthetic
+# responses with 39 solves, the part of errors inside the bar of the worst output rises from 89 to
+# 93 % by this, and errors stay the same.
 EVENLY = 4
-FAR = 10_000  # into the sequence, so that the even wrenches are not in the sample
-# Candidates chosen between two checks of the bars that remain: a check costs as much.
+FAR = 10_000  # offset into the sequence, so that the even wrenches are not in the sample
+# Candidates chosen between two checks of the remaining bars: a check costs as much as these.
 BETWEEN_CHECKS = 3
-MAX_SOLVES = 1e6  # of an estimate: a larger number has no further use
-MIN_RATE = 0.01  # power of the number of solves by which errors fall: below it they do not
-RECOMPUTED = 16  # candidates computed anew at once: the largest is nearly always among the first
+# Upper limit of the estimated number of solves: a larger number has no further use.
+MAX_SOLVES = 1e6
+# Smallest power of the number of solves by which errors fall: below, they do not fall.
+MIN_RATE = 0.01
+RECOMPUTED = 16  # candidates recomputed at once: the largest loss is nearly always among the first
 
-# Signs of eight corners: the third of the 2^(6-3) fractions, in which no load's effect is another's
-# (Box and Hunter 1961): the last three are the products of two of the first three.
+# Signs of eight corners: the third of the 2^(6-3) fractions, which confounds no load's effect with
+# another's (Box and Hunter 1961). The last three signs are the products of two of the first three.
 _SIGNS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, 8).T
 CORNERS = np.concatenate((_SIGNS, _SIGNS[:, [0, 0, 1]] * _SIGNS[:, [1, 2, 2]]), axis=1)
-# How far out they are: with 15 solves of `plate_thin` the worst output's error is 0.13 to 0.16 % of
-# its range at 0.8, 0.22 to 0.25 % at 1, and 0.18 to 0.30 % without corners; at 54 all are alike.
+# Position of the corners, in half ranges: with 15 solves of `plate_thin` the worst output's error
+# is 0.13 to 0.16 % of its range at 0.8, 0.22 to 0.25 % at 1, and 0.18 to 0.30 % without corners;
+# with 54 solves all are alike.
 OUT = 0.8
-# Wrenches of the first design: two for each load and three more, 15 of six loads; of solves that
-# bring second derivatives 1 for each load, 9 of six loads: no load and eight corners.
+# Wrenches of the first design: two for each load and three more, 15 for six loads. With second
+# derivatives 1 for each load and three more, 9 for six loads: zero load and eight corners.
 PER_LOAD, PER_LOAD_CURVED, FURTHER = 2, 1, 3
-_FAR = 2.0**62  # steps from no load, of what an int64 holds: no wrench of a query is out there
+_FAR = 2.0**62  # half the range of an int64, for rounded wrenches in steps; no query is as large
 
 
 class Known:
-    """The wrenches that need no further solve: rows and pending ones."""
+    """The wrenches that need no further solve: rows and pending wrenches."""
 
     def __init__(self, load_range: LoadRange, rows: Floats, pending: Floats) -> None:
         self.scale, self.pending = load_range.scale, pending
         self.keys = {self._key(wrench) for wrench in np.concatenate((rows, pending))}
 
     def _key(self, wrench: Floats) -> tuple[int, ...]:
+        """Return a wrench (6,), N and N·m, in integer steps; the same wrench has the same steps."""
         with np.errstate(over="ignore"):
             steps = np.round(wrench / self.scale / ZERO_LOAD)
         return tuple(np.clip(steps, -_FAR, _FAR).astype(np.int64).tolist())
 
     def new(self, wrenches: Floats) -> Floats:
-        """Return those of some wrenches not known yet, each once, and know them from now on.
+        """Return the wrenches (k, 6), N and N·m, that are not known yet, without duplicates.
 
-        Shape (k, 6), N and N·m, as those given.
+        The returned wrenches are known from then on.
         """
         fresh = []
         for wrench in wrenches:
@@ -87,9 +92,9 @@ class Known:
 
 
 def first_count(span: LoadRange, rows: Rows) -> int:
-    """Return how many wrenches the first design of a span has; 1 where no load varies.
+    """Return the number of wrenches in the first design of a span; 1 where no load varies.
 
-    Fewer as long as all `rows` of the table bring second derivatives.
+    The number is smaller as long as all `rows` of the table bring second derivatives.
     """
     vary = int((span.high > span.low).sum())
     has_curvature = not len(rows) or (rows.curvature.shape[1] and np.isfinite(rows.curvature).all())
@@ -99,17 +104,17 @@ def first_count(span: LoadRange, rows: Rows) -> int:
 def first_design(span: LoadRange, known: Known, count: int) -> Floats:
     """Return new wrenches of the first design within a span, shape (count, 6), N and N·m.
 
-    Zero load, corners of a fraction that separates the loads' effects, then an additive
-    recurrence (Roberts 2018, the R sequence). A load that the span holds at one value keeps it.
-    Fewer come from a span so narrow that there are not as many different wrenches in it.
+    The design is zero load, corners of a fraction that separates the loads' effects, then an
+    additive recurrence (Roberts 2018, the R sequence). A load whose span is a single value keeps
+    this value. A narrow span that has fewer than `count` different wrenches returns fewer.
     """
     middle, half = (span.low + span.high) / 2, (span.high - span.low) / 2
     zero_load = np.clip(span.space.zero, span.low, span.high)
     signs = CORNERS if span.space.is_default else np.empty((0, len(half)))
     corners = middle + OUT * signs * half
     chosen = list(known.new(np.concatenate((zero_load[None], corners))))
-    # A wrench of the sequence is refused only if it is known already. So many refusals mean that
-    # all wrenches of the span are.
+    # A wrench of the sequence is refused only if it is known already. As many refusals as there are
+    # known wrenches mean that all wrenches of the span are known.
     last = count + len(known.keys) if half.any() else 0
     for number in range(1, last + 1):
         if len(chosen) >= count:
@@ -139,20 +144,20 @@ def next_wrenches(
 ) -> Design:
     """Return at most `budget` wrenches that lower the error most, none of them known or pending.
 
-    A linear component needs but one solve, which brings its compliance. Without a tolerance (the
+    A linear component needs a single solve, which brings its compliance. Without a tolerance (the
     table's if None) the refinement has no end.
 
     `pending` (m, 6), N and N·m: wrenches that are being solved.
     `span`: the part of the load range that a scene needs; all of it by default.
-    `outputs`: the outputs whose bars count; all where none are named.
-    `for_joint`: whether the compliance must be positive definite, and the error of the wrench of a
+    `outputs`: the outputs whose error bars count; empty for all.
+    `for_joint`: whether the compliance must be positive definite, and the force error of a
     displacement at most `FORCE_ERROR` of the load range.
     """
     wrenches = table.rows.wrench
     waiting = np.asarray(() if pending is None else pending, dtype=float)
     span, outputs = span or table.load_range, outputs or range(table.rows.displacement.shape[1])
     known = Known(table.load_range, wrenches, waiting.reshape(-1, wrenches.shape[1]))
-    # Of outputs that some rows lack, those that the fewest rows hold are the worst known.
+    # If some rows lack outputs, the group with the fewest rows has the largest errors.
     surrogate = table.groups[0]
     if surrogate.linear:
         return _linear_design(surrogate, known, span, budget)
@@ -175,8 +180,8 @@ def next_wrenches(
 def _linear_design(surrogate: Group, known: Known, span: LoadRange, budget: int) -> Design:
     """Return one wrench: any solve of a linear component brings all of its compliance.
 
-    Where solves bring none (an expert's deck), the single loads, of those that the span has if it
-    is a part of the load range.
+    Solves of an expert's deck bring no compliance. For these return the single loads, restricted to
+    the span if it is a part of the load range.
     """
     if surrogate.fit.complete:
         return Design(known.pending[:0], "met", "the compliance is known")
@@ -195,7 +200,7 @@ def _linear_design(surrogate: Group, known: Known, span: LoadRange, budget: int)
 
 
 def _first(wrenches: Floats, reason: str) -> Design:
-    """Return a first design, met where its span has no wrench that is not known."""
+    """Return a first design; its stage is "met" where the span has no wrench that is not known."""
     if len(wrenches):
         return Design(wrenches, "first", reason)
     reason = "the range is so narrow that all its wrenches are solved or being solved"
@@ -203,7 +208,7 @@ def _first(wrenches: Floats, reason: str) -> Design:
 
 
 class _Refinement:
-    """Chooses, one after another, the candidate with the largest error bar over the allowed one."""
+    """Chooses, one after another, the candidate with the largest error bar over the allowed bar."""
 
     def __init__(
         self,
@@ -214,7 +219,10 @@ class _Refinement:
         outputs: list[int],
         joint: NDArray[np.intp] | None = None,
     ) -> None:
-        """Take what `next_wrenches` takes; `joint` are the indices of a joint's free loads."""
+        """Take the arguments of `next_wrenches`.
+
+        `joint`: indices of the loads on a joint's free axes, which no guide locks.
+        """
         self.table, surrogate = table, table.groups[0]
         assert surrogate.kriging is not None
         self.surrogate, self.kriging, self.known = surrogate, surrogate.kriging, known
@@ -234,7 +242,7 @@ class _Refinement:
         """Return the next round, or none where the tolerance is met once all pending is solved."""
         sample, pending = spread_wrenches(self.span, SAMPLE), self.known.pending
         losses = self._losses(sample) * self._reduction(pending, sample)
-        # Where errors are not known nothing is covered, however small the deviation is.
+        # Where errors are not known no wrench is covered, however small the deviation is.
         known = np.isfinite(self.kriging.answer_many(sample)[1]).all(axis=1)
         within = float(((losses <= 1.0) & (known | (len(pending) > 0))).mean())
         worst = float(np.quantile(losses, ENOUGH))
@@ -259,14 +267,14 @@ class _Refinement:
         return Design(self._largest(sample, budget), "refine", reason)
 
     def _largest(self, sample: Floats, budget: int) -> Floats:
-        """Return at most `budget` candidates, shape (k, 6), N and N·m, each the largest loss.
+        """Return at most `budget` candidates, shape (k, 6), N and N·m, in order of decreasing loss.
 
-        Fewer where these will leave bars at the sample within the tolerance. Solved wrenches only
-        ever lower a bar, so a candidate computed before some were chosen is at most what it was:
-        only those that may still be the largest are computed anew (Minoux 1978).
+        Stop early once the error bars at the sample will be within the tolerance. Solved wrenches
+        only ever lower a bar, so a candidate's loss computed earlier is an upper limit: only those
+        that may still be the largest are computed again (Minoux 1978).
         """
-        # Evenly spread, and moved on with each row. Where rows bring no tangents, wrenches of one
-        # axis are worth as much as multi-axis ones.
+        # The candidates are evenly spread, and start at another place with each row. Where rows
+        # bring no tangents, wrenches of one axis are worth as much as multi-axis ones.
         start = 1 + CANDIDATES + len(self.surrogate.rows)
         parts = [self.indefinite, spread_wrenches(self.span, CANDIDATES, start)]
         has_tangents = self.surrogate.used.has_tangent.any()
@@ -278,7 +286,8 @@ class _Refinement:
             ]
         candidates = self.known.new(np.concatenate(parts))
         losses, pending = self._losses(candidates), self.known.pending
-        if not np.isfinite(losses).all():  # the kriging's error bars order them all the same
+        # Unknown errors: the kriging's own error bars order the candidates all the same.
+        if not np.isfinite(losses).all():
             errors = self.kriging.answer_many(candidates)[1] / self.allowed
             losses = errors[:, self.outputs].max(axis=1)
         expected, now = losses * self._reduction(pending, candidates), self._losses(sample)
@@ -304,10 +313,10 @@ class _Refinement:
         return pending[first:]
 
     def _estimate_of_solves(self, sample: Floats, worst: float, budget: int) -> str:
-        """Return in words how many solves the tolerance takes, empty where the budget has as many.
+        """Return a sentence on the number of solves for the tolerance; empty within the budget.
 
-        Errors over solves are taken as a straight line on logarithmic scales, through the error by
-        the first half of the rows and that by all of them, `worst`, over the tolerance.
+        The error as a power of the number of solves goes through the error with the first half of
+        the rows and the error with all rows. `worst` is the latter, over the tolerance.
         """
         rows, before = self.surrogate.rows, np.nan
         count, some = len(rows), len(rows) // 2
@@ -336,7 +345,8 @@ class _Refinement:
         if self.joint is None or not len(wrenches):
             return over
         stiffness = np.linalg.pinv(self._slopes(wrenches))
-        forces = (np.abs(stiffness) @ bars[:, self.joint, None])[:, :, 0]  # as wb_joint_step has it
+        # The formula of wb_joint_step.
+        forces = (np.abs(stiffness) @ bars[:, self.joint, None])[:, :, 0]
         return np.maximum(over, (forces / (FORCE_ERROR * self.span.scale[self.joint])).max(axis=1))
 
     def _slopes(self, wrenches: Floats) -> Floats:

@@ -21,12 +21,12 @@ from .kriging.factor import KrigingFactor, OutputGroup, factorise, left_out
 from .kriging.settings import DEFAULTS, KrigingSettings
 from .table.rows import Floats, LoadRange
 
-COLUMNS = 4096  # numbers of a field of which rows are left out at once: 14 MB of 60 rows
+COLUMNS = 4096  # numbers of a field that leaving out rows handles at once: 14 MB with 60 rows
 
 
 @dataclass(frozen=True)
 class FieldWeights:
-    """The weights of some rows that bring fields and their slopes."""
+    """The weights of rows that bring fields and their slopes."""
 
     wrenches: Floats  # (k, 6), N and N·m
     load_range: LoadRange
@@ -42,7 +42,8 @@ class FieldWeights:
     ) -> FieldWeights:
         """Return the weights of rows at different wrenches, shape (k, 6), N and N·m.
 
-        `hyperparameters`: of the table's kriging; else those that its estimate starts from.
+        `hyperparameters`: those of the table's kriging, or the starting values of its estimate.
+
         Raises SingularCovarianceError if two rows are at the same wrench.
         """
         (count, loads), groups = wrenches.shape, load_range.space.kriging_groups
@@ -61,8 +62,8 @@ class FieldWeights:
     def at(self, wrench: Floats) -> tuple[Floats, float]:
         """Return the weights of rows' values and slopes for a wrench (6,), N and N·m.
 
-        Shape (k, 7): of values, then of slopes, N and N·m; and the posterior deviation over the
-        process deviation.
+        The weights have shape (k, 7): of values, then of slopes, N and N·m. The second result is
+        the posterior deviation over the process deviation.
         """
         factor, known = self.factor, self.factor.equations.known
         x = _scaled(np.asarray(wrench, dtype=float).reshape(1, -1), self.load_range)
@@ -79,7 +80,7 @@ class FieldWeights:
 
         The errors are in the unit of the values, the deviations over the process deviation.
 
-        `values` (k, 7, d): of each row a field's d numbers, then their change with each load, per N
+        `values` (k, 7, d): for each row a field's d numbers, then their slopes by each load, per N
         and N·m.
         """
         count, _, size = values.shape

@@ -18,8 +18,8 @@ class MethodChoice:
 
     method: str
     reason: str
-    # root mean square at rows left out, over the outputs' ranges, dimensionless, by method; of the
-    # outputs that vary; empty where none were compared
+    # Root mean square error at rows left out, over the outputs' ranges, dimensionless, for each
+    # method; only outputs that vary count. Empty where no methods were compared.
     errors: dict[str, float]
 
 
@@ -31,14 +31,14 @@ def choose(
     *,
     linear: bool = False,
 ) -> MethodChoice:
-    """Return the default of rows inside the load range, by the first rule that holds.
+    """Return the default method for rows inside the load range, by the first rule that holds.
 
-    The compliance of a linear component is exact. A kriging answers wherever the rows allow one:
-    of clean rows of nine made-up responses, measured or solved, it is three to ten times nearer to
-    the truth than the axes. Else the axes answer, with all that their rows show of the other
-    outputs, and no error bar.
+    The compliance of a linear component is exact. A kriging answers wherever the rows allow one: on
+    single-axis rows of nine synthetic responses, measured or solved, its errors are three to ten
+    times smaller than those of the axes. Otherwise the axes answer, from all rows that have the
+    other outputs, without an error bar.
 
-    `kriging`: makes the interpolator, or None if the rows allow none.
+    `kriging`: makes the interpolator, or returns None if the rows allow none.
     """
     has_axes = load_range.space.is_default
     if not len(rows):
@@ -71,8 +71,8 @@ def choose(
 def _score(errors: Floats, size: Floats) -> float:
     """Return the root mean square of errors (k, 6) over the outputs' ranges (6,).
 
-    Of the outputs that vary: an error over a range of rounding, or none, has no meaning. NaN
-    where no error is known.
+    Only outputs that vary count: an error over a range of zero or of rounding has no meaning. The
+    score is NaN where no error is known.
     """
     known, varying = np.isfinite(errors).any(axis=1), size > 0
     if not varying.any():

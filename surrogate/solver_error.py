@@ -30,10 +30,10 @@ UNKNOWN = (
 
 
 class SolverError:
-    """The parts of an answer's error bar that the solver causes.
+    """The components of an answer's error bar that the solver causes.
 
-    `values` of the estimate, whose further entries are texts for people:
-    ``loads`` (6,), N and N·m: the largest of the range.
+    `values` are those of the estimate; further entries are texts for people:
+    ``loads`` (6,), N and N·m: the largest loads of the range.
     ``zero`` (6,), optional: the inputs that have no effect, from which loads count.
     ``mesh`` (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), None if unknown: |dC|, error over load.
     ``mesh_stiffness`` (6, 6), N/m and so on, absent in estimates of older versions: D.
@@ -42,13 +42,15 @@ class SolverError:
     ``second_derivatives`` (6, 6, 6), m and rad over the units of two inputs, symmetric in these, it
     is half of their product with the wrench twice, and ``linearity_remainder`` (6,), m and rad,
     which grows with the cube.
-    Raises ValueError if it is not of that form.
+
+    Raises ValueError if `values` is not of that form.
     """
 
     def __init__(self, values: Mapping[str, Any]) -> None:
         self.values = dict(values)
         n = len(values.get("loads") or ())
-        m = PER_INTERFACE * max(n // PER_INTERFACE, 1)  # further inputs are fewer than six
+        # A component has fewer than six further inputs.
+        m = PER_INTERFACE * max(n // PER_INTERFACE, 1)
         loads = _numbers(values.get("loads"), (n,), "loads")
         self.mesh = None if values.get("mesh") is None else _numbers(values["mesh"], (m, n), "mesh")
         self.zero = _shaped(values.get("zero", [0.0] * n), (n,), "zero")
@@ -68,15 +70,15 @@ class SolverError:
 
     @property
     def can_grow(self) -> bool:
-        """Whether the discretisation error follows from an answer's tangent, or need not.
+        """Whether the discretisation error follows from an answer's tangent, or is zero.
 
-        False of what was estimated before ``mesh_stiffness`` was stored.
+        False for estimates made before ``mesh_stiffness`` was stored.
         """
         return self.mesh is None or "linearity" in self.values or self.stiffness is not None
 
     @property
     def packed(self) -> dict[str, Floats]:
-        """The arrays of `surrogate.packed.arrays` that the kernel computes an error from."""
+        """The arrays of `surrogate.packed.arrays` from which the kernel computes an error."""
         n, m = self._sizes
         mesh = np.zeros((m, n)) if self.mesh is None else self.mesh
         arrays = {
@@ -90,13 +92,14 @@ class SolverError:
 
     @classmethod
     def read(cls, values: Mapping[str, Any] | None) -> SolverError | None:
-        """Return the error of a stored estimate; None without one."""
+        """Return the error of a stored estimate; None without an estimate."""
         return None if values is None else cls(values)
 
     def parts(self, wrench: Sequence[float] | Floats) -> dict[str, list[float] | None]:
         """Return each cause's part of an error bar, (6,), m and rad, at a wrench (6,), N and N·m.
 
-        ``mesh`` is without a tangent; a linear component has ``linearity`` too. None if unknown.
+        The tangent is not used for ``mesh``. A linear component has ``linearity`` too. A part is
+        None if unknown.
         """
         acting = np.array(wrench, dtype=float) - self.zero
         sizes = np.abs(acting)
@@ -113,7 +116,7 @@ class SolverError:
         return components
 
     def at_full_range(self) -> dict[str, list[float] | None]:
-        """Return `parts` at the worst signs of the largest loads of the range, all at once."""
+        """Return `parts` with all loads at the ends of the range, with the worst signs."""
         at_largest = self.parts(self.zero + self._loads)
         if self.linearity is not None:
             at_largest["linearity"] = self.linearity.tolist()
@@ -129,6 +132,7 @@ def _numbers(value: Any, shape: tuple[int, ...], name: str) -> Floats:
 
 
 def _shaped(value: Any, shape: tuple[int, ...], name: str) -> Floats:
+    """Return a nested list as an array of the given shape; raise ValueError for another shape."""
     array = np.array(value, dtype=float)
     if array.shape != shape:
         raise ValueError(f"solver error: {name} must have the shape {shape}, not {array.shape}")
@@ -139,9 +143,10 @@ def _shaped(value: Any, shape: tuple[int, ...], name: str) -> Floats:
 
 
 def bars_are_complete(rows: Rows, error: SolverError | None) -> bool:
-    """Whether error bars have all components: those of solved rows need their solver's error.
+    """Return whether error bars have all components: bars of solved rows need their solver's error.
 
-    Where the solver's error was never estimated, or is lost, bars are of the table alone.
+    False where the solver's error was never estimated, or is lost: bars are then of the table
+    alone.
     """
     if error is not None:
         return error.mesh is not None

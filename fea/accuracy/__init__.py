@@ -1,4 +1,4 @@
-"""Error of the solver's answers, whatever the table: mesh and linearity.
+"""Error of the solver's answers, independent of a table: mesh and linearity.
 
-`fea.accuracy.estimate.accuracy_of` is the front. Nothing here changes an answer.
+`fea.accuracy.estimate.accuracy_of` is the entry point. This package changes no answer.
 """

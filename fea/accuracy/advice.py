@@ -1,6 +1,6 @@
 """Warnings about a solver error that exceeds the tolerance, each with a remedy.
 
-It needs no mesh and no solver: a server of tables has the stored estimate alone.
+They need no mesh and no solver: a server of tables has the stored estimate alone.
 """
 
 from __future__ import annotations
@@ -15,14 +15,16 @@ from wrenchbook.fea.spec.problems import BundleProblem
 Array = np.ndarray
 
 WHERE = "tolerance"
-"""Key of these warnings: the newest estimate replaces earlier ones."""
+"""Key of these warnings; the newest estimate replaces earlier warnings."""
 
 _OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 FINE = 0.01
-"""Of a compliance: the largest effect of straight edges across round surfaces without a warning."""
+"""Largest effect of straight edges across round surfaces without a warning, as a part of a
+compliance.
+"""
 
 _WORTH_A_MESH = 30.0
-"""Times smaller, beyond which cells are no remedy any more: that is 27,000 times as many."""
+"""Largest ratio by which smaller cells are a remedy: it means 27,000 times as many cells."""
 
 
 def over_tolerance(
@@ -30,9 +32,9 @@ def over_tolerance(
 ) -> list[BundleProblem]:
     """Return warnings where a solver error is over a tolerance, m and rad.
 
-    No solve lowers it: a component whose mesh alone is over its tolerance has covered answers
-    beyond it, each with a bar that says so. At the full range, all loads at once, by the compliance
-    at small loads.
+    No solve lowers this error: if the mesh's error alone is over the tolerance, covered answers are
+    beyond it, each with an error bar that shows it. The error is that at the full range, all loads
+    at once, by the compliance at small loads.
 
     solver_error: of `accuracy_of`: ``loads`` (k,), SI; or None or missing ``mesh`` (6 i, k), m and
     rad per unit load; ``linearity`` (6 i,), m and rad; ``buckling``, a factor; ``cell_size``, m.
@@ -46,14 +48,15 @@ def over_tolerance(
 
 
 def _mesh_too_coarse(solver_error: Mapping[str, Any], allowed: Array) -> str:
+    """Return the warning about the mesh, empty within the tolerance `allowed` (6,), m and rad."""
     if solver_error.get("mesh") is None:
         return ""
     errors = np.array(solver_error["mesh"]) @ np.array(solver_error["loads"])
     worst, excess = _worst(errors, allowed)
     if not worst > 1.0:
         return ""
-    # Edges and corners where supports end make displacements converge with about the square.
-    # Rounded up to a tenth: a cell "1 times smaller" would help nobody.
+    # Displacements converge with about the square of the cell size, because of edges and corners
+    # where supports end. Rounded up to a tenth: a cell "1 times smaller" is no remedy.
     finer = float(np.ceil(np.round(10.0 * np.sqrt(worst), 6)) / 10.0)
     remedy = f"Make cells about {finer:.2g} times smaller"
     if finer > _WORTH_A_MESH:
@@ -68,6 +71,7 @@ def _mesh_too_coarse(solver_error: Mapping[str, Any], allowed: Array) -> str:
 
 
 def _large_displacements(solver_error: Mapping[str, Any], allowed: Array) -> str:
+    """Return the warning about a linear analysis, empty within the tolerance (6,), m and rad."""
     if solver_error.get("linearity") is None:
         return ""
     worst, excess = _worst(np.array(solver_error["linearity"]), allowed)
@@ -80,6 +84,7 @@ def _large_displacements(solver_error: Mapping[str, Any], allowed: Array) -> str
 
 
 def _buckles(solver_error: Mapping[str, Any], _: Array) -> str:
+    """Return the warning about a part that buckles in its range, empty if it does not."""
     if (factor := solver_error.get("buckling")) is None or not factor < 1.0:
         return ""
     return (

@@ -1,9 +1,9 @@
 """Convergence of a component's compliance with smaller cells, and the error of its mesh.
 
 Two or three meshes give the change; three also give the order p at which it shrinks, and with it
-the value at cells without size (Richardson 1911; Roache 1994). A linear problem is enough: the
-mesh's error at small loads is the error that the bars take (`fea.accuracy.estimate`). `coarser` and
-`finer` make the second mesh.
+the value at cells of size zero (Richardson 1911; Roache 1994). A linear problem is enough: error
+bars use the mesh's error at small loads (`fea.accuracy.estimate`). `coarser` and `finer` make the
+second mesh.
 """
 
 from __future__ import annotations
@@ -26,16 +26,19 @@ from wrenchbook.fea.spec.schema import Bundle
 Array = np.ndarray
 
 _COARSER = (0.5, 2 / 3)
-"""Cells along each direction of the second mesh, over the first's; the next where that fails.
+"""Ratios of cell sizes of the second mesh to the first, along each direction.
 
-A linear solve of it takes a sixth of the first's (generators) to a half (STEP parts).
+The next if one fails.
+
+Its linear solve takes a sixth of the first's (generators) to a half (STEP parts).
 """
 
 
 def coarser(solver: Solver) -> Solver | None:
     """Return the component on a coarser mesh, solved; None if none can be made.
 
-    Mesh files have none: only their author can mesh anew. A mesh of single cells has itself.
+    Mesh files have none: they cannot be meshed anew. The coarser mesh of a mesh of single cells is
+    the mesh itself.
     """
     bundle = solver.component.bundle
     for factor in _COARSER:
@@ -52,7 +55,7 @@ def coarser(solver: Solver) -> Solver | None:
 
 
 FINER_UNKNOWNS = 30_000
-"""Of a finer mesh that an estimate may solve unasked: about a second."""
+"""Unknowns of a finer mesh that an estimate solves without a request: about a second."""
 
 
 def finer(solver: Solver, max_unknowns: int | None = None, factor: float = 2.0) -> Solver | None:
@@ -70,8 +73,8 @@ def finer(solver: Solver, max_unknowns: int | None = None, factor: float = 2.0) 
     again, dependents = refined(bundle, factor), component.uncut_mesh.dependents
     tied = sum(len(tie.nodes) for tie in component.ties)
     if dependents is not None and len(dependents.nodes) > tied:
-        return None  # a deck's equations, which name no nodes of a finer mesh
-    # In a plane alone, as thin parts have it, unknowns grow by the square.
+        return None  # a deck's equations name no nodes of a finer mesh
+    # Unknowns grow by the square if cells of thin parts are refined in a plane alone.
     if (factor if again else 2.0) ** 2 * component.mesh.unknowns > limit:
         return None
     model = build(again) if again is not None else build(bundle, halved(component.uncut_mesh))
@@ -79,25 +82,30 @@ def finer(solver: Solver, max_unknowns: int | None = None, factor: float = 2.0) 
 
 
 FILE = "convergence.json"
-"""In the bundle's folder: what `converge` found, for the bars of this setup."""
+"""File in the bundle's folder: the study of `converge`, for the error bars of this setup."""
 
 MAX_UNKNOWNS = 350_000
-"""Of the finest mesh that is made unasked: about half a minute and 4 GB."""
+"""Unknowns of the finest mesh of a study without a request: about half a minute and 4 GB."""
 
 _RESPONSES = ("ux/Fx", "uy/Fy", "uz/Fz", "rx/Mx", "ry/My", "rz/Mz")
 
 _STEP = 1.5
-"""Between cells that a generator or a geometry makes anew; those of mesh files are halved."""
+"""Ratio of cell sizes if a generator or a geometry is meshed anew.
+
+Cells of mesh files are halved.
+"""
 
 MIN_RATIO = 1.1
-"""Between the sizes of cells of two meshes: what nearer ones differ by is their irregularity."""
+"""Least ratio of the cell sizes of two meshes: the difference of nearer meshes is their
+irregularity.
+"""
 
 
 class Study(NamedTuple):
     """Compliances on meshes from the component's to the finest."""
 
-    nodes: list[int]  # of each mesh
-    sizes: list[float]  # of the cells, the cube root of their mean volume, m
+    nodes: list[int]  # number of nodes of each mesh
+    sizes: list[float]  # size of each mesh's cells, the cube root of their mean volume, m
     # Shape (meshes, 6 i, k): m/N, rad/N, m/(N·m), rad/(N·m), and by further inputs
     compliance: Array
 
@@ -105,8 +113,8 @@ class Study(NamedTuple):
     def lacking(self) -> Array:
         """Error of the component's mesh, shape (6 i, k).
 
-        The finest is taken to lack what an error of first order would still, the slowest: it rules
-        where stresses are singular, at clamped and at re-entrant edges.
+        The finest mesh is assumed to have the remaining error of first order, the slowest: it
+        governs where stresses are singular, at clamped and at re-entrant edges.
         """
         coarsest, before, last = self.compliance[0], self.compliance[-2], self.compliance[-1]
         return last - coarsest + (last - before) / (self.sizes[-2] / self.sizes[-1] - 1)
@@ -128,7 +136,7 @@ class Study(NamedTuple):
 
     @property
     def extrapolated(self) -> Array:
-        """Freedoms' responses to their loads at cells without size, (6 i,); NaN without order."""
+        """Freedoms' responses to their loads at cells of size zero, (6 i,); NaN without order."""
         values = np.diagonal(self.compliance, axis1=1, axis2=2)
         ratio = self.sizes[-2] / self.sizes[-1]
         return values[-1] + (values[-1] - values[-2]) / (ratio**self.order - 1)
@@ -155,6 +163,7 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
     finer_meshes: one or two files with the bundle's groups, in the unit of its mesh, each finer
     than the one before. Without them cells are halved, twice where that makes at most
     `MAX_UNKNOWNS`.
+
     Raises ValueError if a mesh is not finer, or none can be made; BundleError or SolveFailed if a
     mesh cannot be read, lacks a group, or cannot be solved.
     """
@@ -191,11 +200,11 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
 
 
 def write(bundle: Bundle, study: Study) -> Path:
-    """Keep the study in the bundle's folder, from where the bars take its error; return where.
+    """Write the study to the bundle's folder, for the error bars; return its path.
 
-    Besides ``nodes``, ``sizes`` and ``lacking`` of `Study` the file has what people read, by
-    responses in ``outputs`` (uz/Fz, m/N, and so on; locked ones are left out): ``values``, shape
-    (meshes, n), ``order`` and ``extrapolated``, both with null for unknown, and ``first_lacks``.
+    Besides ``nodes``, ``sizes`` and ``lacking`` of `Study` the file has for people, by responses in
+    ``outputs`` (uz/Fz, m/N, and so on; locked ones are left out): ``values``, shape (meshes, n),
+    ``order`` and ``extrapolated``, both with null for unknown, and ``first_lacks``.
     """
     moved = np.flatnonzero(np.diagonal(study.compliance[0]) > 0)
     content = {
@@ -225,7 +234,9 @@ def _or_null(values: Array) -> list[float | None]:
 
 
 def stored(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] | None:
-    """Return the error kept for this setup, shape `shape`, and its basis; None if none was.
+    """Return the stored error for this setup, of shape `shape`, and its basis.
+
+    None without a study.
 
     Raises ValueError if the file is damaged.
     """

@@ -33,18 +33,22 @@ from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, DeclaredRange
 Array = np.ndarray
 
 _PARTS = (1.0, 0.5, 0.25)
-"""Of the largest wrench to be tried, in turn: a smaller shows as much where a larger fails."""
+"""Parts of the largest wrench for nonlinear solves, in turn: a smaller part shows as much if a
+larger fails.
+"""
 
 _STEEP = 1.25
-"""Buckling factor below which the corner itself is not tried: half the buckling load is."""
+"""Buckling factor below which the corner itself is not solved, but half the buckling load."""
 
 _SAFETY = 1.5
-"""On the larger remainder of two corners, for all other wrenches (`make bench NAME=linearity`)."""
+"""Factor on the larger remainder of two corners, for all other wrenches (`make bench
+NAME=linearity`).
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class BeyondLinear:
-    """How far a linear component's answers are from nonlinear ones."""
+    """Differences of a linear component's answers from nonlinear ones."""
 
     # Shape (6 i,), m and rad: at a load as large as its range, growing with the load's cube, or
     # square without second derivatives; NaN where no nonlinear solve gave an answer.
@@ -53,19 +57,19 @@ class BeyondLinear:
     # None beyond that. It is that of linear buckling (`fea.solver.vibration`), or where a nonlinear
     # solve ended if that is less.
     buckling: float | None
-    why: str = ""  # what kept a nonlinear solve from an answer; often empty
+    why: str = ""  # the reason for which a nonlinear solve has no answer; often empty
 
 
-_MAX_REPORTED = 10.0  # a factor beyond which its continuation shows nothing
+_MAX_REPORTED = 10.0  # largest reported buckling factor: beyond it the extrapolation is meaningless
 
 
 def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     """Solve a linear component nonlinearly at the corners of its range where it moves most.
 
-    A range of too many loads has no corners: `DeclaredRange.corners` raises a ValueError.
-
     solver: of the component, on any mesh of it.
-    loads: the range of its inputs, from where these have no effect.
+    loads: the range of its inputs, relative to their values without an effect.
+
+    Raises ValueError as `DeclaredRange.corners` if the range has too many loads.
     """
     compliance = solver.linear.compliance
     other = copy(solver)  # shares the equations and the factor of the undeformed part
@@ -96,7 +100,7 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
 def _at_corner(solver: Solver, wrench: Array, buckling: float) -> tuple[Array, list[float], str]:
     """Return remainder, factors and reason of `BeyondLinear` at one corner, or at a part of it.
 
-    The factors are parts of the wrench at which solves ended.
+    The factors are the parts of the wrench at which solves ended.
     """
     ends: list[float] = []
     limit, why = 1.0, ""
@@ -123,14 +127,15 @@ def _at_corner(solver: Solver, wrench: Array, buckling: float) -> tuple[Array, l
 
 
 _MARGIN = 1.25
-"""On what recovered stresses say: Roache's for three meshes, 1994."""
+"""Safety factor on errors by recovered stresses: Roache's for three meshes, 1994."""
 
 _TIED = 2.4
-"""Times that where a tie ends within facets: at edges of the mesh, and stresses do not show how far
-these are from its end. The error was up to 2.2 times what they say, of either sign. A finer mesh
-shows it in part: then the two are added. Where main facets are larger than the tie, it is times
-their diagonal over the tie's size: of 42 blocks on plates the outputs inside rose from 53 to 96 %,
-at 2.3 times the error."""
+"""Further safety factor where a tie ends within facets, at edges of the mesh: stresses do not show
+the distance of these edges from the tie's end. The error was up to 2.2 times that of the
+stresses, of either sign. A finer mesh shows it in part: then the two are added. Where main
+facets are larger than the tie, it is multiplied by their diagonal over the tie's size: of 42
+blocks on plates the outputs inside rose from 53 to 96 %, at 2.3 times the error.
+"""
 
 
 def accuracy_of(solver: Solver) -> dict[str, Any]:
@@ -181,9 +186,9 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
 
 
 def linearity_of(solver: Solver, coarse: Solver, loads: DeclaredRange) -> dict[str, Any]:
-    """Return what a linear analysis neglects, as `accuracy_of` does.
+    """Return the terms that a linear analysis neglects, in the form of `accuracy_of`.
 
-    coarse: of a coarser mesh, or `solver` again: the nonlinear solves are of it.
+    coarse: of a coarser mesh, or `solver` again; nonlinear solves use it.
     loads: as of `beyond_linear`.
     """
     beyond, second = beyond_linear(coarse, loads), solver.second_derivatives
@@ -206,6 +211,7 @@ def linearity_of(solver: Solver, coarse: Solver, loads: DeclaredRange) -> dict[s
 
 
 def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
+    """Return the mesh's error in the form of `accuracy_of`."""
     compliance = solver.linear.compliance
     errors, basis = _of_cells(solver, second)
     if not errors:
@@ -214,7 +220,7 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
     if round_ is None:
         return _report(compliance, np.array(errors), basis)
     errors.append(_ROUND * round_.change)
-    # What straight edges across round surfaces change, and the cells round for 1 %.
+    # The effect of straight edges across round surfaces, and the number of cells round for 1 %.
     diagonal = np.diag(compliance)
     ratio = float(np.abs(np.diag(round_.change)[diagonal > 0] / diagonal[diagonal > 0]).max())
     cause = (
@@ -222,7 +228,7 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
         f"degrees a cell, change it by {100 * ratio:.2g} %"
     )
     if ratio > FINE:
-        # The change grows with the square of the angle.
+        # The effect grows with the square of the angle.
         cells = int(np.ceil(2 * np.pi / (round_.angle * np.sqrt(FINE / ratio))))
         cause = f"{cause}; with {cells} cells round it is 1 %"
     report = _report(compliance, np.array(errors), f"{basis}; {cause}")
@@ -231,15 +237,15 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
 
 
 def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
-    """Return the parts of the error that the size of cells makes, each (6 i, k), and the basis.
+    """Return the parts of the error by the size of cells, each (6 i, k), and the basis.
 
-    There are no parts where the error is not known.
+    The list is empty where the error is not known.
     """
     compliance, bundle = solver.linear.compliance, solver.component.bundle
     study = stored(bundle, compliance.shape)
     if study is not None:
         return [study[0]], study[1]
-    # Half of the error of recovered stresses: the mean with the half of another mesh's change.
+    # Half of the error of recovered stresses: the mean with half of another mesh's change.
     recovered = recovered_error(solver)
     lacks = 0.5 * _MARGIN * recovered.total[: len(compliance)]
     cut = any(tie.cut or tie.within for tie in solver.component.ties)
@@ -261,7 +267,7 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
         edges = "a coarser mesh is no coarser where the error is: the part's edges keep it fine"
         why = edges if second else "no second mesh can be made"
         return [], f"{why}; wrenchbook converge compares it with finer ones"
-    # What an error of first order, the slowest, is of the change between sizes in this ratio.
+    # Ratio of an error of first order, the slowest, to the change between sizes of this ratio.
     scale = np.sqrt((ratio if fine else 1) / (ratio - 1))
     change = (compliance - second.linear.compliance) * np.outer(scale[: len(lacks)], scale)
     basis = (
@@ -277,14 +283,16 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
 
 
 _MIXED = 0.02
-"""Of the root of the product of the errors of two responses, which no error of the two together can
-exceed (Cauchy and Schwarz: the error's energy is not negative): what one other mesh shows of an
-entry near zero, such as an entry of symmetry, is chance. Of single loads on STEP parts it
-raises the outputs inside from 50 to 76 % to over 90 %."""
+"""Lower bound of an entry's error, as a part of the root of the product of the two responses'
+errors, its upper bound (Cauchy and Schwarz: the error's energy is not negative): the difference
+of two meshes in an entry near zero, such as an entry of symmetry, is chance. For single loads on
+STEP parts it raises the outputs inside from 50 to 76 % to over 90 %.
+"""
 
 _ROUND = 1.1
-"""On what bending the edges changes: the bow leaves out the fourth power of the angle, 2 % of the
-change at 30 degrees and 4 % at 40."""
+"""Safety factor on the effect of bending the edges: the bow leaves out the fourth power of the
+angle, 2 % of the change at 30 degrees and 4 % at 40.
+"""
 
 
 def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
@@ -293,7 +301,7 @@ def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
     roots = np.sqrt(np.diag(mesh))
     mesh[:, : len(roots)] += _MIXED * np.outer(roots, roots)
     report = {"mesh": mesh.tolist(), "mesh_basis": basis}
-    # Loads on locked freedoms move nothing: what remains is as stiff as it is without them.
+    # Loads on locked freedoms move nothing: they are left out of the inverse.
     loads = len(compliance)
     diagonal = np.diag(compliance)
     acting = diagonal > 0
@@ -309,10 +317,10 @@ def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
 
 
 def accuracy_or_why(solver: Solver) -> dict[str, Any]:
-    """Return the result of `accuracy_of`, or ``mesh`` None and in ``mesh_basis`` why not.
+    """Return the result of `accuracy_of`, or ``mesh`` None and the reason in ``mesh_basis``.
 
-    A part that can be solved has an answer whatever happens here: a coarser mesh can be too coarse
-    for the shape, and memory can end.
+    A failure of the estimate must not prevent an answer: a coarser mesh can be too coarse for the
+    shape, and memory can be exhausted.
     """
     try:
         return accuracy_of(solver)
@@ -326,16 +334,16 @@ def accuracy_or_why(solver: Solver) -> dict[str, Any]:
 
 
 def unknown_of_deck(bundle: Bundle) -> dict[str, Any]:
-    """Return the same of a component that an outside solver answers for: nothing is known."""
+    """Return the report of a component with a deck, whose error is unknown."""
     why = "an outside solver's mesh: the deck's author knows how far it is off"
     return {"mesh": None, "mesh_basis": why, **_largest(bundle)}
 
 
 def _largest(bundle: Bundle | None) -> dict[str, list[float]]:
-    """Return ``loads``, the largest of each input in the range, 0 where a guide takes it.
+    """Return ``loads``, the largest of each input in the range, 0 for loads on locked freedoms.
 
-    And ``zero``, from where inputs count, if any is not 0. An error that grows with the square of
-    the largest load must not grow with a load without effect.
+    ``zero`` has the inputs' values without an effect, if any is not 0. An error that grows with the
+    square of the largest load must not grow with a load without effect.
     """
     if bundle is None:
         return {"loads": [1.0] * len(FREEDOMS)}

@@ -37,32 +37,37 @@ from wrenchbook.fea.solve import Solver
 Array = np.ndarray
 
 SMOOTH = np.radians(40.0)
-"""Angle between neighbouring facets from which an edge is an edge of the part; nine cells round a
-hole are at 40 degrees to each other."""
+"""Largest angle between neighbouring facets of a round surface: at larger angles an edge is an edge
+of the part. Nine cells round a hole are at 40 degrees to each other.
+"""
 
 STRAIGHT = 1e-3
-"""Of an edge's length: a midside node nearer to its middle has been put there, in files with few
-digits too; across a round surface that turns by 0.5 degrees it bows out by as much."""
+"""Part of an edge's length: a midside node nearer to the edge's middle was put there by a program,
+in files with few digits too; across a round surface that turns by 0.5 degrees it bows out by as
+much.
+"""
 
 _PARTS = tuple(0.5**halvings for halvings in range(8))
-"""Of the bow, in turn: in flat cells the full bow can turn a cell inside out, and the compliance
-changes in proportion. A hundredth of a change of 10 % is still a thousand times the roundoff."""
+"""Parts of the bow that are tried in turn: in flat cells the full bow can turn a cell inside out,
+and the compliance changes in proportion. A hundredth of a change of 10 % is still a thousand
+times the roundoff.
+"""
 
 
 class Roundness(NamedTuple):
     """Effect of bending the edges."""
 
-    # Shape (6 i, k): the compliance with straight edges, less that with curved ones, in its units
+    # Shape (6 i, k): the compliance with straight edges, less that with curved ones, SI
     change: Array
-    angle: float  # the largest between facets that were taken for a round surface, rad
+    angle: float  # the largest angle between facets that count as a round surface, rad
 
 
 def roundness(solver: Solver) -> Roundness | None:
     """Return the effect of straight edges across round surfaces; None if there are none.
 
-    It costs a linear solve. Of mesh files alone: other meshes are made on their geometry.
+    It costs a linear solve. Only mesh files have it: other meshes are made on their geometry.
 
-    Raises SolveFailed if the curved cells cannot be solved however small the bow is.
+    Raises SolveFailed if the curved cells cannot be solved for any part of the bow.
     """
     component = solver.component
     source = component.bundle and component.bundle.mesh
@@ -84,10 +89,10 @@ def roundness(solver: Solver) -> Roundness | None:
 
 
 def bows_of(mesh: Mesh) -> tuple[Array, float]:
-    """Return how far each node moves to the round surface, (n, 3), m, and the largest angle, rad.
+    """Return the motion of each node to the round surface, (n, 3), m, and the largest angle, rad.
 
-    None moves if any midside node of the surface is off its edge's middle: then they are where the
-    geometry has them.
+    No node moves if any midside node of the surface is off its edge's middle: then midside nodes
+    are on the geometry.
     """
     bows, largest = np.zeros_like(mesh.points), 0.0
     corners, middles = _surface_facets(mesh)
@@ -105,14 +110,14 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
         height = np.linalg.norm(
             mesh.points[middles[:, side]] - points[:, ends].mean(axis=1), axis=1
         )
-        if mesh.dependents is not None:  # tied nodes lie, and move, where others put them
+        if mesh.dependents is not None:  # masters determine the positions of tied nodes
             nodes = np.stack([middles[:, side], *corners[:, ends].T])
             height[np.isin(nodes, mesh.dependents.nodes).any(axis=0)] = 0.0
-        # The side of no length of a triangle has another side's midside node.
+        # A triangle's side of length zero repeats another side's midside node.
         if ((length > 0) & (height > STRAIGHT * length)).any():
             return np.zeros_like(bows), 0.0
 
-        # Of the two facets at an edge the one with the larger bow counts.
+        # Of an edge's two facets the one with the larger bow counts.
         size = np.linalg.norm(bow, axis=1)
         curved = np.flatnonzero(size > STRAIGHT * length)
         curved = curved[np.argsort(size[curved])]
@@ -175,7 +180,7 @@ def _corner_normals(corners: Array, points: Array) -> tuple[Array, Array]:
     return normals, largest
 
 
-# By the first letters of a kind: the cell of first order with the same corners.
+# First-order cell with the same corners, by the first letters of a kind.
 _FIRST_ORDER = {"hex": "hex8", "tet": "tet4", "wed": "wedge6", "pyr": "pyramid5"}
 
 
@@ -185,14 +190,14 @@ class _Piece(NamedTuple):
     fields: Array  # shape (2, loads, cells, points, 3, 3): strains and stresses of the unit loads
     weights: Array  # shape (cells, points), m^3
     corners: Array  # shape (cells, corners), int64: nodes
-    functions: Array  # shape (points, corners): the linear shape functions of the corners
-    material: int  # its number
-    # Whether volumetric strains are projected: those at the points then show nothing
+    functions: Array  # shape (points, corners): linear shape functions of the corners
+    material: int  # index of the material
+    # Whether volumetric strains are projected: those at the points then have no meaning
     projected: bool
 
 
 class RecoveredError(NamedTuple):
-    """The mesh's error at unit inputs, and where it is."""
+    """The mesh's error at unit inputs, by cell."""
 
     # Shape (k, k), SI, symmetric: the first 6 i rows are displacements of i interfaces
     total: Array
@@ -203,9 +208,9 @@ class RecoveredError(NamedTuple):
     sizes: Array
 
     def coarsening(self, other: Mesh) -> Array:
-        """Cell sizes of another mesh over those of this mesh where each input's error is, (k,).
+        """Ratio of another mesh's cell sizes to this mesh's, weighted by each input's error, (k,).
 
-        A mesher that is given twice the size keeps cells at short edges smaller than that.
+        A mesher that is given twice the size makes smaller cells at short edges.
         """
         blocks = [b.nodes[:, : int(np.max(EDGES[b.kind])) + 1] for b in other.blocks]
         centres, sizes = _centres_and_diameters(other.points, blocks)
@@ -215,9 +220,9 @@ class RecoveredError(NamedTuple):
 
 
 def recovered_error(solver: Solver) -> RecoveredError:
-    """Return about what responses to unit inputs lack for the mesh.
+    """Return the estimated error of responses to unit inputs by the mesh.
 
-    A thermal strain is the same in both fields that are compared, and cancels.
+    A thermal strain is the same in both compared fields, and cancels.
 
     Raises SolveFailed as `Solver.linear` does.
     """
@@ -270,6 +275,7 @@ def _centres_and_diameters(points: Array, blocks: list[Array]) -> tuple[Array, A
 
 
 def _pieces(solver: Solver) -> Iterator[_Piece]:
+    """Yield the cells of each kind and material with the fields of unit loads."""
     component, body = solver.component, solver.body
     unit = solver.linear.fields
     sorts = zip(body.parts, body.cells, body.blocks, solver.volumes, strict=True)
@@ -303,7 +309,7 @@ def _corner_functions(kind: str, integration: str) -> Array:
 
 
 def _energy(piece: _Piece, smooth: Array) -> tuple[Array, Array]:
-    """Return twice the energies (loads, loads) of what fields differ by, and (loads, cells)."""
+    """Return twice the energies (loads, loads) of the fields' differences, and (loads, cells)."""
     cells, corners = piece.corners.shape
     loads = piece.fields.shape[1]
     recovered = piece.functions @ smooth[piece.corners].reshape(cells, corners, -1)

@@ -1,1 +1,1 @@
-"""The body and its equations: cells gathered into one tangent with a border."""
+"""The body and its equations: cells assembled into one tangent with a border."""

@@ -1,4 +1,7 @@
-"""Cells filled with their material: one part for each law, the projected ones by themselves."""
+"""Cells with their materials, in parts of one law each.
+
+Cells with pressure projection are separate parts.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ from wrenchbook.fea.spec.material import LAWS, AnyMaterial
 
 Array = np.ndarray
 
-# By law: the cells of materials with a Young's modulus and a Poisson's ratio.
+# For each law the cells of materials with a Young's modulus and a Poisson's ratio.
 _OF_TWO_CONSTANTS = {"isotropic": IsotropicStiffness, "neo-hookean": NeoHookeanStiffness}
 
 
@@ -36,13 +39,14 @@ def filled_cells(
     """Return the cells in parts of one law each, with their stiffness.
 
     mesh: the cells.
-    materials: what they may be made of.
+    materials: all materials of the component.
     numbers: for each block of the mesh, shape (cells,): the index of each cell's material.
     integration: ``"reduced"`` or ``"full"``, for hex20.
-    axes: shape (3, 3): row i is the mesh's axis i in those that the bundle is written in; the same
-    unless given.
-    origin: shape (3,), m: where the mesh's points are counted from, in the bundle's axes.
-    Raises SolveFailed: ``inverted_elements`` or ``locking_material``.
+    axes: shape (3, 3): row i is the mesh's axis i in the bundle's axes; None if they are the same.
+    origin: shape (3,), m: origin of the mesh's points, in the bundle's axes.
+
+    Raises SolveFailed of kind ``inverted_elements`` or ``locking_material`` if cells cannot be
+    used.
     """
     frame = np.eye(3) if axes is None else axes
     start = np.zeros(3) if origin is None else origin
@@ -67,11 +71,11 @@ def sorted_cells(
 ) -> Iterator[tuple[CellBlock, Array, Array, str, bool]]:
     """Yield the parts in their order.
 
-    Each is the block it comes from with its cells' materials, shape (cells,), which of its cells,
-    shape (cells,), bool (both dimensionless), their law, and whether their volumetric strain is
-    projected. Cells with dependent nodes are parts of their own.
+    Each part is the block of its cells with their materials, shape (cells,), the mask of its cells,
+    shape (cells,), their law, and whether their volumetric strain is projected. Cells with
+    dependent nodes are parts of their own.
 
-    Raises SolveFailed: ``locking_material``.
+    Raises SolveFailed of kind ``locking_material`` if the kind of a cell locks with its material.
     """
     poisson = np.array([material.poisson_ratio for material in materials])
     laws = np.array([LAWS.index(material.law) for material in materials])
@@ -97,7 +101,7 @@ def _stiffness(
     where: tuple[Array, Array],
 ) -> CellStiffness:
     """Return the cells of one law; `where` is as of `_directions`."""
-    # Thermal strains per kelvin, (cells, points or 1, 3, 3), 1/K; None for none.
+    # Thermal strains per kelvin, (cells, points or 1, 3, 3), 1/K; None without expansion.
     if any(material.thermal_expansion is None for material in materials):
         expansion = None
     else:
@@ -124,8 +128,8 @@ def _directions(
 ) -> list[tuple[AnyMaterial, Array, Array]]:
     """Return each material, its cells (k,) and its directions there, (k, points or 1, 3, 3).
 
-    `where` is the frame of the result, (3, 3), and the integration points in the bundle's
-    axes, (cells, points, 3), m. Directions that are everywhere the same stand once a cell.
+    `where`: the frame of the result, (3, 3), and the integration points in the bundle's axes,
+    (cells, points, 3), m. Directions that are the same at all points of a cell are stored once.
     """
     frame, points = where
     groups = []

@@ -20,32 +20,36 @@ Array = np.ndarray
 
 
 _AT_A_TIME = 256
-"""Cells whose matrices are there at once."""
+"""Cells whose matrices are in memory at once."""
 
 _FIELDS_AT_A_TIME = 1024
-"""Cells whose nodes' six fields are there at once: 1.5 to 3 MB; a flange's 8,100 took 23 MB."""
+"""Cells whose six nodal fields are in memory at once: 1.5 to 3 MB.
 
-SINGLE_NUMBERS = 30e6
-"""Numbers from which on the undeformed body's factor is in single precision: 0.24 GB in double.
-
-A solve then takes 0.55 to 0.7 of the memory and 0.6 to 1.0 of the time; of less it takes as long.
+All 8,100 cells of a flange took 23 MB.
 """
 
-_SINGLE_STEPS = 6  # of refinement by the stresses; each leaves 1e-5 to 1e-2 of the error
-_SINGLE_ERROR = 1e-13  # relative: what a solve in double precision leaves on the same parts
+SINGLE_NUMBERS = 30e6
+"""Least size of a factor of the undeformed body in single precision: 0.24 GB in double precision.
 
-_STEP = 0.05  # K: the difference's error is the square of the thermal strain in it
+A solve then takes 0.55 to 0.7 of the memory and 0.6 to 1.0 of the time; a smaller factor saves no
+time.
+"""
+
+_SINGLE_STEPS = 6  # steps of refinement by the stresses; each leaves 1e-5 to 1e-2 of the error
+_SINGLE_ERROR = 1e-13  # relative error of a solve in double precision on the same parts
+
+_STEP = 0.05  # K: the difference's error is the square of its thermal strain
 
 
 class Movable:
     """The free nodes, and the directions in which sliding ones are held.
 
-    A sliding node keeps its three unknowns: in a held direction the stiffness is replaced by a
-    number that joins it to nothing, so no other displacement depends on it.
+    A sliding node keeps its three unknowns: in a held direction its stiffness is replaced by a
+    number without coupling, so that no other displacement depends on it.
 
     free: shape (n,), bool: the nodes whose displacement is unknown.
-    held: of a component: sliding nodes, shape (k,), and projectors on their held directions, shape
-    (k, 3, 3), dimensionless. Those that are not free count for nothing.
+    held: sliding nodes of a component, shape (k,), and projectors on their held directions, shape
+    (k, 3, 3), dimensionless. Nodes among them that are not free are ignored.
     """
 
     def __init__(self, free: Array, held: tuple[Array, Array]) -> None:
@@ -56,7 +60,7 @@ class Movable:
         self._held_index[self._nodes] = np.arange(self._nodes.size)
 
     def released(self, fields: Array) -> Array:
-        """Return fields (n, 3, ...) without what acts on, or moves, held nodes and directions."""
+        """Return fields (n, 3, ...) with zeros at nodes and in directions that are held."""
         free = np.where(self.free.reshape(-1, *[1] * (fields.ndim - 1)), fields, 0.0)
         if self._nodes.size:
             free[self._nodes] -= np.einsum("nij,nj...->ni...", self._held, free[self._nodes])
@@ -65,7 +69,7 @@ class Movable:
     def decoupled(self, matrices: Array, nodes: Array) -> Array:
         """Return cells' matrices (m, 3 s, 3 s), N/m, of nodes (m, s), held directions decoupled.
 
-        A row of a cell's matrix is a component and a node, the node running faster.
+        Rows of a cell's matrix are ordered by component, then node.
         """
         held_index = self._held_index[nodes]
         touched = np.flatnonzero((held_index >= 0).any(axis=1))
@@ -87,10 +91,10 @@ class ElasticBody:
 
     mesh: every point belongs to a cell.
     filled: its cells with their material, see `fea.assembly.blocks.filled_cells`.
-    free: shape (n,), bool: the nodes whose displacement is unknown; dependent ones are not.
+    free: shape (n,), bool: the nodes whose displacement is unknown; dependent ones are not free.
     held: the nodes that slide, see `Movable`.
-    blocks, cells: the nodes of each part's cells, and those that move them: others where nodes
-    follow others. Displacements of dependent nodes count for nothing, and no force is on them.
+    blocks, cells: the nodes of each part's cells, and the nodes that move them, which differ where
+    nodes depend on others. Displacements of dependent nodes are ignored, and no force acts on them.
     """
 
     def __init__(
@@ -113,7 +117,7 @@ class ElasticBody:
         self.parts = [stiffness for _, stiffness in filled]
 
     def _outer(self, cells: Array) -> Array:
-        """Return the nodes that move some cells, (m, s): their own unless these follow others."""
+        """Return the nodes that move some cells, (m, s): their own, or those they depend on."""
         if self.dependents is None or not self.dependents.among(cells).any():
             return cells
         return self.dependents.outer(cells)[0]
@@ -136,7 +140,7 @@ class ElasticBody:
         return slips
 
     def expanded(self, fields: Array) -> Array:
-        """Return fields (n, 3, ...), m, with the displacements of nodes that follow others."""
+        """Return fields (n, 3, ...), m, with the displacements of dependent nodes."""
         return fields if self.dependents is None else self.dependents.expanded(fields)
 
     @property
@@ -153,7 +157,7 @@ class ElasticBody:
         """Return the body at a temperature, K from the reference; see `CellStiffness.at`."""
         if not self.expands:
             return self
-        _ = self.dissection, self.scatter  # of both
+        _ = self.dissection, self.scatter  # computed once for both bodies
         other = copy(self)
         other.parts = [part.at(temperature, finite) for part in self.parts]
         return other
@@ -161,8 +165,8 @@ class ElasticBody:
     def thermal_rates(self, displacement: Array, temperature: float = 0.0) -> tuple[Array, float]:
         """Return the change per kelvin at a displacement, shape (n, 3), m, and a temperature, K.
 
-        Of the internal forces, shape (n, 3), N/K, and of the strain energy, J/K; by differences
-        which leave out 1e-12 of them.
+        The results are the changes of the internal forces, shape (n, 3), N/K, and of the strain
+        energy, J/K, by differences which leave out 1e-12 of them.
         """
         ends = (self.at(temperature + step).forces(displacement) for step in (_STEP, -_STEP))
         (forces, energy, _), (others, other, _) = ends
@@ -182,7 +186,7 @@ class ElasticBody:
 
     @cached_property
     def scatter(self) -> list[_Scatter]:
-        """Where the entries of the cells go in the leaves of the dissection."""
+        """The destination of the cells' entries in the leaves of the dissection."""
         bounds = np.cumsum([0, *(len(block) for block in self.cells)])
         return [
             _Scatter(self.dissection, block, int(first))
@@ -190,7 +194,7 @@ class ElasticBody:
         ]
 
     def leaves_from(self, number: int) -> list[int]:
-        """Return the numbers of some leaves from `number` on, enough to be worth making at once."""
+        """Return the indices of leaves from `number` on that are computed together."""
         counts = self._leaf_cells
         first = int(np.searchsorted(counts[0], number))
         last = int(np.searchsorted(counts[1], counts[1][first] + _AT_A_TIME))
@@ -198,7 +202,7 @@ class ElasticBody:
 
     @cached_property
     def _leaf_cells(self) -> tuple[Array, Array]:
-        """The numbers of the leaves, and the number of cells in the leaves before each."""
+        """The indices of the leaves, and the number of cells in the leaves before each."""
         parts = self.dissection.substructures
         numbers = np.array([i for i, part in enumerate(parts) if not part.children], dtype=int)
         starts = np.cumsum([0, *(parts[i].cells.size for i in numbers)])
@@ -230,20 +234,20 @@ class ElasticBody:
         """Return the tangent stiffness.
 
         displacement: shape (n, 3), m; None for the undeformed state.
-        step: of Newton's method, the last: the displacement it aimed at and the change, both
-        linear in the unknowns, shape (n, 3), m. Then the stress in the tangent is that
+        step: the last step of Newton's method: the displacement at which it aimed and the change,
+        both linear in the unknowns, shape (n, 3), m. Then the stress in the tangent is that
         extrapolated linearly from the state before that step: the iteration of Magisano, Leonetti
         and Garcea ("mixed integration points", 2017). Slender parts need several times fewer
-        iterations with it, as a large step's false membrane strain no longer stiffens the next.
-        The two tangents agree as the steps vanish.
+        iterations with it, as a large step's false membrane strain no longer stiffens the next. The
+        two tangents agree as the steps vanish.
         """
         return Tangent(self, displacement, step)
 
     def small_strain_forces(self, fields: Array) -> Array:
         """Return the nodal forces of small displacement fields by way of their stresses.
 
-        More exact than the stiffness matrix times the field: the matrix holds a rigid motion's zero
-        force only to roundoff of its entries.
+        They are more exact than the stiffness matrix times the field: the matrix gives a rigid
+        motion's zero force only to roundoff of its entries.
 
         fields: shape (n, 3, k), m.
         Result: shape (n, 3, k), N.
@@ -295,7 +299,7 @@ class ElasticBody:
 class Tangent:
     """The tangent at one state, factorised at first use.
 
-    The cells' matrices are made when they are due and are gone after that: all at once they take
+    The cells' matrices are made when they are needed and deleted after that: all at once they take
     nearly as much memory as the factor.
     """
 
@@ -323,7 +327,7 @@ class Tangent:
         return MultifrontalFactor(self._body.dissection, self._leaf)
 
     def release(self) -> None:
-        """Free the factor's memory; the next use makes the factor again."""
+        """Free the factor's memory; the next use factorises again."""
         self.__dict__.pop("factor", None)
 
     @property
@@ -349,7 +353,7 @@ class Tangent:
     def _leaf(self, number: int) -> Array:
         """Return the matrix of one leaf; a few leaves are made at once."""
         if number not in self._ready:
-            self._ready.clear()  # what a factorisation that was given up has left
+            self._ready.clear()  # remains of a factorisation that failed
             leaves = self._body.leaves_from(number)
             for group, scatter in enumerate(self._body.scatter):
                 due = [leaf for leaf in leaves if leaf in scatter.leaves]
@@ -367,10 +371,10 @@ class Tangent:
     def times(self, fields: Array, nodes: Array) -> Array:
         """Multiply by displacement fields that are zero at all but the given nodes.
 
-        Of other fields the product is right at the given nodes alone.
+        For other fields the product is right at the given nodes alone.
 
         fields: shape (n, 3, k), m.
-        nodes: where a field may differ from zero.
+        nodes: indices of the nodes where a field may differ from zero.
         Result: shape (n, 3, k), N.
         """
         total = np.zeros_like(fields)
@@ -387,8 +391,8 @@ class Tangent:
     def solve(self, loads: Array, rough: bool = False) -> Array:
         """Solve for nodal loads, shape (n, 3, k), N; loads on fixed nodes are ignored.
 
-        The displacements have shape (n, 3, k), m, and are zero at fixed nodes. `rough` ones may be
-        right to 1e-2 only.
+        The displacements have shape (n, 3, k), m, and are zero at fixed nodes. With `rough` they
+        may have errors of 1e-2.
         """
         order = self._body.dissection.nodes
         displacements = np.zeros_like(loads)
@@ -403,16 +407,16 @@ class Tangent:
             change = self.solve(loads - self._body.small_strain_forces(displacements), rough=True)
             displacements += change
             size = float((np.abs(change).max(axis=(0, 1)) / largest).max())
-            if size * size / before < _SINGLE_ERROR:  # the next change's, about
+            if size * size / before < _SINGLE_ERROR:  # estimate of the next change
                 return displacements
             before = size
-        self._single = False  # the refinement does not do
+        self._single = False  # the refinement does not converge
         self.release()
         return self.solve(loads)
 
 
 class _Scatter:
-    """Where the entries of one block's cell matrices go."""
+    """The destination of one block's cell matrices in the leaves."""
 
     def __init__(self, dissection: Dissection, nodes: Array, first: int) -> None:
         positions = np.moveaxis(unknowns_of(dissection.positions[nodes]), 2, 1)
@@ -431,7 +435,7 @@ class _Scatter:
 
 
 class _Leaf(NamedTuple):
-    """Cells of one block in a leaf, and where their unknowns are in its matrix."""
+    """Cells of one block in a leaf, and the positions of their unknowns in its matrix."""
 
     cells: Array
     local: Array
@@ -451,9 +455,9 @@ def _batches(cells: Array) -> Iterator[Array]:
 
 
 def gather(fields: Array, nodes: Array) -> Array:
-    """Take the values of each cell's nodes: shapes (n, 3, ...) -> (cells, 3, nodes, ...).
+    """Return the values of each cell's nodes: shapes (n, 3, ...) -> (cells, 3, nodes, ...).
 
-    The unit stays what it is, m for displacements; `nodes` are indices, shape (cells, nodes).
+    The values keep their unit, m for displacements; `nodes` are indices, shape (cells, nodes).
     """
     return np.moveaxis(fields[nodes], 2, 1)
 

@@ -18,18 +18,18 @@ Array = np.ndarray
 class Balance:
     """A state and the forces in it under one wrench."""
 
-    state: CoupledState  # the configuration
-    # Shape (k,): the inputs, N and N·m of i interfaces; behind them the temperature, K from the
-    # reference, if the body expands, and the accelerations that are inputs, m/s^2.
+    state: CoupledState  # the displaced state
+    # Shape (k,): the inputs, N and N·m of i interfaces; then the temperature, K from the reference,
+    # if the body expands, and the accelerations that are inputs, m/s^2.
     wrench: Array
-    forces: Array  # shape (n, 3), N: internal nodal forces, less those of weight and acceleration
+    forces: Array  # shape (n, 3), N: internal nodal forces, less weight and acceleration
     energy: float  # Strain energy, J
     least_stretch: float  # Smallest determinant of the deformation gradient
     # nodal, border: the residuals: shape (n, 3), N, at the free nodes, zero at others; and
     # shape (border,), N and N·m for interface freedoms, m and m^2 for constraints.
     nodal: Array
     border: Array
-    # Norm of the nodal forces, N, and the energy, J, of the temperature in a body held all over
+    # Norm of the nodal forces, N, and energy, J, of the temperature in a body held everywhere
     thermal: tuple[float, float] = (0.0, 0.0)
 
     @property
@@ -39,18 +39,18 @@ class Balance:
 
     @property
     def scale(self) -> float:
-        """Euclidean norm of all nodal forces: supports, interface and temperature too, N."""
+        """Euclidean norm of all nodal forces, also of supports, interface and temperature, N."""
         return float(np.linalg.norm(self.forces)) + self.thermal[0]
 
 
 class Linearisation:
     """The tangent at one state, bordered by the coupling.
 
-    With the body's stiffness K, the border's columns C and block D, it solves
-    [[K, C], [C^T, D]] by the Schur complement S = D - C^T K^-1 C.
+    With the body's stiffness K, the border's columns C and block D, it solves [[K, C], [C^T, D]] by
+    the Schur complement S = D - C^T K^-1 C.
 
-    `interface_ratio` is what elimination left of the border's stiffness, relative to it; near
-    roundoff nothing holds the interface.
+    `interface_ratio` is the border's stiffness after elimination, relative to its stiffness before;
+    near roundoff nothing holds the interface.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class Linearisation:
 
     @property
     def stable(self) -> bool:
-        """Whether every small disturbance costs energy: body and interface both.
+        """Whether every small disturbance of body and interface costs energy.
 
         A body that is unstable by itself may be stable with its section: then the constraints, and
         nothing else, give the bordered matrix its negative eigenvalues.
@@ -136,7 +136,7 @@ class Linearisation:
 
     @property
     def _least_compliance(self) -> float:
-        """Least eigenvalue of the interface's compliance (to spins), scaled to a unit diagonal."""
+        """Least eigenvalue of the interface's compliance (by spins), scaled to a unit diagonal."""
         active = self._coupling.active
         if not active.size:
             return 1.0
@@ -185,7 +185,7 @@ class Linearisation:
 
     @cached_property
     def further(self) -> Array:
-        """Change of nodal forces with the inputs behind the loads, (n, 3, k - 6 i), N/K and kg."""
+        """Change of nodal forces with the inputs after the loads, (n, 3, k - 6 i), N/K and kg."""
         if not self._body.expands:
             return self._body_force
         thermal = self._body.thermal_rates(self.state.nodes, *self._temperature)[0][:, :, None]
@@ -214,7 +214,7 @@ class Linearisation:
         return moved
 
     def conjugate_rate(self, change: Array) -> Array:
-        """Return the change of what each input does work on by a change of the inputs, both (k,).
+        """Return the change of each input's conjugate quantity by a change of inputs, both (k,).
 
         Loads do work on translations and spins, m and rad, the temperature on the negative change
         of the strain energy per kelvin, J/K, and accelerations on moments of mass, kg·m.
@@ -268,7 +268,7 @@ class Linearisation:
 def contract(first: Array, second: Array) -> Array:
     """Sum over nodes and components: shapes (n, 3, j), (n, 3, k) -> (j, k).
 
-    The unit is the product of the two, such as J of forces, N, and displacements, m.
+    The unit is the product of the two units, such as J for forces, N, and displacements, m.
     """
     size = 3 * len(first)
     return first.reshape(size, first.shape[2]).T @ second.reshape(size, second.shape[2])

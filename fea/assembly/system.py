@@ -25,10 +25,10 @@ class System:
     body: the cells; its free nodes are those neither fixed nor constrained by the coupling.
     coupling: the interfaces and bushings.
     points: shape (n, 3), m: the nodes' coordinates in the mesh's axes, for messages.
-    weight: shape (n, 3), N: the nodal forces of self-weight; None for none.
-    preload: shape (n, 3), N: those of bolts on their slips; None for none.
-    body_force: shape (n, 3, p), N: nodal forces per unit of each input acceleration; None for
-    none. All these keep their direction: `Balance.forces` are the internal forces less these.
+    weight: shape (n, 3), N: the nodal forces of self-weight; None without.
+    preload: shape (n, 3), N: the forces of bolts on their slips; None without.
+    body_force: shape (n, 3, p), N: nodal forces per unit of each input acceleration; None without.
+    All these keep their direction: `Balance.forces` are the internal forces less these.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class System:
 
     @property
     def inputs(self) -> int:
-        """Number of loads, six an interface, temperature if the body expands, accelerations."""
+        """Number of inputs: six loads an interface, the temperature if any, accelerations."""
         return self.coupling.freedoms + self.body.expands + self.body_force.shape[2]
 
     def temperature(self, inputs: Array) -> float:
@@ -107,8 +107,8 @@ class System:
     def undeformed(self) -> Linearisation:
         """The linearisation of the undeformed, unloaded state.
 
-        Raises SolveFailed: ``mechanism`` if the supports leave a motion free, ``ill_conditioned``
-        if roundoff does.
+        Raises SolveFailed of kind ``mechanism`` if the supports leave a motion free, and of kind
+        ``ill_conditioned`` if the stiffness is singular to roundoff.
         """
         tangent = self.body.tangent(None)
         start = Linearisation(
@@ -123,7 +123,7 @@ class System:
             raise unheld("The interface", 0.0)
         if start.interface_ratio < _MIN_PIVOT:
             raise unheld("The interface", start.softest_interface_energy)
-        self._condition = scaled_condition(start.tangent)  # by the factor, before its release
+        self._condition = scaled_condition(start.tangent)  # uses the factor before its release
         return start
 
     @property
@@ -148,13 +148,20 @@ class System:
 
     @cached_property
     def _per_kelvin(self) -> tuple[float, float]:
-        """`Balance.thermal` of one kelvin: the norm, N, and the energy, J, which grows squared."""
+        """`Balance.thermal` of one kelvin: the norm, N, and the energy, J.
+
+        The energy grows with the square of the temperature.
+        """
         forces, energy, _ = self.body.at(1.0, finite=False).forces(np.zeros((self.body.size, 3)))
         return float(np.linalg.norm(forces)), energy
 
     def _balance(
         self, state: CoupledState, wrench: Array, forces: Array, energy: float, least: float
     ) -> Balance:
+        """Return the residual of a state.
+
+        forces: shape (n, 3), N: internal nodal forces. energy: J. least: least det F.
+        """
         nodal, border = self.coupling.residual(state, forces, wrench[: self.coupling.freedoms])
         nodal = self.body.movable.released(nodal)
         thermal, temperature = (0.0, 0.0), self.temperature(wrench)
@@ -170,7 +177,7 @@ ROUNDOFF = float(np.finfo(float).eps)
 MECHANISM = 1e-22
 """Strain energy of the softest motion, relative, below which it is the square of roundoff."""
 
-_POWER_STEPS = 3  # of inverse iteration; a mechanism, far softer than all else, needs one
+_POWER_STEPS = 3  # steps of inverse iteration; a mechanism, far softer than all else, needs one
 
 
 def scaled_condition(tangent: Tangent) -> float:
@@ -200,15 +207,16 @@ def scaled_condition(tangent: Tangent) -> float:
 def softest_energy(body: ElasticBody, tangent: Tangent) -> float:
     """Return the strain energy of the softest motion, relative to that of its single nodes.
 
-    The motion comes from the factor by inverse iteration, its energy from its strains: those of a
-    mechanism are roundoff, so that their energy is the square of it, many digits below that of a
+    The motion comes from the factor by inverse iteration, its energy from its strains. The strains
+    of a mechanism are roundoff, so that their energy is its square, many digits below that of a
     part that is merely slender.
     """
     factor = tangent.factor
     motion = np.zeros((factor.unknowns, 1))
     motion[factor.weakest] = 1.0
     for _ in range(_POWER_STEPS):
-        with np.errstate(over="ignore", invalid="ignore"):  # checked below
+        # The code below checks for infinite numbers.
+        with np.errstate(over="ignore", invalid="ignore"):
             motion = factor.solve(motion)
         if not np.isfinite(motion).all() or not motion.any():
             return 0.0
@@ -219,7 +227,7 @@ def softest_energy(body: ElasticBody, tangent: Tangent) -> float:
 
 
 def unheld(subject: str, energy: float) -> SolveFailed:
-    """Return the error of a motion that elimination leaves without stiffness.
+    """Return the error of a motion without stiffness after elimination.
 
     subject: the part that moves.
     energy: relative strain energy of that motion.

@@ -1,1 +1,1 @@
-"""From a folder with ``component.toml`` to a checked bundle; builds no mesh."""
+"""Reading a folder with ``component.toml`` into a checked bundle, without building a mesh."""

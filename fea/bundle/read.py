@@ -1,7 +1,7 @@
 """Reading a component bundle: a folder with ``component.toml`` and the files it names.
 
-Every key is checked and every mistake reported, all at once. Nothing here builds a mesh, so the
-web process can read bundles too.
+Every key is checked, and all mistakes are reported at once. This module builds no mesh, so the web
+process can read bundles too.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ __all__ = ["Bundle", "BundleError", "BundleProblem", "bundle_of", "read_bundle"]
 
 FILE_NAME = "component.toml"
 
-_LINE = re.compile(r"\(at line (\d+), column (\d+)\)")  # of messages of tomllib
-_END = "(at end of document)"  # in its place
-_MAX_BYTES = 256 * 1024  # hundreds of faces chosen by number, of a geometry file
-# Begins where a word does, so that a long word is scanned once.
+_LINE = re.compile(r"\(at line (\d+), column (\d+)\)")  # place of a mistake in tomllib's messages
+_END = "(at end of document)"  # its place if the file ends too early
+_MAX_BYTES = 256 * 1024  # bytes: a geometry file with hundreds of faces chosen by number
+# Begins at the start of a word, so that a long word is scanned once.
 _LONG_KEY = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){32}""")
 _OR_HELD = ", or held = true in one [[interface]]: its reaction then balances the loads"
 _SOLVER_TABLES = ("material", "supports", "interface", "analysis")
@@ -61,8 +61,8 @@ def read_bundle(folder: str | Path) -> Bundle:
     Raises
     ------
     BundleError
-        If the folder has no ``component.toml`` or anything in it will not do; its `problems` name
-        every mistake by key or line.
+        If the folder has no ``component.toml`` or anything in it cannot be used; its `problems`
+        name every mistake by key or line.
     """
     folder = Path(folder)
     path = folder / FILE_NAME
@@ -76,7 +76,7 @@ def read_bundle(folder: str | Path) -> Bundle:
     if len(content) > _MAX_BYTES:
         message = f"is longer than {_MAX_BYTES} bytes; move data into files that it names"
         raise BundleError([BundleProblem(FILE_NAME, message)])
-    # The parser keeps the path to each part of a key: 23 GB for one of 100,000 parts.
+    # The parser stores the path to each part of a key: 23 GB for a key of 100,000 parts.
     if long_key := _LONG_KEY.search(content):
         line = content[: long_key.start()].count(b"\n") + 1
         message = "has a dotted name of more than 32 parts, which no key has; shorten the name"
@@ -96,9 +96,9 @@ def read_bundle(folder: str | Path) -> Bundle:
 
 
 def _syntax_problem(reason: str, text: str) -> BundleProblem:
-    """Place of a mistake in TOML, with the line as it is written."""
+    """Return the place of a mistake in TOML, with the line as it is written."""
     lines, at = text.splitlines() or [""], _LINE.search(reason)
-    if at is None and _END not in reason:  # Python's own refusal of such an integer
+    if at is None and _END not in reason:  # Python's own refusal of a too long integer
         message = "has an integer of more than 4300 digits; write it with an exponent, such as 2e9"
         return BundleProblem(FILE_NAME, message)
     number, place = (int(at[1]), f"column {at[2]}") if at else (len(lines), "at its end")
@@ -123,9 +123,9 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
 
 
 class _Reader:
-    """A parsed file on its way to a bundle, with the mistakes met so far.
+    """A parsed file on its way to a bundle, with the mistakes found so far.
 
-    Tables are read in turn, so that what they lack of each other is noted although others have
+    Tables are read in turn, so that contradictions between tables are noted even if others have
     mistakes.
     """
 
@@ -138,7 +138,7 @@ class _Reader:
         self.problems.append(BundleProblem(where, message))
 
     def read(self, name: str, kind: Any = None) -> Any:
-        """Return a top-level key's value; None if it is not there or will not do."""
+        """Return a top-level key's value; None if it is missing or cannot be used."""
         if name not in self.table:
             return None
         if self.table[name] is None:
@@ -148,7 +148,7 @@ class _Reader:
         return validated(kind, self.table[name], name, self.problems, self.folder)
 
     def read_each(self, name: str, kind: Any) -> list[Any]:
-        """Return the values of an array of tables, None for each that will not do."""
+        """Return the values of an array of tables, None for each that cannot be used."""
         values = self.table.get(name, [])
         if type(values) is not list:
             self.wrong(name, f"must be a list, not {shown(values)}; write it in brackets: [...]")
@@ -186,7 +186,7 @@ class _Reader:
         if analysis is not None and analysis.zero != "preloaded" and "bolt" not in self.table:
             self.wrong("analysis.zero", "has no effect without a [[bolt]]; leave it out")
         self.check_inputs(further, materials, interfaces)
-        # A range whose corners are too many to look at each.
+        # A range with too many corners to examine each.
         if loads is not None:
             count = len(loads.low) + len(further)
             if count > ALL_INPUTS:
@@ -216,7 +216,7 @@ class _Reader:
         }
 
     def check_keys(self) -> None:
-        """Note keys that are missing, unknown or of no use beside another."""
+        """Note keys that are missing, unknown or without effect beside another key."""
         keys = keys_of(ComponentFile)
         for name, info in keys.items():
             if name not in self.table and info.is_required():
@@ -261,7 +261,7 @@ class _Reader:
         return mesh
 
     def interfaces(self) -> list[Any]:
-        """Return every ``[[interface]]``; of a measured part they have no section."""
+        """Return every ``[[interface]]``; those of a measured part have no section."""
         measured = "mesh" not in self.table and "deck" not in self.table
         interfaces = self.read_each("interface", MeasuredInterface if measured else NamedInterface)
         if len(interfaces) == 1:
@@ -299,13 +299,13 @@ class _Reader:
             example = "force = [20, 20, 200] (N) and moment = [5, 5, 5] (N·m)"
             self.wrong("range", f"is missing; write [range] with, for example, {example}")
             return None
-        none = ((0.0, 0.0),) * len(FREEDOMS)  # of an interface that is held
+        none = ((0.0, 0.0),) * len(FREEDOMS)  # range of a held interface
         ends = [(*loads.force, *loads.moment) if loads else none for loads in ranges]
         low, high = np.concatenate(ends).T
         return DeclaredRange(low, high)
 
     def analysis(self, mesh: MeshSource | None) -> Analysis | None:
-        """Return ``[analysis]``; a component without it claims nothing, so: nonlinear.
+        """Return ``[analysis]``; without it a component is nonlinear, the weaker assumption.
 
         The integration of an input deck's 20-node hexahedra is the default of its component.
         """
@@ -328,7 +328,7 @@ class _Reader:
         return analysis
 
     def deck(self) -> Deck | None:
-        """Return ``[deck]``, the options of its reader checked."""
+        """Return ``[deck]``, after a check of its reader's options."""
         deck = self.read("deck")
         table = self.table.get("deck")
         output = table.get("output") if type(table) is dict else None
@@ -355,7 +355,7 @@ class _Reader:
         return deck and replace(deck, moment=deck.moment or reader.moment)
 
     def check_tables(self) -> None:
-        """Note tables that need each other; an interface that is held stands in for supports."""
+        """Note missing tables that others need; a held interface can replace supports."""
         for name in ("tie", "bolt", "spring"):
             if name in self.table and "deck" in self.table:
                 self.wrong(name, "cannot go with a [deck]; define it in the deck, not here")
@@ -377,7 +377,7 @@ class _Reader:
                 self.wrong(key, message)
 
     def check_deck(self, analysis: Analysis | None, interfaces: list[Interface | None]) -> None:
-        """Note entries of the other tables that do not apply to a deck."""
+        """Note entries of the other tables that have no effect with a deck."""
         if len(interfaces) > 1:
             message = "has several interfaces, but a [deck] may have one only; keep one"
             self.wrong("interface", message)
@@ -398,7 +398,7 @@ class _Reader:
         materials: list[AnyMaterial | None],
         interfaces: list[Interface | None],
     ) -> None:
-        """Note entries that a component with further inputs lacks or cannot have."""
+        """Note entries that a component with further inputs must or must not have."""
         names = [scalar.name for scalar in further]
         if further and "deck" in self.table:
             message = "cannot go with a [deck]; leave it out, or solve a [mesh] instead"

@@ -1,6 +1,6 @@
-"""The reference of ``component.toml``, made of its models: a JSON schema, and README's tables.
+"""The reference of ``component.toml``, generated from its models: JSON schema, README's tables.
 
-Run as a program it writes the tables of fea/README.md anew, each below the heading of its table.
+As a program this module rewrites the tables of fea/README.md, each below the heading of its table.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _tidy(part: Any) -> Any:
-    """Return a part of a schema without null, which TOML has not, and with examples as values."""
+    """Return a part of a schema without null, which TOML lacks, and with examples as values."""
     if isinstance(part, list):
         return [_tidy(item) for item in part if item != {"type": "null"}]
     if not isinstance(part, dict):
@@ -58,7 +58,7 @@ def _tidy(part: Any) -> Any:
 
 @cache
 def descriptions(cls: type) -> dict[str, str]:
-    """Return the description of each key of a model: the texts below its fields in the source."""
+    """Return the description of each key of a model: the text below its field in the source."""
     texts: dict[str, str] = {}
     for base in reversed(cls.__mro__[:-1]):
         (source,) = ast.parse(inspect.getsource(base)).body
@@ -70,7 +70,8 @@ def descriptions(cls: type) -> dict[str, str]:
     return {key: texts[names.get(key, key)] for key in keys_of(cls)}
 
 
-_OURS = ("toml", "absent", "write", "among", "title")  # of `key` and pydantic, not for a schema
+# Metadata of `key` and pydantic that is left out of a schema.
+_OURS = ("toml", "absent", "write", "among", "title")
 
 
 def tables() -> dict[str, list[type]]:
@@ -91,14 +92,14 @@ def tables() -> dict[str, list[type]]:
 
 
 def _has_single(kind: Any) -> bool:
-    """Return whether a type is, or may be, one table and not an array of them."""
+    """Return whether a type is, or may be, a single table and not an array of tables."""
     if get_origin(kind) is tuple:
         return False
     return is_dataclass(kind) or any(map(_has_single, get_args(kind)))
 
 
 def _fields(classes: list[type]) -> dict[str, list[FieldInfo]]:
-    """Return the fields of each key of the models that stand for one table."""
+    """Return the fields of each key of the models that share a table."""
     fields: dict[str, list[FieldInfo]] = {}
     for cls in classes:
         for key, info in keys_of(cls).items():
@@ -120,6 +121,7 @@ def rows(classes: list[type]) -> Iterator[str]:
 
 
 def _default(info: FieldInfo) -> str:
+    """Return a key's default as text: a value, "required", or the text for its absence."""
     if absent := extra_of(info).get("absent"):
         return absent
     if info.is_required():
@@ -131,7 +133,7 @@ def _default(info: FieldInfo) -> str:
 
 
 def page(text: str) -> str:
-    """Return README's text with the tables of its reference as the models have them."""
+    """Return README's text with its tables of the reference regenerated from the models."""
     for heading, classes in tables().items():
         pattern = rf"(?m)(^### {re.escape(heading)}\n(?:(?!^[|#]).*\n)*)(?:^\|.*\n)*"
         table = "".join(f"{line}\n" for line in rows(classes))

@@ -1,6 +1,6 @@
-"""Where the components that come with the program are."""
+"""The folder of the components that the program ships."""
 
 from pathlib import Path
 
-# In a checkout a link to data/components, where an engineer expects them.
+# In a checkout this is a link to data/components, where engineers look for them.
 SHIPPED = (Path(__file__).parents[2] / "components").resolve()

@@ -1,6 +1,6 @@
 """The commands ``wrenchbook check``, ``converge``, ``condense`` and ``new``.
 
-A process of the service runs them as a child, so it never imports finite elements itself.
+A process of the service runs them in a child process, so the service never imports finite elements.
 """
 
 from __future__ import annotations
@@ -31,10 +31,11 @@ from wrenchbook.fea.spec.mesh_source import UNITS
 from wrenchbook.fea.spec.problems import BundleError
 
 _SHOWN = 5  # frequencies that `condense` prints; the file has all
-_MAX_FIRST_NODE = 89_999_999  # of eight digits in Nastran: 10 million are left for frames and modes
+# Largest first node: eight digits in Nastran, less 10 million for frames and modes.
+_MAX_FIRST_NODE = 89_999_999
 
 Reply = tuple[int, Mapping[str, Any], str]
-"""The exit status, the line of JSON, and the text in its place."""
+"""The exit status, the JSON-able reply, and the text in its place."""
 
 
 def check(options: argparse.Namespace) -> Reply:
@@ -61,7 +62,7 @@ def check(options: argparse.Namespace) -> Reply:
     return int(not summary["ok"]), summary, as_text(summary)
 
 
-# A module of the service's page, which plotly puts into a plain script.
+# A module of the service's page; plotly embeds it as a plain script.
 _PRESSED = Path(__file__).with_name("pressed.js").read_text("utf-8").removeprefix("export ")
 _CLICK = f"""{_PRESSED}
 const line = document.createElement("pre");
@@ -106,7 +107,7 @@ def new(options: argparse.Namespace) -> Reply:
 
 
 def condense(options: argparse.Namespace) -> Reply:
-    """Write a part as stiffness and mass of its frames and modes."""
+    """Write a part as stiffness and mass for its frames and modes."""
     wanted = f"{options.out}: name a file that ends in .npz, .pch (Nastran) or .mtx (Abaqus)"
     _check_output(options, options.out, (".npz", ".pch", ".mtx"), wanted)
     if not 0 <= options.damping < 1:
@@ -144,7 +145,7 @@ def converge(options: argparse.Namespace) -> Reply:
 
 
 def _study_text(study: dict[str, Any]) -> str:
-    """Return a line a mesh, the order, and what the component's mesh lacks of each response."""
+    """Return a line for each mesh, the order, and each response's error on the component's mesh."""
     rows = [("response, SI", study["outputs"])]
     for count, size, values in zip(study["nodes"], study["sizes"], study["values"], strict=True):
         rows.append((f"{count} nodes, {1e3 * size:.4g} mm", [f"{value:.6g}" for value in values]))
@@ -162,7 +163,7 @@ def _study_text(study: dict[str, Any]) -> str:
 
 
 def write_plot(study: dict[str, Any], page: Path) -> None:
-    """Draw each response's distance to its limit, or to the finest mesh, over the cells' size."""
+    """Draw each response's distance from its limit, or the finest mesh, over the cells' size."""
     figure = go.Figure()
     for i, name in enumerate(study["outputs"]):
         values = [row[i] for row in study["values"]]
@@ -185,7 +186,7 @@ def _check_plot(options: argparse.Namespace) -> None:
 def _check_output(
     options: argparse.Namespace, file: Path, endings: tuple[str, ...], wanted: str
 ) -> None:
-    """End with a usage error if a file to write has another ending, or no folder."""
+    """End with a usage error if an output file has a wrong ending, or its folder is missing."""
     if file.suffix.lower() not in endings:
         options.usage_error(wanted)
     if not file.absolute().parent.is_dir():
@@ -206,7 +207,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status, reply = 1, {"error": {"title": type(error).__name__, "detail": text}}
     try:
         print(json.dumps(reply) if options.json else text, flush=True)
-    except BrokenPipeError:  # `| head` has read enough; the interpreter's own flush fails too
+    except BrokenPipeError:  # `| head` closed the pipe; the interpreter's own flush would fail too
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return status
 
@@ -220,6 +221,7 @@ def _text_of(error: Exception) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
     parser = argparse.ArgumentParser(prog="wrenchbook")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
 

@@ -24,29 +24,32 @@ from wrenchbook.fea.linalg.nested_dissection import dissect
 
 Array = np.ndarray
 
-# Fitted to the solves above, on one core.
-_START_SECONDS = 0.04  # of any solve
-_ENTRY_SECONDS = 4.3e-8  # to assemble an entry of a cell's matrix
-_ORDER_SECONDS = 2.3e-6  # to order a cell in each of log2(cells) bisections
+# Fitted to the solves of the module's docstring, on one core.
+_START_SECONDS = 0.04  # s of any solve
+_ENTRY_SECONDS = 4.3e-8  # s to assemble an entry of a cell's matrix
+_ORDER_SECONDS = 2.3e-6  # s to order a cell in each of log2(cells) bisections
 _OPERATIONS_PER_SECOND = 22e9  # multiply-adds of the factorisation, in double precision
-_PROCESS_BYTES = 100e6  # of a process without a mesh
-_NUMBER_BYTES = 9  # of a number that the factor holds, in double precision: 8 alone
-_ENTRY_BYTES = 8  # of an entry of a cell's matrix
+_PROCESS_BYTES = 100e6  # memory of a process without a mesh
+# Memory of a number in the factor, in double precision: the number itself takes 8.
+_NUMBER_BYTES = 9
+_ENTRY_BYTES = 8  # memory of an entry of a cell's matrix
 
 _SINGLE_PRECISION = 0.5
-"""Bytes and time of a linear solve's factor above `SINGLE_NUMBERS`, over those in double."""
-_NONLINEAR = 2.5  # times the work of a linear solve: 3 to 6 iterations; up to 20 by load and part
-_PROJECTED = 2.0  # times that where pressure is a separate unknown: more, and larger, matrices
+"""Bytes and time of a linear solve with a factor above `SINGLE_NUMBERS`, over those in double
+precision.
+"""
+_NONLINEAR = 2.5  # ratio to a linear solve's work: 3 to 6 iterations; up to 20 by load and part
+_PROJECTED = 2.0  # further factor if pressure is a separate unknown: more, and larger, matrices
 
 
 class Cost(TypedDict):
     """Time and memory of one solve."""
 
-    unknowns: int  # without nodes that are fixed or follow others
+    unknowns: int  # without those of nodes that are fixed or dependent
     linear_seconds: float
     nonlinear_seconds: float
     memory_bytes: int
-    basis: str  # a sentence
+    basis: str  # a sentence on the basis of the estimate
 
 
 def estimate(component: ComponentModel) -> Cost:
@@ -61,7 +64,7 @@ def estimate(component: ComponentModel) -> Cost:
     precision = _SINGLE_PRECISION if numbers > SINGLE_NUMBERS else 1.0
     factors = 2 if component.bolts else 1  # one more while bolts are tightened
     linear = factors * (assembly + precision * factorisation)
-    # Whether some cells take the pressure as a separate unknown.
+    # Whether some cells have the pressure as a separate unknown.
     projects = bool({"hex20", "hex27"} & set(component.mesh.cell_counts)) and any(
         material.law != "orthotropic" and np.max(material.poisson_ratio) > NEARLY_INCOMPRESSIBLE
         for material in component.materials
@@ -81,7 +84,7 @@ def estimate(component: ComponentModel) -> Cost:
 
 
 def _free_nodes(component: ComponentModel) -> Array:
-    """Return whether each node has unknowns, shape (n,): no support and no other node moves it."""
+    """Return whether each node has unknowns, shape (n,): it is not fixed and not dependent."""
     free = np.ones(len(component.mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
     for attached in (*component.interfaces, *component.frames):
@@ -93,7 +96,7 @@ def _free_nodes(component: ComponentModel) -> Array:
 
 
 def _nodes_of_cells(component: ComponentModel) -> list[Array]:
-    """Return the nodes that move each cell, for cells moved by as many, each of shape (m, s)."""
+    """Return the nodes that move each cell, in groups of equal number, each of shape (m, s)."""
     blocks, dependents = [block.nodes for block in component.mesh.blocks], component.mesh.dependents
     if dependents is None:
         return blocks
@@ -108,9 +111,9 @@ def _nodes_of_cells(component: ComponentModel) -> list[Array]:
 
 
 def _elimination(points: Array, groups: list[Array], free: Array) -> tuple[float, float]:
-    """Return the multiply-adds of a factorisation, and the numbers that its factor holds.
+    """Return the multiply-adds of a factorisation, and the numbers in its factor.
 
-    A front that eliminates m of m + b unknowns takes m^3/3 + m^2 b + m b^2 multiply-adds and holds
+    A front that eliminates m of m + b unknowns takes m^3/3 + m^2 b + m b^2 multiply-adds and has
     m^2/2 + m b numbers.
     """
     cells = [nodes for group in groups for nodes in group]

@@ -1,4 +1,4 @@
-"""Differences between a component and the input deck that its mesh comes from."""
+"""Differences between a component and the input deck of its mesh."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 
-_SAME = 1e-3  # relative: decks write constants to three digits and more
-_MAX_TURNED = 0.5  # part of nodes whose directions may differ: on a cylinder's axis any are right
-_NEAR = 1e-6  # of the mesh's size: two points coincide
+_SAME = 1e-3  # relative: decks write constants with three digits and more
+# Part of the nodes whose directions may differ: on a cylinder's axis all are right.
+_MAX_TURNED = 0.5
+_NEAR = 1e-6  # part of the mesh's size: two points coincide
 _SOLID = re.compile(r"(C3D\d+)([A-Z]*)")
 _COMPARED = (
     "shear_modulus",
@@ -43,18 +44,19 @@ def listing(deck: DeckContent) -> dict[str, Any]:
     """Return the lines of each keyword that is read or compared, and ignored, and the elements.
 
     Result: ``read`` and ``ignored``: line numbers by keyword. ``elements``: by type, their number
-    and what else they are than in the deck, often nothing.
+    and the element solved in their place, if it differs.
     """
     elements = {name: {"count": n, "instead": _instead(name)} for name, n in deck.elements.items()}
     read, ignored = (
-        {word: sorted(set(lines)) for word, lines in lines_of.items()}  # of all instances of a part
+        # The lines of all instances of a part.
+        {word: sorted(set(lines)) for word, lines in lines_of.items()}
         for lines_of in (deck.taken, deck.ignored)
     )
     return {"read": read, "ignored": ignored, "elements": elements}
 
 
 def _instead(name: str) -> str:
-    """Name the element solved in place of a deck's; empty where it is the same."""
+    """Return the element that is solved in place of a deck's; empty if it is the same."""
     solid = _SOLID.fullmatch(name)
     if solid is None:
         return ""
@@ -69,7 +71,7 @@ def _instead(name: str) -> str:
 
 
 def contradictions(component: ComponentModel) -> list[BundleProblem]:
-    """Return the contradictions of a component and its deck, and what of the deck it leaves out."""
+    """Return contradictions of a component to its deck, and contents of the deck that it lacks."""
     deck = component.mesh.deck
     if deck is None:
         return []
@@ -95,14 +97,14 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
         + [text for spring in case.springs for text in _unsprung(component, spring)]
         for case in deck.cases
     ]
-    messages += min(cases, key=len)  # a component is of one case of its deck
+    messages += min(cases, key=len)  # a component is one case of its deck
     return [BundleProblem("mesh.file", text) for text in messages]
 
 
 def _other_material(
     component: ComponentModel, deck: DeckContent, section: SolidSection
 ) -> Iterator[str]:
-    """Yield the constants and directions of a section's material that the component has not."""
+    """Yield the constants and directions of a section's material that the component lacks."""
     cells = component.mesh.regions.get(section.region, ())
     numbers = [value[c] for value, c in zip(component.material_of_cells, cells, strict=False)]
     unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
@@ -122,7 +124,7 @@ def _other_material(
             value = getattr(material, three if orthotropic else key)
             other = np.multiply(constants[key], in_si(key, unit))
             if value is None and key == "yield_strength":
-                continue  # named with *PLASTIC itself
+                continue  # *PLASTIC is listed by itself
             if value is None or np.abs(value - other).max() > _SAME * np.abs(other).max():
                 there = "none"
                 if value is not None:
@@ -140,7 +142,7 @@ def _listed(values: Any, digits: int = 4) -> str:
 def _turned(
     component: ComponentModel, section: SolidSection, material: Orthotropic, start: str, unit: str
 ) -> Iterator[str]:
-    """Compare the directions of a material with those of the deck at the nodes of the section."""
+    """Yield differences of a material's directions from the deck's at the section's nodes."""
     mesh, axes = component.mesh, section.orientation or np.eye(3).ravel()
     cells = zip(mesh.blocks, mesh.regions[section.region], strict=True)
     points = mesh.points[np.unique(np.concatenate([b.nodes[c].ravel() for b, c in cells]))]
@@ -156,7 +158,7 @@ def _turned(
 
 def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
     """Yield the number of nodes that are free in a direction in which the deck holds them."""
-    nodes = group_nodes(component.mesh, "", group.group, [])  # none if the mesh has no such group
+    nodes = group_nodes(component.mesh, "", group.group, [])  # empty if the mesh has no such group
     nodes = np.setdiff1d(nodes, component.fixed_nodes)
     held = [attached for attached in component.interfaces if attached.locked == FREEDOMS]
     for interface in (*held, *(bushing for bushing, _ in component.bushings)):
@@ -175,7 +177,7 @@ def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
 
 
 def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
-    """Yield how a coupling of the deck differs from the component's of the same nodes."""
+    """Yield differences of a coupling of the deck from the component's with the same nodes."""
     nodes = group_nodes(component.mesh, "", group.group, [])
     attached = [*component.interfaces, *component.frames]
     same = [
@@ -199,7 +201,7 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
 
 
 def _unsprung(component: ComponentModel, spring: DeckSpring) -> Iterator[str]:
-    """Yield how a spring of the deck, (6, 6), differs from the component's of the same groups."""
+    """Yield differences of a spring of the deck, (6, 6), from that of the component's groups."""
     ends = [replace(end, point=spring.ends[0].point) for end in spring.ends]
     yield from (text for end in ends for text in _uncoupled(component, end))
     groups = {group_nodes(component.mesh, "", end.group, []).tobytes() for end in ends}

@@ -1,18 +1,18 @@
 """Bodies of a mesh that supports, couplings and springs do not hold.
 
-They follow from the nodes alone. Each body of the mesh counts as rigid, which it is
-at most, so every motion found here is a mechanism of the real part too; nothing is assembled or
-factorised. A body's motion is q = (t, L theta) about the mesh's centre with L the mesh's size, and
-moves a node at x by
+They follow from the nodes alone. Each body of the mesh counts as rigid, the stiffest case, so every
+motion of this model is a mechanism of the real part too; no matrix is assembled or factorised. A
+body's motion is q = (t, L theta) about the mesh's centre with L the mesh's size, and moves a node
+at x by
 
     N(x) q = t + theta x (x - centre).
 
-Supports say N q = 0, nodes that two bodies share say N q_1 = N q_2, a rigid coupling says the same
-of section and interface, a distributed coupling that the interface moves as the section does in the
-mean (least squares), and locked freedoms hold the interface; each of several likewise. A bushing is
-coupled to its group as an interface is, and held where its spring resists; so are the ends of a
-joint to each other. What satisfies all of this is the null space of a small dense matrix. While
-bolts are tightened the two sides of a cut shift along its axis.
+Supports give N q = 0, nodes that two bodies share N q_1 = N q_2. A rigid coupling gives the same
+for section and interface; a distributed coupling moves the interface as the section moves in the
+mean (least squares); locked freedoms hold the interface. With several interfaces each has these
+equations. A bushing is coupled to its group as an interface is, and held where its spring resists;
+so are the ends of a joint to each other. The motions that satisfy all equations are the null space
+of a small dense matrix. While bolts are tightened the two sides of a cut shift along its axis.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 
-_MAX_BODIES = 40  # checked and listed: the equations' matrix is dense, with six columns a body
-_MAX_REPORTED = 5  # free bodies; the message counts the others
+# Bodies that are checked and listed: the equations' matrix is dense, with six columns a body.
+_MAX_BODIES = 40
+_MAX_REPORTED = 5  # free bodies in the report; the message counts the others
 
 
 def listed_bodies(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
@@ -49,7 +50,7 @@ def listed_bodies(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
 def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
     """Return a problem for each body that supports and coupling do not hold.
 
-    bodies: of the component's mesh before bolts are cut.
+    bodies: those of the component's mesh before bolts are cut.
     pairs: shape (k, 2), int64: indices of coincident nodes (`fea.inspection.coincident_nodes`).
     """
     if bodies.count > _MAX_BODIES:
@@ -95,6 +96,7 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
 
 
 def _motions_text(component: ComponentModel, motions: Array) -> str:
+    """Return the motions (k, 6) of a free body as text."""
     if len(motions) == 6:
         return "it can move in all six directions, because nothing holds it"
     points = component.mesh.points
@@ -105,7 +107,7 @@ def _motions_text(component: ComponentModel, motions: Array) -> str:
 
 
 def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
-    """Describe the contact of a free body with the others: none, at shared or coincident nodes."""
+    """Describe a free body's contact with others: none, at shared or at coincident nodes."""
     mine_nodes = bodies.nodes[number]
     others = [n for n in range(bodies.count) if n != number]
     shared = {n: len(np.intersect1d(mine_nodes, bodies.nodes[n])) for n in others}
@@ -128,14 +130,14 @@ def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
 
 
 _ZERO = 1e-7
-"""Singular value, relative to the largest, that counts as none."""
+"""Singular value, relative to the largest, that counts as zero."""
 
 _ZERO_STIFFNESS = 1e-14  # eigenvalue relative to the largest; smaller ones are roundoff
-_ZERO_PART = 1e-6  # of a motion of length 1: smaller parts of it are roundoff of the null space
+_ZERO_PART = 1e-6  # part of a motion of length 1: smaller components are roundoff of the null space
 
 
 def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
-    """Return for each body the motions left to it.
+    """Return the free motions of each body.
 
     Result: each of shape (k, 6), m: translation of the mesh's centre and rotation times the mesh's
     size, orthonormal; k = 0 for a body without free motion.
@@ -175,9 +177,9 @@ def describe(motion: Array, centre: Array, extent: float) -> str:
 
 
 def simplest(motions: Array) -> Array:
-    """Return motions, shape (k, 6), of the same space: about and along axes as far as they can.
+    """Return motions, shape (k, 6), of the same space, along and about single axes where possible.
 
-    By row reduction, rotations first, so what only slides comes last.
+    By row reduction, rotations first, so that pure translations come last.
     """
     rows, done = motions.copy(), 0
     for column in (3, 4, 5, 0, 1, 2):
@@ -198,7 +200,7 @@ class _Equations:
     """Rows of a matrix over the motions of all bodies, interfaces and frames, six columns each.
 
     centre, extent: of the mesh, (3,), m, and m; rows: the matrix so far, each part (k, columns).
-    owner: shape (n,): the body of each node, the first of several; -1 for a node of none.
+    owner: shape (n,): the body of each node, the first of several; -1 for a node of no body.
     """
 
     def __init__(self, component: ComponentModel, bodies: Bodies) -> None:
@@ -225,11 +227,12 @@ class _Equations:
                 self._add({number: _condensed(rows.reshape(-1, 6))})
 
     def join_bodies(self) -> None:
-        """Let shared nodes move alike in their bodies, and dependent ones as what they follow."""
+        """Let shared nodes move alike in their bodies, and dependent nodes as their masters."""
         if self.bodies.count == 1:
             return
         if (dependents := self.component.uncut_mesh.dependents) is not None:
-            # How the motions of all bodies move dependent nodes less what these follow.
+            # The motions of dependent nodes less those that their masters give, by the motions of
+            # all bodies.
             size = len(self.component.uncut_mesh.points)  # without cuts, as these dependents
             moves = np.zeros((size, 3, 6 * self.bodies.count))
             for number, nodes in enumerate(self.bodies.nodes):
@@ -244,7 +247,10 @@ class _Equations:
                 self._add({number: moves, other: -moves})
 
     def tie_interface(self, attached: AttachedInterface, interface: int) -> None:
-        """Tie an interface, the motion of that number, to its section; hold locked freedoms."""
+        """Tie an interface, whose motion has the index `interface`, to its section.
+
+        Hold locked freedoms.
+        """
         section = attached.section
         owner = self.owner[section.node_ids]
         moves_of = {n: self._moves(section.node_ids[owner == n]) for n in np.unique(owner).tolist()}
@@ -263,11 +269,11 @@ class _Equations:
             self._add({interface: self._freedoms(attached)[FREEDOMS.index(name)][None]})
 
     def join_cuts(self) -> None:
-        """Let the sides of bolts' cuts, if they are two bodies', shift along the axis alone."""
+        """Let the sides of bolts' cuts shift along the axis alone, if they belong to two bodies."""
         for bolt in self.component.bolts:
             pairs = self.owner[np.stack([bolt.nodes, bolt.copies])]
             for low, high in np.unique(pairs, axis=1).T.tolist():
-                if high in (-1, low):  # of the mesh without cuts; or joined elsewhere
+                if high in (-1, low):  # nodes of the mesh without cuts, or joined elsewhere
                     continue
                 nodes = bolt.nodes[(pairs[0] == low) & (pairs[1] == high)]
                 moves = self._moves(nodes).reshape(-1, 3, 6)
@@ -284,7 +290,7 @@ class _Equations:
         self._add({ends[-1]: rows} | ({ends[0]: -rows} if ends[1:] else {}))
 
     def _freedoms(self, attached: AttachedInterface) -> Array:
-        """Return ux to rz of a point by a motion, (6, 6), the rotations times the mesh's size."""
+        """Return ux to rz of a point for a motion, (6, 6), the rotations times the mesh's size."""
         turns = np.concatenate([np.zeros((3, 3)), attached.axes], axis=1)
         return np.concatenate([attached.axes @ self._moves_of(attached.point[None]), turns])
 
@@ -310,7 +316,7 @@ class _Equations:
         return moves.reshape(-1, 6)
 
     def _add(self, blocks: dict[int, Array]) -> None:
-        """Add rows, zero but for blocks of columns that begin at the motion of each number."""
+        """Add rows that are zero except for blocks of columns, by the index of their motion."""
         count = self.bodies.count + len(self.component.interfaces) + len(self.component.frames)
         rows = np.zeros((len(next(iter(blocks.values()))), 6 * count))
         for number, block in blocks.items():

@@ -1,7 +1,7 @@
 """A proposed component of an input deck: ``wrenchbook new``.
 
-The deck's materials, supports, couplings and loads become lines of ``component.toml``. What it
-lacks gets a value to start from, and a comment ``# DECIDE``.
+The deck's materials, supports, couplings and loads become lines of ``component.toml``. Missing
+values get a starting value, and a comment ``# DECIDE``.
 """
 
 from __future__ import annotations
@@ -42,24 +42,27 @@ _TRANSLATORS: dict[str, Callable[[DeckText], Translated]] = {
 }
 _INCLUDE = re.compile(r"^[ \t]*(/INPUT,|\*USE,)[^!\n]*", re.I | re.M)
 _FACES = "`wrenchbook check FOLDER --faces` lists its faces, with lines for [mesh.groups]"
-_CHOOSE = "CHOOSE"  # a group that no mesh has: `check` then lists those there are
+_CHOOSE = "CHOOSE"  # a group that no mesh has, so that `check` lists the groups of the mesh
 _UNIT_BY_MODULUS = ((1e8, "m"), (2e6, "in"), (-1.0, "mm"))
-"""Young's moduli above which a deck's unit is likely: few in Pa are below 1e8, none in MPa is above
-2e6 (diamond 1.2e6), and metals in psi are between (magnesium 6.5e6, aluminium 1e7, steel 3e7)."""
-_IN_KILOGRAMS = 25.0  # kg/m³, foams too; t/mm³ and pounds of any kind an inch³ are below 1
-_IN_SLINCHES = (3e-5, 9e-4)  # lbf·s²/in⁴, plastics 1e-4, steel 7e-4; g/mm³ are above, kg/mm³ below
-_MAX_CASES = 12  # in one line of `decide`
+"""Young's moduli from which a deck's unit is likely: few in Pa are below 1e8, none in MPa is above
+2e6 (diamond 1.2e6), and metals in psi are between (magnesium 6.5e6, aluminium 1e7, steel 3e7).
+"""
+# Least density in kg/m³, that of foams; t/mm³ and pounds of any kind an inch³ are below 1.
+_IN_KILOGRAMS = 25.0
+# Densities in lbf·s²/in⁴: plastics 1e-4, steel 7e-4; g/mm³ are above, kg/mm³ below.
+_IN_SLINCHES = (3e-5, 9e-4)
+_MAX_CASES = 12  # load cases in one line of `decide`: more would be unreadable
 _ELASTIC = ("youngs_modulus", "poisson_ratio")
-_FORCE, _LEVER = 100.0, 0.1  # N and m, where the deck has no load
-_EXACT = 15  # digits of points, axes and stiffnesses: as many as a double holds for sure
+_FORCE, _LEVER = 100.0, 0.1  # N and m: starting values if the deck has no load
+_EXACT = 15  # digits of points, axes and stiffnesses: as many as a double has in any case
 
 
 class _Proposal:
-    """The lines of a component, and what is open.
+    """The lines of a component, and its open values.
 
     mesh, deck, unit: the deck's mesh, its other contents, and its length unit.
-    groups: names of facet and node groups of the mesh. case: the load case that is taken over.
-    decide: values that the deck does not give. skipped: contents that are not taken over.
+    groups: names of facet and node groups of the mesh. case: the proposed load case.
+    decide: values that the deck lacks. skipped: contents that the proposal leaves out.
     """
 
     def __init__(self, mesh: Mesh, unit: str, case: str | None) -> None:
@@ -123,7 +126,7 @@ class _Proposal:
         ]
 
     def integration(self, first: bool) -> list[str]:
-        """Return full integration for cells that follow each other singly, else nothing.
+        """Return full integration for cells that are stacked singly, else nothing.
 
         first: whether cells are of first order, and so get midside nodes.
         """
@@ -135,7 +138,7 @@ class _Proposal:
         return ['integration = "full"']
 
     def materials(self) -> list[str]:
-        """Return a material for each section, or for "all" if they are of one and fill the mesh."""
+        """Return a material for each section, or a single one for "all" if it fills the mesh."""
         sections = [
             section for section in self.deck.sections if section.region in self.mesh.regions
         ]
@@ -224,7 +227,7 @@ class _Proposal:
         return lines
 
     def interfaces(self) -> list[str]:
-        """Return each coupling that is free, else the group with forces, as an interface."""
+        """Return each free coupling as an interface, else the group with forces."""
         groups = [coupled for coupled in self.case.couplings if coupled.group in self.groups]
         sections = {coupled.group for coupled in groups}
         if not groups:
@@ -272,7 +275,7 @@ class _Proposal:
         return lines
 
     def range(self, group: CoupledGroup) -> list[str]:
-        """Return plus and minus the largest force and moment; one that is 0, by `_LEVER`."""
+        """Return plus and minus the largest force and moment; a zero one follows from `_LEVER`."""
         force = max(map(abs, group.loads[:3])) * in_si("force", self.unit)
         moment = max(map(abs, group.loads[3:])) * in_si("moment", self.unit)
         is_complete = force and moment
@@ -298,9 +301,10 @@ def propose(
     folder: a folder to write, without a ``component.toml``.
     unit: the deck's length unit, a key of `fea.spec.mesh_source.UNITS`; None guesses mm, in or m by
     the elastic constants and densities.
-    case: the step, load case or subcase whose supports and loads are taken over; None for the last.
-    Returns ``files`` written, ``left``: what is not taken over, ``decide``: what the deck does not
-    give, and ``check``: the report on the proposal.
+    case: the step, load case or subcase with the supports and loads to use; None for the last.
+    Returns ``files`` written, ``left``: contents that are left out, ``decide``: values that the
+    deck lacks, and ``check``: the report on the proposal.
+
     Raises BundleError if the deck cannot be read or lacks the case, or the folder has a component
     or another deck of this name.
     """
@@ -310,7 +314,7 @@ def propose(
     deck = folder / f"{file.stem}.inp"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if deck.exists() and deck.read_bytes() != text.encode():  # a second try writes the same
+        if deck.exists() and deck.read_bytes() != text.encode():  # a second run writes the same
             message = f"has another {deck.name}, which is left as it is; name a new folder"
             raise BundleError([BundleProblem(str(folder), message)])
         deck.write_text(text, encoding="utf-8")
@@ -323,7 +327,7 @@ def propose(
         proposal.unit, why = _guessed_unit(proposal.deck)
         proposal.decide.append(why)
     lines = proposal.lines(_name(file.stem), deck.name)
-    # Notes name lines: of the deck that is written, if that is not the file.
+    # Notes name lines of the deck that is written, which may differ from the file.
     prefix = "" if deck.name == file.name else f"{deck.name}, "
     skipped += [*proposal.skipped, *(f"{prefix}{note}" for note in proposal.deck.notes)]
     notes = [f"# DECIDE: {note}" for note in proposal.decide]
@@ -334,7 +338,7 @@ def propose(
 
 
 def _guessed_unit(deck: DeckContent) -> tuple[str, str]:
-    """Return the likely length unit of a deck, by its moduli and densities, and why."""
+    """Return the probable length unit of a deck, by its moduli and densities, and the reason."""
 
     def largest(key: str) -> float:
         values = [np.max(material.get(key, 0.0)) for material in deck.materials.values()]
@@ -352,7 +356,7 @@ def _guessed_unit(deck: DeckContent) -> tuple[str, str]:
 
 
 def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
-    """Return an Abaqus deck, the file's contents that it lacks, and values the file leaves open.
+    """Return an Abaqus deck, the file's contents that it lacks, and values that are undecided.
 
     Raises BundleError if the file cannot be read.
     """

@@ -1,6 +1,6 @@
 """The report on a bundle as text for people.
 
-Each part of the text yields its lines, none if the report does not get as far.
+Each part of the text yields its lines, none if the report lacks its values.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS
 
-_MAX_LINES = 60  # of bodies, and of faces: a screen
+_MAX_LINES = 60  # lines of bodies, and of faces: a screen
 
 
 def as_text(report: Mapping[str, Any]) -> str:
@@ -34,7 +34,7 @@ def as_text(report: Mapping[str, Any]) -> str:
 
 
 def _source(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a deck that solves in place of the embedded solver, and bodies and faces of a file."""
+    """Yield a deck that replaces the embedded solver, and bodies and faces of a file."""
     if deck := report.get("deck"):
         program = deck["program"] or "a program that is not here"
         yield (
@@ -70,7 +70,7 @@ def _faces(faces: list[dict[str, Any]]) -> Iterator[str]:
 
 
 def _mesh(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield cells, parts, the deck that they come from, groups, and the worst shapes."""
+    """Yield cells, parts, their deck, groups, and the worst shapes."""
     if "cells" not in report:
         return
     cells = ", ".join(f"{count} {kind}" for kind, count in report["cells"].items())
@@ -98,6 +98,7 @@ def _mesh(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _materials(report: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a line for each material."""
     for material in report.get("materials", []):
         law, young = material["law"], f"E = {material['youngs_modulus']:.4g} Pa"
         if law == "orthotropic":
@@ -113,7 +114,7 @@ def _materials(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _set_up(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what the bundle attaches to the mesh: supports, ties, joints, inputs, interfaces."""
+    """Yield supports, ties, joints, inputs and interfaces."""
     if (supports := report.get("supports")) is None:
         return
     sliding = f", {supports['sliding_nodes']} sliding" if "sliding_nodes" in supports else ""
@@ -165,7 +166,7 @@ _AT_REST = {
     "preloaded": ("self-weight moves", "as its bolts are tightened, without its weight"),
     "untightened": ("preload, and self-weight if any, move", "before its bolts are tightened"),
 }
-"""By the zero of displacement: the cause of a displacement at no load, and the part at zero."""
+"""For each zero of displacement: the cause of a displacement at no load, and the part at zero."""
 
 
 def _trial(report: Mapping[str, Any]) -> Iterator[str]:
@@ -199,7 +200,7 @@ def _trial(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _error_bars(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the error bar of the mesh at the full range, and its part by straight edges."""
+    """Yield the error bar of the mesh at the full range, and the part of it by straight edges."""
     if (error := report.get("solver_error")) is None:
         return
     if error["mesh"] is None:
@@ -274,7 +275,7 @@ def _of_yield(stress: float, strength: float | None) -> str:
 def _by_interface(report: Mapping[str, Any], values: list[float]) -> list[tuple[str, list[float]]]:
     """Return six values of each interface with its name, empty for a single interface."""
     names = [section["name"] for section in report.get("sections", [])] or [""]
-    each = len(FREEDOMS)  # values of an interface
+    each = len(FREEDOMS)  # number of values of an interface
     starts = range(0, len(values), each)
     return [(name, values[i : i + each]) for name, i in zip(names, starts, strict=True)]
 
@@ -286,7 +287,7 @@ def _vectors(values: list[float], digits: str) -> tuple[str, str]:
 
 
 def _vector(vector: Sequence[float]) -> str:
-    """Write a point or direction; numbers 12 digits below the largest are roundoff, so 0."""
+    """Write a point or direction; numbers 12 digits below the largest are roundoff and become 0."""
     least = 1e-12 * max(1.0, *map(abs, vector))
     texts = [f"{x if abs(x) > least else 0.0:.5g}" for x in vector]
     return f"({', '.join(texts)})"
@@ -300,9 +301,9 @@ def _time(seconds: float) -> str:
     return f"{_two_digits(minutes)} min" if minutes < _EXPONENT else f"{_two_digits(hours)} h"
 
 
-_EXPONENT = 99.5  # from here on two digits are written as 1e+02
+_EXPONENT = 99.5  # from this value on two digits would be written as 1e+02
 
 
 def _two_digits(value: float) -> str:
-    """Write two digits, or all before the point."""
+    """Write two digits, or all digits before the point."""
     return f"{value:.2g}" if value < _EXPONENT else f"{value:.0f}"

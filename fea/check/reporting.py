@@ -47,8 +47,8 @@ from wrenchbook.fea.spec.keys import keys_of, kind_of, validated
 from wrenchbook.fea.spec.mesh_source import GEOMETRY_ENDINGS
 from wrenchbook.fea.spec.problems import BundleProblem
 
-# Of a linear solve, for an estimate of the solver's error too: that takes up to three solves more,
-# and beside them the memory of a coarser mesh.
+# Largest estimated time of a linear solve, s, for an estimate of the solver's error too: it takes
+# up to three more solves, and in addition the memory of a coarser mesh.
 _MAX_SECONDS = 5.0
 _MAX_BYTES = 1e9
 _MATERIAL_KEYS = ["region", "law", "youngs_modulus", "poisson_ratio", "density", "yield_strength"]
@@ -60,7 +60,7 @@ def report(
     nonlinear: bool = False,
     surface: Surface | None = None,
 ) -> dict[str, Any]:
-    """Read the bundle, build its mesh, resolve its groups and look for what would go wrong.
+    """Read the bundle, build its mesh, find its groups and look for possible mistakes.
 
     Parameters
     ----------
@@ -77,13 +77,13 @@ def report(
     Returns
     -------
     dict
-        Always ``ok``, ``problems`` (what stops a solve) and ``warnings`` (what may make it wrong),
-        each a list of ``{"where", "message"}``. As far as it gets: ``name``, ``fingerprint``,
-        ``has_fea``; ``faces`` and ``bodies`` of a geometry file (``faces`` with ``toml`` of any
-        surface); ``unknowns`` (three a node), ``nodes``, ``cells``, ``groups``, ``quality`` (see
-        `fea.inspection`), ``parts``, ``coincident_nodes``; of an input deck ``mesh_file`` (see
-        `fea.check.deck_differences`); ``materials``, ``section`` (of several interfaces
-        ``sections``, with their names), ``supports``, ``ties``, ``temperature`` and
+        Always ``ok``, ``problems`` (mistakes that prevent a solve) and ``warnings`` (possible
+        mistakes), each a list of ``{"where", "message"}``. If the bundle allows it: ``name``,
+        ``fingerprint``, ``has_fea``; ``faces`` and ``bodies`` of a geometry file (``faces`` with
+        ``toml`` of any surface); ``unknowns`` (three a node), ``nodes``, ``cells``, ``groups``,
+        ``quality`` (see `fea.inspection`), ``parts``, ``coincident_nodes``; of an input deck
+        ``mesh_file`` (see `fea.check.deck_differences`); ``materials``, ``section`` (of several
+        interfaces ``sections``, with their names), ``supports``, ``ties``, ``temperature`` and
         ``acceleration`` where there are any; ``estimate`` (`fea.check.cost.Cost`), ``trial``,
         ``vibration`` and ``strength`` (`Trial`, `Swing` and `LargestStress` of `fea.check.trial`);
         for meshes that solve in seconds ``solver_error`` (see `fea.accuracy.estimate`). Lengths in
@@ -107,7 +107,7 @@ def report(
             "fingerprint": bundle.fingerprint,
             "has_fea": bundle.has_fea,
         }
-        if bundle.deck is not None:  # it answers in place of the embedded solver
+        if bundle.deck is not None:  # a deck answers in place of the embedded solver
             summary["deck"], warnings = deck_report(bundle.deck)
             summary["warnings"] += warnings
             if riding is not None:
@@ -125,7 +125,7 @@ def report(
 
 
 def surface_in(folder: Path, problems: list[BundleProblem] | None = None) -> Surface | None:
-    """Return the surface of a bundle's mesh, or its deck's; None if [mesh] or file will not do.
+    """Return the surface of a bundle's mesh, or its deck's; None if [mesh] or its file is wrong.
 
     `problems` gets the mistakes of [mesh] and of its file.
     """
@@ -140,19 +140,19 @@ def surface_in(folder: Path, problems: list[BundleProblem] | None = None) -> Sur
     except BundleError as error:
         problems += error.problems
     except (OSError, ValueError, RecursionError, LookupError, AttributeError):
-        pass  # `report` says why
+        pass  # `report` has the problem
     return None
 
 
 def listed(surface: Surface, face: Face) -> dict[str, Any]:
     """Return a face with the ``toml`` that selects it; lengths in m, areas in m^2."""
-    if face.kind == "Cylinder" and face.axis is None:  # of a geometry file
+    if face.kind == "Cylinder" and face.axis is None:  # a face of a geometry file
         face = surface.cylinder(np.flatnonzero(surface.numbers == face.number), face) or face
     return asdict(face) | {"toml": surface.line(face)}
 
 
 def _geometry_named_in(folder: Path) -> Path | None:
-    """Return the STEP file of a bundle with mistakes: its faces help to write the rest."""
+    """Return the STEP file of a bundle with mistakes: its faces help to complete the bundle."""
     try:
         name = tomllib.loads((folder / FILE_NAME).read_text("utf-8"))["mesh"]["file"]
         path = (folder / name).resolve()
@@ -172,9 +172,9 @@ def _list_geometry(path: Path | None, summary: dict[str, Any]) -> None:
 def _inspect_mesh(
     bundle: Bundle, mesh: Mesh, riding: Riding | None, nonlinear: bool, summary: dict[str, Any]
 ) -> None:
-    """Add to `summary` what the mesh and trial solves show, with `warnings`.
+    """Add the results of the mesh and of trial solves to `summary`, with `warnings`.
 
-    Raises BundleError with what stops a solve; `summary` then has what comes before.
+    Raises BundleError for a mistake that prevents a solve; `summary` then has all earlier results.
     """
     facet_counts = {
         name: sum(len(nodes) for _, nodes in group.blocks)
@@ -203,16 +203,16 @@ def _inspect_mesh(
     try:
         component = build(bundle, mesh)
         mesh = component.uncut_mesh
-    finally:  # warn of unmerged nodes, those that no tie joins, whether or not the build succeeds
+    finally:  # warn of unmerged nodes that no tie joins, also if the build fails
         pairs = coincident_nodes(mesh)
         summary["coincident_nodes"] = len(pairs)
         warnings += coincidence_warnings(mesh, bodies, pairs)
     warnings += contradictions(component)
     _inspect_component(component, bodies, pairs, summary)
-    # Find what every solve would refuse, then how the part moves and swings.
+    # Find failures of every solve, then displacements and vibration.
     solver = solver_of(component)
     summary["trial"], problems = trial(solver, summary["estimate"])
-    problems = problems or stack_problems(component)  # a mechanism is named as such
+    problems = problems or stack_problems(component)  # a mechanism is reported as such
     if problems:
         raise BundleError(problems)
     warnings += deflection_warnings(component, summary["trial"]["deflection"])
@@ -223,7 +223,7 @@ def _inspect_mesh(
     stresses, more = strength(solver, nonlinear)
     summary["strength"] = [stress.as_json() for stress in stresses]
     warnings += more
-    # Find what the solver's answers may be wrong by, and whether that is over the tolerance.
+    # Estimate the error of the solver's answers, and compare it with the tolerance.
     cost = summary["estimate"]
     if cost["linear_seconds"] > _MAX_SECONDS or cost["memory_bytes"] > _MAX_BYTES:
         return
@@ -240,9 +240,11 @@ def _inspect_mesh(
 def _inspect_component(
     component: ComponentModel, bodies: Bodies, pairs: np.ndarray, summary: dict[str, Any]
 ) -> None:
-    """Add to `summary` what the bundle attaches to the mesh, and the cost of a solve.
+    """Add sections, supports and joints of the bundle, and the cost of a solve, to `summary`.
 
-    `pairs` are coincident nodes, shape (k, 2). Raises BundleError if a body can move freely.
+    pairs: coincident nodes, shape (k, 2).
+
+    Raises BundleError if a body can move freely.
     """
     summary["materials"] = [
         {key: getattr(material, key) for key in _MATERIAL_KEYS}
@@ -254,7 +256,7 @@ def _inspect_component(
         supports["sliding_nodes"] = sliding
     if component.bushings:
         supports["bushings"] = len(component.bushings)
-    # The ranges of the inputs behind the loads, where there are any.
+    # The ranges of the further inputs, if there are any.
     if warm := component.temperature:
         ends = {"low": warm.low, "high": warm.high}
         summary["temperature"] = ends | {"reference": warm.reference}
@@ -295,6 +297,7 @@ def _inspect_component(
 
 
 def _bolt(component: ComponentModel, cut: BoltCut) -> dict[str, Any]:
+    """Return the report's entry of a bolt."""
     return {
         "shank": cut.bolt.region or cut.bolt.group,
         "cells": sum(len(cells) for cells in cut.cells),
@@ -308,6 +311,7 @@ def _bolt(component: ComponentModel, cut: BoltCut) -> dict[str, Any]:
 
 
 def _section(interface: AttachedInterface) -> dict[str, Any]:
+    """Return the report's entry of an interface's section."""
     section = interface.section
     name = {"name": interface.name} if interface.name else {}
     return name | {

@@ -19,12 +19,12 @@ from wrenchbook.fea.tensors import von_mises
 
 Array = np.ndarray
 
-_MAX_SECONDS = 60.0  # of the linear solve by its estimate: an upload waits for it, 300 s at most
-_MAX_BYTES = 4e9  # of the same; the server's other solvers run at the same time
+_MAX_SECONDS = 60.0  # s, estimated time of the linear solve: an upload waits for it, 300 s at most
+_MAX_BYTES = 4e9  # bytes, estimated memory of it; the server's other solvers run at the same time
 
 _STANDARD_GRAVITY = 9.81  # m/s^2
 
-# The key of component.toml to change after a failure of each kind; "mesh" after others.
+# The key of component.toml to change after a failure of each kind; "mesh" for all other kinds.
 _WHERE = {"locking_material": "material", "inverted_elements": "mesh", "mechanism": "supports"}
 
 
@@ -34,21 +34,22 @@ class Trial(TypedDict):
     size: list[float]  # three edges of the box around the mesh, m
     volume: float  # m^3
     mass: float | None  # kg; None where a material has no density
-    # By the linear compliance the largest of each output over the load range, six numbers an
-    # interface, m and rad; None where it was not tried or failed. Then of single further inputs.
+    # The largest of each output over the load range by the linear compliance, six numbers an
+    # interface, m and rad; None if it was not computed. Then the largest by single further inputs.
     deflection: list[float] | None
     failed: NotRequired[bool]
-    sag: NotRequired[list[float]]  # at no wrench, where self-weight or bolts move an interface
+    # Displacement at no wrench, if self-weight or bolts move an interface.
+    sag: NotRequired[list[float]]
     by_temperature: NotRequired[list[float]]
     by_acceleration: NotRequired[list[float]]
 
 
 class Swing(TypedDict, total=False):
-    """First natural oscillation; without keys where nothing has a mass or no mode converged."""
+    """First natural oscillation; without keys if nothing has a mass or no mode converged."""
 
-    mass: float | None  # of the component, kg; None without any density
+    mass: float | None  # mass of the component, kg; None without any density
     first_frequency: float  # Hz
-    motion: list[float]  # of the interfaces, six numbers each, m and rad, of length one
+    motion: list[float]  # motion of the interfaces, six numbers each, m and rad, of length one
     riding_mass: float  # kg
     condensed_mass: list[list[float]]  # shape (6 i, 6 i), kg to kg·m^2
 
@@ -60,13 +61,13 @@ class LargestStress:
     region: str
     largest: float  # Pa
     at: list[float]  # m, in the mesh's axes
-    wrench: list[float]  # of all interfaces, N and N·m
+    wrench: list[float]  # wrench of all interfaces, N and N·m
     further: dict[str, float]  # values of the further inputs by name
     yield_strength: float | None  # Pa
-    first_order: bool  # whether a nonlinear component was not solved for it
+    first_order: bool  # whether the stress is first order although the component is nonlinear
 
     def as_json(self) -> dict[str, Any]:
-        """Return the entry of the report: the further inputs stand among the other keys."""
+        """Return the entry of the report, with further inputs among the other keys."""
         entry: dict[str, Any] = {}
         for key, value in asdict(self).items():
             entry |= value if key == "further" else {key: value}
@@ -74,7 +75,10 @@ class LargestStress:
 
 
 def solver_of(component: ComponentModel) -> Solver:
-    """Return the solver; raise BundleError with the failure of every solve of the component."""
+    """Return the solver of a component.
+
+    Raises BundleError with the failure if every solve of the component would fail.
+    """
     try:
         return Solver(component)
     except SolveFailed as failure:
@@ -82,11 +86,11 @@ def solver_of(component: ComponentModel) -> Solver:
 
 
 def trial(solver: Solver, cost: Cost) -> tuple[Trial, list[BundleProblem]]:
-    """Solve for unit inputs; return size, mass and deflection, and problems that stop a solve.
+    """Solve for unit inputs; return size, mass and deflection, and problems that prevent a solve.
 
     solver: the component's.
-    cost: of one solve; above `_MAX_SECONDS` or `_MAX_BYTES` nothing is solved.
-    The problems are ``mechanism`` and ``ill_conditioned``, with the text of the failure.
+    cost: estimate of one solve; above `_MAX_SECONDS` or `_MAX_BYTES` nothing is solved. The
+    problems are ``mechanism`` and ``ill_conditioned``, with the text of the failure.
     """
     component, result = solver.component, _untried(solver)
     if cost["linear_seconds"] > _MAX_SECONDS or cost["memory_bytes"] > _MAX_BYTES:
@@ -105,7 +109,7 @@ def trial(solver: Solver, cost: Cost) -> tuple[Trial, list[BundleProblem]]:
     result["deflection"] = deflection(slice(None))
     if component.analysis.gravity is not None or component.analysis.zero == "untightened":
         result["sag"] = at_rest.tolist()
-    if component.temperature is not None:  # the first input behind the loads
+    if component.temperature is not None:  # the first input after the loads
         loads = len(component.bundle.range.low)
         result["by_temperature"] = deflection(slice(loads, loads + 1))
     if component.accelerated:  # the last three inputs
@@ -138,7 +142,7 @@ def largest(compliance: Array, low: Array, high: Array) -> Array:
 def deflection_warnings(
     component: ComponentModel, deflection: list[float] | None
 ) -> list[BundleProblem]:
-    """Return warnings where the full load range moves the part by nothing, or by too much.
+    """Return warnings if the full load range moves the part not at all, or too much.
 
     deflection: shape (6 i,), m and rad; None for no warning.
     """
@@ -184,7 +188,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[Bundle
     """Return mass and first natural frequency of the component, and warnings.
 
     riding: the rigid mass on the interface; None for none.
-    Warnings say why there is no frequency, or which materials count as weightless.
+    Warnings give the reason of a missing frequency, or the materials that count as weightless.
     """
     component = solver.component
     without_density = [
@@ -229,7 +233,7 @@ def sag_per_gravity(solver: Solver) -> Array:
 
 
 def weight_warnings(solver: Solver) -> list[BundleProblem]:
-    """Return a warning where self-weight without ``gravity`` moves more than the tolerance."""
+    """Return a warning if self-weight exceeds the tolerance in a bundle without ``gravity``."""
     component = solver.component
     limit = component.bundle.tolerance
     known = all(material.density is not None for material in component.materials)
@@ -253,9 +257,9 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     return [BundleProblem("analysis.gravity", message)]
 
 
-_MAX_CORNERS = 4096  # of two interfaces' twelve loads: 0.2 s for 30,000 points
-_STRESS_ROUNDOFF = 1e-9  # relative: a bound below the stress it bounds only by roundoff
-_FIRST_POINTS = 64  # by the bound of `_worst`; their stresses exclude most other points
+_MAX_CORNERS = 4096  # corners of a range: two interfaces' twelve loads take 0.2 s for 30,000 points
+_STRESS_ROUNDOFF = 1e-9  # relative: roundoff by which a bound may lie below its stress
+_FIRST_POINTS = 64  # points with the largest bounds; their stresses exclude most other points
 
 
 def strength(solver: Solver, nonlinear: bool) -> tuple[list[LargestStress], list[BundleProblem]]:
@@ -263,8 +267,8 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[LargestStress], list
 
     Both are empty if no material has a `yield_strength`.
 
-    nonlinear: whether a nonlinear component is solved at the worst corner of the range; else its
-    stresses stay first order.
+    nonlinear: whether a nonlinear component is solved at the worst corner of the range; otherwise
+    its stresses stay first order.
     """
     component = solver.component
     if all(material.yield_strength is None for material in component.materials):
@@ -297,7 +301,7 @@ def _first_order_stresses(solver: Solver) -> list[LargestStress]:
         end = f"at most {limit} are compared; write 0 as the range of loads that do not act"
         raise ValueError(f"[range] has {len(corners)} corners, {end}")
     unit, loads = solver.unit_stresses(), corners
-    if component.analysis.gravity or component.bolts:  # a load that is always there
+    if component.analysis.gravity or component.bolts:  # a load that always acts
         sag = small_stress(solver.body, solver.at_rest[1][:, :, None])
         unit = np.concatenate((unit, sag), axis=2)
         loads = np.column_stack((corners, np.ones(len(corners))))
@@ -323,10 +327,11 @@ def _first_order_stresses(solver: Solver) -> list[LargestStress]:
 
 
 def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
-    """Return the largest stress, Pa, and the corner and point that have it.
+    """Return the largest stress, Pa, and the indices of its corner and point.
 
     unit: shape (points, 6, k), Pa per unit of the inputs.
     corners: shape (c, k), of the range of the inputs.
+
     A point's stress is at most the sum of the single loads' stresses (triangle inequality), so only
     points whose sum reaches the stress of some other point are candidates.
     """
@@ -345,7 +350,7 @@ def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
 
 
 def _replace_by_nonlinear(solver: Solver, stresses: list[LargestStress]) -> list[BundleProblem]:
-    """Put the nonlinear stresses at the worst corners in place of the first-order ones."""
+    """Replace the first-order stresses at the worst corners by nonlinear ones."""
     component = solver.component
     regions = [material.region for material in component.materials]
     coordinates, numbers = integration_points(component, component.mesh.points)
@@ -365,6 +370,7 @@ def _replace_by_nonlinear(solver: Solver, stresses: list[LargestStress]) -> list
 
 
 def _yielding(component: ComponentModel, stresses: list[LargestStress]) -> list[BundleProblem]:
+    """Return warnings for materials whose largest stress exceeds their yield strength."""
     problems = []
     for number, material in enumerate(component.materials):
         key, strength = f"material[{number}].yield_strength", material.yield_strength

@@ -1,4 +1,4 @@
-"""How the rigid side holds the section of the deformable body.
+"""The connection of the rigid side to the section of the deformable body.
 
 A coupling adds a few unknowns, the *border*, to the body's free nodes: the interface displacement
 (and multipliers). The body's stiffness stays sparse and positive definite; the border is eliminated

@@ -1,4 +1,4 @@
-"""The coupling of all interfaces, the state that it moves and the border that it adds."""
+"""The coupling of all interfaces, its state, and the border that it adds to the equations."""
 
 from __future__ import annotations
 
@@ -53,16 +53,17 @@ class CoupledState:
     nodes: Array  # shape (n, 3), m: nodal displacements
     # Shape (6 i,), m and rad: translation and rotation vector of each of the i interfaces
     interface: Array
-    # Shape (6 i,), N and N/m: a distributed coupling's; node i feels w_i (l + m x b_i). Zero in a
-    # rigid one. Those of bushings follow, then the bushings' motions, six each, m and rad.
+    # Shape (6 i,), N and N/m: multipliers (l, m) of distributed couplings: node i feels w_i (l + m
+    # x b_i). Zero for rigid ones. Those of bushings follow, then the bushings' motions, six each, m
+    # and rad.
     multipliers: Array
 
 
 class Border(NamedTuple):
-    """How the border joins the body's tangent K at one state.
+    """The border of the body's tangent K at one state.
 
-    With the constraint T, columns c and block d the bordered tangent is
-    [[K, K T + c], [(K T + c)^T, T^T K T + d]].
+    With the constraint T, columns c and block d the bordered tangent is [[K, K T + c], [(K T +
+    c)^T, T^T K T + d]].
     """
 
     # Shape (n, 3, border): how nodes that are no unknowns move with the border; dimensionless for
@@ -76,11 +77,11 @@ class Border(NamedTuple):
 
 
 class SectionCoupling(ABC):
-    """How one interface holds its section: the base class of `Rigid` and `Distributed`.
+    """The coupling of one interface to its section: the base class of `Rigid` and `Distributed`.
 
-    All is in the interface's frame, from its point: `points` of the section's nodes, (s, 3), m,
-    undeformed. States, forces and fields are those of these nodes alone; the border is six
-    freedoms, locked ones too, and the `multipliers`.
+    All quantities are in the interface's frame, relative to its point: `points` of the section's
+    nodes, (s, 3), m, undeformed. States, forces and fields are those of these nodes alone; the
+    border is six freedoms, with locked ones, and the `multipliers`.
     """
 
     multipliers = 0
@@ -89,7 +90,10 @@ class SectionCoupling(ABC):
         self.points = points
 
     def node_positions(self, interface: Array) -> Array | None:
-        """Return where an interface at (6,), m and rad, puts the nodes, (s, 3), m; or None."""
+        """Return the displacements (s, 3), m, that an interface at (6,), m and rad, prescribes.
+
+        Or None.
+        """
         return None
 
     @abstractmethod
@@ -102,7 +106,7 @@ class SectionCoupling(ABC):
 
     @abstractmethod
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
-        """Return how the border joins the body's tangent.
+        """Return the border of the body's tangent.
 
         Internal forces have shape (s, 3), N, the wrench (6,), N and N·m.
         """
@@ -118,7 +122,7 @@ class SectionCoupling(ABC):
     def arm_moments(
         self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
     ) -> tuple[Array, Array, Array]:
-        """Return N, 3x3: the coupling's energy is linear in the rotation matrix R, and R : N in it.
+        """Return N, 3x3, by which the coupling's energy depends on the rotation matrix R: as R : N.
 
         state: the configuration.
         forces: Shapes (s, 3), N, and (s, 3, k): internal nodal forces, and their change with k
@@ -134,14 +138,15 @@ class _Attachment(NamedTuple):
     """A section's indices in the body and in the border."""
 
     section: SectionCoupling
-    nodes: Array  # shape (s,): of the section
-    rotation: Array | None  # (3, 3): times a vector of the body, the interface's; None if equal
+    nodes: Array  # shape (s,): nodes of the section
+    # (3, 3): turns a vector of the body to the interface's axes; None if they are the same.
+    rotation: Array | None
     freedoms: slice  # of this interface among all
-    chosen: Array  # which of the section's border are unknowns: locked freedoms are not
-    border: Array  # where these are in the border of all
+    chosen: Array  # indices of the section's border that are unknowns: locked freedoms are not
+    border: Array  # indices of these in the complete border
 
     def inwards(self, field: Array) -> Array:
-        """Take a nodal field (n, 3, ...) of the body to the section: (s, 3, ...), in its axes."""
+        """Return a nodal field (n, 3, ...) of the body at the section: (s, 3, ...), in its axes."""
         local = field[self.nodes]
         if self.rotation is None:
             return local
@@ -162,18 +167,18 @@ class Coupling:
     translation and rotation vector, and stores q^T K q / 2: its force, and the moment that works on
     the rotation vector, are K q, and K is its tangent at any rotation. Two frames with a spring
     between them have one point and the same axes: see `fea.coupling.spring_motion`.
-    A body that only multipliers hold has no definite stiffness. Three anchors, nodes of which the
-    border moves all components, leave a stiffness that is.
+    A body that only multipliers hold has no definite stiffness. Three anchors, nodes whose
+    components are all in the border, leave a definite stiffness.
 
     size: number of the body's nodes.
     sections: for each interface its coupling, its section's nodes, shape (s,), and its axes in
-    those of the body, shape (3, 3), a row each; None where they are the same. No two share a node.
+    those of the body, shape (3, 3), in rows; None where they are the same. No two share a node.
     active: shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
     anchors: shape (a,), int64: nodes that are in no rigid section.
-    frames: how many of the sections, the last, are of frames.
-    springs: the numbers of one or two sections, and the stiffness, (6, 6), N/m, N/rad and N·m/rad.
-    freedoms, motions, border: numbers: 6 i of i interfaces; unknowns of the border that move
-    something; all of them, the multipliers last.
+    frames: number of sections, the last ones, that are frames.
+    springs: the indices of one or two sections, and the stiffness, (6, 6), N/m, N/rad and N·m/rad.
+    freedoms, motions, border: numbers of unknowns: 6 i of i interfaces; those of the border that
+    are motions; all of the border, the multipliers last.
     """
 
     def __init__(
@@ -207,7 +212,7 @@ class Coupling:
             forced.append(first + more)
             self.border += len(more)
         self._forced = np.concatenate(forced)
-        # Of each spring: where its motions are among all, and in the border.
+        # For each spring the indices of its motions among all, and in the border.
         self._springs: list[tuple[Array, Array, Array]] = []
         for numbers, stiffness in springs:
             ends = [self._attachments[number] for number in numbers]
@@ -217,7 +222,7 @@ class Coupling:
 
     @property
     def constrained(self) -> Array:
-        """Nodes that follow an interface and are no unknowns, shape (k,), int64, indices."""
+        """Nodes that an interface moves and that are no unknowns, shape (k,), int64, indices."""
         zero = np.zeros(PER_INTERFACE)
         following = [
             attached.nodes
@@ -238,7 +243,7 @@ class Coupling:
         return float(sum(0.5 * q @ k @ q for q, k in parts))
 
     def spring_energies(self, border: Array) -> Array:
-        """Return twice the springs' mutual energies, shape (k, k), J, of borders (border, k)."""
+        """Return twice the springs' mutual energies, shape (k, k), J, of motions (border, k)."""
         total = np.zeros((border.shape[1],) * 2)
         for at, where, spring in self._springs:
             motions = spring_motion.relative_motion(np.zeros(len(at)))[1] @ border[where]
@@ -250,8 +255,8 @@ class Coupling:
 
         state: the state before.
         nodes: shape (n, 3), m: the correction of the free nodes.
-        border: shape (border,): that of the interface freedoms, m and rad, and multipliers, N and
-        N/m.
+        border: shape (border,): the correction of the interface freedoms, m and rad, and
+        multipliers, N and N/m.
         """
         motions, multipliers = self._unknowns(state)
         motions[self._moving] += border[: len(self._moving)]
@@ -269,7 +274,7 @@ class Coupling:
         """Return the forces out of balance.
 
         state: the configuration.
-        forces: shape (n, 3), N: internal nodal forces in it.
+        forces: shape (n, 3), N: the internal nodal forces.
         wrench: shape (6 i,), N and N·m.
         Returns nodal: shape (n, 3), N. border: shape (border,): N and N·m for interface freedoms, m
         and m^2 for constraints.
@@ -290,13 +295,13 @@ class Coupling:
         return nodal, border
 
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
-        """Return how the border joins the body's tangent.
+        """Return the border of the body's tangent.
 
         state: the configuration.
-        forces: shape (n, 3), N: internal nodal forces in it.
+        forces: shape (n, 3), N: the internal nodal forces.
         wrench: shape (6 i,), N and N·m.
         """
-        # Field by field in memory, as the factorisation takes them.
+        # Field by field in memory, for the factorisation.
         constraint, columns = np.moveaxis(np.zeros((2, self.border, self._size, 3)), 1, 3)
         block = np.zeros((self.border, self.border))
         loads = np.append(wrench, np.zeros(self._sprung))

@@ -54,7 +54,7 @@ class Rigid(SectionCoupling):
         return Border(constraint, np.zeros_like(constraint), block)
 
     def wrench_columns(self, state: CoupledState) -> Array:
-        """Return what `SectionCoupling` says, shape (6, 6)."""
+        """Return the columns of `SectionCoupling.wrench_columns`, shape (6, 6)."""
         columns = np.eye(PER_INTERFACE)
         columns[3:, 3:] = spin_per_vector(state.interface[3:]).T
         return columns
@@ -64,8 +64,8 @@ class Rigid(SectionCoupling):
     ) -> tuple[Array, Array, Array]:
         """Return sum f x^T, 3x3 and N·m, and its derivatives along k inputs.
 
-        The forces f have shapes (s, 3), N, and (s, 3, k). The second is zero: the body's third
-        derivatives have it.
+        The forces f have shapes (s, 3), N, and (s, 3, k). The second derivative is zero: it is part
+        of the body's third derivatives.
         """
         moments, changes = (np.einsum("si...,sj->ij...", force, self.points) for force in forces)
         return moments, changes, np.zeros((3, 3, border.shape[1], border.shape[1]))
@@ -84,17 +84,17 @@ class InterfaceSection:
     # corners of quad8 facets are negative, as they must be for a constant traction. Of any scale
     # where the bundle has `weights` of another kind.
     weights: Array
-    area: float  # of its facets, m^2
+    area: float  # of the section's facets, m^2
     centre: Array  # the area centre, shape (3,), m
-    # False where a bare node group left nothing to integrate over: then every node has the same
-    # weight, their sum is 1, and `area` says nothing.
+    # False where a bare node group has no area: then every node has the same weight, their sum is
+    # 1, and `area` has no meaning.
     by_area: bool
 
 
 def section_of_facets(
     points: Array, group: FacetGroup, node_ids: Array | None = None
 ) -> InterfaceSection:
-    """Return the section that the facets of `group` make.
+    """Return the section of the facets of `group`.
 
     points: shape (n, 3), m.
     group: at least one facet.
@@ -111,7 +111,7 @@ def section_of_facets(
 
 
 def section_of_nodes(points: Array, node_ids: Array) -> InterfaceSection:
-    """Return the section of nodes that bound no facet: each counts the same.
+    """Return the section of nodes that bound no facet: all have the same weight.
 
     points: shape (n, 3), m.
     node_ids: shape (k,), int64; in any order, and repeated ones count once.
@@ -173,7 +173,7 @@ class Distributed(SectionCoupling):
         columns[:, :, 6:9] = self._weights[:, None, None] * np.eye(3)
         columns[:, :, 9:] = -weighted_arms
         block = np.zeros((2 * PER_INTERFACE, 2 * PER_INTERFACE))
-        # Write the border's derivatives, less those of the spin itself.
+        # Write the border's derivatives, except those of the spin itself.
         centre = skew(turned.centre) @ turned.spin
         inertia = turned.inertia()
         turning = -skew(turned.force) @ skew(turned.centre) + np.einsum(
@@ -193,7 +193,7 @@ class Distributed(SectionCoupling):
         return Border(np.zeros_like(columns), columns, block)
 
     def wrench_columns(self, state: CoupledState) -> Array:
-        """Return what `SectionCoupling` says, shape (12, 6)."""
+        """Return the columns of `SectionCoupling.wrench_columns`, shape (12, 6)."""
         columns = np.zeros((2 * PER_INTERFACE, PER_INTERFACE))
         columns[:3, :3] = np.eye(3)
         columns[3:6, 3:] = spin_per_vector(state.interface[3:]).T
@@ -204,7 +204,7 @@ class Distributed(SectionCoupling):
     ) -> tuple[Array, Array, Array]:
         """Return -l c^T - [m]x Q, 3x3 and N·m, Q = sum w (x + u) rho^T, and its derivatives.
 
-        Those along k inputs come from the fields, (s, 3, k), m, and the border, (12, k).
+        The derivatives are along k inputs, from the fields, (s, 3, k), m, and the border, (12, k).
         """
         force, moment = border[6:9], skew(border[9:].T)
         couple = skew(state.multipliers[3:])

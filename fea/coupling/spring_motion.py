@@ -17,7 +17,8 @@ Array = np.ndarray
 
 _COMPLEX_STEP = 2.0**-100  # m or rad: its square vanishes against any number here
 _STEP = 1e-3  # rad: differences of fourth order leave out its fourth power
-_SLOPE = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}  # weights of a first derivative
+# Weights of a first derivative by differences of fourth order.
+_SLOPE = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
 
 
 def relative_motion(motions: Array) -> tuple[Array, Array]:

@@ -1,4 +1,7 @@
-"""One run of a deck: loads filled in, command with a timeout, motion read; its named failures."""
+"""One run of a deck: insert loads, run a command with a timeout, read the motion.
+
+Named failures.
+"""
 
 from __future__ import annotations
 
@@ -32,11 +35,11 @@ PRINTED = "printed.txt"
 """File of the program's standard output and errors."""
 
 _PLACEHOLDER = re.compile(rb"\$([FM][XYZ])\b")
-_MAX_QUOTED = 400  # characters
+_MAX_QUOTED = 400  # characters of a solver's output in a message: longer texts are cut
 
 
 def missing_placeholders(deck: bytes) -> list[str]:
-    """Return the placeholders that a deck's text does not have."""
+    """Return the placeholders that a deck's text lacks."""
     there = {name.decode() for name in _PLACEHOLDER.findall(deck)}
     return [f"${load}" for load in LOADS if load not in there]
 
@@ -44,9 +47,10 @@ def missing_placeholders(deck: bytes) -> list[str]:
 def filled(deck: bytes, loads: Sequence[float]) -> bytes:
     """Return a deck's text with six numbers in place of the placeholders.
 
-    A number has 20 characters at the most, which is all that CalculiX reads.
+    A number has at most 20 characters, the most that CalculiX reads.
 
-    Raises SolveFailed: ``bad_deck`` if a placeholder is missing: its load would have no effect.
+    Raises SolveFailed of kind ``bad_deck`` if a placeholder is missing: its load would have no
+    effect.
     """
     missing = missing_placeholders(deck)
     if missing:
@@ -64,13 +68,14 @@ def filled(deck: bytes, loads: Sequence[float]) -> bytes:
 def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tuple[Array, int]:
     """Run a deck once, in a folder made for it.
 
-    deck: what to run.
-    wrench: shape (6,), N and N·m, with the moment that the deck takes.
-    folder: where its files are put and stay; must not exist yet.
-    progress: called while it runs, as far as the reader knows.
+    deck: the deck.
+    wrench: shape (6,), N and N·m, with the kind of moment that the deck needs.
+    folder: a new folder for its files, which stay.
+    progress: called during the run if the reader knows the progress.
     Returns displacement, unknowns: shape (6,), m and rad; degrees of freedom, 0 if unknown.
-    Raises SolveFailed: ``bad_deck``, ``no_solver``, ``timed_out``, ``solver_failed``,
-    ``not_converged`` or ``bad_output``.
+
+    Raises SolveFailed of kind ``bad_deck``, ``no_solver``, ``timed_out``, ``solver_failed``,
+    ``not_converged`` or ``bad_output`` if the run has no motion.
     """
     metres = UNITS[deck.unit]
     loads = np.concatenate([wrench[:3], wrench[3:] / metres])
@@ -89,7 +94,10 @@ def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tup
 
 
 def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Reading:
-    """Run the command of a deck in its folder and read its output; raises as `run_deck`."""
+    """Run the command of a deck in its folder and read its output.
+
+    Raises SolveFailed as `run_deck`.
+    """
     command = [word.replace("{job}", run.job) for word in deck.command]
     program = command[0]
 
@@ -135,7 +143,7 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
 
 
 def _ending(code: int) -> str:
-    """Return how a program ended, by its exit code or minus the signal that ended it."""
+    """Return the ending of a program as text, by its exit code or minus its signal."""
     if code == 0:
         return "reported an error"
     if code > 0:
@@ -148,14 +156,15 @@ def _ending(code: int) -> str:
     return f"was ended by {name}{memory}"
 
 
-_GRACE = 2.0  # seconds between asking to end and killing; engines wait 5 s for us
-_POLL_EVERY = 0.25  # seconds
+# Seconds between asking a program to end and killing it; engines wait 5 s for this process.
+_GRACE = 2.0
+_POLL_EVERY = 0.25  # seconds between two looks at the program's progress
 # Waits until this program writes a line (all is well) or is gone, even by SIGKILL.
 _GUARD = 'read -r _ || kill -s KILL -- "-$0"'
 
 
 class OutOfTime(Exception):  # noqa: N818 - an outcome, named as what happened
-    """The program did not end in time and has been ended."""
+    """The program did not end in time and was killed."""
 
 
 def run_command(
@@ -165,17 +174,18 @@ def run_command(
     timeout: float,
     watch: Callable[[], None] | None = None,
 ) -> int:
-    """Run a program in `folder` and return its exit code, minus the signal that ended it.
+    """Run a program in `folder` and return its exit code, or minus its signal.
 
-    The environment (OMP_NUM_THREADS and the like) is passed on as it is. When this returns or
-    raises, whatever it raises, the program and all that it started in its process group are gone;
-    they are also gone soon after this program is killed.
+    The environment (OMP_NUM_THREADS and the like) is passed on unchanged. After a return or an
+    exception the program and all processes in its process group are gone; they also end soon after
+    this program is killed.
 
     command: the program and its arguments.
     printed: file for its standard output and errors.
     timeout: seconds.
-    watch: called a few times a second while it runs.
-    Raises OSError if the program cannot be started. Raises OutOfTime if `timeout` is over.
+    watch: called a few times a second during the run.
+
+    Raises OSError if the program cannot be started, OutOfTime if it takes longer than `timeout`.
     """
     deadline, child = time.monotonic() + timeout, None
     try:
@@ -232,7 +242,7 @@ def _guarded(group: int) -> Iterator[None]:
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,  # what ends our process group must not end the guard
+        start_new_session=True,  # a signal to this process group must not end the guard
     )
     try:
         yield
@@ -249,13 +259,13 @@ def _signal(group: int, number: int) -> None:
 
 
 def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
-    """Return a summary of a deck, and warnings of what may keep a solve from working.
+    """Return a summary of a deck, and warnings about conditions that may prevent a solve.
 
     The summary: ``file``, ``program`` (its path, None if not found), ``reader``, ``moment``,
     ``unit`` and ``timeout`` (s). A program that is not installed here is a warning, not an error,
     because solves may run elsewhere.
 
-    Raises BundleError if the deck lacks a placeholder, or what its reader depends on.
+    Raises BundleError if the deck lacks a placeholder, or a content that its reader needs.
     """
     content = deck.file.read_bytes()
     where = "write it where that load acts, or in a comment that says what takes the load instead"
@@ -306,7 +316,7 @@ def bad_output(message: str, folder: Path) -> SolveFailed:
 
 
 def not_reciprocal(message: str) -> SolveFailed:
-    """Return the failure of a compliance that no elastic body can have."""
+    """Return the failure of a compliance that violates reciprocity."""
     return SolveFailed(
         "not_reciprocal",
         message,
@@ -316,7 +326,7 @@ def not_reciprocal(message: str) -> SolveFailed:
 
 
 def _files_hint(folder: Path) -> str:
-    # Not the full path: it goes to clients, whom the server's folders do not concern.
+    # Not the full path: clients must not learn the server's folders.
     return (
         "The deck as it was run and all that the solver wrote are in "
         f"{folder.parent.name}/{folder.name} of the attempt's files."

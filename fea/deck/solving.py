@@ -24,14 +24,15 @@ FOLDER = "deck"
 _MOMENT_GAP = 1e-5
 """Largest relative difference between the moment that acted and the required moment."""
 
-_MAX_RUNS = 12  # of a nonlinear deck; a rotation of 20 degrees takes half of them
+_MAX_RUNS = 12  # runs of a nonlinear deck; a rotation of 20 degrees takes half of them
 # Largest relative differences of sums of displacements, and of the works of two loads on each
 # other's displacements (square roots of the works' product): CalculiX prints seven digits.
 _LINEAR_GAP = 1e-5
 _RECIPROCAL_GAP = 1e-4
 _ZERO_WORK = 1e-9  # relative to the largest work; smaller ones are roundoff
-_TINY = 1e-300  # in place of a displacement of 0, by which nothing can be divided
-_LEAST_CHANGE = 1e-3  # of a step: by less, Broyden's update would divide by next to nothing
+_TINY = 1e-300  # replaces a displacement of 0 in a divisor
+# Part of a step: with a smaller change, Broyden's update would divide by almost zero.
+_LEAST_CHANGE = 1e-3
 
 
 def solve_deck(
@@ -45,18 +46,19 @@ def solve_deck(
 
     A linear deck runs seven times: for the wrench, and for six single loads, which give its
     compliance and show whether it is linear. A nonlinear deck runs once if it takes spatial
-    moments, else until the conjugate moment fits the rotation (two or three times for small
+    moments, otherwise until the conjugate moment fits the rotation (two or three times for small
     rotations); its compliance and strain energy are unknown: NaN.
 
     bundle: with a deck.
-    wrench: shape (6,), N and N·m: at the interface point where it is now, in the undeformed
-    interface frame's axes.
+    wrench: shape (6,), N and N·m: at the displaced interface point, in the undeformed interface
+    frame's axes.
     progress: called with the fraction done and a message.
-    folder: where the files of every run stay, below ``deck``; None deletes them.
+    folder: folder of the files of every run, below ``deck``; None deletes them.
     accept: raises if a displacement, shape (6,), m and rad, is beyond the limits of an answer.
+
     Raises ValueError if the wrench is not six finite numbers, or the bundle has no deck. Raises
-    SolveFailed as `run_deck` does; also ``not_linear``, ``not_reciprocal``, or ``not_converged`` if
-    no conjugate moment fits.
+    SolveFailed as `run_deck`, and of kind ``not_linear``, ``not_reciprocal``, or ``not_converged``
+    if no conjugate moment fits.
     """
     started = time.perf_counter()
     loads = checked_wrench(wrench)
@@ -114,9 +116,11 @@ class _Runs:
 def _linear(runs: _Runs, wrench: Array, sizes: Array) -> tuple[Array, Array]:
     """Return displacement, shape (6,), and compliance, shape (6, 6), of a linear deck.
 
-    sizes: shape (6,), N and N·m: of the six single loads, those of the load range, at which nothing
-    in the deck is far from its purpose.
-    Raises SolveFailed, ``not_linear``, if the displacement is not the sum of the single loads'.
+    sizes: shape (6,), N and N·m: the six single loads, those of the load range, for which the deck
+    is made.
+
+    Raises SolveFailed of kind ``not_linear`` if the displacement is not the sum of the single
+    loads'.
     """
     displacement = runs.run("wrench", wrench, 0.0, 1.0 / 7.0)
     columns = []
@@ -126,7 +130,7 @@ def _linear(runs: _Runs, wrench: Array, sizes: Array) -> tuple[Array, Array]:
         columns.append(runs.run(name, load, (i + 1) / 7.0, (i + 2) / 7.0) / sizes[i])
     compliance = np.stack(columns, axis=1)
 
-    # Each entry relative to the largest translation or rotation: entries that symmetry makes zero
+    # Each entry relative to the largest translation or rotation: entries that are zero by symmetry
     # are roundoff.
     largest = (np.abs(compliance) @ np.abs(wrench)).reshape(2, 3).max(axis=1)
     gaps = np.abs(compliance @ wrench - displacement).reshape(2, 3).max(axis=1)
@@ -143,11 +147,13 @@ def _linear(runs: _Runs, wrench: Array, sizes: Array) -> tuple[Array, Array]:
 
 
 def _require_reciprocity(compliance: Array, sizes: Array) -> None:
-    """Raise SolveFailed, ``not_reciprocal``, unless a compliance is that of an elastic body.
+    """Check that a compliance is that of an elastic body.
 
     No load of `sizes`, shape (6,), N and N·m, does negative work, and two loads do the same work on
     each other's displacements (Betti 1872). Works in J are compared, because a locked freedom may
     have a compliance of roundoff.
+
+    Raises SolveFailed of kind ``not_reciprocal`` if it is not.
     """
     exchange = compliance * np.outer(sizes, sizes)
     works = np.diagonal(exchange)

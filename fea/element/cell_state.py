@@ -11,7 +11,7 @@ from wrenchbook.fea.tensors import COLUMNS, ROWS
 
 Array = np.ndarray
 Which = slice | np.ndarray
-"""Which cells of a block: a slice, or their numbers."""
+"""Cells of a block: a slice, or their indices."""
 
 
 class CellState(ABC):
@@ -19,10 +19,10 @@ class CellState(ABC):
 
     slopes, weights: of the cells, as in `Gradients`.
     H, F, E: shape (cells, points, 3, 3): gradient of the displacement, deformation gradient and
-    Green-Lagrange strain. The strain is never formed as (F^T F - I)/2: at small loads that loses
+    Green-Lagrange strain. The strain is never computed as (F^T F - I)/2: at small loads that loses
     every digit to roundoff.
     wS: same shape, Pa times m^3: the second Piola-Kirchhoff stress times the weights.
-    thermal: shape (cells, 1, 3, 3): the thermal strain, a part of E without stress; None for none.
+    thermal: shape (cells, 1, 3, 3): the thermal strain, a part of E without stress; None without.
     """
 
     def __init__(
@@ -49,8 +49,9 @@ class CellState(ABC):
     def extrapolate(self, step: Array) -> None:
         """Replace the stress by its linear extrapolation from the state one step before.
 
-        Here of a law whose stress is linear in E, which is quadratic in the displacement.
-        `step` has shape (2, cells, 3, nodes), m: see `fea.assembly.body.ElasticBody.tangent`.
+        This method holds for a law whose stress is linear in E, which is quadratic in the
+        displacement. `step` has shape (2, cells, 3, nodes), m: see
+        `fea.assembly.body.ElasticBody.tangent`.
         """
         aim, change = (self.gradient(field) for field in step)
         E = green_strain(aim) - 0.5 * (change.swapaxes(2, 3) @ change)
@@ -65,7 +66,7 @@ class CellState(ABC):
         """Return the change of `wS`, Pa m^3, with E, both of shape (..., cells, points, 3, 3)."""
 
     def energy(self) -> float:
-        """Return the strain energy, J; here of a law whose stress is linear in E."""
+        """Return the strain energy, J; this method holds for a law whose stress is linear in E."""
         return 0.5 * float(np.vdot(self.wS, self.elastic(self.E)))
 
     @abstractmethod
@@ -75,7 +76,7 @@ class CellState(ABC):
     def changes(self, fields: Array) -> tuple[Array, Array, Array]:
         """Return the changes by fields, m, shape (k, cells, 3, nodes).
 
-        All fields' 3x3 matrices are stacked, so that each product is one for all.
+        All fields' 3x3 matrices are stacked, so that each product is computed at once.
 
         Returns dF: shape (cells, points, 3 k, 3): the deformation gradient, dimensionless. dE, wdS:
         shape (k, cells, points, 3, 3): the strain, dimensionless, and `wS`, Pa times m^3.
@@ -110,9 +111,9 @@ class CellState(ABC):
         return symmetrised(np.stack(products, axis=2)) + self.third_of_law(fields, dE)
 
     def third_of_law(self, fields: Array, strain: Array) -> Array:
-        """Return the addition of C's change to `third`, J: shape (k, k, k), or 0 of a constant C.
+        """Return the addition of C's change to `third`, J: shape (k, k, k), or 0 for a constant C.
 
-        `strain` has shape (k, cells, points, 3, 3), dimensionless: that of the fields.
+        `strain` has shape (k, cells, points, 3, 3), dimensionless: the strains of the fields.
         """
         return np.zeros((len(fields),) * 3)
 
@@ -152,7 +153,7 @@ def green_strain(H: Array) -> Array:
 def symmetrised(product: Array) -> Array:
     """Sum products symmetric in their first two indices over the positions of the third: (k, k, k).
 
-    The unit stays what it is.
+    The result has the unit of the products.
     """
     return product + product.swapaxes(1, 2) + product.swapaxes(0, 2)
 
@@ -164,19 +165,19 @@ def _each_transposed(below: Array) -> Array:
 
 
 def _by_field(below: Array) -> Array:
-    """Return stacked 3x3 matrices, (..., 3 k, 3), by number: (k, m)."""
+    """Return stacked 3x3 matrices, (..., 3 k, 3), by field: (k, m)."""
     each = below.reshape(-1, below.shape[-2] // 3, 9)
     return np.ascontiguousarray(each.swapaxes(0, 1)).reshape(each.shape[1], -1)
 
 
 UNIT_STRAINS = np.zeros((6, 3, 3))
-"""Strains of which one of the six, the shears as 2 E_ij, is one."""
+"""The six unit strains; shears are 2 E_ij."""
 UNIT_STRAINS[range(6), ROWS, COLUMNS] += 0.5
 UNIT_STRAINS[range(6), COLUMNS, ROWS] += 0.5
 
 
 class DenseState(CellState):
-    """Strains and stresses of a few cells of a material that has nothing to save by."""
+    """Strains and stresses of a few cells of a general material, with complete 6x6 moduli."""
 
     @abstractmethod
     def moduli(self) -> Array:

@@ -1,8 +1,8 @@
 """Common part of the cells of all materials: forces, energies and stresses, total Lagrangian.
 
 The unknowns of a cell are ordered component first, (ux of all nodes, uy of all nodes, uz of all
-nodes), which lets the products run as matrix products without moving anything first. The material
-is in the state that a kind of cells makes of a displacement: `CellState`.
+nodes), so that the products are matrix products without reordering. Each kind of material has its
+own state at a displacement: `CellState`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from wrenchbook.fea.mesh.mapping import Gradients
 
 Array = np.ndarray
 
-_CHUNK = 64  # cells at a time, whose temporaries stay in cache
+_CHUNK = 64  # cells at a time, whose temporaries fit the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,10 +26,10 @@ class CellStiffness(ABC):
     """Cells of one block with their material."""
 
     gradients: Gradients  # shape gradients and weights of the cells
-    # Shape (cells, points or 1, 3, 3), 1/K: thermal strain per kelvin; None where no temperature is
-    # an input.
+    # Shape (cells, points or 1, 3, 3), 1/K: thermal strain per kelvin; None if no temperature is an
+    # input.
     expansion: Array | None = field(default=None, kw_only=True)
-    # The same shape: the thermal strain; None for none. Neo-Hookean cells have none
+    # The same shape: the thermal strain; None without. Neo-Hookean cells have none
     thermal: Array | None = field(default=None, kw_only=True)
 
     @property
@@ -46,7 +46,7 @@ class CellStiffness(ABC):
         return False
 
     def thermal_strain(self, part: Which) -> Array | None:
-        """Return the thermal strain of a few cells, (cells, points or 1, 3, 3); None for none."""
+        """Return the thermal strain of a few cells, (cells, points or 1, 3, 3), or None."""
         return None if self.thermal is None else self.thermal[part]
 
     def at(self, temperature: complex, finite: bool) -> CellStiffness:
@@ -66,13 +66,13 @@ class CellStiffness(ABC):
 
     @abstractmethod
     def stretched(self, stretch: Array) -> CellStiffness:
-        """Return the cells with moduli for E after a stretch without stress, (cells, 3, 3)."""
+        """Return the cells with moduli for E after a stress-free stretch, (cells, 3, 3)."""
 
     @abstractmethod
     def state(self, part: Which, displacement: Array | None) -> CellState:
         """Return strains and stresses of a few cells.
 
-        part: which cells.
+        part: the cells.
         displacement: of these cells, shape (cells, 3, nodes), m; None for the undeformed state.
         """
 
@@ -80,8 +80,8 @@ class CellStiffness(ABC):
     def small_stress(self, strain: Array, part: Which) -> Array:
         """Return the stresses of small strains times the weights, N·m.
 
-        strain: of a few cells, shape (k, cells, points, 3, 3), dimensionless.
-        part: which cells.
+        strain: strains of a few cells, shape (k, cells, points, 3, 3), dimensionless.
+        part: the cells.
         Result: shape (k, cells, points, 3, 3), Pa times m^3.
         """
 
@@ -195,7 +195,7 @@ class CellStiffness(ABC):
         return strain, self.small_stress(strain, part)
 
     def chunks(self, cells: int | None = None) -> Iterator[slice]:
-        """Yield slices of all cells, or of the first few, whose temporaries stay in cache."""
+        """Yield slices of all cells, or of the first `cells`, whose temporaries fit the cache."""
         count = len(self) if cells is None else cells
         for start in range(0, count, _CHUNK):
             yield slice(start, min(start + _CHUNK, count))

@@ -1,8 +1,8 @@
-"""Nearly incompressible materials: which cells project their volumetric strain, and onto what.
+"""Nearly incompressible materials: cells that project their volumetric strain, and the functions.
 
-With Poisson's ratio near 1/2 the first Lame constant is thousands of times the shear modulus,
-and cells whose shape functions cannot keep their volume at every quadrature point lock: they are
-too stiff by any factor and say nothing. The cure is a pressure of fewer functions than points,
+With Poisson's ratio near 1/2 the first Lame constant is thousands of times the shear modulus, and
+cells whose shape functions cannot keep their volume at every quadrature point lock: they are too
+stiff by any factor, without any warning. The cure is a pressure of fewer functions than points,
 discontinuous between cells and condensed in each: tr(E) in the energy is replaced by its L2
 projection onto those functions (Hughes, "Generalization of selective integration procedures to
 anisotropic and nonlinear media", 1980). The unknowns stay displacements and the stiffness positive
@@ -33,7 +33,7 @@ PRESSURES = {"hex20": 4, "hex27": 4}
 """Kinds of cells that project, and their number of pressure functions: 1 and the coordinates."""
 
 ROUNDING = 1e-9
-"""Of a Poisson's ratio: a computed ratio, 0.49 and a rounding error, is at its limit."""
+"""Rounding of a Poisson's ratio: a computed ratio of 0.49 is still at its limit."""
 
 LARGEST_RATIO = {
     "hex8": 0.4,
@@ -46,7 +46,7 @@ LARGEST_RATIO = {
     "hex20": 0.49,
     "hex27": 0.5,
 }
-"""Poisson's ratio up to which a kind of cell is taken.
+"""Largest Poisson's ratio of each kind of cell.
 
 Measured on bonded blocks of 4x4x2 cells (1:2 and 1:10): up to here the error is at most five times
 that at 0.3. A constant pressure would let tet10 and hex20 go further on a thick block, but makes a
@@ -56,7 +56,7 @@ singular), hex20 by 10 % with the projection, and full integration of any kind b
 
 
 def locking(block: CellBlock, poisson: Array) -> str:
-    """Return which cells of a block would lock, as text; an empty string if none would.
+    """Return a text on the cells of a block that would lock; an empty string if none would.
 
     block: the cells.
     poisson: shape (cells,), dimensionless: their Poisson's ratios.
@@ -74,7 +74,7 @@ def locking(block: CellBlock, poisson: Array) -> str:
 def require_no_locking(block: CellBlock, poisson: Array) -> None:
     """Refuse cells that would lock, by their Poisson's ratios, shape (cells,), dimensionless.
 
-    Raises SolveFailed: ``locking_material``.
+    Raises SolveFailed of kind ``locking_material`` if a cell would lock.
     """
     message = locking(block, poisson)
     if message:
@@ -90,7 +90,7 @@ def projects(block: CellBlock, poisson: Array) -> Array:
 
 
 def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:
-    """Return, for an engineer, which cells project their volumetric strain."""
+    """Return notes for an engineer on the cells that project their volumetric strain."""
     cells = sum(len(part) for part in parts if part.projected)
     if not cells:
         return ()

@@ -35,7 +35,7 @@ class IsotropicStiffness(CellStiffness):
     first_lame: Array
     shear: Array
     # Shape (cells, points, modes), m^1.5: orthonormal functions onto which the volumetric strain is
-    # projected, times the weights; None takes it as it is.
+    # projected, times the weights; None without projection.
     volume_modes: Array | None = None
 
     @property
@@ -44,11 +44,11 @@ class IsotropicStiffness(CellStiffness):
         return self.volume_modes is not None
 
     def state(self, part: Which, displacement: Array | None) -> CellState:
-        """Return strains and stresses, displacements of shape (cells, 3, nodes), m."""
+        """Return strains and stresses; `displacement` has shape (cells, 3, nodes), m."""
         return _State(self, part, displacement)
 
     def stretched(self, stretch: Array) -> IsotropicStiffness:
-        """Return the cells after a stretch without stress, shape (cells, 3, 3), all directions'."""
+        """Return the cells after a stress-free stretch (cells, 3, 3), equal in all directions."""
         factor = stretch[:, 0, 0]
         return replace(self, first_lame=self.first_lame / factor, shear=self.shear / factor)
 
@@ -144,11 +144,11 @@ class OrthotropicStiffness(CellStiffness):
     elasticity: Array
 
     def state(self, part: Which, displacement: Array | None) -> CellState:
-        """Return strains and stresses, displacements of shape (cells, 3, nodes), m."""
+        """Return strains and stresses; `displacement` has shape (cells, 3, nodes), m."""
         return _OrthotropicState(self, part, displacement)
 
     def stretched(self, stretch: Array) -> OrthotropicStiffness:
-        """Return the cells after a stretch without stress, shape (cells, 3, 3)."""
+        """Return the cells after a stress-free stretch, shape (cells, 3, 3)."""
         inverse = np.linalg.inv(stretch)[:, None]
         strains = (inverse @ UNIT_STRAINS @ inverse)[..., ROWS, COLUMNS] * _SHEARS_TWICE
         strains = strains[:, None]
@@ -165,6 +165,8 @@ class OrthotropicStiffness(CellStiffness):
 
 
 class _OrthotropicState(DenseState):
+    """Strains and stresses of a few orthotropic cells at one displacement."""
+
     def __init__(self, cells: OrthotropicStiffness, part: Which, displacement: Array | None):
         super().__init__(cells.gradients, part, displacement, cells.thermal_strain(part))
         self._moduli = cells._weighted(part)

@@ -2,11 +2,10 @@
 
 ``python -m wrenchbook.fea.export.calculix BUNDLE > plate.inp`` prints it.
 
-The deck is complete: mesh, materials, supports, rigid interfaces and one step that takes the
-wrench from $FX $FY $FZ $MX $MY $MZ, of an interface with a name from $NAME.FX and so on, and the
+The deck is complete: mesh, materials, supports, rigid interfaces and one step that takes the wrench
+from $FX $FY $FZ $MX $MY $MZ, of an interface with a name from $NAME.FX and so on, and the
 temperature, where it is an input, from $TEMPERATURE. It is the start of a ``[deck]`` that an expert
-then goes on with (contact, plasticity), and the example that ``data/components/plate_ccx``
-ships.
+then extends (contact, plasticity), and the example of ``data/components/plate_ccx``.
 """
 
 from __future__ import annotations
@@ -30,14 +29,14 @@ from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE
 Array = np.ndarray
 
 PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
-"""Where the wrench goes, in the order of the wrench contract."""
+"""Placeholders of the wrench, in the order of the wrench contract."""
 
 # Their nodes are in the same order as those of `fea.mesh.mesh`.
 _ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10", "wedge15": "C3D15"}
-_ZERO = 1e-12  # of a component of a unit vector; smaller ones are roundoff
+_ZERO = 1e-12  # component of a unit vector; smaller ones are roundoff
 
-# The increments are halved by CalculiX where they are too large. Its default tolerance leaves up to
-# 5e-3 in small rotations.
+# CalculiX halves increments that are too large. Its default tolerance leaves errors of up to 5e-3
+# in small rotations.
 _NONLINEAR = (
     "*STEP, NLGEOM, INC=1000",
     "*STATIC",
@@ -51,13 +50,14 @@ _LINEAR = ("*STEP", "*STATIC")
 def deck_of(component: ComponentModel, comments: Iterable[str] = ()) -> str:
     """Return the deck of a component with a rigid coupling, in metres, newtons and pascals.
 
-    Its global axes are the interface frame's, so the wrench and the motion need no turning. The
-    printed motion is that of the sets REF (translation) and ROT (rotation vector), as the reader
-    "calculix-dat" takes it; of an interface with a name REF_NAME and ROT_NAME.
+    Its global axes are the interface frame's, so the wrench and the motion need no rotation. The
+    printed motion is that of the sets REF (translation) and ROT (rotation vector), for the reader
+    "calculix-dat"; of an interface with a name REF_NAME and ROT_NAME.
 
     comments: first lines of the deck.
+
     Raises BundleError if CalculiX has no counterpart: a distributed coupling, whose mean motion it
-    does not report, interfaces of different axes, or cells it has no element for.
+    does not report, interfaces of different axes, or cells without an element type.
     """
     problems = []
     for interface in component.interfaces:
@@ -125,8 +125,8 @@ def _body(component: ComponentModel) -> Iterator[str]:
 def _springs(component: ComponentModel) -> Iterator[str]:
     """Yield each frame as a rigid body, and a spring for each eigenvector of a stiffness.
 
-    It is on a node of its own, whose displacement is that combination of a frame's six freedoms, or
-    of their differences between two frames.
+    The spring is on a node of its own, whose displacement is the eigenvector's combination of a
+    frame's six freedoms, or of their differences between two frames.
     """
     if component.joints and component.analysis.nonlinear:
         yield "** The axes of springs between two groups do not turn here."
@@ -163,7 +163,7 @@ def _springs(component: ComponentModel) -> Iterator[str]:
 
 
 def _dependents(component: ComponentModel) -> Iterator[str]:
-    """Yield the equations of nodes that follow others."""
+    """Yield the equations of dependent nodes."""
     if (dependents := component.mesh.dependents) is None:
         return
     for node in dependents.nodes.tolist():
@@ -186,10 +186,11 @@ def _materials(component: ComponentModel) -> Iterator[str]:
         yield f"*MATERIAL, NAME=M{i}"
         if isinstance(material, Orthotropic):
             constants = [*material.youngs_moduli, *material.poisson_ratios, *material.shear_moduli]
-            yield "*ELASTIC, TYPE=ENGINEERING CONSTANTS"  # eight a line, the ninth on the next
+            # Eight numbers a line, the ninth on the next.
+            yield "*ELASTIC, TYPE=ENGINEERING CONSTANTS"
             yield f"{_numbers(constants[:8])}\n{_numbers(constants[8:])}"
         elif material.law == "isotropic" or not component.analysis.nonlinear:
-            # Of any law: CalculiX solves a hyperelastic deck as nonlinear.
+            # For any law: CalculiX solves a hyperelastic deck as nonlinear.
             yield f"*ELASTIC\n{_numbers([material.youngs_modulus, material.poisson_ratio])}"
         elif material.law == "neo-hookean":
             shear = material.youngs_modulus / (2 * (1 + material.poisson_ratio))
@@ -218,10 +219,10 @@ def _set(kind: str, interface: AttachedInterface) -> str:
 
 
 def _sliding(component: ComponentModel) -> Iterator[str]:
-    """Yield what holds sliding nodes: a boundary condition along an axis, or an equation."""
+    """Yield the conditions of sliding nodes: a boundary condition along an axis, or an equation."""
     nodes, held = component.guided
     for node, projector in zip(nodes + 1, component.axes @ held @ component.axes.T, strict=True):
-        # Each held direction makes one displacement depend on the others: the largest in it.
+        # Each held direction makes one displacement depend on the others: its largest component.
         held_count = round(np.trace(projector))
         dependent = np.argsort(-np.diagonal(projector))[:held_count]
         rows = np.linalg.solve(projector[np.ix_(dependent, dependent)], projector[dependent])
@@ -235,7 +236,7 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
 def _orientation(number: int, orthotropic: Orthotropic, axes: Array) -> Iterator[str]:
     """Yield a material's directions by a point on its x-axis and a point on its y-axis.
 
-    Those about a cylinder's axis by two points of it.
+    Directions about a cylinder's axis are given by two points of the axis.
     """
     if orthotropic.cylinder is not None:
         cylinder = orthotropic.cylinder
@@ -263,7 +264,7 @@ def _elements(component: ComponentModel) -> Iterator[str]:
 
 
 def _step(component: ComponentModel) -> Iterator[str]:
-    """Yield the step with the loads, and before it one that tightens bolts if there are any."""
+    """Yield the step with the loads, and a step before it that tightens bolts, if there are any."""
     start = _NONLINEAR if component.analysis.nonlinear else _LINEAR
     if component.bolts:
         yield "** Bolts are tightened in a first step. Displacements count from before it."
@@ -271,7 +272,7 @@ def _step(component: ComponentModel) -> Iterator[str]:
             (bolt, int(np.abs(component.axes @ bolt.axis).argmax())) for bolt in component.bolts
         ]
         yield from (*start, "*CLOAD")
-        for bolt, axis in slips:  # across its axis the slip is held, or an equation has it
+        for bolt, axis in slips:  # across its axis the slip is held, or an equation determines it
             load = -bolt.bolt.force / (component.axes @ bolt.axis)[axis]
             yield f"{bolt.slip + 1}, {axis + 1}, {_numbers([load])}"
         yield "*END STEP"
@@ -316,17 +317,17 @@ def _pulls(component: ComponentModel) -> Iterator[str]:
 
 
 def placeholders(name: str) -> tuple[str, ...]:
-    """Return where the wrench of an interface goes, its name empty if it is the only interface."""
+    """Return the placeholders of an interface's wrench, its name empty for a single interface."""
     return tuple(f"${name}.{word[1:]}" if name else word for word in PLACEHOLDERS)
 
 
 def further_placeholder(name: str) -> str:
-    """Return where an input behind the loads goes, in the bundle's unit."""
+    """Return the placeholder of a further input, in the bundle's unit."""
     return f"${name.upper()}"
 
 
 def _freedom_set(freedom: str, interface: AttachedInterface) -> str:
-    """Return the set of the node that moves along a freedom such as "ux" or "rz"."""
+    """Return the set of the node that has a freedom such as "ux" or "rz"."""
     return _set("REF" if freedom.startswith("u") else "ROT", interface)
 
 
@@ -336,7 +337,7 @@ def _axis(freedom: str) -> int:
 
 
 def _numbers(values: Iterable[float]) -> str:
-    """Return numbers with all the digits that CalculiX reads, which is 20 characters each."""
+    """Return numbers with all the digits that CalculiX reads: 20 characters each."""
     return ", ".join(f"{value:.12e}" for value in values)
 
 

@@ -17,17 +17,17 @@ from wrenchbook.fea.mesh.io.read import MESHIO_KINDS
 Array = np.ndarray
 
 HISTORY, LAST_STATE = "history.json", "last_state.vtu"  # files in the attempt's folder
-_COLUMNS = ("load_factor", "iteration", "residual_norm")  # of each iteration of the history
+_COLUMNS = ("load_factor", "iteration", "residual_norm")  # fields of each iteration of the history
 _NAMES = {kind: name for name, kind in MESHIO_KINDS.items()}
 
 
 def keep(folder: Path, failure: SolveFailed, component: ComponentModel) -> None:
     """Write the history of a failure and the last converged state.
 
-    ``history.json`` has the failure's kind, message and remedy, the load factor of the last state
-    found and that at which the part gives way (null if unknown), and each iteration. The state is
-    the undeformed mesh if there was none. What cannot be written is reported on standard error: the
-    failure itself matters more.
+    ``history.json`` has the failure's kind, message and remedy, the load factor of the last
+    converged state and that at which the part gives way (null if unknown), and each iteration. The
+    state is the undeformed mesh if there was none. Errors of writing are reported on standard error
+    only: the failure itself matters more.
     """
     factor, nodes = failure.last or (0.0, np.zeros_like(component.mesh.points))
     record = {
@@ -57,7 +57,7 @@ def write_state(path: Path, component: ComponentModel, displacements: Array) -> 
     mesh = component.mesh
     sections = np.concatenate([interface.section.node_ids for interface in component.interfaces])
     marks = {"supported": component.supported_nodes, "interface": sections}
-    for bolt in component.bolts:  # the slip is of no cell: its point moves with the cut
+    for bolt in component.bolts:  # the slip belongs to no cell: its point moves with the cut
         displacements = displacements.copy()
         displacements[bolt.slip] = displacements[bolt.nodes].mean(axis=0)
     point_data: dict[str, Any] = {"displacement": displacements}

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from wrenchbook.fea.solver.vibration import CraigBampton
 
 _NAMES = {"stiffness": "K", "mass": "M", "damping": "B"}  # in Nastran's case control
-_RIGID_MOTIONS = 6  # of a free part: its lowest modes
+_RIGID_MOTIONS = 6  # motions of a free part: its lowest modes
 _WIDTH = 16  # characters of a large field of Nastran
 
 
@@ -73,7 +73,7 @@ def _rows(part: Mapping[str, Any], first: int, scalar: int) -> list[tuple[int, i
 
 
 def _number(value: float) -> str:
-    """Return a number in a field of 16 characters, with the digits that it holds: 9 to 13."""
+    """Return a number in a field of 16 characters with all digits that fit: 9 to 13."""
     parts = (f"{value:.{digits}e}".split("e") for digits in range(12, 7, -1))
     texts = (f"{mantissa}D{int(exponent)}" for mantissa, exponent in parts)
     return next(text.rjust(_WIDTH) for text in texts if len(text) <= _WIDTH)

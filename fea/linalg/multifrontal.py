@@ -39,52 +39,59 @@ _ROUTINES: dict[Any, Any] = {  # by precision and name
 }
 _getrf, _getrs = get_lapack_funcs(("getrf", "getrs"), dtype=np.float64)
 
-# Fronts of up to 3,500 unknowns take twice the time by two threads of BLAS as by one.
+# Fronts of up to 3,500 unknowns take twice the time with two threads of BLAS.
 _ONE_THREAD = ThreadpoolController().wrap(limits=1, user_api="blas")
 
 Leaf = Callable[[int], Array]
-"""Gives the matrix of a leaf by its number, its unknowns in the order of the substructure's."""
+"""Returns the matrix of a leaf by its index, its unknowns in the order of the substructure's."""
 
 _WIDTH = 256
-"""Unknowns in a block column, about; wide enough for BLAS (measured level from 192 to 384)."""
+"""Approximate number of unknowns in a block column.
+
+Wide enough for BLAS (measured level from 192 to 384).
+"""
 
 _ONE_COLUMN = 768
-"""Unknowns below which a boundary is one block column, a square.
+"""Number of unknowns below which a boundary is one block column, a square.
 
-In columns of 256 a flange whose largest is 705 takes 10 % longer, to save 2 MB of 210.
+In columns of 256 a flange whose largest boundary has 705 takes 10 % longer, to save 2 MB of 210.
 """
 
 
 class Condensed(NamedTuple):
-    """Minus the condensed stiffness of one boundary, N/m; above its diagonal nothing is meant."""
+    """Minus the condensed stiffness of one boundary, N/m.
+
+    Entries above its diagonal have no meaning.
+    """
 
     starts: list[int]  # first unknown of each block column, and after the last
     # For each block column from a to b of n unknowns, shape (n - a, b - a), in Fortran's order
     blocks: list[Array]
 
     def holding(self, unknown: int) -> tuple[int, Array]:
-        """Return where the block column of an unknown starts, and it: shape (n - a, b - a), N/m."""
+        """Return the start of an unknown's block column, and the column: (n - a, b - a), N/m."""
         column = bisect_right(self.starts, unknown) - 1
         return self.starts[column], self.blocks[column]
 
 
 class _Stretch(NamedTuple):
-    # Unknowns with consecutive indices, in one block column of the child and one of the parent.
+    """Consecutive unknowns within one block column of the child and one of the parent."""
+
     low: int  # first unknown of the child
     high: int  # last + 1
     to: int  # index of the first in the parent
 
 
 class Route(NamedTuple):
-    """Where what a child hands on goes in its parent."""
+    """Destination of a child's condensed stiffness in its parent."""
 
     indices: Array  # shape (n,), ascending: of the child's unknowns among the m + b of the parent
-    pivots: int  # number of those eliminated in the parent
-    stretches: list[_Stretch]  # in their order
+    pivots: int  # number of these unknowns that the parent eliminates
+    stretches: list[_Stretch]  # in ascending order
 
 
 def columns_of(unknowns: int) -> list[int]:
-    """Return where the block columns of a boundary start, and its end."""
+    """Return the starts of the block columns of a boundary, and its end."""
     count = round(unknowns / _WIDTH) if unknowns >= _ONE_COLUMN else 1
     return [unknowns * i // count for i in range(count + 1)]
 
@@ -93,8 +100,8 @@ def products(left: Array, right: Array, square: Callable[[Array], Array] | None)
     """Return the lower triangle of left^T right, which is symmetric.
 
     left, right: shape (m, n): N^0.5/m^0.5 both, or N/m and dimensionless; in Fortran's order.
-    square: gives the lower triangle of X^T X for the columns X of `right` faster than the product,
-    where `left` is `right`.
+    square: computes the lower triangle of X^T X for the columns X of `right` faster than the
+    product, if `left` is `right`.
     """
     count = right.shape[1]
     starts = columns_of(count)
@@ -113,13 +120,16 @@ def products(left: Array, right: Array, square: Callable[[Array], Array] | None)
 
 
 def add_leaf(target: Condensed, matrix: Array) -> None:
-    """Take a leaf's stiffness of its boundary, shape (n, n), N/m, from minus the condensed."""
+    """Subtract a leaf's stiffness of its boundary, shape (n, n), N/m, from minus the condensed."""
     for (a, b), block in zip(pairwise(target.starts), target.blocks, strict=True):
         block -= matrix[a:, a:b]
 
 
 def route(part: Condensed, indices: Array, eliminated: int, boundary: int) -> Route:
-    """Return where a child's unknowns go: `indices`, shape (n,), in its parent's m + b."""
+    """Return the route of a child whose unknowns have the `indices`, shape (n,), in its parent.
+
+    `eliminated` and `boundary` are the parent's numbers m and b of unknowns.
+    """
     pivots = int(indices.searchsorted(eliminated))
     gaps = np.flatnonzero(indices[1:] - indices[:-1] != 1) + 1
     bounds = {*gaps.tolist(), *part.starts, pivots}
@@ -132,14 +142,14 @@ def route(part: Condensed, indices: Array, eliminated: int, boundary: int) -> Ro
 
 
 def add_to_pivots(A: Array, B: Array, part: Condensed, way: Route) -> None:
-    """Add what a child hands on to the rows of the pivots.
+    """Add a child's condensed stiffness to the rows of the pivots.
 
-    A stretch of columns at a time, whose rows in A may have gaps: stretch by stretch in both
-    directions would be thousands of additions of a few numbers each.
+    It is added by stretches of columns, whose rows in A may have gaps: stretches in both directions
+    would be thousands of additions of a few numbers each.
 
-    A: shape (m, m), N/m: stiffness of the unknowns that are eliminated, the lower triangle.
+    A: shape (m, m), N/m: stiffness of the eliminated unknowns, the lower triangle.
     B: shape (m, b), N/m: the same with the boundary.
-    part, way: of the child.
+    part, way: the child's condensed stiffness and route.
     """
     indices, pivots, stretches = way
     across = [
@@ -160,7 +170,7 @@ def add_to_pivots(A: Array, B: Array, part: Condensed, way: Route) -> None:
 
 
 def add_to_boundary(total: Condensed, part: Condensed, way: Route, eliminated: int) -> None:
-    """Add what a child hands on to what its parent does."""
+    """Add a child's condensed stiffness to that of its parent."""
     for low, high, to in way.stretches:
         if low < way.pivots:
             continue
@@ -172,7 +182,7 @@ def add_to_boundary(total: Condensed, part: Condensed, way: Route, eliminated: i
 
 
 _SINGLE_PIVOT = 5e-3
-"""Pivot ratio that single precision needs: rods of 1:10 have 4e-2, of 1:25 (not refined) 3e-3."""
+"""Least pivot ratio for single precision: rods of 1:10 have 4e-2, of 1:25 (not refined) 3e-3."""
 
 
 class NotDefinite(ArithmeticError):  # noqa: N818 - a finding about the matrix
@@ -183,18 +193,19 @@ class MultifrontalFactor:
     """A factorised stiffness matrix.
 
     dissection: the order of elimination.
-    leaf: gives the matrix of each leaf, N/m; called when the leaf is due, so that few are in
+    leaf: returns the matrix of each leaf, N/m; called when the leaf is needed, so that few are in
     memory.
-    single: in half the memory; solves are to be refined. Raises NotDefinite if the matrix is not
-    definite or a pivot ratio is below _SINGLE_PIVOT.
+    single: in half the memory; solutions need refinement.
 
     Its attributes:
     definite: whether the matrix is positive definite.
-    pivot_ratio: the least ratio of a pivot to the diagonal entry it came from: what elimination
-    left of the stiffness there. Near roundoff it says that some motion has no stiffness. 0 if the
-    matrix is not definite.
+    pivot_ratio: the least ratio of a pivot to the diagonal entry before elimination. Near roundoff
+    some motion has no stiffness. 0 if the matrix is not definite.
     weakest: position of the unknown with that ratio.
-    diagonal: shape (unknowns,), N/m: that of the matrix.
+    diagonal: shape (unknowns,), N/m: diagonal of the matrix.
+
+    Raises NotDefinite if `single` and the matrix is not definite or a pivot ratio is below
+    _SINGLE_PIVOT.
     """
 
     @_ONE_THREAD
@@ -208,7 +219,7 @@ class MultifrontalFactor:
             if single:
                 raise
             self.definite = False
-        if not self.definite:  # here, as the exception keeps the fronts done so far
+        if not self.definite:  # in this place, as the exception would keep the fronts in memory
             self._fronts, self.diagonal = _eliminate(dissection, leaf, _LUFront)
         self.pivot_ratio, self.weakest = 1.0, -1
         if self.unknowns:
@@ -229,7 +240,8 @@ class MultifrontalFactor:
         loads: shape (unknowns, k), N, in the order of elimination.
         Result: shape (unknowns, k), m, in the same order.
         """
-        scale = np.abs(loads).max(axis=0, initial=1e-300) if self._single else 1.0  # less range
+        # Single precision has a smaller range of exponents.
+        scale = np.abs(loads).max(axis=0, initial=1e-300) if self._single else 1.0
         x = np.array(loads / scale, dtype=np.float32 if self._single else float, order="C")
         fronts = list(zip(self._dissection.substructures, self._fronts, strict=True))
         for part, front in fronts:
@@ -262,7 +274,7 @@ class _CholeskyFront:
         self.L, _ = routines["trttf"](L, uplo="L")
 
     def products(self, boundary: int) -> Condensed:
-        """Return the update of the boundary's stiffness by what is eliminated here."""
+        """Return the change of the boundary's stiffness by the elimination."""
         W, syrk = self.W, _ROUTINES[self.W.dtype]["syrk"]
         return products(W, W, partial(syrk, 1.0, trans=1, lower=1))
 
@@ -289,16 +301,16 @@ class _LUFront:
     def __init__(self, A: Array, B: Array) -> None:
         self.A = A = np.tril(A) + np.tril(A, -1).T
         self.lu, self.swaps, info = _getrf(A)
-        if info > 0:  # exactly singular: the factor is of use for naming the node only
+        if info > 0:  # exactly singular: the factor only serves to name the node
             pivots = np.einsum("ii->i", self.lu)
-            # Smaller than any that roundoff leaves, and its inverse does not overflow.
+            # Smaller than any roundoff, but its inverse does not overflow.
             pivots[pivots == 0] = np.finfo(float).eps ** 2 * np.abs(A).max()
         self.B = B
         self.W = _getrs(self.lu, self.swaps, B)[0] if B.size else B
 
     def products(self, boundary: int) -> Condensed:
         product = products(self.B, self.W, None)
-        del self.B  # of no further use: about a quarter of what the front holds
+        del self.B  # no longer needed: about a quarter of the front's memory
         return product
 
     @property
@@ -323,7 +335,7 @@ class _LUFront:
 
 
 def _eliminate(dissection: Dissection, leaf: Leaf, kind: type, single: bool = False) -> Any:
-    """Factorise front by front; a condensed part is dropped once its parent has taken it.
+    """Factorise front by front; a condensed stiffness is deleted when its parent has used it.
 
     Returns the fronts and the diagonal of the matrix.
     """
@@ -347,7 +359,7 @@ def _eliminate(dissection: Dissection, leaf: Leaf, kind: type, single: bool = Fa
 
 
 class _EmptyFront:
-    """Nothing is eliminated here."""
+    """A front without eliminated unknowns."""
 
     pivots = np.empty(0)
     negatives = 0
@@ -361,9 +373,9 @@ _EMPTY = _EmptyFront()
 
 
 def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed]:
-    """Return the front of a leaf and what it hands on."""
+    """Return the front of a leaf and its condensed stiffness."""
     pivots, boundary = slice(0, part.eliminated), slice(part.eliminated, None)
-    matrix = matrix.T  # symmetric; so its columns lie together as a front's do
+    matrix = matrix.T  # symmetric; columns then are contiguous as in a front
     front = _EMPTY
     if part.eliminated:
         front = kind(
@@ -377,7 +389,7 @@ def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed
 def _branch(
     part: Substructure, condensed: dict[int, Condensed], kind: type, dtype: Any
 ) -> tuple[Any, Condensed]:
-    """Return the front of a branch and what it hands on; what its parts did is dropped.
+    """Return the front of a branch and its condensed stiffness; those of its children are deleted.
 
     Indices ascend, so lower triangles remain lower.
     """

@@ -27,26 +27,27 @@ import numpy as np
 Array = np.ndarray
 
 _LEAF_NODES = 256
-"""Summed over its cells: 12 hex20 or 25 tet10.
+"""Number of nodes of a leaf, summed over its cells: 12 hex20 or 25 tet10.
 
-Fewer make more fronts, whose calls then take longer than their arithmetic (half of a flange of
-tetrahedra at 12); more fill in (the factor holds a fifth more at 32 hex20).
+Smaller leaves make more fronts, whose calls then take longer than their arithmetic (half of a
+flange of tetrahedra at 12); larger ones fill in more (the factor is a fifth larger at 32 hex20).
 """
 
 
 _WINDOW = 0.3
-"""Of the cells, to either side of the middle."""
+"""Part of the cells, to either side of the middle, among which the cut is chosen."""
 
 _UNEVEN = 1.0
-"""A cut that leaves x and 1 - x of the cells counts 1 + _UNEVEN (1 - 2 x)^2 times its shared nodes.
+"""Penalty of uneven cuts: a cut that leaves x and 1 - x of the cells counts 1 + _UNEVEN (1 - 2 x)^2
+times its shared nodes.
 
 Without it the window halves a block so unevenly that the operations double.
 """
 
 _FEW_CELLS, _MANY_CELLS = 100, 500
-"""Up to the first only the axes are tried, from the second on the diagonals too.
+"""Numbers of cells: up to the first only the axes are tried, from the second on the diagonals too.
 
-Small sets are most of the time of cutting and little of that of the factor.
+Small sets take most of the time of cutting and little of that of the factor.
 """
 
 _AXES = np.eye(3)
@@ -56,7 +57,7 @@ _DIAGONALS = np.array(
 
 
 class Incidence(NamedTuple):
-    """Which cells hold which nodes, sorted by node; shape (k,) each, indices."""
+    """Pairs of nodes and cells, sorted by node; shape (k,) each, indices."""
 
     nodes: Array
     cells: Array
@@ -114,7 +115,7 @@ class Cutter:
             else pairs.nodes
         )
         low = max(int(count * (0.5 - _WINDOW)), 1)
-        sizes = np.arange(low, max(count - low, low) + 1)  # of the first half
+        sizes = np.arange(low, max(count - low, low) + 1)  # sizes of the first half
         dearer = 1.0 + _UNEVEN * (2.0 * sizes / count - 1.0) ** 2
         best, chosen = np.inf, np.arange(count) >= count // 2
         for direction in _directions(centres):
@@ -153,29 +154,29 @@ def _on_both_sides(ranks: Array, starts: Array, count: int) -> Array:
 
 @dataclass(eq=False)
 class Substructure:
-    """One node of the tree. Positions count unknowns in the order of elimination."""
+    """One node of the tree. Positions are indices of unknowns in the order of elimination."""
 
     cells: Array  # shape (c,), int64: indices of the cells of a leaf; empty for a branch
-    # Numbers of the two parts in `Dissection.substructures`; empty for a leaf
+    # Indices of the two children in `Dissection.substructures`; empty for a leaf
     children: tuple[int, ...]
-    # start, stop: the unknowns eliminated here are the positions start .. stop - 1
+    # start, stop: the eliminated unknowns are the positions start .. stop - 1
     start: int = 0
     stop: int = 0
     # Shape (b,), int64: ascending positions of the unknowns handed on to the parent
     boundary: Array = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    # For each child, shape (b of the child,), int64: where its boundary lies among this part's
+    # For each child, shape (b of the child,), int64: indices of its boundary among this part's
     # unknowns (eliminated first, then the boundary).
     indices: tuple[Array, ...] = ()
 
     @property
     def eliminated(self) -> int:
-        """How many unknowns are eliminated here."""
+        """The number of unknowns that are eliminated in this node."""
         return self.stop - self.start
 
     def find(self, positions: Array) -> Array:
-        """Return where positions lie among the unknowns of this substructure.
+        """Return the indices of positions among the unknowns of this substructure.
 
-        Positions and what is returned are indices of one shape, whichever that is.
+        Positions and result have the same shape.
         """
         inside = positions < self.stop
         return np.where(
@@ -196,12 +197,12 @@ class Dissection:
 
     @property
     def unknowns(self) -> int:
-        """Three for each free node."""
+        """The number of unknowns: three for each free node."""
         return 3 * self.nodes.size
 
     @property
     def numbers(self) -> int:
-        """Numbers in the factor, about: of each front half of a square, and a rectangle."""
+        """Approximate size of the factor: in each front half of a square, and a rectangle."""
         sizes = ((part.eliminated, part.boundary.size) for part in self.substructures)
         return sum(m * m // 2 + m * b for m, b in sizes)
 
@@ -219,14 +220,14 @@ def dissect(cells: list[Array], centres: Array, free: Array) -> Dissection:
 
 
 class _Builder:
-    """Collects substructures bottom up; nodes first, positions when all are known."""
+    """Collects substructures bottom up: first their nodes, then positions when all are known."""
 
     def __init__(self, cells: list[Array], free: Array, cutter: Cutter) -> None:
         self.cells = cells
         self.cutter = cutter
         self.sizes = np.array([len(nodes) for nodes in cells], dtype=np.int64)
         self.free = free
-        # A cell may have a node several times, which counts as often in `_add`.
+        # A cell may have a node several times; `_add` counts it as often.
         every = np.concatenate([np.empty(0, dtype=np.int64), *cells])
         self.uses = np.bincount(every, minlength=free.size)
         self.parts: list[Substructure] = []

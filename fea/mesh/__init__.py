@@ -1,1 +1,1 @@
-"""The mesh: points, cells, facets and groups, and how good its cells are."""
+"""The mesh: points, cells, facets and groups, and the quality of its cells."""

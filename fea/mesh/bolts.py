@@ -22,19 +22,19 @@ from wrenchbook.fea.spec.schema import Bolt
 
 Array = np.ndarray
 
-_LEVEL = 1e-9  # of the shank's length: a cell whose middle is in the plane is above it
+_LEVEL = 1e-9  # part of the shank's length: a cell whose middle is in the plane is above it
 
 
 @dataclass(frozen=True, eq=False)
 class BoltCut:
     """A bolt with its cut."""
 
-    key: str  # where the bundle has it: ``bolt[0]``
+    key: str  # its key in the bundle: ``bolt[0]``
     bolt: Bolt
-    nodes: Array  # shape (k,), int64: those of the cut, on its lower side
+    nodes: Array  # shape (k,), int64: nodes of the cut, on its lower side
     slip: int  # the point whose displacement is the shift of the upper side against the lower
-    cells: tuple[Array, ...]  # for each block the numbers of the upper cells at the cut
-    area: float  # of the cut, projected on the plane across the axis, m^2
+    cells: tuple[Array, ...]  # for each block the indices of the upper cells at the cut
+    area: float  # area of the cut, projected on the plane across the axis, m^2
 
     @property
     def copies(self) -> Array:
@@ -50,9 +50,9 @@ class BoltCut:
 def cut_bolts(
     mesh: Mesh, bolts: tuple[Bolt, ...], problems: list[BundleProblem]
 ) -> tuple[Mesh, tuple[BoltCut, ...]]:
-    """Return the mesh with its bolts cut, its new points behind the others, and the cuts.
+    """Return the mesh with its bolts cut, and the cuts; new points come after the others.
 
-    Groups keep their nodes and facets: those of a cut are the lower side's.
+    Groups keep their nodes and facets: at a cut they have those of the lower side.
     """
     cuts: list[BoltCut] = []
     entries = [mesh.dependents.entries] if mesh.dependents is not None else []
@@ -87,8 +87,8 @@ def _sides(
 ) -> tuple[list[Array], Array, float] | None:
     """Return which cells are above a cut at it, (m,) bool of each block, its nodes, and its area.
 
-    The nodes, (k,), are sorted. The area, m^2, is projected on the plane across the axis. A shank
-    that cannot be cut is None, with a problem at `key`, such as "bolt[0]".
+    The nodes, (k,), are sorted. The area, m^2, is projected on the plane across the axis. If the
+    shank cannot be cut, the result is None, with a problem at `key`, such as "bolt[0]".
     """
     by_region, name = bolt.region is not None, bolt.region or bolt.group or ""
     key = f"{key}.{'region' if by_region else 'group'}"
@@ -142,7 +142,7 @@ def _sides(
     if message:
         problems.append(BundleProblem(key, message))
         return None
-    # The vectors of a face that is between two upper cells cancel.
+    # The vectors of a face between two upper cells cancel.
     x = mesh.points[np.concatenate(triangles)]
     vector = 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]).sum(axis=0)
     return above, nodes, float(abs(vector @ bolt.axis))
@@ -151,7 +151,7 @@ def _sides(
 def _of_region(mesh: Mesh, bolt: Bolt, heights: Array) -> tuple[list[Array], list[Array]]:
     """Return the region's cells, (m,) bool of each block, and the height of the cut at each, m.
 
-    heights: shape (n,), m: of the nodes along the axis.
+    heights: shape (n,), m: heights of the nodes along the axis.
     """
     chosen = [
         np.isin(np.arange(len(block)), cells)
@@ -165,7 +165,7 @@ def _of_region(mesh: Mesh, bolt: Bolt, heights: Array) -> tuple[list[Array], lis
 def _of_group(mesh: Mesh, bolt: Bolt, heights: Array) -> tuple[list[Array], list[Array]]:
     """Return the cells at the group's facets and the height of the cut at each, as `_of_region`.
 
-    It is that of the cell's own nodes in the group, which may be curved.
+    The height is that of the cell's own nodes in the group, which may be curved.
     """
     group = mesh.facet_groups[bolt.group or ""].node_ids
     touched = [np.isin(block.nodes, group) for block in mesh.blocks]
@@ -178,7 +178,7 @@ def _of_group(mesh: Mesh, bolt: Bolt, heights: Array) -> tuple[list[Array], list
 
 def _pieces(mesh: Mesh, chosen: Sequence[Array], nodes: Array) -> int:
     """Return the number of pieces of cells, (m,) bool of each block, connected by some nodes."""
-    pairs, first = [], len(mesh.points)  # numbers of cells follow those of nodes
+    pairs, first = [], len(mesh.points)  # indices of cells come after those of nodes
     for block, cells in zip(mesh.blocks, chosen, strict=True):
         cell, corner = np.nonzero(np.isin(block.nodes, nodes) & cells[:, None])
         pairs.append(np.stack([first + cell, block.nodes[cell, corner]]))

@@ -1,7 +1,7 @@
 """Content of an input deck besides its mesh: materials, sections, and load cases.
 
-All numbers are in the deck's units, which no deck names; `in_si` takes its length unit and the
-forces that go with it.
+All numbers are in the deck's units, which a deck does not state; `in_si` converts them by its
+length unit and the usual force unit of that length unit.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ from wrenchbook.fea.spec.schema import Tie
 Array = np.ndarray
 
 _FORCES = {"in": 4.4482216152605, "ft": 4.4482216152605, "um": 1e-6}
-"""N: inches and feet go with pounds, micrometres with micronewtons, all others with newtons."""
+"""Force unit in N of a length unit: pounds for inches and feet, micronewtons for micrometres.
+
+All others go with newtons.
+"""
 
 
 _HEX20 = re.compile(r"^\s*\*ELEMENT\s*,[^*]*?\bTYPE\s*=\s*C3D20(\w*)", re.I | re.M)
@@ -63,7 +66,7 @@ class SolidSection:
 class HeldGroup:
     """A node or facet group that does not move along `directions`, such as "xyz".
 
-    `axes` are nine numbers, the directions x, y, z in rows; empty: the global ones.
+    `axes` are nine numbers, the directions x, y, z in rows; empty: the global axes.
     """
 
     where: str
@@ -74,32 +77,32 @@ class HeldGroup:
 
 @dataclass
 class CoupledGroup:
-    """A group that a reference point moves, or whose mean that point follows."""
+    """A group that a reference point moves, or whose mean motion is the point's."""
 
     # where, group: line and keyword, and the name of a facet or node group
     where: str
     group: str
     kind: str  # "rigid" or "distributed"
-    # Of the reference point, in the deck's length unit; empty where it has no node
+    # Position of the reference point, in the deck's length unit; empty if it has no node
     point: tuple[float, ...] = ()
-    # Freedoms of the point that a support holds, in numbers 0 to 5
+    # Freedoms of the point that a support holds, as indices 0 to 5
     held: set[int] = field(default_factory=set)
     # Force and moment on the point in the deck's units
     loads: list[float] = field(default_factory=lambda: [0.0] * 6)
-    weighted: bool = False  # whether its mean is by weights of the deck
-    directions: str = "xyz"  # of the global ones, along which it moves its group
+    weighted: bool = False  # whether the deck weights the nodes of its mean
+    directions: str = "xyz"  # the global directions along which it moves its group
 
 
 @dataclass(frozen=True, eq=False)
 class DeckSpring:
-    """Springs from the point of a coupling to the ground, or of two: at that of the first."""
+    """A spring from the point of a coupling to the ground, or between two, at the first's point."""
 
     where: str
     ends: tuple[CoupledGroup, ...]
     stiffness: Array  # shape (6, 6), along the global axes, in the deck's units
 
     def in_si(self, unit: str) -> Array:
-        """Return its stiffness in N/m, N and N·m, the deck's length unit given."""
+        """Return the stiffness in N/m, N and N·m for the deck's length unit."""
         size = np.repeat([1.0, in_si("length", unit)], 3)
         return self.stiffness * np.outer(size, size) * in_si("force", unit) / size[3]
 
@@ -145,21 +148,24 @@ class LoadCase:
 class DeckContent:
     """Content of a deck besides its mesh; sections and cases are in the order of the deck."""
 
-    # Constants of each by the keys of ``[[material]]``, three of an orthotropic one
+    # Constants of each material by the keys of ``[[material]]``, three of an orthotropic one
     materials: dict[str, dict[str, Constant]] = field(default_factory=dict)
     sections: list[SolidSection] = field(default_factory=list)
-    # At least one; what precedes the first step acts in all of them.
+    # At least one; definitions before the first step act in all cases.
     cases: list[LoadCase] = field(default_factory=list)
     elements: dict[str, int] = field(default_factory=dict)  # number of elements of each type
-    taken: dict[str, list[int]] = field(default_factory=dict)  # lines of keywords that are used
+    taken: dict[str, list[int]] = field(default_factory=dict)  # lines of keywords that are read
     ignored: dict[str, list[int]] = field(default_factory=dict)  # lines of all other keywords
-    # By line and keyword, contents that count and cannot be imported, and what to do
+    # By line and keyword: contents that matter and cannot be imported, and the remedy
     missing: dict[str, str] = field(default_factory=dict)
     ties: list[tuple[str, Tie]] = field(default_factory=list)  # with line and keyword, deck's unit
 
     @property
     def notes(self) -> list[str]:
-        """`missing` in words; keywords with the same note, such as thousands of equations, once."""
+        """The texts of `missing`.
+
+        A note of several keywords, such as thousands of equations, once.
+        """
         lines: dict[tuple[str, str], list[str]] = {}
         for where, note in self.missing.items():
             line, _, word = where.rpartition(": ")

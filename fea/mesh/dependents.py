@@ -1,10 +1,10 @@
 """Nodes whose displacement is a sum of others': ties of two surfaces, cuts of bolts, equations.
 
-The displacement in a cell with such nodes, sum_a N_a u_a with u_a = sum_j w_aj u_j, is
-sum_j M_j u_j with M_j = sum_a w_aj N_a: the cell has other shape functions, on other nodes. All
-that follows, forces, tangents, higher derivatives and energies at finite displacements, is that of
-any cell. This is the elimination of dependent unknowns, exact where penalties and multipliers
-change the condition or the definiteness of the equations.
+The displacement in a cell with such nodes, sum_a N_a u_a with u_a = sum_j w_aj u_j, is sum_j M_j
+u_j with M_j = sum_a w_aj N_a: the cell has other shape functions, on other nodes. Its forces,
+tangents, higher derivatives and energies at finite displacements are then computed as those of any
+cell. This is the elimination of dependent unknowns, which is exact. Penalties would change the
+condition of the equations, and multipliers their definiteness.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Array = np.ndarray
 
 
 class CircularError(ValueError):
-    """A node depends on itself by way of others; `node` is its index."""
+    """A node depends on itself through others; `node` is its index."""
 
     def __init__(self, node: int) -> None:
         super().__init__(f"node {node} depends on itself")
@@ -28,18 +28,18 @@ class CircularError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Dependents:
-    """Nodes that follow others."""
+    """Nodes whose displacements follow from those of other nodes."""
 
-    nodes: Array  # shape (d,), int64: those that are no unknowns, ascending
-    # Shape (n, n): displacements of all nodes by those of the others; the row of a node that
-    # depends on nothing is that of the identity, the column of a dependent one is empty.
+    nodes: Array  # shape (d,), int64: the dependent nodes, which are no unknowns, ascending
+    # Shape (n, n): displacements of all nodes by those of the others; the row of an independent
+    # node is that of the identity, the column of a dependent node is empty.
     map: csr_array
 
     @classmethod
     def of(cls, size: int, entries: tuple[Array, Array, Array]) -> Dependents:
         """Return dependents of n = `size` nodes by entries: nodes, masters and weights, (e,) each.
 
-        Masters that are dependent themselves are replaced by what they depend on.
+        Masters that are dependent themselves are replaced by their masters.
 
         Raises CircularError if a node depends on itself.
         """
@@ -68,7 +68,7 @@ class Dependents:
         return self.nodes[rows.row], rows.col, rows.data
 
     def of_first(self, size: int) -> Dependents | None:
-        """Return the dependents among the first nodes that follow such nodes alone, if any."""
+        """Return the dependents among the first `size` nodes with masters among them, if any."""
         nodes, masters, weights = self.entries
         valid = ~np.isin(nodes, nodes[masters >= size]) & (nodes < size)
         entries = nodes[valid], masters[valid], weights[valid]
@@ -79,7 +79,7 @@ class Dependents:
         return (self.map @ fields.reshape(len(fields), -1)).reshape(fields.shape)
 
     def reduced(self, forces: Array) -> Array:
-        """Return forces (n, ...), N, with those on dependent nodes where they act on others."""
+        """Return forces (n, ...), N, with those on dependent nodes moved to their masters."""
         return (self.map.T @ forces.reshape(len(forces), -1)).reshape(forces.shape)
 
     def among(self, cells: Array) -> Array:

@@ -1,4 +1,4 @@
-"""First-order cells: too stiff to be solved as they are, and what midside nodes make of them.
+"""First-order cells, which lock, and their conversion to cells with midside nodes.
 
 Plain first-order cells lock. A cantilever of 10x10x100 mm with 2x2x10 cells bends by 0.69 (hex8),
 0.67 (wedge6) and 0.35 (tet4) of the right displacement (Timoshenko); a bonded block of 40x40x10 mm
@@ -20,7 +20,7 @@ from wrenchbook.fea.spec.problems import BundleProblem
 Array = np.ndarray
 
 SECOND = {"hex8": "hex20", "tet4": "tet10", "wedge6": "wedge15", "pyramid5": "pyramid13"}
-"""Each kind of first-order cell, and what it is with midside nodes."""
+"""Each kind of first-order cell, and the kind with midside nodes that replaces it."""
 
 
 def first_order_problems(mesh: Mesh) -> list[BundleProblem]:
@@ -39,9 +39,9 @@ def first_order_problems(mesh: Mesh) -> list[BundleProblem]:
 def second_order(mesh: Mesh) -> Mesh:
     """Return the mesh with a node in the middle of each edge of its first-order cells.
 
-    Cells of second order stay as they are, and an edge that one of them shares keeps its node. A
-    facet group gets the faces of the new cells, a node group the nodes of edges both ends of which
-    are in it.
+    Cells of second order stay as they are, and an edge that they share keeps its node. A facet
+    group gets the faces of the new cells, a node group the nodes of edges whose ends are both in
+    it.
     """
     # The edges of the first-order cells as sorted pairs, and their middle nodes or -1.
     unknown = [np.empty((0, 2), dtype=np.int64)]
@@ -91,7 +91,7 @@ def second_order(mesh: Mesh) -> Mesh:
 
 
 def _find(pairs: Array, queries: Array) -> tuple[Array, Array]:
-    """Return where `queries` pairs are among sorted unique `pairs`, and whether they are."""
+    """Return the indices of `queries` among sorted unique `pairs`, and whether each is there."""
     if not len(pairs):
         return np.zeros(len(queries), dtype=np.int64), np.zeros(len(queries), dtype=bool)
     base = max(int(pairs.max()), int(queries.max(initial=0))) + 1

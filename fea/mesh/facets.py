@@ -83,15 +83,15 @@ TRIANGLES: dict[str, tuple[tuple[int, int, int], ...]] = {
 class Face:
     """A face of a geometry file, or a connected smooth part of a mesh's surface."""
 
-    number: int  # its name in ``faces = [...]``
-    kind: str  # gmsh's, such as "Plane", "Cylinder" or "BSpline surface"; "Curved" of a mesh
+    number: int  # its number in ``faces = [...]``
+    kind: str  # gmsh's kind, such as "Plane", "Cylinder" or "BSpline surface"; "Curved" for a mesh
     area: float  # m^2
     centre: tuple[float, float, float]  # area centre, m
     # Outward unit normal of a plane face; None for others
     normal: tuple[float, float, float] | None
-    radius: float | None  # of a cylinder, m; None for others
-    axis: tuple[float, float, float] | None = None  # of a cylinder that a mesh shows
-    point: tuple[float, float, float] | None = None  # on that axis, m
+    radius: float | None  # radius of a cylinder, m; None for others
+    axis: tuple[float, float, float] | None = None  # axis of a cylinder in a mesh
+    point: tuple[float, float, float] | None = None  # a point on that axis, m
 
 
 def faces_of(blocks: tuple[CellBlock, ...]) -> dict[str, Array]:
@@ -103,7 +103,7 @@ def faces_of(blocks: tuple[CellBlock, ...]) -> dict[str, Array]:
     return {kind: np.concatenate(parts) for kind, parts in by_kind.items()}
 
 
-@lru_cache(maxsize=1)  # a solve asks four times for the surface of its one mesh
+@lru_cache(maxsize=1)  # a solve needs the surface of its single mesh four times
 def outer_surface(blocks: tuple[CellBlock, ...]) -> FacetGroup:
     """Return the faces that only one cell has."""
     outer = []
@@ -114,7 +114,7 @@ def outer_surface(blocks: tuple[CellBlock, ...]) -> FacetGroup:
 
 
 def facets_within(surface: FacetGroup, node_ids: Array) -> FacetGroup:
-    """Return the facets of `surface` all of whose nodes are among `node_ids`.
+    """Return the facets of `surface` whose nodes are all among `node_ids`.
 
     `node_ids` are indices, shape (k,), int64.
     """
@@ -129,7 +129,8 @@ def facets_within(surface: FacetGroup, node_ids: Array) -> FacetGroup:
 class FaceFinder:
     """Finds the face of a cell that has given corners.
 
-    A group may have 4-node or 9-node facets on 20-node hexahedra; it gets the faces of the cells.
+    A group may have 4-node or 9-node facets on 20-node hexahedra; they are replaced by faces of the
+    cells.
 
     blocks: the solid cells.
     """
@@ -168,7 +169,7 @@ def corners_of(kind: str) -> int:
 def group_nodes(mesh: Mesh, key: str, name: str, problems: list[BundleProblem]) -> Array:
     """Return the nodes of a facet group or node group, shape (k,), int64, sorted.
 
-    It is a problem at `key` if there is none; then k = 0.
+    A missing group is a problem at `key`; then k = 0.
     """
     if name in mesh.facet_groups:
         return mesh.facet_groups[name].node_ids
@@ -179,7 +180,7 @@ def group_nodes(mesh: Mesh, key: str, name: str, problems: list[BundleProblem]) 
 
 
 def no_facets(mesh: Mesh, key: str, name: str, *, or_nodes: bool = False) -> BundleProblem:
-    """Return the problem of a name that is no facet group, nor a node group if these will do."""
+    """Return the problem of a name that is no facet group, nor a node group with `or_nodes`."""
     kind = "facet or node group" if or_nodes else "facet group"
     groups = [*mesh.facet_groups, *(mesh.node_groups if or_nodes else ())]
     for what, others in (("cells", mesh.regions), ("nodes", mesh.node_groups)):
@@ -190,7 +191,7 @@ def no_facets(mesh: Mesh, key: str, name: str, *, or_nodes: bool = False) -> Bun
 
 
 def missing(key: str, name: str, kind: str, groups: list[str]) -> BundleProblem:
-    """Return the problem of a group that is not there, with the nearest and all that are."""
+    """Return the problem of a missing group, with the nearest name and all names."""
     listed = _listed(groups, _NO_CELLS if kind == "cell group" else _NO_FACETS)
     return BundleProblem(key, f'the mesh has no {kind} "{name}"{suggest(name, groups)}{listed}')
 
@@ -198,7 +199,7 @@ def missing(key: str, name: str, kind: str, groups: list[str]) -> BundleProblem:
 def near_message(
     point: tuple[float, float, float], kind: str, nearest: list[int], distance: float, size: float
 ) -> str | None:
-    """Return why a point names no one face or body: it is far from all, or as near to two."""
+    """Return the reason for which a point names no single face or body: too far, or between two."""
     at = ", ".join(f"{x:g}" for x in point)
     if distance > size:
         return f"({at}) m is {distance:.3g} m from the nearest {kind} ({nearest[0]}); correct it"
@@ -220,7 +221,7 @@ _MAX_LISTED = 30  # names of groups in a message: about three lines of a termina
 
 
 def _listed(groups: list[str], if_none: str = _NO_FACETS) -> str:
-    """Return the names of groups in brackets, or how to make one if there is none."""
+    """Return the names of groups in brackets, or the way to make one if there is none."""
     if not groups:
         return if_none
     more = f" and {len(groups) - _MAX_LISTED} more" if len(groups) > _MAX_LISTED else ""

@@ -1,8 +1,8 @@
-"""Mesh generators: bar, plate and spring, each a plane section drawn out into 20-node hexahedra.
+"""Mesh generators: bar, plate and spring, each a plane section swept into 20-node hexahedra.
 
 A section's corner nodes are numbered before its midside nodes, and its quadrilaterals run
-counter-clockwise. Nodes are shared by their numbers, not by comparing coordinates, so none is there
-twice. Each generator is a frozen dataclass whose fields carry their unit and bounds.
+counter-clockwise. Nodes are shared by their indices, without a comparison of coordinates, so no
+node exists twice. Each generator is a frozen dataclass whose fields carry their unit and bounds.
 """
 
 from __future__ import annotations
@@ -21,16 +21,18 @@ from wrenchbook.fea.spec.mesh_source import Generator
 Array = np.ndarray
 
 
-_LEAST_CORE = 0.6  # of the radius: gave a core of one or two cells the most exact torsion of a wire
-_RING = 1.7  # cells of a fine core that the ring about it is as wide as
+# Radius of the core over the section's: with it a core of one or two cells has the most exact
+# torsion.
+_LEAST_CORE = 0.6
+_RING = 1.7  # width of the ring about a fine core, in its cells
 _SPACE = 1.1  # least space for a round patch, in its diameters, so that its rings have a width
-_ROUNDOFF = 1e-9  # of a number of layers, which may be a product of decimal fractions
+_ROUNDOFF = 1e-9  # rounding of a number of layers, which may be a product of decimal fractions
 MAX_CELLS = 2_000_000
-"""More cells than any machine that runs this solves; a slip of the keyboard, refused."""
+"""Largest number of cells: more than any machine solves, so probably a typing error."""
 
 
 def too_many(cells: float, key: str) -> list[tuple[str, str]]:
-    """Return the mistake of too many cells, if so, at the `key` that makes most of them."""
+    """Return the mistake of too many cells, if any, at the `key` that makes most of them."""
     if cells <= MAX_CELLS:
         return []
     remedy = "write a larger size" if key == "mesh.size" else "write fewer"
@@ -59,7 +61,7 @@ class PlaneMesh:
 
 
 def quadratic(points: Array, quads: Array) -> PlaneMesh:
-    """Return the section of straight-sided `quads` with their midside nodes put in.
+    """Return the section of straight-sided `quads` with added midside nodes.
 
     points: Corner nodes, shape (c, 2), m.
     quads: shape (q, 4), counter-clockwise.
@@ -176,12 +178,13 @@ def directions(angles: Array) -> Array:
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
-PointMap = Callable[[Array, Array], Array]  # see `sweep`
+# Section points and fraction of the way to points in space, see `sweep`.
+PointMap = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """A section drawn out into `layers` layers of cells."""
+    """A section swept into `layers` layers of cells."""
 
     section: PlaneMesh
     layers: int
@@ -206,7 +209,7 @@ class Sweep:
         return FacetGroup((FacetBlock("quad8", nodes),))
 
     def side(self) -> FacetGroup:
-        """Return the facets drawn out by the section's outline, looking outwards."""
+        """Return the facets swept by the section's outline, looking outwards."""
         start, end, middle = self.section.edges.T
         between = len(self.section.points)
         stride = _stride(self.section)
@@ -224,12 +227,12 @@ class Sweep:
 
 
 def sweep(section: PlaneMesh, layers: int, to_space: PointMap) -> Sweep:
-    """Draw `section` out into `layers` layers of cells.
+    """Sweep `section` into `layers` layers of cells.
 
-    section: Counter-clockwise about the direction of drawing.
+    section: Counter-clockwise about the direction of the sweep.
     layers: number of layers.
     to_space: from section points, shape (k, 2), and the fraction of the way, shape (k,), from 0 to
-    1, to points in space, shape (k, 3). Called once, so that any line will do.
+    1, to points in space, shape (k, 3). Called once, so that any line is possible.
     """
     stride, between = _stride(section), len(section.points)
     level_of = np.concatenate([np.zeros(between), np.ones(section.corners)])
@@ -245,7 +248,7 @@ def sweep(section: PlaneMesh, layers: int, to_space: PointMap) -> Sweep:
         *(quads[:, :4] + between).T,
     ]
     cells = CellBlock("hex20", _each_layer(columns, stride, layers))
-    # The last level has no layer above it, so the nodes between are left off.
+    # The last level has no layer above it, so its intermediate nodes are left out.
     return Sweep(section, layers, points[: len(points) - section.corners], cells)
 
 
@@ -283,7 +286,7 @@ class Bar(Generator):
     """`bar`, `plate` or `spring`, with its parameters"""
 
     def mistakes(self) -> list[tuple[str, str]]:
-        """Return (key, message) for what will not do: too many cells."""
+        """Return (key, message) for wrong parameters: too many cells."""
         name = "cells_along" if self.cells_along > self.cells_across else "cells_across"
         return too_many(float(self.cells_along) * self.cells_across**2, name)
 
@@ -305,10 +308,9 @@ class Plate(Generator):
     """Parameters of generator "plate"; lengths in metres.
 
     The plate's middle is at x = y = 0; it reaches from z = 0 up to `thickness`. Facets cover the
-    patch (whose outline has its exact area, see `disc`) and the
-    corner squares.
-    Facet groups: ``patch`` (in the middle of the top face), ``corners`` (four squares of the
-    bottom face), ``rim`` (the four sides), ``top``, ``bottom``.
+    patch (whose outline has its exact area, see `disc`) and the corner squares.
+    Facet groups: ``patch`` (in the middle of the top face), ``corners`` (four squares of the bottom
+    face), ``rim`` (the four sides), ``top``, ``bottom``.
     """
 
     length: Positive = key("m", "0.4")
@@ -333,7 +335,7 @@ class Plate(Generator):
     """`bar`, `plate` or `spring`, with its parameters"""
 
     def mistakes(self) -> list[tuple[str, str]]:
-        """Return (key, message) for what does not fit together, or makes too many cells."""
+        """Return (key, message) for contradictory parameters, or too many cells."""
         side = min(self.length, self.width)
         if _SPACE * self.patch + 2.0 * self.corner < side:
             lines = self.cells + 2.0 * self.corner_cells
@@ -431,7 +433,7 @@ class Spring(Generator):
     """`bar`, `plate` or `spring`, with its parameters"""
 
     def mistakes(self) -> list[tuple[str, str]]:
-        """Return (key, message) for what does not fit together, or makes too many cells."""
+        """Return (key, message) for contradictory parameters, or too many cells."""
         name = "cells_per_turn" if self.cells_per_turn > self.core else "core"
         layers = self.cells_per_turn * self.active_turns
         problems = too_many(layers * (self.core**2 + 4.0 * self.core), name)

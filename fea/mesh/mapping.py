@@ -15,8 +15,8 @@ from wrenchbook.fea.tensors import determinant
 Array = np.ndarray
 
 _FLAT = 1e-9
-"""Of the largest determinant of a cell: below it a cell is flat but for roundoff."""
-_MAX_LISTED = 5  # numbers of cells in a message
+"""Part of the largest determinant of a cell: below it a cell is flat but for roundoff."""
+_MAX_LISTED = 5  # cells in a message: more would hide its remedy
 
 
 def determinants(points: Array, block: CellBlock) -> Array:
@@ -30,8 +30,8 @@ def extreme_determinants(points: Array, block: CellBlock) -> tuple[Array, Array]
 
     Points have shape (n, 3), m.
 
-    A cell can fold over at a corner and be the right way round at every quadrature point; its
-    answers are wrong all the same (5 % for one of 40 with two corners swapped).
+    A cell can fold over at a corner although every quadrature point has a positive determinant; its
+    answers are wrong then (5 % for one of 40 cells with two corners swapped).
 
     Returns least, largest: each of shape (m,), m^3: the least, and the largest in size.
     """
@@ -42,7 +42,7 @@ def extreme_determinants(points: Array, block: CellBlock) -> tuple[Array, Array]
 
 
 def folded_cells(points: Array, block: CellBlock) -> Array:
-    """Return the numbers of cells that are inside out or flat at a node or quadrature point.
+    """Return the indices of cells that are inside out or flat at a node or quadrature point.
 
     Points have shape (n, 3), in m or any other unit.
 
@@ -58,11 +58,11 @@ def volumes(points: Array, block: CellBlock) -> Array:
 
 
 def right_way_round(points: Array, block: CellBlock) -> CellBlock:
-    """Return the block, renumbered if the file numbers all its cells as seen in a mirror.
+    """Return the block, renumbered if all its cells are mirrored.
 
     Points have shape (n, 3), in m or any other unit.
 
-    Only a complete block is turned: a few cells inside out among others are a fault of the mesh.
+    Only a complete block is renumbered: a few mirrored cells among others are an error of the mesh.
     """
     if not len(block) or not (determinants(points, block) < 0.0).all():
         return block
@@ -95,12 +95,15 @@ class Gradients:
     """Gradients and weights of the cells of one block in the undeformed state."""
 
     slopes: Array  # shape (cells, points, 3, nodes), 1/m: dN_a/dX_J at each quadrature point
-    weights: Array  # shape (cells, points), m^3: the volume that each point stands for
+    weights: Array  # shape (cells, points), m^3: the volume of each point
     # Shape (points, nodes), or (cells, points, nodes) if they differ: the shape functions
     values: Array
 
     def of_outer(self, weights: Array) -> Gradients:
-        """Return those by the nodes that cells follow; weights as of `Dependents.outer`."""
+        """Return the gradients by the nodes on which the cells depend.
+
+        Weights as of `Dependents.outer`.
+        """
         return Gradients(self.slopes @ weights[:, None], self.weights, self.values @ weights)
 
 
@@ -110,8 +113,9 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
     points: shape (n, 3), m.
     block: the cells.
     integration: ``"reduced"`` or ``"full"``, for hex20.
-    Raises SolveFailed: ``inverted_elements`` if the determinant of a cell's map is not positive at
-    each node and quadrature point.
+
+    Raises SolveFailed of kind ``inverted_elements`` if the determinant of a cell's map is not
+    positive at each node and quadrature point.
     """
     element = reference_element(block.kind, integration)
     jacobian = points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes  # dX_i/dxi_j

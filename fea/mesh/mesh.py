@@ -1,4 +1,4 @@
-"""The mesh as plain arrays: what generators and mesh files give and what the solver takes.
+"""The mesh as plain arrays: the result of generators and mesh files, and the input of the solver.
 
 All lengths are metres. Nodes within a cell or facet follow the VTK order, which is meshio's as
 well: corners first, then the midside nodes in the order of the edges, then (``quad9``, ``hex27``)
@@ -15,7 +15,7 @@ import numpy as np
 
 from wrenchbook.fea.mesh.deck_content import DeckContent
 
-if TYPE_CHECKING:  # whoever reads bundles alone has no use for sparse matrices
+if TYPE_CHECKING:  # a process that only reads bundles does not import sparse matrices
     from wrenchbook.fea.mesh.dependents import Dependents
 
 Array = np.ndarray
@@ -60,7 +60,7 @@ class FacetBlock(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FacetGroup:
-    """A named part of the surface; each facet lists its nodes, so nothing looks up its cell."""
+    """A named part of the surface; each facet lists its nodes, so that no cell is needed."""
 
     blocks: tuple[FacetBlock, ...]
 
@@ -80,23 +80,23 @@ class Mesh:
 
     points: Array  # shape (n, 3), metres
     blocks: tuple[CellBlock, ...]  # the cells, one block for each kind
-    # For each cell group one array of cell numbers, shape (m,), int64, per block of `blocks` (empty
+    # For each cell group one array of cell indices, shape (m,), int64, per block of `blocks` (empty
     # where the block has none of its cells). Regions may overlap; a cell may be in none.
     regions: Mapping[str, tuple[Array, ...]] = field(default_factory=dict)
     # Named parts of the surface
     facet_groups: Mapping[str, FacetGroup] = field(default_factory=dict)
     # Named sets of nodes, each of shape (k,), int64
     node_groups: Mapping[str, Array] = field(default_factory=dict)
-    # What else is in the input deck that the mesh is of; None of other meshes
+    # Other contents of the mesh's input deck; None for other meshes
     deck: DeckContent | None = None
-    dependents: Dependents | None = None  # nodes that follow others
-    # Weights that a deck gives to nodes, by the group they are of: nodes, shape (k,), int64, -1 of
-    # those in no cell, and weights, shape (k,), of any scale. Other nodes of the group have none.
+    dependents: Dependents | None = None  # nodes that depend on others
+    # Weights that a deck gives to nodes, by their group: nodes, shape (k,), int64, -1 for nodes in
+    # no cell, and weights, shape (k,), of any scale. Other nodes of the group have none.
     node_weights: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
     @property
     def unknowns(self) -> int:
-        """Degrees of freedom before supports and couplings take theirs: three a used node."""
+        """Degrees of freedom before supports and couplings: three for each used node."""
         used = np.unique(np.concatenate([block.nodes.ravel() for block in self.blocks])).size
         return 3 * int(used - (0 if self.dependents is None else len(self.dependents.nodes)))
 

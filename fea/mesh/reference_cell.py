@@ -61,19 +61,19 @@ _SKFEM_NAMES = {
     "tri6": "ElementTriP2",
 }
 
-# Gauss points along each direction of a hexahedron or quadrilateral.
+# Gauss points along each direction of a hexahedron or quadrilateral: exact for its stiffness.
 _GAUSS_POINTS = {"hex8": 2, "hex20": 3, "hex27": 3, "quad4": 2, "quad8": 3, "quad9": 3}
-# Degree that the points of a simplex integrate; 2 is the four-point rule of a tetrahedron.
+# Degree up to which a simplex' points integrate exactly; 2 is the four-point rule of a tetrahedron.
 _SIMPLEX_DEGREES = {"tet4": 1, "tet10": 2, "tri3": 2, "tri6": 4}
 # Degree in the triangle, points along the axis of a wedge.
 _WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (2, 3)}
-# The same for "mass": products of two shape functions, of twice their degree.
+# The same for "mass", of twice the degree: products of two shape functions.
 _MASS_SIMPLEX_DEGREES = {**_SIMPLEX_DEGREES, "tet4": 2, "tet10": 4}
 _MASS_WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (4, 3)}
 
 
-_ROUNDOFF = 1e-12  # of reference coordinates, which are 0, 1/2 and 1
-_TINY = 1e-30  # in place of the height below a pyramid's apex, by which it divides
+_ROUNDOFF = 1e-12  # roundoff of reference coordinates, which are 0, 1/2 and 1
+_TINY = 1e-30  # replaces a height of 0 below a pyramid's apex in a divisor
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +148,8 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
     return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
 
 
-# Shape functions that scikit-fem lacks, each a product: the product of its letters, the factors of
-# `_wedge_factors` or `_pyramid_factors`. The functions of corners come first. Those of the edges'
+# Shape functions that scikit-fem lacks, written as products of letters, the factors of
+# `_wedge_factors` or `_pyramid_factors`. Corner functions come first. The functions of the edges'
 # middles are four times their products.
 _PYRAMID = "dqs dps dpr dqr h"
 _PRODUCTS = {
@@ -172,7 +172,7 @@ def _products(kind: str, points: Array) -> tuple[Array, Array]:
             cofactor = np.prod([ones, *(factors[other] for other in others)], axis=0)
             slope += cofactor[:, None] * np.stack(np.broadcast_arrays(*slopes[letter]), axis=1)
     corners = min(len(products), int(np.max(EDGES[kind])) + 1)
-    # A midside function is four times its product; corner functions lose half of those beside them.
+    # A midside function is four times its product; corner functions lose half of their neighbours.
     for table in (N, dN):
         table[corners:] *= 4
         for edge, middle in zip(EDGES[kind], table[corners:], strict=False):

@@ -25,7 +25,7 @@ from wrenchbook.fea.spec.schema import Bundle
 
 Array = np.ndarray
 
-# The parameters of each generator that count cells; a finer mesh multiplies them.
+# The parameters of each generator that are numbers of cells; a finer mesh multiplies them.
 _COUNTS = {
     "bar": ("cells_along", "cells_across"),
     "plate": ("cells", "rings", "corner_cells", "layers"),
@@ -36,9 +36,9 @@ _COUNTS = {
 def refined(bundle: Bundle, factor: float) -> Bundle | None:
     """Return `bundle` with cells `factor` times as small along each direction.
 
-    factor: Above 1 finer, below 1 coarser.
-    Result: None if the mesh is a file, which only its author can refine. The fingerprint is that of
-    the original, so its solutions must not become rows of the table.
+    factor: above 1 finer, below 1 coarser.
+    Result: None for a mesh file, which cannot be meshed anew. The fingerprint stays that of the
+    original, so solutions of the result must not become rows of the table.
     """
     mesh = bundle.mesh
     if mesh is None:
@@ -63,7 +63,7 @@ def _fewest(mesh: Generator, name: str) -> int:
     return next(cast("int", bound.ge) for bound in bounds if isinstance(bound, Ge))
 
 
-# The cell, or facet, of first order with the same corners as one of second order.
+# The first-order cell or facet with the same corners as each second-order one.
 _CORNERS = {second: first for first, second in SECOND.items()}
 _CORNERS |= {"hex27": "hex8", "quad8": "quad4", "quad9": "quad4", "tri6": "tri3"}
 
@@ -77,10 +77,13 @@ _OF_TETRAHEDRON = (
 )
 
 _DENOMINATOR = 64
-"""Of the corners' weights: the nodes of children lie at quarters along three directions, 4^3."""
+"""Denominator of the corners' weights: nodes of children lie at quarters along three directions,
+4^3.
+"""
 
 
-_ZERO = 1e-9  # of a shape function at a point of a pattern, where it is a multiple of 1/64
+# Largest rounding of a shape function at a point of a pattern, where it is a multiple of 1/64.
+_ZERO = 1e-9
 
 
 class _Pattern(NamedTuple):
@@ -128,7 +131,7 @@ def _between(points: Array, pattern: str) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _FinerNodes:
-    """Nodes of the finer mesh, and where they lie in the cells of the coarse mesh."""
+    """Nodes of the finer mesh, and their positions in the cells of the coarse mesh."""
 
     points: Array  # shape (nodes, 3), m
     numbers: list[Array]  # for each block, shape (cells, points of its pattern): nodes
@@ -141,10 +144,11 @@ class _FinerNodes:
 def halved(mesh: Mesh) -> Mesh:
     """Return the mesh with cells of half the size, and its groups.
 
-    A node group gets the new nodes that lie between nodes of the group only: those of a facet or an
-    edge all of whose nodes it has.
+    A node group gets the new nodes whose coarse neighbours are all in the group: those of a facet
+    or an edge.
 
-    Raises BundleError if there are pyramids, which no eight cells of one kind make.
+    Raises BundleError if the mesh has pyramids, which cannot be divided into eight cells of one
+    kind.
     """
     if any(block.kind.startswith("pyramid") for block in mesh.blocks):
         message = "pyramids cannot be halved; give finer meshes: wrenchbook converge --finer FILE"
@@ -162,7 +166,8 @@ def halved(mesh: Mesh) -> Mesh:
     facets = {name: _split_facets(group, faces, finer) for name, group in mesh.facet_groups.items()}
     node_groups = {name: _split_nodes(mesh, ids, finer) for name, ids in mesh.node_groups.items()}
 
-    number_of = np.full(len(mesh.points) + 1, -1)  # of each coarse node; the last for no node
+    # Index of each coarse node; the last entry for no node.
+    number_of = np.full(len(mesh.points) + 1, -1)
     for block, numbers in zip(mesh.blocks, finer.numbers, strict=True):
         at_nodes = _pattern(block.kind).values.argmax(axis=0)  # points where a shape function is 1
         number_of[block.nodes] = numbers[:, at_nodes]
@@ -174,8 +179,8 @@ def halved(mesh: Mesh) -> Mesh:
 
 def _finer_nodes(mesh: Mesh) -> _FinerNodes:
     """Return the points of all cells' patterns, each once however many cells have it."""
-    # A sum of random 64-bit numbers of the corners is a point's key, whichever cell it belongs to:
-    # of a million points two have the same key with a probability of 3e-8.
+    # A point's key is the sum of random 64-bit numbers of its corners, the same in each cell: of a
+    # million points two have the same key with a probability of 3e-8.
     corner_keys = np.random.default_rng(0).integers(2**64, size=len(mesh.points), dtype=np.uint64)
     parents = [(block.nodes, _pattern(block.kind)) for block in mesh.blocks]
     keys = [_point_keys(corner_keys, nodes, pattern) for nodes, pattern in parents]

@@ -1,4 +1,4 @@
-"""Facet groups by geometry: the faces of a surface, and the law by which keys choose facets.
+"""Facet groups by geometry: the faces of a surface, and the rules by which keys choose facets.
 
 A face is one of the geometry file, or of a mesh file a connected smooth part of its surface.
 """
@@ -32,23 +32,28 @@ from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
 Array = np.ndarray
 Point = tuple[float, float, float]
 
-_SMOOTH = np.cos(np.radians(40))  # gmsh's usual angle of a feature; nine flats a turn are round
+# Cosine of gmsh's usual angle of a feature; nine flats a turn are round.
+_SMOOTH = np.cos(np.radians(40))
 _FLAT = 2e-3  # rad: roundoff of coordinates in single precision turns facets by less
-_EVEN = 1e-4  # of a face's size: a plane face is off its plane by no more
-_NEAR = 1e-3  # of a facet's size, or of a radius: lengths closer than this count as equal
-_EDGE = 2e-2  # of a facet's size: its triangles are off a round face by less, at 16 cells a turn
-_MAX_RADIUS = 10.0  # of a face's size; a flatter arc shows no radius to three digits
-_ANGLE = 10.0  # degrees, of `normal` without `angle`
-_THIN = 0.5  # of the side of a square of the chosen area: a thinner wall has two sides in a box
-_TINY = 1e-300  # in place of a length or an area of 0, by which nothing can be divided
+_EVEN = 1e-4  # part of a face's size: largest deviation of a plane face from its plane
+_NEAR = 1e-3  # part of a facet's size, or of a radius: lengths closer than this count as equal
+# Part of a facet's size: its triangles deviate less from a round face, at 16 cells a turn.
+_EDGE = 2e-2
+# Radius over a face's size; a flatter arc does not determine a radius to three digits.
+_MAX_RADIUS = 10.0
+_ANGLE = 10.0  # degrees: tolerance of `normal` without `angle`
+# Part of the side of a square of the chosen area: a thinner wall has two sides in a box.
+_THIN = 0.5
+_TINY = 1e-300  # replaces a length or an area of 0 in a divisor
 _MIN_FIT_POINTS = 6  # one more than the five numbers of a cylinder, so that a misfit shows
-_FIT_POINTS = 2000  # of a face: enough for these five
-_FIT = 1e-12  # relative, of these numbers: roundoff
-_FIT_STEPS = 50  # evaluations of such a fit at most
-_LEAST_SQUARE = 1e-30  # of a radius over a face's size, where roundoff makes it negative
-_ACROSS = 0.5  # cosine of a cylinder's axis and a facet's normal: ends of it have 1, its side 0
+_FIT_POINTS = 2000  # points of a face in a fit: enough for these five numbers
+_FIT = 1e-12  # relative accuracy of these numbers: roundoff
+_FIT_STEPS = 50  # largest number of evaluations of such a fit
+# Least square of a radius over a face's size, which roundoff may make negative.
+_LEAST_SQUARE = 1e-30
+_ACROSS = 0.5  # cosine of a cylinder's axis and a facet's normal: its ends have 1, its side 0
 _OPPOSED = -0.99  # cosine of the normals of two sides of a wall: 8 degrees
-_ROUNDOFF = 1e-9  # of a direction or a place, which bundles write to about so many digits
+_ROUNDOFF = 1e-9  # relative: bundles write directions and positions with about as many digits
 _ALIGNED = 1 - 1e-6  # cosine of a normal with a plane's: 0.08 degrees
 _UNKNOWN = Face(0, "Curved", 0.0, (0.0, 0.0, 0.0), None, None)
 
@@ -57,7 +62,7 @@ class _Restriction(NamedTuple):
     """Facets that a key allows."""
 
     allowed: Array  # shape (f,), bool
-    excess: Array  # shape (f,): how far each facet is from being allowed
+    excess: Array  # shape (f,): distance of each facet from being allowed
     unit: str  # unit and meaning of `excess`
 
 
@@ -143,7 +148,7 @@ class Surface:
         alike = (plane[first] == plane[second]) & (~plane[first] | (turn < _FLAT))
         members = _members(parts(alike | ~split[first]))
         faces = [self._face(part) for part in members]
-        # Numbered by place, so that another mesh of the part has the same numbers.
+        # Numbered by position, so that another mesh of the part has the same numbers.
         centres = np.array([face.centre for face in faces])
         centres = np.round(centres / (_NEAR * np.ptp(self.mesh.points, axis=0).max()))
         ranked, numbers = np.lexsort(centres.T[::-1]).tolist(), np.zeros(count, dtype=np.int64)
@@ -155,7 +160,7 @@ class Surface:
         """Return which facets are in a plane of more than a strip, a mask of shape (f,).
 
         smooth, flat: the smooth part and the flat part of each facet, (f,). A plane in a smooth
-        part has a node of two facets or more, all of them in that plane; a strip of a round face
+        part has a node whose facets, two or more, all lie in that plane; a strip of a round face
         has none.
         """
         count, nodes = len(self.corners), len(self.mesh.points)
@@ -182,18 +187,20 @@ class Surface:
         return self.cylinder(members, face) or face
 
     def cylinder(self, members: Array, face: Face = _UNKNOWN) -> Face | None:
-        """Return `face` with the axis and radius of the cylinder that facets lie on, or None.
+        """Return `face` with the axis and radius of the cylinder through facets, or None.
 
-        members: indices of the facets, (k,). A radius that `face` has already stays.
+        members: indices of the facets, (k,). A radius that `face` already has is kept.
         """
         x = self.mesh.points[np.unique(self.corners[members])]
         middle, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0)))
         vectors = self.normals[members] * self.areas[members, None] / size**2
-        frame = np.linalg.eigh(vectors.T @ vectors)[1]  # first: the direction square to normals
+        # First column: the direction square to the normals.
+        frame = np.linalg.eigh(vectors.T @ vectors)[1]
         local = (x - middle) @ frame / size
         some = local[:: max(1, len(x) // _FIT_POINTS)]
 
-        from scipy.optimize import least_squares  # here: 50 ms of a solve's imports
+        # Imported here, as it takes 50 ms of a solve's start.
+        from scipy.optimize import least_squares
 
         # The axis by the point (0, b, c) and the direction (1, d, e) of the frame; and the radius.
         def misfit(values: Array, at: Array) -> Array:
@@ -223,7 +230,7 @@ class Surface:
     def choose(self, groups: Mapping[str, FaceSelector]) -> Mesh:
         """Return the mesh with facet groups by the keys of ``[mesh.groups.NAME]``.
 
-        Raises BundleError if a key selects nothing, or probably more than is meant.
+        Raises BundleError if a key selects nothing, or probably more than intended.
         """
         masks: dict[str, Array] = {}
         problems: list[BundleProblem] = []
@@ -265,7 +272,10 @@ class Surface:
         return np.asarray(np.isin(self.corners, nodes).all(axis=1)) if len(nodes) else None
 
     def _chosen(self, choice: FaceSelector, where: str, inside: Array | None) -> Array:
-        """Return the facets of a group, a mask of shape (f,), `inside` one of another."""
+        """Return the facets of a group, a mask of shape (f,).
+
+        `inside`: the mask of the group around it.
+        """
         if lost := {*choice.faces} - {face.number for face in self.faces}:
             message = f"there is no face {min(lost)}; write numbers from 1 to {len(self.faces)}"
             _refuse(f"{where}.faces", message)
@@ -303,14 +313,17 @@ class Surface:
         return chosen
 
     def _nearest(self, point: Point, where: str) -> int:
-        """Return the number of the face nearest to a point; of several, or none near, refuse."""
+        """Return the number of the face nearest to a point.
+
+        Raises BundleError if none is near, or several are equally near.
+        """
         off = np.linalg.norm(self.middles - np.array(point), axis=1)
         limit = (off + self.sizes).min() + _EDGE * self.sizes.max()
         close = (off - self.sizes <= limit)[self.owners]
         owners, normals = self.owners[close], _unit(self._vectors[close])
         x = self.mesh.points[self.triangles[close]] - np.array(point)
         edges = np.roll(x, -1, axis=1) - x
-        # Above the inside of a triangle it is that to its plane, else that to an edge.
+        # Above the inside of a triangle it is the distance to its plane, else that to an edge.
         sides = np.einsum("tex,tx->te", np.cross(x, edges), normals)
         along = -np.einsum("tex,tex->te", x, edges) / np.maximum((edges**2).sum(axis=2), _TINY)
         to_edges = np.linalg.norm(x + np.clip(along, 0, 1)[:, :, None] * edges, axis=2).min(axis=1)
@@ -329,7 +342,7 @@ class Surface:
         normal = np.eye(3)["xyz".index(plane)] if isinstance(plane, str) else np.array(plane)
         at = float(normal @ choice.at) if isinstance(choice.at, tuple) else float(choice.at or 0)
         heights = self.mesh.points[self.corners] @ normal - at
-        # A facet of a round face that touches the plane is level too.
+        # A facet of a round face that touches the plane is parallel to it too.
         even = [face.number for face in self.faces if face.kind in ("Plane", "Curved")]
         level = np.abs(heights).max(axis=1) <= _NEAR * self.sizes
         level &= np.isin(self.numbers, even)
@@ -382,10 +395,10 @@ class Surface:
                 _refuse(where, message)
 
     def line(self, face: Face) -> str:
-        """Return the TOML that selects a face alone, the plainest there is."""
+        """Return the TOML that selects a face alone, in the simplest form."""
         members, middle = self.numbers == face.number, _short(*face.centre)
         at = self.middles[members]
-        ways: list[dict[str, Any]] = [  # keys of a `FaceSelector`, the plainest first
+        ways: list[dict[str, Any]] = [  # keys of a `FaceSelector`, the simplest first
             {"near": _short(*at[np.linalg.norm(at - face.centre, axis=1).argmin()])},
             {"faces": [face.number]},
         ]

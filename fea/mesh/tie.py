@@ -28,35 +28,43 @@ from wrenchbook.fea.spec.schema import Tie
 
 Array = np.ndarray
 
-_GAP = 0.1  # of the mean edge: straight edges, eight round a circle, are 0.097 off it
-_ALPHA = 0.2  # any in (0, 1/3) makes the integrals positive; Popp's choice
+_GAP = 0.1  # part of the mean edge: straight edges, eight round a circle, are 0.097 off it
+# Parameter of Popp's transformation: any value in (0, 1/3) makes the integrals positive.
+_ALPHA = 0.2
 _MIN_COVERED = 1 / 3
-"""Of a facet: less is not tied. Of 24 plates and blocks, lapped or on plates with cells as large as
-the block, half was up to 36 % too soft and a third 13 %; less makes most of them stiffer."""
+"""Least covered part of a facet: a facet with less is not tied.
 
-_MIN_INTEGRAL = 0.1  # of a node's over the tied facets: less is an extrapolation from a strip
-_UNSURE = 0.02  # of a facet, covered or not: roundoff, and what curved facets leave uncovered
-_WHOLE = 0.9  # of a main facet: on a round surface its projection is as little, at 25 degrees
+Of 24 plates and blocks, lapped or on plates with cells as large as the block, half was up to 36 %
+too soft and a third 13 %; a smaller limit makes most of them stiffer.
+"""
+
+# Part of a node's integral over the tied facets: with less the tie extrapolates from a strip.
+_MIN_INTEGRAL = 0.1
+_UNSURE = 0.02  # part of a facet, covered or not: roundoff, and gaps between curved facets
+# Part of a main facet that counts as all of it: on a round surface its projection is as small, at
+# 25 degrees.
+_WHOLE = 0.9
 _PAIRS = 10_000  # triangles that are cut at a time: about 50 MB
-_MAX_STEPS = 20  # of Newton's method for a point in a facet, which takes three to five
+_MAX_STEPS = 20  # largest number of Newton steps for a point in a facet, which takes three to five
 _EXACT = 1e-12  # relative to the size of a facet: roundoff
 _NEIGHBOURS = 8  # main nodes beside a sliding node, some on its plane of symmetry if the surface is
-_SAME = 1e-9  # of a projector: axes are written to about so many digits
+_SAME = 1e-9  # part of a projector: axes are written to about as many digits
 _PARALLEL = 1e-9  # rad between sides: roundoff would put their crossing anywhere along both
 _RULE = get_quadrature(RefTri, 6)  # two serendipity functions have together this degree
 
 
 @dataclass(frozen=True, eq=False)
 class TiedNodes:
-    """Secondary nodes that follow a main surface."""
+    """Secondary nodes that depend on a main surface."""
 
     nodes: Array  # shape (t,), int64, ascending
-    untied: int  # number of the secondary surface's other nodes
+    untied: int  # number of the other nodes of the secondary surface
     gap: float  # the largest distance between the surfaces where they are tied, m
-    distance: float  # within which they are, m
-    cut: int  # facets that the main surface covers in part: there the tie's edge is the mesh's
-    beyond: float  # of these facets the largest distance from `distance` to a mean edge, m, or 0
-    within: float  # size of the largest main facet that is covered in part over the tie's, or 0
+    distance: float  # largest distance of tied facets, m
+    # Number of facets that the main surface covers in part: there the tie ends at a facet's edge.
+    cut: int
+    beyond: float  # largest distance of these facets beyond `distance`, up to a mean edge, m, or 0
+    within: float  # size of the largest main facet that is covered in part, over the tie's, or 0
 
 
 def joined(
@@ -66,15 +74,15 @@ def joined(
     sections: Sequence[tuple[str, Array]],
     problems: list[BundleProblem],
 ) -> tuple[Mesh, tuple[TiedNodes, ...]]:
-    """Return a mesh whose tied nodes follow others, and lie where these put them, and the ties.
+    """Return a mesh whose tied nodes depend on others, and lie where these put them, and the ties.
 
-    So a gap is closed by moving secondary nodes, and no rotation strains the tie. Fixed nodes stay
-    fixed. Sliding ones follow main nodes that are held in the same directions, as on a plane of
-    symmetry, which was ten times as exact there as to leave them out; else they stay held.
+    A gap is closed by moving secondary nodes, so that no rotation strains the tie. Fixed nodes stay
+    fixed. Sliding ones depend on main nodes that are held in the same directions, as on a plane of
+    symmetry, where this was ten times as exact as leaving them out; otherwise they stay held.
 
     held: projectors on the directions in which nodes are held, (n, 3, 3).
-    sections: keys of the bundle, and nodes that follow a frame of each.
-    problems: gets what is wrong; a tie with a problem is left out.
+    sections: keys of the bundle, and the nodes that depend on the frame of each.
+    problems: gets the mistakes; a tie with a problem is left out.
     """
     entries, done = [], []
     follows = np.zeros(len(mesh.points), dtype=bool)
@@ -96,7 +104,8 @@ def joined(
         # Directions in which a node is held, but its neighbours are not.
         loose = held[nodes][:, None] @ (np.eye(3) - held[main.node_ids[neighbours]])
         bound = {
-            f'are in "{pair.main}"': np.isin(nodes, main.node_ids),  # which holds the two together
+            # This node connects both surfaces.
+            f'are in "{pair.main}"': np.isin(nodes, main.node_ids),
             "are fixed": np.trace(held[nodes], axis1=1, axis2=2) >= 3 - _SAME,
             "already follow others": follows[nodes],
             "slide where it does not": (np.abs(loose).max(axis=(2, 3)) > _SAME).all(axis=1),
@@ -136,7 +145,7 @@ def joined(
 def _constrained(
     mesh: Mesh, followers: Array, used: Sequence[tuple[str, Array]]
 ) -> Iterator[BundleProblem]:
-    """Yield a problem for each use, key and nodes, of nodes that follow others by the deck."""
+    """Yield a problem for each use, key and nodes, of nodes that depend on others by the deck."""
     for where, nodes in used:
         if (shared := np.intersect1d(nodes, followers)).size:
             message = (
@@ -148,10 +157,10 @@ def _constrained(
 
 
 def _why_untied(pair: Tie, tied: TiedNodes, gap: float, bound: Mapping[str, Array]) -> str:
-    """Return why no node is tied.
+    """Return the reason for which no node is tied.
 
     gap: the least distance of nodes of the two surfaces, m.
-    bound: why secondary nodes may not follow, each with a mask of shape (k,) of them.
+    bound: reasons for which secondary nodes must not be tied, each with a mask of shape (k,).
     """
     free, reasons = np.ones(len(next(iter(bound.values()))), dtype=bool), []
     for why, mask in bound.items():
@@ -189,20 +198,20 @@ def tied_nodes(
 
     points: shape (n, 3), m.
     distance: facets farther from each other are not tied, m; None for a tenth of the mean edge.
-    free: shape (n,), bool: nodes that may follow others.
+    free: shape (n,), bool: nodes that may depend on others.
     """
     blocks = *secondary.blocks, *main.blocks
     corners = [points[nodes[:, : corners_of(kind)]] for kind, nodes in blocks]
     edges = [np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).ravel() for at in corners]
     edge = float(np.concatenate(edges).mean())
-    distance = min(distance or _GAP * edge, edge)  # to close more would fold cells over
-    # Areas of the main facets, m^2, and how much of each is tied.
+    distance = min(distance or _GAP * edge, edge)  # to close a larger gap would fold cells over
+    # Areas of the main facets, m^2, and the tied area of each.
     across = (np.cross(at, np.roll(at, -1, axis=1)) for at in corners[len(secondary.blocks) :])
     main_areas = [np.linalg.norm(each.sum(axis=1), axis=1) / 2 for each in across]
     main_covered = [np.zeros(len(each)) for each in main_areas]
-    # Integrals of the transformed functions where the surfaces meet, and over all of tied facets.
+    # Integrals of the transformed functions over the common area, and over all of tied facets.
     covered, complete = np.zeros((2, len(points)))
-    ends = np.full((len(points), 2), -1)  # of the edge in whose middle a node is
+    ends = np.full((len(points), 2), -1)  # ends of the edge whose middle a node is
     entries, gap, cut, beyond = [], 0.0, 0, 0.0
     for kind, nodes in secondary.blocks:
         transform, middles, edge_ends = _transform(kind, nodes.shape[1])
@@ -210,7 +219,8 @@ def tied_nodes(
         plane, areas = _mean_planes(points, kind, nodes)
         # Integrals over overlaps of products of functions: of this facet's, and with the main's.
         mass, mixed = np.zeros((len(nodes), *transform.shape)), []
-        off = np.zeros(len(nodes))  # largest distance of a facet from what is too far from it, m
+        # Largest distance between a facet and main facets that are too far from it, m.
+        off = np.zeros(len(nodes))
         for other, cover in zip(main.blocks, main_covered, strict=True):
             for facing in _overlaps(points, FacetBlock(kind, nodes), other, plane, edge):
                 farthest = facing.gaps.max(axis=1)
@@ -243,14 +253,15 @@ def tied_nodes(
     loose = len(secondary.node_ids) - int(tied.sum())
     size, cover = np.concatenate(main_areas), np.concatenate(main_covered)
     part = size[(_UNSURE * size < cover) & (cover < _WHOLE * size)].max(initial=0.0)
-    within = float(np.sqrt(2 * part / cover.sum())) if part else 0.0  # a square's diagonal
+    within = float(np.sqrt(2 * part / cover.sum())) if part else 0.0  # the diagonal of a square
     return TiedNodes(np.flatnonzero(tied), loose, gap, distance, cut, beyond, within), follow
 
 
 def _transform(kind: str, size: int) -> tuple[Array, Array, Array]:
     """Return nodal values by transformed unknowns, (k, k), of a facet of k = `size` nodes.
 
-    Also the local numbers of nodes in the middle of an edge, (e,), and of both ends of it, (e, 2).
+    The other results are the local indices of midside nodes, (e,), and of both ends of their edges,
+    (e, 2).
     """
     count = corners_of(kind)
     corner = np.arange(count if size > count else 0)
@@ -264,7 +275,7 @@ def _transform(kind: str, size: int) -> tuple[Array, Array, Array]:
 def _mean_planes(points: Array, kind: str, nodes: Array) -> tuple[Array, Array]:
     """Return two directions in the mean plane of each facet, (f, 3, 2), unit vectors in columns.
 
-    Also the areas, m^2, that the facet's quadrature points stand for in that plane, (f, q).
+    The second result is the area, m^2, of each quadrature point in that plane, (f, q).
     """
     at, element, count = points[nodes], reference_element(kind), corners_of(kind)
     arms = at[:, :count] - at[:, :count].mean(axis=1)[:, None]
@@ -281,7 +292,7 @@ def _followed(
 
     entries: nodes, masters and products of dual and main functions, m^2, (e,) each.
     tied, covered: shape (n,): which nodes are tied, and the integrals of their functions, m^2.
-    ends: shape (n, 2): ends of the edge in whose middle a node is, -1 for a corner.
+    ends: shape (n, 2): ends of the edge whose middle a node is, -1 for a corner.
     """
     none = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
     rows, masters, weights = (np.concatenate(each) for each in zip(none, *entries, strict=True))
@@ -301,10 +312,10 @@ class _Overlaps(NamedTuple):
 
     first: Array  # shape (s,), int64: facet of the first surface
     second: Array  # shape (s,), int64: facet of the second
-    weights: Array  # shape (s, q), m^2, of q quadrature points
-    here: Array  # shape (s, q, k): shape functions of the first facet there
-    there: Array  # shape (s, q, l): those of the second
-    gaps: Array  # shape (s, q), m: distance between both
+    weights: Array  # shape (s, q), m^2: weights of q quadrature points
+    here: Array  # shape (s, q, k): shape functions of the first facet at these points
+    there: Array  # shape (s, q, l): shape functions of the second facet
+    gaps: Array  # shape (s, q), m: distance between both facets
 
 
 def _overlaps(
@@ -368,7 +379,7 @@ def _located(kind: str, nodes: Array, at: Array) -> tuple[Array, Array]:
 def _intersections(*pairs: Array) -> tuple[Array, Array]:
     """Return the intersections of pairs of triangles, twice (p, 3, 2), cut into triangles.
 
-    Result: the pair of each, (s,), and its corners, (s, 3, 2).
+    Result: the index of each one's pair, (s,), and its corners, (s, 3, 2).
     """
     corners = np.stack(pairs)
     clockwise = _cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]) < 0
@@ -390,7 +401,7 @@ def _intersections(*pairs: Array) -> tuple[Array, Array]:
     points = np.concatenate([*corners, crossings.reshape(-1, 9, 2)], axis=1)
     pair = np.flatnonzero(inside.sum(axis=1) > 2)
     points, inside = points[pair], inside[pair]
-    # Around their middle, those outside last and in the place of the first.
+    # In order of the angle about their middle; outside points are last and replaced by the first.
     middle = (points * inside[..., None]).sum(axis=1) / inside.sum(axis=1)[:, None]
     x, y = np.moveaxis(points - middle[:, None], 2, 0)
     order = np.argsort(np.where(inside, np.arctan2(y, x), np.inf), axis=1)

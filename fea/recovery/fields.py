@@ -1,4 +1,4 @@
-"""The fields of one solve that are worth keeping: its surface as triangles, and its stresses."""
+"""The stored fields of one solve: its surface as triangles, and its stresses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ from wrenchbook.fea.tensors import von_mises
 Array = np.ndarray
 
 MAX_POINTS = 20_000
-"""Integration points whose stresses are kept, some 1.5 MB a row; of more only the largest is."""
+"""Integration points whose stresses are stored, some 1.5 MB a row.
+
+With more only the largest is.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,14 +33,14 @@ class SolveFields:
     """Surface and stresses of one solve, in the undeformed frame of the first interface."""
 
     # Whether the slopes are the complete answer: fields = slopes @ inputs, a temperature among them
-    # from its reference.
+    # relative to its reference.
     linear: bool
     vertices: Array  # shape (v, 3), m, undeformed
     triangles: Array  # shape (t, 3), int32
-    full_vertices: int  # of the outer surface before it was simplified
+    full_vertices: int  # number of vertices of the outer surface before it was simplified
     displacement: Array  # shape (v, 3), m
     displacement_slopes: Array  # shape (v, 3, k), m/N, m/(N·m), m/K: change with each input
-    # Of p integration points; p = 0 where there are more than `MAX_POINTS`.
+    # p integration points; p = 0 if there are more than `MAX_POINTS`.
     stress: Array  # shape (p, 6), Pa, Cauchy's: xx, yy, zz, xy, xz, yz
     stress_slopes: Array  # shape (p, 6, k), Pa/N, Pa/(N·m), Pa/K
     places: Array  # shape (p, 3), m, undeformed
@@ -52,7 +55,7 @@ class SolveFields:
 def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> SolveFields:
     """Return the fields of a solution.
 
-    component, body: what was solved; the body in the interface frame.
+    component, body: the solved component; its body in the interface frame.
     solution: with its `tangents`.
     """
     linear, axes = not component.analysis.nonlinear, component.axes
@@ -96,30 +99,31 @@ def _stresses(
         if component.analysis.gravity is not None or component.bolts:
             return stress_of(component, body, solution), changes
         return changes @ (solution.wrench - component.at_rest), changes
-    # Changes that nobody keeps are not made: they take six times the stresses.
+    # Changes that are not stored are not computed: they take six times the stresses.
     fields = slopes if shown.stop is None else slopes[:, :, :0]
     nodes, temperature = solution.nodes @ component.axes.T, component.warming(solution.wrench)
     return cauchy_stress(body, nodes, fields, temperature, loads)
 
 
 MAX_VERTICES = 40_000
-"""Vertices kept of a surface: a row's field then takes some 2 MB, and JSON of it some 10 MB."""
+"""Vertices of a stored surface: a row's field then takes some 2 MB, and JSON of it some 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
     """Triangles between some of a mesh's nodes; all are indices."""
 
-    nodes: Array  # shape (v,), int64: which node of the mesh each vertex is
+    nodes: Array  # shape (v,), int64: the mesh's node of each vertex
     triangles: Array  # shape (t, 3), int32: vertices, anticlockwise seen from outside
-    full_count: int  # nodes of the outer surface; more than the vertices if it was simplified
+    # Number of nodes of the outer surface; more than the vertices if it was simplified.
+    full_count: int
 
 
 def surface_of(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> Surface:
     """Return the outer surface, simplified if it has more than `max_vertices`.
 
-    A simplified surface has fewer vertices, each a node of the mesh where it was, so that its
-    displacement is the solver's; triangles that fall together are left out.
+    A simplified surface has fewer vertices, each a node of the mesh in its place, so that its
+    displacement is the solver's; triangles whose corners are merged are left out.
     """
     blocks = outer_surface(mesh.blocks).blocks
     triangles = np.concatenate(
@@ -134,7 +138,7 @@ def surface_of(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> Surface:
 
 
 def _clustered(points: Array, triangles: Array, max_vertices: int) -> tuple[Array, Array]:
-    """Return the points that stay, (v,), and the triangles between these, (t, 3).
+    """Return the remaining points, (v,), and the triangles between these, (t, 3).
 
     Vertex clustering (Rossignac and Borrel 1993): the points in each box of a grid are merged into
     the first of them, by the finest grid that leaves at most `max_vertices`.

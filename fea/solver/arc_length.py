@@ -1,9 +1,9 @@
-"""Past what load control can follow: the equilibrium path by its length.
+"""Equilibrium path by its length, beyond the reach of load control.
 
 The load factor becomes an unknown and the length of a step is given instead (Riks 1979, with the
 plane normal to the predictor; Crisfield, "Non-linear finite element analysis of solids and
 structures", volume 1, chapter 9). The path can then be followed round a limit point, where load
-control finds nothing or, worse, a state on a far branch.
+control finds no state or, worse, a state on a far branch.
 """
 
 from __future__ import annotations
@@ -19,34 +19,35 @@ from wrenchbook.fea.solver.newton import Equilibrium, Report, Stuck, correct, ta
 
 Array = np.ndarray
 
-_MAX_STEPS = 80  # after which the path is "lost"
-_MAX_ITERATIONS = 10  # of a step, which is then halved
-_FEW_ITERATIONS = 5  # after so many or fewer the next step grows
-_GROWTH = 1.6  # times the last step
-_LEAST = 1.0 / 256  # of the first step
-_FINE = 1.0 / 8  # of the first step: short enough to tell a limit point from a bifurcation
-_MAX_NODE_STEP = 0.01  # of the part's size: the furthest that a node may go in one step
-_LONGEST = 8.0  # times the first step
-_SAMPLES = 201  # of the cubic between two points, whose maximum is the critical load
-_MIN_COSINE = 0.7  # cosine of a path that bends no more than it should in one step
-_NO_MOTION = 1e-300  # in place of a motion of 0, by which nothing can be divided
+_MAX_STEPS = 80  # steps of a path before its kind is "lost"
+_MAX_ITERATIONS = 10  # iterations of a step before it is halved
+_FEW_ITERATIONS = 5  # iterations up to which the next step grows
+_GROWTH = 1.6  # ratio of the next step to the last
+_LEAST = 1.0 / 256  # shortest step, over the first step
+# Longest step, over the first, that can distinguish a limit point from a bifurcation.
+_FINE = 1.0 / 8
+_MAX_NODE_STEP = 0.01  # largest motion of a node in one step, over the part's size
+_LONGEST = 8.0  # longest step, over the first step
+_SAMPLES = 201  # samples of the cubic between two points, whose maximum is the critical load
+_MIN_COSINE = 0.7  # cosine of the largest angle by which a path may turn in one step
+_NO_MOTION = 1e-300  # replaces a motion of 0 in a divisor
 
 
 class Ending(NamedTuple):
-    """Why the path was not followed further."""
+    """The reason for which a path ends."""
 
     # ``"reached"``: the full load, by stable states all along; ``"limit"``: the load has a maximum
     # on the path; ``"bifurcation"``: the states become unstable while the load still grows;
     # ``"lost"``: no equilibrium further on converged.
     kind: str
-    factor: float  # of the load: the greatest with a stable state on this path
+    factor: float  # part of the load: the largest with a stable state on this path
     equilibrium: Equilibrium  # the last state, beyond the full load if it was reached
 
 
 class _Point(NamedTuple):
     """One equilibrium on the path."""
 
-    size: float  # of its load, in the unit of `ArcPath`'s `full`
+    size: float  # size of its load, in the unit of `ArcPath`'s `full`
     equilibrium: Equilibrium
     # Motion per unit of the load's size: free nodes, (n, 3), m, and border, (border,)
     rate: tuple[Array, Array]
@@ -60,7 +61,7 @@ class ArcPath:
     direction: shape (k,): the inputs per unit of the size.
     full: the size of the full load.
     start: a stable equilibrium at the load factor `factor`, with its tangent.
-    step: Change of the load factor to begin with.
+    step: initial change of the load factor.
     report: called with a load factor; returns a function that is called after each iteration.
     """
 
@@ -86,7 +87,7 @@ class ArcPath:
         self._length = self._first
 
     def follow(self, accept: Callable[[Equilibrium, float], None]) -> Ending:
-        """Step until the full load is reached or cannot be.
+        """Step to the full load, or to the end of the stable path.
 
         accept: called with each stable state below the full load, and its factor.
         """
@@ -136,7 +137,7 @@ class ArcPath:
         return float(cubic.max()) / self._full
 
     def _step(self) -> _Point | None:
-        """Find the next point; None, with the length halved, if there is none that near."""
+        """Find the next point; None, after halving the length, if no point is that near."""
         point = self._point
         change = self._length / point.speed
         size = point.size + change

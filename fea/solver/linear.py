@@ -12,7 +12,8 @@ from wrenchbook.fea.failure import SolveFailed
 
 Array = np.ndarray
 
-_MAX_CORRECTIONS = 4  # one is enough for all but extreme parts; each costs a solve
+# Largest number of corrections: one is enough for all but extreme parts, and each costs a solve.
+_MAX_CORRECTIONS = 4
 _SMALL = 1e-7  # relative size of a correction, whose own error is about its square
 _MAX_ERROR = 1e-6
 """Largest relative asymmetry, energy gap and roundoff of a compliance: six digits of an answer."""
@@ -20,7 +21,7 @@ _MAX_ERROR = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class LinearResponse:
-    """Everything a linear component can answer."""
+    """The complete response of a linear component."""
 
     # Shape (6 i, k) for the k inputs of `Balance.wrench`: displacement = compliance @ inputs; m and
     # rad per N, N·m, K and m/s^2. That of the loads is symmetric. Locked freedoms are zero.
@@ -36,18 +37,21 @@ class LinearResponse:
     # difference from `energies`: both relative to sqrt(C_ii C_jj).
     asymmetry: float
     energy_gap: float
-    # Shape (n, 3), m: nodal displacements under self-weight; zero without
+    # Shape (n, 3), m: nodal displacements under self-weight; zero without self-weight
     sag: Array
-    sag_displacement: Array  # shape (6 i,), m and rad: the interfaces' under it
+    # Shape (6 i,), m and rad: the interfaces' displacements under self-weight.
+    sag_displacement: Array
 
 
 def linear_response(system: System) -> LinearResponse:
     """Solve for six unit loads at each interface.
 
-    Raises SolveFailed: ``mechanism``; ``ill_conditioned`` if the compliance is not symmetric, or
-    not equal to its strain energies, by more than 1e-6, or corrections do not get small. The
-    condition alone does not decide: that of a plate of 1:100 is 1e11, and the corrections bring its
-    answer to full accuracy.
+    The condition number alone does not decide: that of a plate of 1:100 is 1e11, and the
+    corrections bring its answer to full accuracy.
+
+    Raises SolveFailed of kind ``mechanism`` if the supports leave a motion free, and of kind
+    ``ill_conditioned`` if the compliance is not symmetric, or not equal to its strain energies, by
+    more than 1e-6, or corrections do not become small.
     """
     fields, border, correction = _refined(system, system.undeformed)
     condition = system.condition

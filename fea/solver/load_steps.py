@@ -28,34 +28,37 @@ FIRST_STEP = 1.0
 GROWTH = 2.0
 """How much longer the next step is after a step that converged quickly."""
 
-_MIN_STEP = 1.0 / 32  # of the full load; where it is too long the path is followed by its length
-_FEW_ITERATIONS = 8  # after so many or fewer the next step grows; after one more it is halved
-_SECANT_MARGIN = 0.25  # of a slope: a secant may be so far outside the tangents at its ends
-_UNDONE = 0.6  # of a step after each iteration, as the progress shows it
-_SOFTENED = 5.0  # times the compliance it started with: a load limit is near
+# Shortest step, over the full load; where it is too long, the path is followed by its length.
+_MIN_STEP = 1.0 / 32
+_FEW_ITERATIONS = 8  # iterations up to which the next step grows; after one more it is halved
+_SECANT_MARGIN = 0.25  # part of a slope by which a secant may lie outside the tangents at its ends
+_UNDONE = 0.6  # part of a step that remains after each iteration, for the progress
+_SOFTENED = 5.0  # ratio to the initial compliance at which a load limit is near
 
 
 class _Refused(Exception):  # noqa: N818 - load control gives up; the path's length may do
+    """Load control failed; `failure` is the solve's failure if the path's length fails too."""
+
     def __init__(self, failure: SolveFailed) -> None:
         super().__init__(failure.message)
         self.failure = failure
 
 
 class LoadPath:
-    """Follows one wrench from nothing to its full size.
+    """Follows one wrench from zero to its full size.
 
-    The first step tries the full load: with the tangents of `fea.solver.newton` most parts
-    converge at once. A step is taken back and halved if Newton's method gets stuck, if the state
-    it finds is unstable or turned inside out, or if the tangents at both its ends do not explain
-    how far it went: a load step that jumps onto another branch of equilibria moves further than
-    either tangent says. Where no step is short enough the path is followed by its length
-    (`fea.solver.arc_length`), to the full load or to the load at which the part gives way.
+    The first step tries the full load: with the tangents of `fea.solver.newton` most parts converge
+    at once. A step is taken back and halved if Newton's method gets stuck, if its state is unstable
+    or turned inside out, or if the tangents at both its ends do not explain its length: a load step
+    that jumps onto another branch of equilibria moves further than either tangent predicts. Where
+    no step is short enough the path is followed by its length (`fea.solver.arc_length`), to the
+    full load or to the load at which the part gives way.
 
     system: the equations.
     wrench: shape (k,): the inputs, as of `Balance.wrench`; not zero.
     progress: called with the fraction done and a message.
-    unloaded: the equilibrium at no wrench, under self-weight (`hang`); None without.
-    history: all iterations, those of steps taken back as well.
+    unloaded: the equilibrium at no wrench, under self-weight (`hang`); None without self-weight.
+    history: all iterations, also those of steps taken back.
     work: external work so far, J.
     """
 
@@ -83,12 +86,15 @@ class LoadPath:
     ) -> Equilibrium:
         """Step to the full wrench.
 
+        On a failure the caller attaches `history` and `last_state` to it.
+
         check: called once with each converged balance on the path; raises SolveFailed to stop.
-        guess: a state near the equilibrium, such as that of a nearby wrench. What it leads to must
-        pass as one step from no load to the full; else it is as if there were no guess.
-        Raises SolveFailed: ``not_converged``, ``snap_through``, ``inverted_elements`` or
-        ``ill_conditioned``; ``mechanism`` if the interface moves freely; or what `check` raises.
-        The caller attaches `history` and `last_state` to it.
+        guess: a state near the equilibrium, such as that of a nearby wrench. Its equilibrium must
+        pass the tests of one step from no load to the full load; otherwise the guess is ignored.
+
+        Raises SolveFailed of kind ``not_converged``, ``snap_through``, ``inverted_elements`` or
+        ``ill_conditioned`` if the path ends early, ``mechanism`` if the interface moves freely, and
+        the errors of `check`.
         """
         try:
             equilibrium = None if guess is None else self._try_guess(guess)
@@ -101,13 +107,15 @@ class LoadPath:
             return equilibrium
         except _Refused as refused:
             failure = refused.failure
-        return self._follow_length(check, failure)  # not above: there the last try keeps its factor
+        # Outside of the block above, where the last attempt would keep its factor in memory.
+        return self._follow_length(check, failure)
 
     def last_state(self) -> tuple[float, Array]:
-        """Return the load factor of the last state found, and its nodes, shape (n, 3), m."""
+        """Return the load factor of the last converged state, and its nodes, shape (n, 3), m."""
         return self._factor, self._balance.state.nodes
 
     def _try_guess(self, guess: CoupledState) -> Equilibrium | None:
+        """Return the equilibrium near a guess at the full load; None if it fails the tests."""
         start = self._system.balance(guess, self._wrench)
         self._tangent.release()  # no correction uses it
         try:
@@ -124,7 +132,7 @@ class LoadPath:
         return equilibrium
 
     def _follow_length(self, check: Callable[[Balance], None], refused: SolveFailed) -> Equilibrium:
-        """Follow the path by its length from the last state that load control found."""
+        """Follow the path by its length from the last state of load control."""
 
         def accept(equilibrium: Equilibrium, factor: float) -> None:
             check(equilibrium.balance)
@@ -161,6 +169,7 @@ class LoadPath:
         return equilibrium
 
     def _try_step(self) -> Equilibrium | None:
+        """Return the equilibrium of the next step; None after a step was halved."""
         target = min(1.0, self._factor + self._step)
         if target > 1.0 - 0.5 * _MIN_STEP:
             target = 1.0
@@ -188,13 +197,14 @@ class LoadPath:
         return None
 
     def _explained(self, equilibrium: Equilibrium, target: float) -> bool:
-        """Whether a step's secant lies between the tangents at its ends, more or less."""
+        """Return whether a step's secant lies between the tangents at its ends, about."""
         slopes = self._slope(self._tangent), self._slope(equilibrium.tangent)
         secant = self._advance(equilibrium) / (target - self._factor)
         low, high = min(slopes), max(slopes)
         return low * (1 - _SECANT_MARGIN) <= secant <= high * (1 + _SECANT_MARGIN)
 
     def _accept(self, equilibrium: Equilibrium, target: float) -> None:
+        """Take a converged step over: its load factor, state and work."""
         advance = self._advance(equilibrium)
         start, end = self._slope(self._tangent), self._slope(equilibrium.tangent)
         # The factor as a cubic in the advance, by its values and slopes at both ends, integrated.
@@ -206,9 +216,10 @@ class LoadPath:
             self._step *= GROWTH
 
     def _halve(self, reason: str, kind: str | None = None) -> None:
-        """Take a step back; give up if it was as small as can be.
+        """Take a step back; raise SolveFailed if it already was the shortest.
 
-        kind: of the failure then; None decides between a part that softens and a bad convergence.
+        kind: kind of the failure then; None decides between a part that softens and a bad
+        convergence.
         """
         self._step = 0.5 * min(self._step, 1.0 - self._factor)
         if self._step >= _MIN_STEP:
@@ -228,7 +239,7 @@ class LoadPath:
         return float(self._direction @ tangent.conjugate_rate(self._wrench))
 
     def _advance(self, equilibrium: Equilibrium) -> float:
-        """Work of inputs `_direction` in a step, J; see `Linearisation.conjugate_rate`."""
+        """Work of the inputs `_direction` in a step, J; see `Linearisation.conjugate_rate`."""
         ends = (self._balance.state.interface, equilibrium.balance.state.interface)
         advance: list[Array] = []
         for before, after in zip(*(each_interface(end) for end in ends), strict=True):
@@ -264,8 +275,10 @@ def hang(
     system: with its weight.
     check: as of `LoadPath.follow`.
     cause: the weight's name in messages.
-    start: the equilibrium without the weight, of bolts that are tightened; None without.
-    Raises SolveFailed as `LoadPath.follow` does, the weight in place of the wrench; it has `last`.
+    start: the state after bolts are tightened, without the weight; None without bolts.
+
+    Raises SolveFailed as `LoadPath.follow` does, for the weight instead of the wrench; it has
+    `last`.
     """
     assert system.weight is not None
     further = system.weight[:, :, None]

@@ -14,10 +14,10 @@ from wrenchbook.fea.coupling.coupling import largest_rotation
 Array = np.ndarray
 
 Report = Callable[[int, float], None]
-"""Called after each iteration with its number and the norm of what is out of balance, N."""
+"""Called after each iteration with its number and the norm of the forces out of balance, N."""
 
 CONVERGED = 1e-6
-"""Size of a last correction, relative to the displacement; what is left after it is its square."""
+"""Size of a last correction, relative to the displacement; the remaining error is its square."""
 
 CONVERGED_ENERGY = 1e-5
 """Size of a last correction in the energy norm, relative to the state's strain energy.
@@ -29,27 +29,31 @@ of 4e-7 of the displacement was 4e-4 in the energy norm, and left 1e-6 of the ro
 """
 
 BALANCED = 1e-5
-"""Forces out of balance after it, relative to the nodal forces at supports and interface."""
+"""Forces out of balance after a last correction, relative to those at supports and interface."""
 
 SAME_STATE = 1e-10
-"""Size in the energy norm of a correction across which a tangent counts as the same.
+"""Size of a correction in the energy norm below which its tangent counts as unchanged.
 
-On that spring a tangent changes by 500 times the correction: this leaves 5e-8 of a compliance.
+For the spring above a tangent changes by 500 times the correction: this leaves 5e-8 of a
+compliance.
 """
 
-MAX_ITERATIONS = 16  # of a load step, which is then halved
+MAX_ITERATIONS = 16  # iterations of a load step before it is halved
 _NEARLY = 1e-3  # relative size of a correction after which tangents are consistent
-_MAX_CHORDS = 3  # by when a correction that shrinks tenfold is below what a new tangent needs
-_CHORD_GAIN = 0.1  # a correction that shrinks less says that the tangent has changed
-_MAX_IDLE = 3  # small corrections in a row of which none halves either norm: roundoff
-_FAR_ROTATION = 2.0  # rad: a rotation vector is of no use near half a turn
-_FAR = 1e3  # times the size of the part
+# Corrections with one tangent: after these a correction that shrinks tenfold is below the accuracy
+# of a new tangent.
+_MAX_CHORDS = 3
+_CHORD_GAIN = 0.1  # ratio of two corrections with one tangent above which the tangent has changed
+_MAX_IDLE = 3  # small corrections in a row, none of which halves either norm, that show roundoff
+_FAR_ROTATION = 2.0  # rad: a rotation vector is ill-defined near half a turn
+_FAR = 1e3  # largest displacement, over the size of the part
 
 
 class Stuck(Exception):  # noqa: N818 - the caller tries a smaller load step
     """Newton's method found no equilibrium.
 
-    at_roundoff: whether corrections stopped shrinking while small: a finer step will not help.
+    at_roundoff: whether corrections stopped shrinking while small, so that a finer step does not
+    help.
     """
 
     def __init__(self, reason: str, *, at_roundoff: bool = False) -> None:
@@ -67,10 +71,10 @@ class Equilibrium(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """One correction, and the state that it leads to."""
+    """One correction, and the state after it."""
 
     balance: Balance  # the new state with its forces
-    # The displacement aimed at and the change, both linear in the unknowns, shape (n, 3), m
+    # The aimed displacement and the change, both linear in the unknowns, shape (n, 3), m
     aim: tuple[Array, Array]
     size: float  # largest change over the largest displacement
     # Its size in the energy norm, relative to the new state's: the root of the quotient of the
@@ -88,7 +92,7 @@ class Correction(NamedTuple):
 
     @property
     def nearly(self) -> bool:
-        """Whether it is small enough to go on with consistent tangents."""
+        """Whether the correction is small enough to continue with consistent tangents."""
         return self.size <= _NEARLY
 
 
@@ -101,16 +105,18 @@ def find_equilibrium(
 ) -> Equilibrium:
     """Iterate from a state out of balance.
 
-    The first correction uses `tangent` as it is. While steps are large, later tangents take the
-    stress that the step aimed at (`ElasticBody.tangent`). The last are the consistent tangents at
-    the state: only these prove convergence. The older of two corrects again, while that helps.
+    The first correction uses `tangent` unchanged. While steps are large, later tangents take the
+    stress at which the step aimed (`ElasticBody.tangent`). The last are the consistent tangents at
+    the state: only these prove convergence. The older of two tangents is used again while it makes
+    progress.
 
-    balance: where to start, under the required wrench.
+    balance: the initial state, under the required wrench.
     tangent: a linearisation at, or near, that state; its factor is released after the first
     correction.
     report: called after each iteration.
-    max_iterations: after which to give up.
-    Raises Stuck if it does not converge.
+    max_iterations: limit of the number of iterations.
+
+    Raises Stuck if the iteration does not converge.
     """
     consistent, corrections = False, []
     for iteration in range(1, max_iterations + 1):
@@ -137,7 +143,9 @@ def find_equilibrium(
         consistent = step.nearly
         balance = _settled(system, step, tangent) if consistent else balance
         if iteration == 1:
-            tangent.release()  # the caller keeps it: its factor would be there with each next
+            # The caller keeps the tangent, and its factor would stay in memory beside each next
+            # factor.
+            tangent.release()
         tangent = system.linearise(balance, None if consistent else step.aim)
     last = f"the last correction was {corrections[-1][0]:.0e} of the displacement"
     raise Stuck(f"there is no equilibrium after {max_iterations} iterations; {last}")
@@ -149,10 +157,11 @@ def correct(
     """Apply a correction and measure it.
 
     balance: the state before, under the wrench of the new state.
-    tangent: what gave the correction.
+    tangent: the tangent of the correction.
     nodes, border: Shapes (n, 3), m, and (border,): the correction of the free nodes and of the
     border.
-    Raises Stuck if it is not finite, or a thousand times as large as the part.
+
+    Raises Stuck if the correction is not finite, or a thousand times as large as the part.
     """
     change = nodes + tangent.border.constraint @ border
     largest = np.abs(change).max(initial=0.0)

@@ -1,6 +1,6 @@
-"""Second derivatives of the displacements at a state: third ones of the complementary energy.
+"""Second derivatives of displacements: third derivatives of the complementary energy.
 
-They need no further solve: first-order fields give an energy's third derivatives (the 2n + 1
+No further solve is needed: first-order fields give an energy's third derivatives (the 2n + 1
 theorem). fea/README.md derives the formula.
 """
 
@@ -21,14 +21,18 @@ from wrenchbook.fea.tensors import skew, spin_per_vector, spin_slope
 Array = np.ndarray
 
 MAX_CURVATURE_INPUTS = 8
-"""Inputs up to which a row of third derivatives is kept: 120 numbers; of twelve it is 364."""
+"""Largest number of inputs whose third derivatives are stored: 120 numbers a row.
+
+For twelve inputs 364.
+"""
 
 _WARMER = 5.0
 """Step of differences by temperature, K.
 
-At fixed displacements energy and forces are polynomials of the temperature but for factors of
-1 + 1e-5 / K and powers of these, so differences of fourth order leave out 1e-13 of a derivative.
-Those of second order do not do: in a slender part 0.999 of a derivative cancels against others.
+At fixed displacements energy and forces are polynomials of the temperature but for factors of 1 +
+1e-5 / K and powers of these, so differences of fourth order leave out 1e-13 of a derivative.
+Differences of second order are not enough: in a slender part 0.999 of a derivative cancels against
+others.
 """
 
 _BEND, _JERK = np.array([(-1, 16, -30, 16, -1), (-6, 12, 0, -12, 6)]) / 12
@@ -73,8 +77,8 @@ def third_derivatives(
 
     system: the equations.
     balance, tangent: a state in balance, and the tangent there.
-    origin: shape (6 i,), m and rad: the displacement that counts as none; zero if None. mu works on
-    rotation vectors relative to it.
+    origin: shape (6 i,), m and rad: the zero of displacements; None for no displacement. mu works
+    on rotation vectors relative to it.
     Result: shape (k, k, k): m and rad over the units of two inputs where an index is a load's; zero
     where an index is that of a locked freedom.
     """
@@ -120,8 +124,8 @@ def third_derivatives(
 def second_derivatives_at_rest(system: System) -> Array:
     """Return the second derivatives of the displacements by the inputs, undeformed and unloaded.
 
-    At no load they are those of the complementary energy but for what mu = M - r x M / 2 + ...
-    adds: a moment M and the rotation r of another input.
+    At no load they are those of the complementary energy, plus the derivatives of mu = M - r x M /
+    2 + ... by a moment M and the rotation r of another input.
 
     Result: shape (6 i, k, k), m and rad over the units of two inputs; symmetric in these.
     """

@@ -37,8 +37,9 @@ from wrenchbook.fea.tensors import skew
 
 Array = np.ndarray
 
-_MOMENT_ROUNDOFF = 1e-9  # of the largest moment of inertia: a rod's least is 0 but for roundoff
-_SEED = 20170726  # of the first mode's start vector: the same bundle gives the same digits
+# Part of the largest moment of inertia: a rod's least is 0 but for roundoff.
+_MOMENT_ROUNDOFF = 1e-9
+_SEED = 20170726  # seed of the first mode's start vector: the same bundle gives the same digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +73,10 @@ class Riding:
     def of(
         cls, mass: float = 0.0, inertia: Array | None = None, centre: Array | None = None
     ) -> Riding:
-        """Return it from three principal moments or six (xx, yy, zz, xy, xz, yz), kg·m^2.
+        """Return a rigid mass with three principal moments or six (xx, yy, zz, xy, xz, yz), kg·m^2.
 
-        Raises ValueError if there are other than none, three or six moments, or as the class does.
+        Raises ValueError if the inertia has other than none, three or six moments, or as the class
+        does.
         """
         moments = np.zeros(3) if inertia is None else np.asarray(inertia, dtype=float)
         position = np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
@@ -107,9 +109,9 @@ class Riding:
 class Vibration:
     """The first natural oscillation about the unloaded state."""
 
-    mass: float  # of the component itself, kg
+    mass: float  # mass of the component itself, kg
     frequency: float  # Hz
-    interface: Array  # shape (6 i,): the motion of the i interfaces in it, m and rad, of length one
+    interface: Array  # shape (6 i,): motion of the i interfaces, m and rad, of length one
     # Shape (6 i, 6 i): the component's mass as the interfaces' motion accelerates it, kg, kg·m and
     # kg·m^2; zero at locked freedoms.
     condensed: Array
@@ -125,8 +127,10 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     system: the equations, in the interface frame.
     mass: shape (n, n), kg, of `consistent_mass`; without entries the component is massless.
     riding: the rigid mass on the interface.
-    Raises ValueError if nothing has a mass, or everything with a mass is locked; or if a mass
-    stands on one of several interfaces. Raises SolveFailed: ``mechanism`` or ``ill_conditioned``.
+
+    Raises ValueError if nothing has a mass, everything with a mass is locked, or a mass rides on
+    one of several interfaces. Raises SolveFailed of kind ``mechanism`` or ``ill_conditioned`` if
+    the equations are singular.
     """
     active, count = system.coupling.active, system.coupling.freedoms
     interface_mass = np.zeros((count, count))
@@ -147,7 +151,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     frequency = float(np.sqrt(square) / (2 * np.pi))
 
     without_riding = Inertia(system, mass, np.zeros((count, count)))
-    if length := float(np.linalg.norm(interface)):  # 1, its largest part positive
+    if length := float(np.linalg.norm(interface)):  # length 1, its largest component positive
         interface = interface / (length * np.sign(interface[np.abs(interface).argmax()]))
     return Vibration(mass_of_part, frequency, interface, condensed_mass(without_riding))
 
@@ -165,7 +169,8 @@ def _lowest_modes(
 
     inverse: the inverse of the stiffness, loads (size,) to motions.
     start: shape (size,): a first motion for Lanczos' method.
-    Raises SolveFailed ``ill_conditioned`` if that does not converge.
+
+    Raises SolveFailed of kind ``ill_conditioned`` if Lanczos' method does not converge.
     """
     mass, apply = Applied(inertia.size, inertia.times), Applied(inertia.size, inverse)
     try:
@@ -205,7 +210,7 @@ def _lowest_mode_of_massless(inertia: Inertia) -> Array:
 def condensed_mass(inertia: Inertia) -> Array:
     """Return the mass condensed to the interfaces' motion, shape (6 i, 6 i), kg to kg·m^2.
 
-    Guyan (1965): the kinetic energy of the motions that static loads at the interfaces give.
+    Guyan (1965): the kinetic energy of the motions under static loads at the interfaces.
     """
     active, count = inertia.active, len(inertia.interface_mass)
     shapes, _ = static_shapes(inertia)
@@ -218,7 +223,7 @@ def condensed_mass(inertia: Inertia) -> Array:
 def static_shapes(inertia: Inertia) -> tuple[Array, Array]:
     """Return the unknowns by unit motions of each active interface freedom, shape (size, k).
 
-    And the compliance of these freedoms, shape (k, k), m/N and its like.
+    The second result is the compliance of these freedoms, shape (k, k), m/N and so on.
     """
     rows = inertia.first + np.arange(inertia.active.size)
     units = np.zeros((rows.size, inertia.size))
@@ -232,7 +237,7 @@ class Inertia:
     """The mass matrix M over free nodes, active interface freedoms and anchors, and K^-1.
 
     mass: shape (n, n), kg: of the nodes, the same for the three components.
-    interface_mass: shape (6 i, 6 i), kg to kg·m^2: of what the interfaces carry.
+    interface_mass: shape (6 i, 6 i), kg to kg·m^2: mass that the interfaces carry.
     active: indices of the freedoms that are not locked; they begin at `first` among the `size`
     unknowns.
     """
@@ -262,7 +267,7 @@ class Inertia:
         return nodes, interface
 
     def border(self, x: Array) -> Array:
-        """Return the full border's motion, shape (border, 1); its multipliers are zero."""
+        """Return the motion of the whole border, shape (border, 1); its multipliers are zero."""
         return np.append(x[self.first :], np.zeros(self._multipliers))[:, None]
 
     def times(self, x: Array) -> Array:
@@ -285,7 +290,7 @@ class Inertia:
 
 
 class Applied(LinearOperator):
-    """A linear map as SciPy takes it."""
+    """A linear map in SciPy's form."""
 
     def __init__(self, size: int, apply: Callable[[Array], Array]) -> None:
         super().__init__(np.dtype(float), (size, size))
@@ -324,15 +329,15 @@ def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
     return csr_array(total)
 
 
-_HELD_SEED = 19680701  # of the held modes' start vector: the same bundle gives the same digits
+_HELD_SEED = 19680701  # seed of the held modes' start vector: the same bundle gives the same digits
 
 
 @dataclass(frozen=True, eq=False)
 class CraigBampton:
     """Stiffness and mass of f frames and n modes."""
 
-    names: tuple[str, ...]  # of the frames; that of supports is "base"
-    origins: Array  # shape (f, 3), m: of the frames, undeformed, in the mesh's axes
+    names: tuple[str, ...]  # names of the frames; that of supports is "base"
+    origins: Array  # shape (f, 3), m: origins of the undeformed frames, in the mesh's axes
     rotations: Array  # shape (f, 3, 3): the columns are a frame's axes in the mesh's
     # stiffness, mass: shape (6 f + n, 6 f + n): of six freedoms a frame along the mesh's axes, then
     # the modes; N/m, N, N·m and kg, kg·m, kg·m^2 for frames, (rad/s)^2 and 1 for modes, kg^0.5 and
@@ -353,14 +358,15 @@ def craig_bampton(
     frames: Sequence[tuple[str, Array, Array]],
     modes: int,
 ) -> CraigBampton:
-    """Return the part's matrices with a number of modes, of all frames held.
+    """Return the part's matrices with a number of modes of the part with all frames held.
 
     mass: shape (n, n), kg: `consistent_mass`.
     points, body: shape (n, 3), m: the nodes in the mesh's axes; and (3, 3): the axes of the
     equations' fields in the mesh's, in rows.
-    frames: of the base, and then of each interface that moves, the name, point (3,), m, and axes.
+    frames: name, point (3,), m, and axes of the base, and then of each interface that moves.
+
     Raises ValueError if freedoms are locked, nothing has a mass, or the part has fewer modes.
-    Raises SolveFailed: ``mechanism`` or ``ill_conditioned``.
+    Raises SolveFailed of kind ``mechanism`` or ``ill_conditioned`` if the equations are singular.
     """
     count = system.coupling.freedoms
     inertia = Inertia(system, mass, np.zeros((count, count)))
@@ -404,7 +410,7 @@ def _reduced_stiffness(compliance: Array, elastic: Array, squares: Array) -> Arr
 
     compliance, elastic: of the interfaces, in their axes: shape (6 i, 6 i), and their motions
     relative to the base by unit motions of the frames, shape (6 i, 6 f).
-    squares: shape (n,), (rad/s)^2: of the modes' frequencies.
+    squares: shape (n,), (rad/s)^2: squares of the modes' frequencies.
     """
     frames = elastic.shape[1]
     stiffness = np.zeros((frames + len(squares),) * 2)
@@ -437,18 +443,19 @@ def _nodal(inertia: Inertia, motions: Array) -> Array:
 
 
 def _rigid(arms: Array) -> Array:
-    """Return how points at arms (n, 3), m, move by unit motions of a frame: shape (n, 3, 6)."""
+    """Return the motion of points at arms (n, 3), m, by a frame's unit motions: shape (n, 3, 6)."""
     translations = np.broadcast_to(np.eye(3), (len(arms), 3, 3))
     return np.concatenate([translations, -skew(arms)], axis=2)
 
 
-# Modes of a subspace iteration, of both signs. The two extreme ones converge at the ratio of the
-# ninth eigenvalue to theirs.
+# Number of modes of a subspace iteration, of both signs. The two extreme ones converge at the ratio
+# of the ninth eigenvalue to theirs.
 _MODES = 8
-_ITERATIONS = 12  # a ratio of 0.5 leaves 2e-4 of the vectors' error
-_CONVERGED = 1e-4  # relative change: factors are judged by their first two digits
-_DEPENDENT = 1e-12  # of the largest eigenvalue: motions that depend on the others but for roundoff
-_BUCKLING_SEED = 20170726  # of the start vectors: the same bundle gives the same digits
+_ITERATIONS = 12  # largest number of iterations: a ratio of 0.5 leaves 2e-4 of the vectors' error
+_CONVERGED = 1e-4  # relative change: two digits of a buckling factor are significant
+# Part of the largest eigenvalue: motions that depend on the others but for roundoff.
+_DEPENDENT = 1e-12
+_BUCKLING_SEED = 20170726  # seed of the start vectors: the same bundle gives the same digits
 
 
 def buckling_factors(
@@ -459,7 +466,7 @@ def buckling_factors(
     system: the equations, in the interface frame.
     fields: shape (n, 3), m: the small displacements under the load.
     temperature: K from the reference: a part of the load.
-    Result: Both positive; infinite where no such load buckles it.
+    Result: both positive; infinite if no multiple of the load buckles the part.
     """
     matrix = geometric_stiffness(system.body.at(temperature, finite=False), fields)
     if not matrix.count_nonzero():
@@ -504,5 +511,5 @@ def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
 
 
 def _factor(value: float) -> float:
-    """Return the multiple of the load of an eigenvalue of K^-1 (-G); infinite of one below 0."""
+    """Return the buckling factor of an eigenvalue of K^-1 (-G); infinite if it is negative."""
     return 1.0 / float(value) if value > 0 else np.inf

@@ -1,4 +1,4 @@
-"""The text of an input deck with the files that it includes in their place."""
+"""The text of an input deck with its included files in place."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from pathlib import Path
 
 from wrenchbook.fea.spec.problems import MeshFileError
 
-_MAX_DEPTH = 10  # decks of vehicle programmes nest four files
-_MAX_FILES = 1000
-_MAX_CHARACTERS = 512 * 1024 * 1024  # of a bundle, unpacked: a file included often counts each time
+_MAX_DEPTH = 10  # levels of included files: decks of vehicle programmes nest four
+_MAX_FILES = 1000  # included files of a deck: more than any deck of a person has
+# Characters of an unpacked bundle; a file counts each time it is included.
+_MAX_CHARACTERS = 512 * 1024 * 1024
 
-# Keywords of Abaqus that may have their rows in another file, and Nastran's statement.
+# Keywords of Abaqus that may have their rows in another file; the statement of Nastran.
 _ABAQUS = re.compile(
     r"\*[ \t]*(INCLUDE|NODE|ELEMENT|NSET|ELSET|SURFACE|BOUNDARY|CLOAD)\b[ \t]*"
     r"((?:(?=,)(?:,[ \t]*\n|[^\n])*)?)",
@@ -27,10 +28,10 @@ _NASTRAN_ENDINGS = (".bdf", ".nas", ".dat")
 
 
 class DeckText(str):
-    """A deck's text; `included` are the files in it, in their order, each as often as it comes.
+    """A deck's text; `included` are its included files in order, with repetitions.
 
-    `pieces` are the first line of each stretch of the text, and its file (empty of the deck) and
-    line there.
+    `pieces`: for each stretch of the text its first line, its file (empty for the deck itself) and
+    the line in that file.
     """
 
     included: tuple[Path, ...] = ()
@@ -45,11 +46,11 @@ class DeckText(str):
 def deck_text(path: Path) -> DeckText:
     """Return a deck's text with newlines alone: UTF-8, or UTF-16 by its mark or its zero bytes.
 
-    Files that it includes stand in their place: of ``*INCLUDE`` and of keywords with INPUT, and of
-    Nastran's INCLUDE. Names count from the deck's folder or that of the file that has them.
+    Included files replace their statements: ``*INCLUDE``, keywords with INPUT, and Nastran's
+    INCLUDE. Names are relative to the deck's folder or to that of the including file.
 
     Raises OSError if the deck cannot be read, MeshFileError with file and line if an included file
-    is missing, outside the deck's folder or part of itself, or if there is too much of them.
+    is missing, outside the deck's folder or part of itself, or if the files are too large.
     """
     joining = _Joining(path)
     joining.add_file(path, _plain(path), (path.resolve(),))
@@ -59,7 +60,7 @@ def deck_text(path: Path) -> DeckText:
 
 
 class _Joining:
-    """A deck's text so far: its parts, their places as of `DeckText.pieces`, and files in it."""
+    """A deck's text so far: its parts, their positions (`DeckText.pieces`), included files."""
 
     def __init__(self, path: Path) -> None:
         ending = path.suffix.lower()
@@ -72,19 +73,22 @@ class _Joining:
         self.parts: list[str] = []
         self.pieces: list[tuple[int, str, int]] = []
         self.included: list[Path] = []
-        self.line, self.characters = 1, 0  # the next line of the joined text; of all files
+        self.line, self.characters = 1, 0  # next line of the joined text; sum over all files
 
     def add_part(self, part: str, name: str, line: int) -> None:
-        """Add a stretch of a file's text that begins at its line; end it with a newline."""
+        """Add a stretch of a file's text that begins at its line `line`; end it with a newline."""
         part += "\n" if part and not part.endswith("\n") else ""
         self.pieces.append((self.line, name, line))
         self.parts.append(part)
         self.line += part.count("\n")
 
     def add_file(self, file: Path, text: str, stack: tuple[Path, ...]) -> None:
-        """Add a file with those that it includes; `stack` has it last, after those around it."""
+        """Add a file with its included files.
+
+        `stack`: the files that include it, and itself last.
+        """
         name = "" if len(stack) == 1 else file.relative_to(self.folder).as_posix()
-        end, line = 0, 1  # of what is added: the index after it, and the line there
+        end, line = 0, 1  # index after the added text, and the line there
         self.characters += len(text)
         named = [(match, _file_name(match, text)) for match in self.pattern.finditer(text)]
         beside = ", ".join(dict.fromkeys(inner for _, inner in named if inner))
@@ -108,9 +112,10 @@ class _Joining:
         self.add_part(text[end:], name, line)
 
     def included_file(self, name: str, stack: tuple[Path, ...], beside: str) -> tuple[Path, str]:
-        """Return the file of a name in the last of `stack`, and its text.
+        """Return the path and the text of a file that the last file of `stack` includes.
 
-        Raises OSError if it cannot be read, ValueError with the end of a sentence if it must not.
+        Raises OSError if it cannot be read, ValueError with the end of a sentence if it is not
+        allowed.
         """
         for count, limit, unit in (
             (self.characters, _MAX_CHARACTERS, "characters in all files"),
@@ -138,10 +143,14 @@ def _file_name(match: re.Match[str], text: str) -> str | None:
 
 
 def _inside(folder: Path, here: Path, name: str, beside: str) -> Path:
-    """Return the file of a name in a deck's folder, resolved; ValueError if there is none."""
+    """Return the resolved path of a file in a deck's folder.
+
+    Raises ValueError if there is no such file.
+    """
     paths = dict.fromkeys((root / name).resolve() for root in (folder, here))
     inside = [path for path in paths if path.is_relative_to(folder)]
-    if re.match(r"/|\w:", name) or not inside:  # whatever is there: no sender may know
+    # Whether such a file exists must stay unknown to the sender.
+    if re.match(r"/|\w:", name) or not inside:
         raise ValueError("which is outside the folder of the deck; move the file into it")
     files = [path for path in inside if path.is_file()]
     if not files:
@@ -153,7 +162,7 @@ def _inside(folder: Path, here: Path, name: str, beside: str) -> Path:
 
 
 def _plain(path: Path) -> str:
-    """Return a file's text by its encoding, with newlines alone."""
+    """Return a file's text, decoded, with newlines alone."""
     raw = path.read_bytes()
     encoding = "utf-8-sig"
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):

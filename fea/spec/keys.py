@@ -1,7 +1,7 @@
 """Keys of ``component.toml`` as fields of models: their types, units, texts and refusals.
 
 A table of the file is a class under `table`, whose fields are made by `key`. `validated` returns an
-instance or notes every mistake as text of `_sentence`.
+instance or notes every mistake as a text of `_sentence`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from wrenchbook.fea.spec.problems import STEERING, BundleProblem, suggest
 
 Array = np.ndarray
 
-MAX_COUNT = 10**9  # of cells, layers and face numbers: far above any mesh, within an int32
+MAX_COUNT = 10**9  # largest number of cells, layers and faces: far above any mesh, within an int32
 _ORTHONORMAL = 1e-6  # axes are written to six digits and more
 _QUOTED = re.compile("'([^']*)'")  # the words of a choice in pydantic's ``expected``
 _SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
@@ -53,14 +53,14 @@ def key(
     among: tuple[str, ...] = (),
     **bounds: Any,
 ) -> Any:
-    """Field of a table: a key of the file. The text below the field says what it is.
+    """Return the field of a table: a key of the file. The text below the field is its description.
 
     unit, example: texts of the reference; `example` is TOML.
     default: a value, or a function that makes it; without it the key is required.
     absent: the reference's text for a default that no value shows.
-    name: the key, where the attribute has another name.
-    write: the text of messages for a valid value, where the key's type does not give it.
-    among: the words to choose from, where the type has fewer.
+    name: the key, if it differs from the attribute's name.
+    write: the text of messages for a valid value, if the key's type does not give it.
+    among: the words to choose from, if the type has fewer.
     """
     extra = {"unit": unit, "toml": example, "absent": absent, "write": write, "among": list(among)}
     shown: Any = {word: value for word, value in extra.items() if value}
@@ -82,12 +82,12 @@ def table(cls: type[_T]) -> type[_T]:
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(key, field))
 def array_table(cls: type[_T]) -> type[_T]:
-    """Make a class a `table` that holds arrays, and so is equal to itself alone."""
+    """Make a class a `table` with arrays, which is equal to itself alone."""
     return cast(Any, dataclass(frozen=True, eq=False, config=_CONFIG)(cls))
 
 
 class MistakesError(ValueError):
-    """Mistakes at keys of a table that only several of its keys together show."""
+    """Mistakes that follow from several keys of a table together."""
 
     def __init__(self, *pairs: tuple[str, str]) -> None:
         super().__init__("; ".join(message for _, message in pairs))
@@ -95,7 +95,7 @@ class MistakesError(ValueError):
 
 
 def _text(value: str) -> str:
-    """Return a text of one line that is not blank and has no character that steers a screen."""
+    """Return a text of one line that is not blank and has no control character."""
     if steering := STEERING.search(value):
         raise ValueError(f"must be one line of printable characters, without {steering[0]!r}")
     if not value.strip():
@@ -104,7 +104,7 @@ def _text(value: str) -> str:
 
 
 def is_slug(name: str) -> bool:
-    """Return whether a name does as a component's: as a folder and in a URL."""
+    """Return whether a name can be a component's: as a folder and in a URL."""
     return _SLUG.fullmatch(name) is not None
 
 
@@ -118,7 +118,7 @@ def _name(value: str) -> str:
 
 
 def different(values: tuple[_T, ...]) -> tuple[_T, ...]:
-    """Refuse a value that is there twice."""
+    """Refuse values of which two are equal."""
     if len(set(values)) < len(values):
         twice = str(next(each for each in values if values.count(each) > 1))[:100]
         raise ValueError(f"has {twice} twice; remove one of the two")
@@ -136,7 +136,7 @@ def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
         # Resolved, so that a symbolic link out of the folder is refused too.
         inside = path.resolve().is_relative_to(folder.resolve())
         there = path.is_file()
-    except (OSError, RuntimeError) as error:  # a name that no disk takes; a loop of symbolic links
+    except (OSError, RuntimeError) as error:  # a name that no disk allows; a loop of symbolic links
         reason = error.strerror if isinstance(error, OSError) else "a loop of symbolic links"
         raise ValueError(f'"{name[:100]}" cannot be a file ({reason}); rename it') from None
     if not inside:
@@ -155,7 +155,7 @@ def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
 
 
 def counted(count: int, message: str = "", names: str = "") -> BeforeValidator:
-    """Check for a list of so many numbers, of such names, or of what `message` says."""
+    """Check for a list of so many numbers, with the names `names`, or of the form in `message`."""
 
     def check(value: object) -> object:
         if isinstance(value, list | tuple) and len(value) == count:
@@ -168,7 +168,7 @@ def counted(count: int, message: str = "", names: str = "") -> BeforeValidator:
 
 
 def array_of(inner: Any, make: Callable[[Any], Array] = np.array) -> GetPydanticSchema:
-    """Make an array, of the shape of an `inner`, by `make`; an array is taken as it is."""
+    """Make an array, of the shape of an `inner`, by `make`; an array is returned unchanged."""
 
     def check(value: object, handler: Callable[[object], Any]) -> Array:
         return value if isinstance(value, np.ndarray) else make(handler(value))
@@ -185,7 +185,7 @@ def array_of(inner: Any, make: Callable[[Any], Array] = np.array) -> GetPydantic
 
 
 def either(single: Any, several: Any, depth: int = 1) -> GetPydanticSchema:
-    """Take a `single`, or `several` where the value is a list of lists so many levels deep."""
+    """Take a `single`, or `several` if the value is a list of lists so many levels deep."""
 
     def choose(value: Any) -> int:
         for _ in range(depth - 1):
@@ -201,7 +201,7 @@ def either(single: Any, several: Any, depth: int = 1) -> GetPydanticSchema:
 
 
 def union(choose: Callable[[Mapping[str, Any]], type], *classes: type) -> GetPydanticSchema:
-    """Take one of several classes under `table`: that which `choose` returns for a parsed table."""
+    """Take one of several classes under `table`: the result of `choose` for a parsed table."""
 
     def tag(value: object) -> int:
         return ~classes.index(choose(value)) if isinstance(value, dict) else ~0
@@ -242,18 +242,18 @@ def unit_vector(v: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _cross(a: Sequence[float], b: Sequence[float]) -> list[float]:
-    """Return the vector product; indices from -2 to 1 stand for those after each, cyclically."""
+    """Return the vector product; indices from -2 to 1 are those after each, cyclically."""
     return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
 
 
 def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
-    """Three directions made exactly orthonormal, shape (3, 3), dimensionless.
+    """Return three directions made exactly orthonormal, shape (3, 3), dimensionless.
 
-    Raises ValueError if they are not, to `_ORTHONORMAL`, or are left-handed.
+    Raises ValueError if they are not orthonormal to `_ORTHONORMAL`, or are left-handed.
     """
     axes, wanted = np.array(rows), "must be three directions of length 1 at right angles"
     for number, length in enumerate(np.hypot.reduce(axes, axis=1).tolist(), start=1):
-        if abs(length - 1.0) > 0.5 * _ORTHONORMAL:  # its square differs by twice as much
+        if abs(length - 1.0) > 0.5 * _ORTHONORMAL:  # the square differs by twice as much
             raise ValueError(
                 f"{wanted}; direction {number} has length {length:.8g}: divide it by it"
             )
@@ -265,7 +265,7 @@ def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
             )
     if np.linalg.det(axes) < 0.0:
         raise ValueError("must be right-handed, but z is against x cross y; reverse one direction")
-    # An exact frame with the same x, in plain floats: the digits go into the fingerprint, so
+    # An exact frame with the same x, in plain floats: the digits are part of the fingerprint, so
     # they must not depend on a machine's linear algebra library.
     first, second, _ = axes.tolist()
     x = unit_vector(first)
@@ -287,11 +287,11 @@ def mesh_axes() -> Array:
 def validated(
     kind: Any, value: object, where: str, problems: list[BundleProblem], folder: Path | None = None
 ) -> Any:
-    """Return `value`, of the key `where`, as a `kind`; None if it will not do.
+    """Return `value`, of the key `where`, as a `kind`; None if it cannot be used.
 
     kind: a type of fields, or a class under `table`.
     problems: mistakes are added, each with its path from `where`.
-    folder: the bundle's, in which the files lie that it names.
+    folder: the bundle's folder, in which its files lie.
     """
     try:
         return _adapter(kind).validate_python(
@@ -301,7 +301,7 @@ def validated(
         entries: list[Any] = list(error.errors(include_url=False))
         for entry in entries:
             if entry["type"] == "too_short" and len(entry["input"]) >= entry["ctx"]["min_length"]:
-                continue  # counted without its items that will not do
+                continue  # counted without its wrong items
             for problem in _problems(kind, where, entry):
                 if problem not in problems:
                     problems.append(problem)
@@ -314,7 +314,7 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 
 def keys_of(cls: type) -> dict[str, FieldInfo]:
-    """Map the keys of a class under `table`, as in the file, to its fields: its own first."""
+    """Return the fields of a class under `table` by their keys in the file: its own first."""
     known: dict[str, FieldInfo] = vars(cls)["__pydantic_fields__"]
     inherited = {name: info.kw_only and name != "generator" for name, info in known.items()}
     ordered = sorted(known, key=lambda name: bool(inherited[name]))
@@ -349,7 +349,7 @@ def _problems(kind: Any, where: str, entry: Mapping[str, Any]) -> Iterator[Bundl
             if known and not named:
                 info = known[0]
                 classes = list(tables_in(info.annotation))
-            # Names of the user's, as of mesh.groups, stand between a key and the next table's.
+            # The user's names, as in mesh.groups, come between a key and the next table's.
             named = bool(known) and not named and get_origin(known[0].annotation) is Mapping
     unit = extra_of(info).get("unit") or "no unit"
     if entry["type"] == "literal_error":
@@ -412,14 +412,14 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
 
 
 def missing(info: FieldInfo | None) -> str:
-    """Return the sentence for a key that must be there."""
+    """Return the sentence for a required key."""
     noun, example = _noun(info), extra_of(info).get("toml", "") if info is not None else ""
     is_open = example and not noun.startswith("one of ")
     return f"is missing; write {noun}" + (f", such as {example}" if is_open else "")
 
 
 def _noun(info: FieldInfo | None) -> str:
-    """Return the expected value of a key."""
+    """Return the expected value of a key, in words."""
     if info is None:
         return "a value"
     extra, kind = extra_of(info), _adapter(kind_of(info)).json_schema()
@@ -436,11 +436,11 @@ def _noun(info: FieldInfo | None) -> str:
 
 
 def kind_of(info: FieldInfo) -> Any:
-    """Return the type of a field with all that bounds it."""
+    """Return the type of a field with all its bounds."""
     return Annotated[(info.annotation, *info.metadata)] if info.metadata else info.annotation
 
 
 def shown(value: object) -> str:
-    """Return `value` shortened to what fits into a message."""
+    """Return `value` shortened for a message."""
     text = repr(value).replace("'", '"') if type(value) is not bool else str(value).lower()
     return text if len(text) <= 60 else text[:57] + "..."

@@ -1,4 +1,4 @@
-"""Materials: isotropic ones, and orthotropic ones with what none of them can have."""
+"""Materials: isotropic ones, and orthotropic ones with their directions."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ LAWS = ("isotropic", "orthotropic", "neo-hookean")
 EXPANDING = ("isotropic", "orthotropic")  # the laws whose cells have a thermal strain
 
 MAX_ISOTROPIC_RATIO = 0.4
-"""Of `Orthotropic.isotropic_ratio`: the least at which any kind of cells locks."""
-_LARGEST_MODULUS = 1e100  # Pa: products of three, and of their inverses, are numbers
-_DIRECTION_LENGTHS = 1e-6, 1e6  # differences of two points in any length unit
-_LEAST_EIGENVALUE = 1e-9  # of the scaled compliance: below it only roundoff makes it stable
+"""Smallest value of `Orthotropic.isotropic_ratio` at which any kind of cells locks."""
+_LARGEST_MODULUS = 1e100  # Pa: products of three, and their inverses, are finite numbers
+_DIRECTION_LENGTHS = 1e-6, 1e6  # limits of a direction's length: two points in any length unit
+# Least eigenvalue of the scaled compliance: below it a material is stable only by roundoff.
+_LEAST_EIGENVALUE = 1e-9
 _LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
 
 
@@ -44,7 +45,7 @@ def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
 
 
 def _no_list(expansion: object) -> object:
-    """Refuse a list, which a file has; a tuple comes from a material that was read before."""
+    """Refuse a list, the form of the file; a tuple comes from a material that was read before."""
     if isinstance(expansion, list):
         raise ValueError("must be one finite number in 1/K; only an orthotropic material has three")
     return expansion
@@ -70,7 +71,7 @@ _Moduli = tuple[Modulus, Modulus, Modulus]
 
 
 def _direction(axis: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return a direction's unit vector; refuse one of nearly no length, or of a huge one."""
+    """Return a direction's unit vector; refuse one that is almost zero, or huge."""
     low, high = _DIRECTION_LENGTHS
     if not low < np.sqrt(sum(x * x for x in axis)) < high:
         wanted = f"a direction of a length from {low:g} to {high:g}"
@@ -185,18 +186,18 @@ class Orthotropic(Solid):
 
     @property
     def youngs_modulus(self) -> float:
-        """The largest, Pa."""
+        """The largest of the three moduli, Pa."""
         return max(self.youngs_moduli)
 
     @property
     def poisson_ratio(self) -> float:
-        """`isotropic_ratio`, which identifies cells that would lock."""
+        """The `isotropic_ratio`, which identifies cells that would lock."""
         return self.isotropic_ratio
 
     def directions(self, points: Array) -> Array:
         """Return the directions 1, 2 and 3 at points (..., 3), m: shape (..., 3, 3), in rows.
 
-        Points and directions are in the mesh's axes. On the axis any radial direction will do.
+        Points and directions are in the mesh's axes. On the axis any radial direction is right.
         """
         if self.cylinder is None:
             return np.broadcast_to(self.axes, (*points.shape[:-1], 3, 3))
@@ -220,7 +221,7 @@ class Orthotropic(Solid):
     @property
     def stable(self) -> bool:
         """Whether every strain costs energy (Lempriere 1968)."""
-        # Scaled to a unit diagonal, or a modulus of 1e11 next to one of 1e6 would decide it.
+        # Scaled to a unit diagonal, as a modulus of 1e11 beside one of 1e6 would decide it.
         scale = np.sqrt(np.array(self.youngs_moduli))
         with np.errstate(over="ignore"):
             scaled = self._compliance * np.outer(scale, scale)
@@ -237,6 +238,7 @@ class Orthotropic(Solid):
 
     @property
     def _compliance(self) -> Array:
+        """Strains (11, 22, 33, 12, 13, 23) by stresses, the shears 2 E_ij: shape (6, 6), 1/Pa."""
         e1, e2, e3 = self.youngs_moduli
         nu12, nu13, nu23 = self.poisson_ratios
         return np.array(

@@ -39,9 +39,9 @@ UNITS: Mapping[str, float] = {
 }
 """Length units a mesh file may be in, each in metres."""
 LengthUnit = Literal["m", "dm", "cm", "mm", "um", "in", "ft"]
-CELLS_ROUND_A_CIRCLE = 7  # at least: gmsh's default
+CELLS_ROUND_A_CIRCLE = 7  # least number of cells round a full circle: gmsh's default
 GEOMETRY_ENDINGS = (".step", ".stp")
-"""Endings of files that hold geometry to be meshed, not a mesh."""
+"""Endings of files that have geometry to be meshed, not a mesh."""
 
 
 def _second_order(order: int) -> int:
@@ -70,7 +70,7 @@ _NUMBER = f"a whole number from 1 to {MAX_COUNT}, as `wrenchbook check` lists it
 
 
 class Selector:
-    """Which faces of a part make a group, or which bodies of a geometry make a region."""
+    """The choice of faces for a group, or of bodies for a region."""
 
     ways: tuple[str, ...] = ()
 
@@ -192,12 +192,12 @@ class GeometryMeshing:
         "", "{steel = {bodies = [1]}}", default=dict, absent="none"
     )
     """STEP: named cell groups, each `[mesh.regions.NAME]`"""
-    # Least number of cells round a full circle, however small. For coarser and finer meshes of a
+    # Least number of cells round a full circle of any size. For coarser and finer meshes of a
     # bundle; no key of a file.
     circle: SkipJsonSchema[int] = field(default=CELLS_ROUND_A_CIRCLE, init=False)
 
     def sized(self, size: float, circle: int) -> Self:
-        """Return a copy with cells of another size, m, and least number round a circle."""
+        """Return a copy with another size of cells, m, and least number round a circle."""
         copy = replace(self, size=size)
         object.__setattr__(copy, "circle", circle)
         return copy
@@ -216,7 +216,7 @@ class GeometryFile(GeometryMeshing):
 
     @property
     def geometry(self) -> GeometryMeshing:
-        """How to mesh it."""
+        """The meshing options without the file."""
         return self
 
 
@@ -236,7 +236,7 @@ class Generator(ABC):
 
     @abstractmethod
     def mistakes(self) -> list[tuple[str, str]]:
-        """Return (key, message) for what does not fit together, or makes too many cells."""
+        """Return (key, message) for contradictory parameters, or too many cells."""
 
     @abstractmethod
     def mesh(self) -> Any:

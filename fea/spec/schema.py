@@ -44,10 +44,11 @@ from wrenchbook.fea.spec.mesh_source import LengthUnit, MeshSource
 FREEDOMS = ("ux", "uy", "uz", "rx", "ry", "rz")
 """The interface's six degrees of freedom, in the order of the wrench contract."""
 
-MAX_INPUTS = 18  # that vary, the loads of three interfaces: 2^18 corners of 18 loads are 38 MB
-ALL_INPUTS = 24  # also those that do not vary: the loads of four interfaces, as a joint has at most
-# Tables square loads and divide by them; the square root of the largest double, 1e154, is too near
-# since sums of such squares must be numbers too.
+# Inputs that vary, the loads of three interfaces: 2^18 corners of 18 loads are 38 MB.
+MAX_INPUTS = 18
+ALL_INPUTS = 24  # all inputs: the loads of four interfaces, the most that a joint has
+# Largest load: tables square loads and divide by them. The square root of the largest double,
+# 1e154, is too near, since sums of such squares must be finite too.
 LARGEST_LOAD = 1e100
 
 
@@ -62,21 +63,21 @@ ACCELERATIONS = ("ax", "ay", "az")
 
 @dataclass(frozen=True)
 class ScalarInput:
-    """An input behind the loads: the uniform temperature, or a component of the acceleration."""
+    """An input after the loads: the uniform temperature, or a component of the acceleration."""
 
     name: str  # `TEMPERATURE` or one of `ACCELERATIONS`, which follow it
-    unit: str  # of the three numbers: degC, K, or m/s^2
+    unit: str  # unit of the three numbers: degC, K, or m/s^2
     # low, high: the range expected
     low: float
     high: float
-    reference: float = 0.0  # where it has no effect
-    # A file of temperatures at points, see `fea.mesh.io.temperature_field`; None for the same
-    # everywhere.
+    reference: float = 0.0  # value without an effect
+    # A file of temperatures at points, see `fea.mesh.io.temperature_field`; None for a uniform
+    # temperature.
     field: Path | None = None
 
     @property
     def key(self) -> str:
-        """The table of the bundle that has it."""
+        """The table of the bundle that defines it."""
         return f"inputs.{TEMPERATURE if self.name == TEMPERATURE else 'acceleration'}"
 
 
@@ -167,7 +168,7 @@ class Sliding:
         return self.axes[["xyz".index(name) for name in sorted(self.along)]]
 
 
-_ROUNDING = 1e-9  # of a stiffness, relative to its diagonal: decks write nine digits and more
+_ROUNDING = 1e-9  # part of a stiffness' diagonal: decks write nine digits and more
 
 
 def _stiffness(numbers: tuple[Any, ...]) -> Array:
@@ -202,7 +203,7 @@ Stiffness = Annotated[Array, array_of(Annotated[Any, either(Six, _Rows, 2)], _st
 
 @array_table
 class Attached:
-    """How a group of nodes moves with one frame."""
+    """The connection of a group of nodes to one frame."""
 
     coupling: Coupling = key("", '"distributed"', kw_only=True)
     """`distributed`: by the least-squares mean of the group; `rigid`: as a rigid body"""
@@ -225,7 +226,7 @@ class Attached:
     """x, y and z of the frame in the mesh's axes"""
 
     def end(self, group: str) -> Interface:
-        """Return a group as a section, with the point and the axes of this."""
+        """Return a group as a section, with this object's point and axes."""
         return Interface(group, **{name: getattr(self, name) for name in keys_of(Attached)})
 
 
@@ -336,7 +337,7 @@ class Interface(Attached):
     refused = dict.fromkeys(
         ("name", "held", "range"), "is for several [[interface]] tables; leave it out"
     )
-    name = ""  # each of several interfaces has another
+    name = ""  # each of several interfaces has its own
     held = False  # whether it does not move: the others' displacements are relative to it
 
     section: Text = key("", '"tip"')
@@ -354,7 +355,7 @@ class Interface(Attached):
 
 
 def _load(ends: float | tuple[float, float]) -> tuple[float, float]:
-    """Return a load's range unless its squares, or what is divided by them, have no number."""
+    """Return a load's range; refuse it if its squares, or quotients with it, overflow."""
     low, high = ends if isinstance(ends, tuple) else (-ends, ends)
     if low == high == 0.0:
         return 0.0, 0.0
@@ -477,7 +478,7 @@ class DeclaredRange:
 
 @table
 class DeclaredTolerance:
-    """The error a component's users accept."""
+    """The error that a component's users accept."""
 
     translation: Positive = key("m", "1e-5")
     """the error of a displacement that the component's users accept"""
@@ -486,7 +487,7 @@ class DeclaredTolerance:
 
 
 def _not_below(name: object) -> object:
-    """Refuse a file in a subfolder: all are put into one folder."""
+    """Refuse a file in a subfolder: all files are copied into one folder."""
     if isinstance(name, str) and Path(name).name != name:
         raise ValueError(f'"{name}" must be directly in the bundle\'s folder; move it there')
     return name
@@ -542,10 +543,10 @@ class Bundle:
     range: DeclaredRange
     tolerance: DeclaredTolerance | None
     deck: Deck | None
-    fingerprint: str  # 16 hexadecimal digits over everything that can change an answer
+    fingerprint: str  # 16 hexadecimal digits over all contents that can change an answer
     others: tuple[Interface, ...] = ()
     ties: tuple[Tie, ...] = ()
-    further: tuple[ScalarInput, ...] = ()  # the inputs behind the loads
+    further: tuple[ScalarInput, ...] = ()  # the inputs after the loads
     bolts: tuple[Bolt, ...] = ()
     joints: tuple[Joint, ...] = ()
 

@@ -15,11 +15,14 @@ from wrenchbook.service.client import Client
 from wrenchbook.service.client.errors import InvalidArgument
 
 DEFAULT_SERVER = "http://127.0.0.1:8000"
-COMPLETION_S = 2.0  # a shell waits for it at each tab
+COMPLETION_S = 2.0  # s for which a shell waits at each tab
 
 
 def component_names(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the components that begin so, of --data or of the server; none on any failure."""
+    """Return the components with this beginning, of --data or of the server.
+
+    None on any failure.
+    """
     try:
         if data := ctx.params.get("data"):
             known = {path.parent.name for path in Path(data).glob(f"components/*/{FILE_NAME}")}
@@ -28,7 +31,7 @@ def component_names(ctx: typer.Context, incomplete: str) -> list[str]:
             with Client(ctx.params.get("server") or DEFAULT_SERVER, timeout=COMPLETION_S) as client:
                 client.retry_s = 0.0
                 known = {component["name"] for component in client.components()}
-    except Exception:  # a shell that completes a word has no place for a message
+    except Exception:  # a shell that completes a word cannot show a message
         return []
     return sorted(name for name in known if name.startswith(incomplete))
 
@@ -61,7 +64,7 @@ def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Clie
     """Yield a client of the running server, or of a temporary one on ``data``."""
     if data is None:
         with Client(server) as client:
-            client.retry_s = 0.0  # without a server its error, with the remedy, comes at once
+            client.retry_s = 0.0  # without a server its error, with the remedy, must come at once
             yield client
         return
     from wrenchbook.service.workers.private import private_server
@@ -95,14 +98,17 @@ def by_name(option: str, form: str, values: list[str] | None) -> list[tuple[str,
 
 
 def in_folder(file: Path | None) -> Path | None:
-    """Refuse a file to write whose folder is not there, before anything is solved or served."""
+    """Refuse an output file whose folder does not exist, before anything is solved or served."""
     if file is not None and not file.parent.is_dir():
         raise typer.BadParameter(f"there is no folder {file.parent}; create it first")
     return file
 
 
 def number(option: str, text: str) -> float:
-    """Return a number of an option; InvalidArgument if it is none."""
+    """Return the number of an option.
+
+    Raises InvalidArgument if it is none.
+    """
     try:
         return float(text)
     except ValueError:
@@ -110,7 +116,7 @@ def number(option: str, text: str) -> float:
 
 
 def refuse_alone(needed: str, options: Mapping[str, object]) -> None:
-    """Refuse those of some options by name that have a value: another one, `needed`, has none."""
+    """Refuse options by name that have a value although the option `needed` has none."""
     names = ", ".join(name for name, value in options.items() if value)
     if names:
         raise typer.BadParameter(f"{names} needs {needed}; add it, or leave {names} out")

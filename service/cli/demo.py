@@ -22,11 +22,11 @@ from wrenchbook.service.client import Client, Displacement, Job
 
 COMPONENT = "plate_thin"
 SOLVERS = 2
-BUDGET = 120  # solves of the fill
+BUDGET = 120  # largest number of solves of the fill
 CHECKED = 50  # random wrenches compared with solves
-FINER = 2  # times as many cells a side: the solver's own error is an eighth on smooth parts
+FINER = 2  # ratio of cells a side: the solver's own error is an eighth on smooth parts
 SEED = 20170726
-OTHER = 0.9  # times the force: a wrench near WRENCH that no solve was made for
+OTHER = 0.9  # factor on the force: a wrench near WRENCH that was not solved
 WRENCH = ((150.0, -100.0, -900.0), (20.0, 30.0, 5.0))
 
 
@@ -39,7 +39,7 @@ class Compared(NamedTuple):
 
 
 def run(out: Console, keep: Path | None = None) -> dict[str, Any]:
-    """Run the demonstration; return its figures, with ``failed``: why, or None if all worked."""
+    """Run the demonstration; return its figures, with ``failed``: the cause, or None."""
     from wrenchbook.service.workers.private import private_server
 
     started, complaint = time.monotonic(), None
@@ -179,7 +179,7 @@ def _compare(out: Console, client: Client) -> str | None:
 
 
 def _error_table(compared: Sequence[Compared]) -> Table:
-    """Lay out the table's errors against FEA per output, and griddata's next to them."""
+    """Return a table of the errors against FEA for each output, with griddata's beside them."""
     raw = [row.job.raw for row in compared]
     true = np.array([[*job["translation"], *job["rotation"]] for job in raw])
     error = np.abs(np.array([row.answer.vector for row in compared]) - true)

@@ -16,7 +16,7 @@ from wrenchbook.service.cli.connect import DEFAULT_SERVER, AsJson, Data, Server,
 from wrenchbook.service.cli.render import Screen, job_table, plain, show
 from wrenchbook.service.client import Client, Event
 
-MAX_SHOWN = 50  # open jobs in the table before the first event
+MAX_SHOWN = 50  # open jobs in the table before the first event: a screen
 
 
 def jobs(
@@ -88,7 +88,7 @@ def follow_jobs(
         if as_json:
             print(json.dumps({"event": event.kind, **event.body}), flush=True)
             continue
-        if not shown:  # events arrive from here on, so none is missed after the list
+        if not shown:  # events arrive from now on, so that none is missed after the list
             running = client.jobs(component, "running", limit=MAX_SHOWN)
             waiting = client.jobs(component, "waiting", limit=MAX_SHOWN)
             out.print(job_table([*running, *waiting][:MAX_SHOWN]))

@@ -33,7 +33,7 @@ _Moment = Annotated[
     Three, typer.Option(help="moment about which the part is linear, N·m", metavar="MX MY MZ")
 ]
 ZERO: Three = (0.0, 0.0, 0.0)
-DAMPING = 0.02  # as `MujocoJoint` has it
+DAMPING = 0.02  # the default of `MujocoJoint`
 
 
 def joint(
@@ -68,7 +68,7 @@ def joint(
     data: Data = None,
 ) -> None:
     """Write a MuJoCo scene in which a component can bend between two bodies, for MujocoJoint."""
-    if not linear:  # MujocoJoint takes damping and inputs
+    if not linear:  # MujocoJoint takes damping and inputs itself
         springs_only = {"--damping": damping != DAMPING, "--input": further}
         loads = {"--force": force != ZERO, "--moment": moment != ZERO}
         refuse_alone("--linear", springs_only | loads)
@@ -104,8 +104,9 @@ def joint(
 def _moving(name: str, facts: dict[str, Any], interface: str | None = None) -> tuple[Any, Any]:
     """Return the facts of an interface that moves, and its condensed mass.
 
-    The mass is (6, 6), kg to kg·m^2, or None where it is not known. BadParameter if the interface
-    does not move, or several do and none is named.
+    The mass is (6, 6), kg to kg·m^2, or None if unknown.
+
+    Raises BadParameter if the interface does not move, or several do and none is named.
     """
     parts = facts.get("interfaces") or {"": facts.get("interface") or {}}
     moving = [end for end, part in parts.items() if not part.get("held")]

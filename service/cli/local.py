@@ -71,7 +71,7 @@ def serve(
     _make_folder(settings.data)
     if settings.first_key:
         make_first_key(settings.data, err=as_json)
-    if trust is None:  # else a caller needs a user or a key
+    if trust is None:  # without a trusted proxy a caller needs a key
         require_keys(settings.host, settings.data)
     try:
         supervise(settings, as_json=as_json)
@@ -113,7 +113,7 @@ def _refused(message: str) -> typer.Exit:
 
 
 def _make_folder(folder: Path) -> None:
-    """Refuse a data directory that cannot be made or written."""
+    """Make the data directory; refuse one that cannot be made or written."""
     from wrenchbook.service.ops.checks import not_writable
 
     try:
@@ -169,7 +169,7 @@ def demo(
     raise typer.Exit(1 if figures["failed"] else 0)
 
 
-# Programs with an argument parser of their own: this process never imports the finite elements.
+# Programs with their own argument parser: this process never imports the finite elements.
 PROGRAMS = {
     "new": "Propose a component for an input deck, check it, and print what is open.",
     "check": "Check a component bundle before its upload: mesh, supports, cost.",
@@ -179,7 +179,7 @@ PROGRAMS = {
 
 
 def run_program(ctx: typer.Context) -> None:
-    """Run a command of `PROGRAMS`, which gets its arguments as they are."""
+    """Run a command of `PROGRAMS` with its arguments unchanged."""
     raise typer.Exit(run_child("wrenchbook.fea.check.commands", str(ctx.info_name), *ctx.args))
 
 
@@ -274,7 +274,7 @@ def doctor(
 
 
 def _data_option(data: Path) -> str:
-    """Return the option that has another command use the same data directory."""
+    """Return the option by which another command uses the same data directory."""
     return "" if data == DEFAULT_DATA else f" --data {shlex.quote(str(data))}"
 
 
@@ -353,10 +353,10 @@ def revoke(name: KeyName, as_json: AsJson = False, data: Folder = DEFAULT_DATA) 
 
 @contextmanager
 def _noted(data: Path, action: str, name: str, after: Any = None) -> Iterator[None]:
-    """Change a key with its entry in the audit of a data directory."""
+    """Change a key together with its entry in the audit of a data directory."""
     from wrenchbook.service.ledger import Ledger, noted
 
-    if action != "key.add" and not (data / KEYS).exists():  # a ledger would be made there
+    if action != "key.add" and not (data / KEYS).exists():  # otherwise a ledger would be made there
         raise KeysError(f"{data} has no {KEYS}; name the server's data directory with --data")
     with (
         closing(Ledger(data / "ledger.sqlite")) as ledger,

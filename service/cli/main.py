@@ -46,7 +46,7 @@ app = typer.Typer(
 
 
 class NumbersCommand(TyperCommand):
-    """A command with options of several numbers; one that has too few is named."""
+    """A command with options of several numbers; an option with too few numbers is named."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Refuse an option of n numbers that another option follows before the n-th."""
@@ -335,7 +335,7 @@ def components(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: D
 def main() -> None:
     """Run the command line; an expected error is one message on stderr and status 1."""
     try:
-        # Run by its path, the program would show that path in its help.
+        # The help would otherwise show the path of the program.
         app(prog_name="wrenchbook")
     except ProblemError as error:
         out = Screen(stderr=True)

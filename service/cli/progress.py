@@ -16,11 +16,11 @@ from wrenchbook.service.cli.render import Screen, job_state, plain
 from wrenchbook.service.client import Client, Job, ProblemError, ServerTimeout, ServerUnreachable
 
 POLL_S = 0.2
-INTERRUPTED = 130  # exit status of shells: 128 + SIGINT
+INTERRUPTED = 130  # exit status of shells after Ctrl-C: 128 + SIGINT
 
 
 class Pace:
-    """Solves that have ended, over all rounds of a fill of at most `budget` solves."""
+    """The rate of ended solves over all rounds of a fill of at most `budget` solves."""
 
     def __init__(self, budget: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._budget, self._clock = budget, clock
@@ -28,7 +28,7 @@ class Pace:
         self.ended = 0
 
     def note(self, in_round: float = 0.0) -> str:
-        """Return solves a minute and the longest time to go, with those of the present round."""
+        """Return solves a minute and the longest remaining time, including the present round."""
         solves, seconds = self.ended + in_round, self._clock() - self._started
         if solves < 1 or seconds <= 0:
             return ""
@@ -44,7 +44,7 @@ class Pace:
 
 @contextmanager
 def cancelled_on_interrupt(client: Client, jobs: Sequence[Job]) -> Iterator[None]:
-    """Cancel the open jobs that this command queued if Ctrl-C ends the wait for them."""
+    """Cancel this command's open jobs if Ctrl-C ends the wait for them."""
     try:
         yield
     except KeyboardInterrupt:
@@ -71,10 +71,11 @@ def follow(
     seconds: float = math.inf,
     pace: Pace | None = None,
 ) -> list[Job]:
-    """Show a bar until all jobs have ended, and return them as they are then.
+    """Show a bar until all jobs have ended, and return their final state.
 
-    With a pace it shows how fast they go. Raises RuntimeError if they have not ended after
-    `seconds`.
+    With `pace` the bar shows their rate.
+
+    Raises RuntimeError if they have not ended after `seconds`.
     """
     deadline = time.monotonic() + seconds
     done: dict[int, Job] = {}
@@ -107,7 +108,10 @@ def follow(
 
 
 def follow_report(out: Console, client: Client, name: str) -> None:
-    """Show a bar until a report is made; raises RuntimeError if it could not be made."""
+    """Show a bar until a report is made.
+
+    Raises RuntimeError if it cannot be made.
+    """
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, TextColumn("{task.fields[note]}"), console=out) as progress:
         task = progress.add_task("reporting", total=1.0, note="")
@@ -135,6 +139,7 @@ def fill(
     """Fill a table round by round, with a bar each; `options` are those of `Client.fill`.
 
     Returns the solves ``spent`` and ``failed``, ``rows``, and the last ``stage`` and ``reason``.
+
     Raises RuntimeError if all solves of a round fail.
     """
     spent, failures, pace, order = 0, 0, Pace(budget), None
@@ -162,7 +167,8 @@ def fill(
     now = client.component(name)
     out.print(f"{spent} solves; {name} has {now['rows']} rows.")
     for warning in now.get("warnings", ()):
-        if warning["where"] == "tolerance":  # the solver does not meet it, however thick the table
+        # The solver's own error is over the tolerance, for a table of any size.
+        if warning["where"] == "tolerance":
             plain(out, f"warning: {warning['message']}", style="yellow")
     assert order is not None  # a budget is positive
     last = {"component": name, "stage": order.stage, "reason": order.reason}

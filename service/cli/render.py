@@ -20,8 +20,8 @@ from wrenchbook.service.client import ComponentPlan, Displacement, Job
 from wrenchbook.service.client.wrenches import wrench_of
 from wrenchbook.service.contract import LOADS, OUTPUTS
 
-# Control characters but tab and line end: with them a note or a log could move the cursor, rename
-# the window or type into some terminals.
+# Control characters except tab and line end: a note or a log with them could move the cursor,
+# rename the window or type into some terminals.
 _CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 _OVER = (
     "The solver's own error (such as its mesh) makes the error bar larger than the tolerance, and "
@@ -31,10 +31,10 @@ UNITS = {name: "m" if name[0] == "u" else "rad" for name in OUTPUTS}
 
 
 class Screen(Console):
-    """A console on which texts are letters and nothing else."""
+    """A console that prints texts literally, without markup."""
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Render a text, with a sign in place of each control character."""
+        """Render a text, with a symbol in place of each control character."""
         return super().render_str(_CONTROLS.sub("\N{REPLACEMENT CHARACTER}", text), **options)
 
 
@@ -44,26 +44,26 @@ def print_json(reply: Any) -> None:
 
 
 def plain(out: Console, text: str, style: str | None = None) -> None:
-    """Print text as it is: ``Fz [lbf]`` is a column and its unit, not a colour.
+    """Print text without markup: ``Fz [lbf]`` is a column and its unit, not a colour.
 
-    The terminal breaks its lines, so that a command in it can be copied.
+    The terminal breaks its lines, so that a command in the text can be copied.
     """
     out.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def show(reply: Any, as_json: bool, shown: str | Callable[[], Iterable[RenderableType]]) -> None:
-    """Print a reply as JSON, or the text, or tables and lines, that show it."""
+    """Print a reply as JSON, or as a text, or as tables and lines."""
     if as_json:
         print_json(reply)
         return
     for part in [shown] if isinstance(shown, str) else shown():
         for column in part.columns if isinstance(part, Table) else ():
-            column.overflow = "fold"  # no value is cut, however narrow the terminal
+            column.overflow = "fold"  # no value is cut in a narrow terminal
         plain(Screen(), part) if isinstance(part, str) else Screen().print(part)
 
 
 def answer_shown(answer: Displacement, interface: str = "") -> Group:
-    """Lay out one answer with its error bar, at a named interface where there are several."""
+    """Return one answer with its error bar, at a named interface if there are several."""
     title = [f"{answer.component} {interface}".strip(), answer.coverage]
     title += [f"source: {answer.source}"] if answer.source else []
     title += [f"method: {answer.method}"] if answer.method else []
@@ -86,7 +86,7 @@ def answer_shown(answer: Displacement, interface: str = "") -> Group:
 
 
 def print_answer(answer: Displacement, as_json: bool, data: Path | None) -> None:
-    """Print an answer, at each interface, and what its open job does and how to see its state.
+    """Print an answer, at each interface, and the state of its open job.
 
     `data` is the data directory whose private server has ended, if one had been started.
     """
@@ -103,7 +103,7 @@ def print_answer(answer: Displacement, as_json: bool, data: Path | None) -> None
 
 
 def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
-    """Lay out the factors of a comparison, of all rows and of each import."""
+    """Yield the factors of a comparison, of all rows and of each import."""
     reference = reply["reference"]
     rows = f"{reference['rows']} of {reference['of']} rows"
     named = "the solves" if reference["import"] is None else f"import {reference['import']}"
@@ -145,8 +145,8 @@ def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
 
 
 def compliance_tables(body: dict[str, Any]) -> list[Table]:
-    """Lay out the compliance at zero load, and the mean over the load range."""
-    # Servers before 0.3 name neither columns nor rows.
+    """Return tables of the compliance at zero load, and of the mean over the load range."""
+    # Servers before 0.3 have no names of columns and rows.
     inputs = [name.split(" ")[0] for name in body.get("columns", LOADS)]
     outputs = [name.split(" ")[0] for name in body.get("rows", OUTPUTS)]
     known = [load in body["known_loads"] for load in inputs]
@@ -169,10 +169,10 @@ def matrix_table(
     columns: Sequence[str],
     lines: Sequence[Sequence[float | None]] | None,
 ) -> Table:
-    """Lay out a matrix in SI; a dash stands for a number that is not known."""
+    """Return a table of a matrix in SI; a dash is an unknown number."""
     table = Table(title=title, title_justify="left", caption="rows and columns in SI")
     for heading in ("", *columns):
-        # A number goes on in the next line where the terminal is too narrow: its exponent is shown.
+        # A number continues in the next line of a narrow terminal, so that its exponent is visible.
         table.add_column(heading, justify="right" if heading else "left", overflow="fold")
     for name, line in zip(rows, lines or [[None] * len(columns)] * len(rows), strict=True):
         table.add_row(name, *("-" if value is None else f"{value:.2e}" for value in line))
@@ -180,7 +180,7 @@ def matrix_table(
 
 
 def stiffness_lines(body: dict[str, Any]) -> Iterator[Table | str]:
-    """Lay out the measured stiffness between two loads, by branch, and the play."""
+    """Yield the measured stiffness between two loads, by branch, and the play."""
     low, high = body["between"]
     title = f"{body['axis']} over {body['of']}, {low:g} to {high:g}, {body['unit']}"
     names = ("slope", "slope_half_width", "residual", "r2")
@@ -199,7 +199,7 @@ def stiffness_lines(body: dict[str, Any]) -> Iterator[Table | str]:
 
 
 def component_table(components: Sequence[dict[str, Any]]) -> Table:
-    """Lay out the library."""
+    """Return a table of the library."""
     table = Table("name", "title", "rows", "analysis", "largest force, N", "largest moment, N·m")
     for component in components:
         kind = "linear" if component["linear"] else "nonlinear"
@@ -222,7 +222,7 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
 
 
 def job_table(jobs: Sequence[Job]) -> Table:
-    """Lay out jobs, with their inputs, and how far they are or why they failed."""
+    """Return a table of jobs, with their inputs, and their progress or failure."""
     table = Table("id", "component", "actor", "status", "attempt", "wrench, N and N·m", "")
     for job in jobs:
         loads = job.raw.get("loads") or {"": job.raw}
@@ -240,7 +240,7 @@ def _after_name(name: str, numbers: Iterable[float]) -> str:
 
 
 def job_state(job: Job) -> str:
-    """Return why a job failed, or how far it is."""
+    """Return the cause of a job's failure, or its progress."""
     if job.raw.get("error"):
         return f"{job.raw['error']['kind']}: {job.raw['error']['message']}"
     progress = job.raw.get("progress") or {}
@@ -248,7 +248,7 @@ def job_state(job: Job) -> str:
 
 
 def plan_lines(plans: Mapping[str, ComponentPlan]) -> Iterator[Table | str]:
-    """Yield a scene's plan, one line a component, then reasons and where the numbers come from."""
+    """Yield a scene's plan, one line a component, then reasons and the origin of the numbers."""
     table = Table()
     for heading in ("component", "decision", "axes: loads", "moves at most", "solves", "saves"):
         table.add_column(heading)

@@ -27,9 +27,9 @@ from wrenchbook.service.client.errors import mistake_line
 from wrenchbook.service.client.library import RIG_NAME, check_readable, table_format
 from wrenchbook.service.files.durable import write_atomically
 
-COMPILED = (".fmu", ".zip")  # made here from a packed table, not by the server
-WAIT_S = 10.0  # the server's default
-MAX_ROWS_SHOWN = 10  # of a finding
+COMPILED = (".fmu", ".zip")  # made by this command from a packed table, not by the server
+WAIT_S = 10.0  # s, the server's default
+MAX_ROWS_SHOWN = 10  # rows of a finding: a line of a terminal
 _Unit = Annotated[str | None, typer.Option(help="unit in a CSV or XLSX file; SI by default")]
 _Point = Annotated[
     str | None, typer.Option(metavar="X,Y,Z", help="of the readings, from the interface's point, m")
@@ -165,7 +165,7 @@ def import_table(
 
 
 def _mapping(columns: Sequence[str], units: Sequence[str]) -> dict[str, str]:
-    """Return the meaning of each column, the units in the order of those without brackets."""
+    """Return the meaning of each column; units belong to columns without brackets, in order."""
     mapping: dict[str, str] = {}
     for text in columns:
         label, mark, meaning = text.rpartition("=")
@@ -269,7 +269,7 @@ def _compiled(
     file: Path, name: str, table: bytes, method: str | None, platforms: tuple[str, ...]
 ) -> tuple[bytes, str]:
     """Return the FMU or C library of a packed table and a message; the server compiles nothing."""
-    # Imported here: no other command needs the compiler.
+    # Imported on use: no other command needs the compiler.
     from wrenchbook.service.fmu.export import make_fmu, make_library
     from wrenchbook.surrogate.kernel.binding import PackedTable
 
@@ -379,7 +379,7 @@ def rig(
     show(body, as_json, text.rstrip() if name else lambda: [table])
 
 
-NOT_LOADED = {  # by the states of an import's rows
+NOT_LOADED = {  # texts by the state of an import's rows
     "refused": "have mistakes",
     "tare": "are the tare",
     "unmatched": "have no load",

@@ -1,6 +1,6 @@
-"""What a simulator imports, as `wrenchbook`: numpy and the standard library only.
+"""The client package of simulators, imported as `wrenchbook`: numpy and the standard library only.
 
-`AsyncClient` is in `async_client`, apart, since asyncio takes longer to load than all the rest.
+`AsyncClient` is in `async_client`, apart, since asyncio takes longer to load than the rest.
 
 >>> from wrenchbook import Client
 >>> with Client("http://127.0.0.1:8000") as client:            # doctest: +SKIP

@@ -1,6 +1,6 @@
 """Tables on arrays of JAX and PyTorch, for many environments at once.
 
-The kernel answers on the host, whatever the device: the numbers are those of `Table.batch`.
+The kernel answers on the host, for arrays of any device, with the numbers of `Table.batch`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 Floats = NDArray[np.float64]
-Array: TypeAlias = Any  # of JAX or PyTorch, neither of which need be installed
+Array: TypeAlias = Any  # an array of JAX or PyTorch, neither of which need be installed
 Shapes = list[tuple[tuple[int, ...], Array]]  # shape and type of each result
 OUTSIDE = COVERAGE.index("outside")
 
@@ -71,7 +71,10 @@ class Host:
         return slopes.reshape(*shape, *slopes.shape[1:])
 
     def inverse(self, moved: Array, start: Array) -> tuple[Floats, Floats]:
-        """Return wrenches (..., n), SI, and the stiffness there (..., n, m); NaN where none."""
+        """Return wrenches (..., n), SI, and the stiffness there (..., n, m).
+
+        NaN where there is none.
+        """
         shape, n, m = moved.shape[:-1], self.packed.inputs, self.packed.outputs
         targets = np.asarray(moved, dtype=float).reshape(-1, m)
         starts = np.broadcast_to(np.asarray(start, dtype=float), (*shape, n)).reshape(-1, n)
@@ -86,7 +89,7 @@ class Host:
         return wrenches.reshape(*shape, n), stiffness.reshape(*shape, n, m)
 
     def _rows(self, wrenches: Array) -> tuple[Floats, NDArray[np.intp], tuple[int, ...]]:
-        """Return wrenches (..., n) as rows (k, n), which of them are not finite, and (...).
+        """Return wrenches (..., n) as rows (k, n), indices of those not finite, and (...).
 
         Rows that are not finite are set to zero.
         """
@@ -98,10 +101,10 @@ class Host:
 
 
 class Framework(NamedTuple):
-    """The functions of arrays of JAX or PyTorch, which it differentiates and vectorises."""
+    """The functions on arrays of JAX or PyTorch, which it differentiates and vectorises."""
 
     xp: ModuleType
-    array: Callable[[Array], Array]  # values as its array of float32 or float64
+    array: Callable[[Array], Array]  # values as an array of the framework, float32 or float64
     answers: Callable[[Array], tuple[Array, Array, Array]]  # see `Host.answers`
     slopes: Callable[[Array], Array]  # see `Host.slopes`
     inverse: Callable[[Array, Array], Array]  # the wrenches of `Host.inverse`
@@ -110,8 +113,8 @@ class Framework(NamedTuple):
 class Evaluator:
     """A function of wrenches (..., n), SI, in the order of ``table.space.inputs``.
 
-    `jax` and `torch` make one, of the table's version of then. Results have the wrenches' type; the
-    kernel computes in float64. Wrenches that are not finite are outside, with NaN.
+    `jax` and `torch` make one, with the table's version at that time. Results have the wrenches'
+    type; the kernel computes in float64. Wrenches that are not finite are outside, with NaN.
     """
 
     def __init__(self, host: Host, framework: Framework) -> None:
@@ -122,7 +125,7 @@ class Evaluator:
         return Answers(*self._framework.answers(self._checked(wrenches, self._host.packed.inputs)))
 
     def displacement(self, wrenches: Array) -> Array:
-        """Return the displacements alone, shape (..., m), m and rad, to differentiate."""
+        """Return the displacements alone, shape (..., m), m and rad, for differentiation."""
         return self(wrenches).displacement
 
     def derivative(self, wrenches: Array) -> Array:
@@ -225,7 +228,7 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
 def _jax_on_host(
     package: ModuleType, function: Callable[..., Iterable[Array]], shapes: Shapes, *arrays: Array
 ) -> Array:
-    """Call a function of numpy arrays; `vmap` calls it once, with all lines."""
+    """Call a function of numpy arrays; `vmap` calls it once, with all rows."""
 
     def call(*values: Array) -> list[Array]:
         blocks = function(*values)
@@ -239,9 +242,10 @@ def _jax_on_host(
 class JointAnswers(NamedTuple):
     """One step of joints by `jax_joint`: wrench, displacement and error (..., 6) as of `Joints`.
 
-    With velocities v after the step, in the axes of the spin, the wrench is force (..., 6) + rate
-    (..., 6, 6) v. Coverage: 0 covered, 1 thin, 2 outside. Status: 0 ok; else wrench and force are
-    NaN: -1 beyond twice the range, or a code of ``wrenchbook.h``. Memory is for the next step.
+    With velocities v after the step, in the axes of the angular velocity, the wrench is force (...,
+    6) + rate (..., 6, 6) v. Coverage: 0 covered, 1 thin, 2 outside. Status: 0 ok; otherwise wrench
+    and force are NaN: -1 beyond twice the range, or a code of ``wrenchbook.h``. Memory is for the
+    next step.
     """
 
     wrench: Array
@@ -267,13 +271,14 @@ def jax_joint(
     method: str | None = None,
     inputs: Mapping[str, float] | None = None,
 ) -> tuple[Callable[[Array, Array, Array, Array], JointAnswers], int]:
-    """Return a step of joints on arrays of JAX, and k, the numbers that a joint keeps.
+    """Return a step of joints on arrays of JAX, and k, the size of a joint's memory.
 
-    ``step(memory, poses, velocities, inverse_masses)`` takes shapes (..., k), which begins with
-    zeros, and those of `Joints.step` for a step of `dt`, s. `jit`, `vmap` (one call of the kernel)
-    and `lax.scan` work on it; it has no derivative. `axes` (3, 3), columns, are the interface
-    frame's axes in the tip's own if quaternions, spins and moments of force and rate have those,
-    as MuJoCo's ball has; (k, 3, 3) of k interfaces. Other parameters and errors: see `Joint`.
+    ``step(memory, poses, velocities, inverse_masses)`` takes shapes (..., k), zeros at the start,
+    and those of `Joints.step` for a step of `dt`, s. `jit`, `vmap` (one call of the kernel) and
+    `lax.scan` work on it; it has no derivative. `axes` (3, 3), columns, are the interface frame's
+    axes in the tip's own axes; needed if quaternions, angular velocities and moments refer to the
+    tip's axes, as MuJoCo's ball does; (k, 3, 3) for k interfaces. Other parameters and errors: see
+    `Joint`.
     """
     package = required("jax", "arrays.jax_joint", "'wrenchbook[jax]'")
     joint = Joint(table, damping, interface=interface, method=method, inputs=inputs)
@@ -287,6 +292,7 @@ def jax_joint(
     entered = [place.shape[1:] for place in buffers]
 
     def on_host(*arrays: Array) -> list[Array]:
+        """Run a step of the kernel on numpy arrays."""
         lead = arrays[0].shape[:-1]
         steps = joint.new_steps(int(np.prod(lead)), turned)
         buffers = steps.memory, steps.poses, steps.velocities, steps.inverse_masses
@@ -347,10 +353,10 @@ def _torch_function(
     on_host: Callable[..., tuple[Array, ...]],
     jacobian: Callable[..., Array] | None = None,
 ) -> Callable[..., tuple[Array, ...]]:
-    """Return a function of tensors by one of numpy arrays (..., k).
+    """Return a function of tensors by a function of numpy arrays (..., k).
 
-    Of the tensors that it returns the first is differentiable by the first argument, with a
-    `jacobian` of arguments and results; none without. `vmap` calls it once, with all lines.
+    The first tensor of its results is differentiable by the first argument, with a `jacobian` of
+    arguments and results; without it none is. `vmap` calls it once, with all rows.
     """
 
     class Function(package.autograd.Function):

@@ -14,13 +14,13 @@ from .client import Client
 P = ParamSpec("P")
 T = TypeVar("T")
 
-AT_ONCE = 100  # threads, and so connections: further requests wait for one
+AT_ONCE = 100  # threads, and so connections: further requests wait for a free thread
 
 
 def _awaited(
     call: Callable[Concatenate[Client, P], T],
 ) -> Callable[Concatenate[AsyncClient, P], Coroutine[Any, Any, T]]:
-    """Return a blocking call as one that is awaited."""
+    """Return a blocking call as a coroutine function."""
 
     @functools.wraps(call)
     async def method(self: AsyncClient, /, *args: P.args, **options: P.kwargs) -> T:
@@ -32,13 +32,13 @@ def _awaited(
 def _iterated(
     call: Callable[Concatenate[Client, P], Iterator[T]],
 ) -> Callable[Concatenate[AsyncClient, P], AsyncGenerator[T, None]]:
-    """Return a blocking call that is an iterator as an asynchronous one."""
+    """Return a blocking iterator call as an asynchronous iterator."""
 
     @functools.wraps(call)
     async def method(
         self: AsyncClient, /, *args: P.args, **options: P.kwargs
     ) -> AsyncGenerator[T, None]:
-        connection = copy.copy(self._client)  # the iterator's own, which its end closes
+        connection = copy.copy(self._client)  # the iterator's own connection, which its end closes
         items, end = call(connection, *args, **options), object()
         try:
             while (item := await self.run(lambda _: next(items, end))) is not end:

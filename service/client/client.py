@@ -1,4 +1,4 @@
-"""The client: displacements, deformed surfaces and events, with the calls of the other files."""
+"""The client: displacements, deformed surfaces and events; other files have its further calls."""
 
 from __future__ import annotations
 
@@ -23,11 +23,13 @@ from .table import DownloadCalls
 from .transport import BINARY, Connection, component_path
 from .wrenches import Load, Tolerance, loads_body, many_wrenches, options, single_wrench, wrench_of
 
-BINARY_FROM = 1000  # wrenches from which a batch is sent as float64, if not given
+# Wrenches from which a batch is sent as float64 by default: twenty times faster than JSON.
+BINARY_FROM = 1000
 FORMATS = {".glb": "gltf", ".vtu": "vtu", ".json": "json"}
-"""The format of each file ending of a deformed surface."""
-SILENCE_S = 45.0  # three heartbeats: a connection without one is dead
-AGAIN_S = (0.2, 5.0)  # between attempts while the server is away: doubled from, up to
+"""Format of a deformed surface by the file's ending."""
+SILENCE_S = 45.0  # three heartbeats: a connection without one in this time is dead
+# Pause between attempts while the server is away, s: doubled from the first to the second.
+AGAIN_S = (0.2, 5.0)
 
 
 class DisplacementCalls(Connection):
@@ -193,9 +195,9 @@ class DisplacementCalls(Connection):
 
 
 def _server_wait(chosen: Document) -> float:
-    """Return how long the server may wait before it answers, s.
+    """Return the longest time, s, that the server may wait before it answers.
 
-    With ``on_thin`` it waits only with ``wait``, 30 s if not given; `solve` gives the time.
+    With ``on_thin="wait"`` it is `wait_s`, 30 s by default; `solve` states it itself.
     """
     if "on_thin" not in chosen:
         return chosen.get("wait_s", 0.0)
@@ -203,7 +205,10 @@ def _server_wait(chosen: Document) -> float:
 
 
 def deformed_format(file: str | Path) -> str:
-    """Return the format of a surface's file by its ending; InvalidArgument if none."""
+    """Return the format of a surface's file by its ending.
+
+    Raises InvalidArgument if the ending is unknown.
+    """
     return format_of(file, "surface", FORMATS)
 
 
@@ -312,7 +317,7 @@ class EventCalls(Connection):
         """
         last, wait, first = after, AGAIN_S[0], True
         limit = float("inf") if timeout_s is None else timeout_s
-        newest = time.monotonic()  # when the last event came
+        newest = time.monotonic()  # time of the last event
         while True:
             if (remaining := newest + limit - time.monotonic()) <= 0:
                 return
@@ -344,14 +349,14 @@ class EventCalls(Connection):
 
 
 class EventParser:
-    """Server-sent events from their lines (WHATWG HTML, section 9.2.6)."""
+    """Parser of server-sent events, by lines (WHATWG HTML, section 9.2.6)."""
 
     def __init__(self) -> None:
         self._kind, self._id = "message", ""
         self._content: list[str] = []
 
     def feed(self, line: bytes) -> Event | None:
-        """Take a line; return the event that it ends, if it ends one."""
+        """Take a line; return the event that it completes, if any."""
         name, _, value = line.rstrip(b"\r\n").decode().partition(":")
         value = value.removeprefix(" ")
         if name == "event":

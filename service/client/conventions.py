@@ -1,15 +1,16 @@
-"""Wrenches and poses of other programs, to and from the wrench contract, in this one place.
+"""Wrenches and poses of other programs, to and from the wrench contract; in this file only.
 
-Here: force then moment, N and N·m, acting ON the deformable component, about its interface point
-where it is now (it moves with the section), in axes fixed to the undeformed interface frame. Three
-things differ elsewhere, and each converter says which:
+The wrench contract: force then moment, N and N·m, acting ON the deformable component, about its
+displaced interface point (it moves with the section), in axes fixed to the undeformed interface
+frame. Three things differ in other programs, and each converter states them:
 
 * order: Drake puts torque first;
-* sign: joint sensors of MuJoCo, PyBullet and Drake report what the *parent* does to the *child*. A
-  component that is the parent (a robot stands on a plate) feels the opposite: name its side;
+* sign: joint sensors of MuJoCo, PyBullet and Drake report the action of the *parent* on the
+  *child*. A component that is the parent (a robot stands on a plate) feels the opposite: state its
+  side;
 * point and frame: a sensor's point or axes are seldom the interface's; see `moved`.
 
-Sources, and how the signs were checked: a 2 kg arm standing on a fixed parent under 10 m/s^2, its
+Sources, and the check of the signs: a 2 kg arm standing on a fixed parent under 10 m/s^2, its
 centre of mass 0.1 m along x. MuJoCo 4.0.0 reads force (0, 0, 20), torque (0, -2, 0); PyBullet 3.2.7
 the same with JOINT_FEEDBACK_IN_JOINT_FRAME. Both are the parent holding the child up.
 """
@@ -29,7 +30,8 @@ from .wrenches import Vector, single_wrench
 
 Message: TypeAlias = Any  # an object of another program
 Side = Literal["parent", "child"]
-SINGLE_PRECISION = 1e-6  # of rotation matrices of other programs, which often are float32
+# Largest error of rotation matrices of other programs, which often are float32.
+SINGLE_PRECISION = 1e-6
 
 
 def moved(
@@ -60,7 +62,7 @@ def moved(
         axes = np.asarray(rotation, dtype=float)
         is_square = axes.shape == (3, 3)
         is_rotation = is_square and np.allclose(axes @ axes.T, np.eye(3), atol=SINGLE_PRECISION)
-        if not is_rotation or np.linalg.det(axes) < 0.0:  # a mirror turns the sign of moments
+        if not is_rotation or np.linalg.det(axes) < 0.0:  # a mirror changes the sign of moments
             raise InvalidArgument(
                 "rotation must be a right-handed rotation matrix of shape (3, 3), not "
                 f"{axes.tolist()}; of a quaternion it is Rotation.from_quat(q).as_matrix() of scipy"
@@ -215,7 +217,7 @@ def quaternion_xyzw(rotation: ArrayLike) -> Vector:
 
 
 def _on(component: Side, parent_to_child: Vector) -> Vector:
-    """Turn what the parent does to the child into what acts on the component, and back."""
+    """Convert a wrench of the parent on the child to the wrench on the component, and back."""
     if component not in ("parent", "child"):
         raise InvalidArgument(f"component must be 'parent' or 'child', not {component!r}")
     # Adding zero turns the -0.0 of an unloaded direction into 0.0.
@@ -223,12 +225,15 @@ def _on(component: Side, parent_to_child: Vector) -> Vector:
 
 
 def _field(message: Message, name: str) -> Message:
-    """Return a message's member, be it an attribute or a key; None without it."""
+    """Return a message's member, an attribute or a key; None without it."""
     return message.get(name) if isinstance(message, Mapping) else getattr(message, name, None)
 
 
 def _number(message: Message, name: str, axis: str) -> float:
-    """Return a component of a message's force or torque; InvalidArgument if it is no number."""
+    """Return a component of a message's force or torque.
+
+    Raises InvalidArgument if it is no number.
+    """
     vector = _field(message, name)
     member = None if vector is None else _field(vector, axis)
     if member is None:

@@ -1,4 +1,4 @@
-"""The client's errors and warnings; each text says what to do."""
+"""The client's errors and warnings; each message has a remedy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 Json: TypeAlias = Any  # a value of a JSON document
 Document = dict[str, Json]
 
-_SHOWN = 5  # mistakes that the text of a ProblemError lists
+_SHOWN = 5  # mistakes in the text of a ProblemError: more would hide its remedy
 _FOLDER = str(Path(__file__).parent)
 
 
@@ -21,15 +21,15 @@ class WrenchbookError(Exception):
 
 
 class InvalidArgument(WrenchbookError, ValueError):  # noqa: N818 (as below)
-    """An argument is not valid; nothing was sent, and the text says what is valid."""
+    """An argument is not valid; nothing was sent, and the message states valid values."""
 
 
 class TableError(WrenchbookError, ValueError, RuntimeError):
-    """A packed table cannot be opened, or the compiled code that answers from it is not there."""
+    """A packed table cannot be opened, or the compiled kernel is missing."""
 
 
 class MissingPackage(WrenchbookError, ImportError):  # noqa: N818 (as below)
-    """A call needs a package that is not installed; the text says how to install it."""
+    """A call needs a package that is not installed; the message has the command to install it."""
 
 
 class ProblemError(WrenchbookError):
@@ -71,7 +71,7 @@ class ProblemError(WrenchbookError):
 
     @property
     def causes(self) -> list[Document]:
-        """The mistakes by cause, but for a single one that the detail names."""
+        """The mistakes by cause, without a single one that the detail states."""
         first, *more = causes = self.body.get("causes", self.errors) or [{}]
         text = str(first.get("msg") or first.get("message", ""))
         return causes if more or first.get("count", 1) > 1 or text not in self.detail else []
@@ -98,7 +98,7 @@ class ServerTimeout(WrenchbookError, TimeoutError):  # noqa: N818 (as above)
 
 
 class MountError(WrenchbookError, RuntimeError):
-    """A mount cannot go on; nothing of it has moved."""
+    """A mount cannot continue; its pose is unchanged."""
 
 
 class SensorError(MountError):
@@ -135,23 +135,23 @@ class CouplingDiverged(MountError):  # noqa: N818 (the public name)
 
 
 class MountWarning(UserWarning):
-    """The loop goes on, with numbers that may be wrong; issued once a mount and kind."""
+    """The loop continues, with numbers that may be wrong; issued once for each mount and kind."""
 
 
 class JointError(WrenchbookError, RuntimeError):
-    """A joint cannot go on, or its scene cannot have one."""
+    """A joint cannot continue, or its scene cannot have a joint."""
 
 
 class JointRangeError(JointError):
-    """The relative pose is far beyond what the part can have."""
+    """The relative pose is far beyond the range of the part."""
 
 
 class JointWarning(UserWarning):
-    """Numbers may be wrong and the run goes on; once for each joint and each kind of warning."""
+    """The run continues, but numbers may be wrong; issued once for each joint and kind."""
 
 
 def warn(message: str, category: type[Warning]) -> None:
-    """Issue a warning at the line that called the client, from however deep within."""
+    """Issue a warning at the line of the user's program that called the client."""
     level, caller = 1, sys._getframe()
     while caller is not None and caller.f_code.co_filename.startswith(_FOLDER):
         level, caller = level + 1, caller.f_back
@@ -159,11 +159,14 @@ def warn(message: str, category: type[Warning]) -> None:
 
 
 def required(module: str, user: str, install: str) -> Any:
-    """Return a module, or raise MissingPackage: `user` needs it; pip can `install` it."""
+    """Return a module; `install` is pip's name of it, `user` the call that needs it.
+
+    Raises MissingPackage if the module is not installed.
+    """
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        name = (error.name or module).partition(".")[0]  # the module, or one that it imports
+        name = (error.name or module).partition(".")[0]  # the module, or a module that it imports
         raise MissingPackage(
             f"{user} needs the package {name!r}, not installed here; run: pip install {install}",
             name=name,
@@ -171,11 +174,12 @@ def required(module: str, user: str, install: str) -> Any:
 
 
 def mistake_line(error: Document) -> str:
-    """Lay out one mistake of a body, or one or all of a cause of a table."""
+    """Return a line on one mistake of a body, or on one or all mistakes of a cause in a table."""
     if "row" in error:
         count = error.get("count", 1)
         fields = ", ".join(error.get("fields") or [error.get("field", "")])
         more = f" ({count} mistakes)" if count > 1 else ""
-        place = f"row {error['row']}, " * bool(error["row"])  # 0: of the file, or of a column
+        # 0: the mistake concerns the file, or a column.
+        place = f"row {error['row']}, " * bool(error["row"])
         return f"{place}{fields}: {error.get('message', '')}{more}"
     return f"{error.get('loc', '')}: {error.get('msg', '')}"

@@ -16,8 +16,9 @@ from .wrenches import Tolerance, Vector, options
 
 ENDED = ("done", "failed", "cancelled")
 LONGEST_POLL_S = 20.0  # proxies end calls that take longer
-SHORTEST_POLL_S = 0.05  # some servers answer at once instead of waiting: 20 requests a second
-ROUND = 24  # solves of a round of `fill_until`, if not given
+# s: limits polls to 20 a second if a server answers at once instead of waiting.
+SHORTEST_POLL_S = 0.05
+ROUND = 24  # default number of solves in a round of `fill_until`
 
 
 class Job(JobLink):
@@ -44,7 +45,7 @@ class Job(JobLink):
 
     @classmethod
     def read(cls, body: Mapping[str, Json], component: str = "", **more: Any) -> Self:
-        """Make a job of its JSON, whose short form lacks the component."""
+        """Return a job from its JSON; `component`: of a short form that lacks it."""
         job = super().read(body, **more)
         job.__dict__["component"] = job.component or component
         return job
@@ -68,7 +69,7 @@ class Job(JobLink):
 
     @property
     def failure(self) -> str:
-        """Why it failed and what to do; empty unless it did."""
+        """The cause of a failure and its remedy; empty unless the job failed."""
         error = self.raw.get("error") or {}
         parts = (error.get("kind"), error.get("message"), error.get("remedy"))
         return ". ".join(str(part).rstrip(".") for part in parts if part)
@@ -97,7 +98,10 @@ class Round(Queued):
 
 
 def joined(first: Any, second: Any) -> Vector | None:
-    """Return translation and rotation as one vector, shape (6,), m and rad; None if one is None."""
+    """Return translation and rotation as one vector, shape (6,), m and rad.
+
+    None if either is None.
+    """
     return None if first is None or second is None else np.concatenate([first, second])
 
 
@@ -291,7 +295,7 @@ class JobCalls(Connection):
 
 
 def _path(job: Job | int | Answer) -> str:
-    """Return the path of a job, by itself, its number, or an answer that has it."""
+    """Return the path of a job, given as a Job, its number, or an answer that has a job."""
     number: Any = job if isinstance(job, Job) else getattr(job, "job", job)
     if number is None:
         raise InvalidArgument(

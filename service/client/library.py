@@ -27,20 +27,27 @@ _ENDINGS = {
     ".parquet": "parquet",
     ".wbt": "packed",
 }
-# The content decides how a file is read; these endings are of other kinds of file.
+# The content decides how a file is read; files with these endings are no tables.
 _NOT_READ = frozenset({".fmu", ".wbt", ".pdf"})
 _JSON = re.compile(r"\s*(\{|\[\s*[\[{\]])")  # a file's name may begin with [1]
-RIG_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")  # as the server's profiles have
-_IMPORT_S = 300.0  # a million rows take a minute, and another import before them as long
+# The same pattern as the server's profiles.
+RIG_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+_IMPORT_S = 300.0  # s: a million rows take a minute, and an earlier import in the queue as long
 
 
 def table_format(file: str | Path) -> str:
-    """Return the format of a table file to be written, by its ending; InvalidArgument if none."""
+    """Return the format of a table file to be written, by its ending.
+
+    Raises InvalidArgument if the ending is unknown.
+    """
     return format_of(file, "table", _ENDINGS, ", or use wrenchbook export for .fmu and .zip")
 
 
 def format_of(file: str | Path, kind: str, formats: Mapping[str, str], more: str = "") -> str:
-    """Return the format of a file's ending; InvalidArgument if there is none of it."""
+    """Return the format of a file's ending.
+
+    Raises InvalidArgument if the ending is not in `formats`.
+    """
     suffix = Path(file).suffix
     if suffix.lower() not in formats:
         named = f"the ending {suffix}" if suffix else "no ending"
@@ -51,7 +58,10 @@ def format_of(file: str | Path, kind: str, formats: Mapping[str, str], more: str
 
 
 def check_readable(file: str | Path) -> None:
-    """Refuse a file whose ending says that it is no table to be read: InvalidArgument."""
+    """Check that a file's ending is not that of another kind of file.
+
+    Raises InvalidArgument if it is.
+    """
     suffix = Path(file).suffix.lower()
     if suffix in _NOT_READ:
         raise InvalidArgument(
@@ -138,7 +148,7 @@ class LibraryCalls(Connection):
                 for source in sorted(bundle.rglob("*")):
                     inside = source.relative_to(bundle)
                     if source.is_file() and not any(part.startswith(".") for part in inside.parts):
-                        packed.write(source, inside.as_posix())  # hidden files stay behind
+                        packed.write(source, inside.as_posix())  # hidden files are left out
             archive = buffer.getvalue()
         kind, content = _form({"bundle": (f"{bundle.stem}.zip", archive)})
         return self.call("POST", path, content, kind=kind, repeatable=False).json()
@@ -474,7 +484,7 @@ def _named_file(file: str | Path) -> tuple[str, bytes]:
 
 
 def _profile(rig: str | Path) -> str:
-    """Return the text of a TOML file, or the name of a profile that the server has."""
+    """Return the text of a TOML file, or the name of a stored profile of the server."""
     if isinstance(rig, str) and RIG_NAME.fullmatch(rig) and not Path(rig).is_file():
         return rig
     return Path(rig).read_text("utf-8-sig", "replace")

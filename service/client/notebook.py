@@ -13,11 +13,11 @@ from .errors import required
 
 Floats = NDArray[np.float64]
 
-# The names of a CSV export.
+# The column names of a CSV export.
 WRENCH_COLUMNS = ("fx [N]", "fy [N]", "fz [N]", "mx [N*m]", "my [N*m]", "mz [N*m]")
 DISPLACEMENT_COLUMNS = ("ux [m]", "uy [m]", "uz [m]", "rx [rad]", "ry [rad]", "rz [rad]")
 ERROR_COLUMNS = tuple(f"error {name}" for name in DISPLACEMENT_COLUMNS)
-SHOWN = 10  # rows of an HTML table
+SHOWN = 10  # rows of an HTML table: a notebook shows no more at once
 
 
 def html_table(caption: str, names: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -33,12 +33,15 @@ def html_table(caption: str, names: Sequence[str], rows: Iterable[Sequence[objec
 
 
 def named_columns(names: Sequence[str], block: Floats) -> dict[str, Floats]:
-    """Return the columns of a block, shape (n, 6), in the units that the names have."""
+    """Return the columns of a block, shape (n, 6), by names with units."""
     return dict(zip(names, block.T, strict=True))
 
 
 def require_pandas() -> ModuleType:
-    """Return the module pandas, or raise MissingPackage."""
+    """Return the module pandas.
+
+    Raises MissingPackage if pandas is not installed.
+    """
     return required("pandas", "to_pandas", "pandas")
 
 

@@ -44,8 +44,8 @@ from .wrenches import single_wrench
 if TYPE_CHECKING:
     from . import Client
 
-Axes: TypeAlias = Any  # of matplotlib, which need not be installed
-COLOURS = ("#4c9f70", "#f0c05a", "#c9594c")  # of COVERAGE: green, yellow, red
+Axes: TypeAlias = Any  # an Axes of matplotlib, which need not be installed
+COLOURS = ("#4c9f70", "#f0c05a", "#c9594c")  # colours of COVERAGE: green, yellow, red
 DRAWN_SIZE = 0.1  # largest drawn displacement over the part's size, if no scale is given
 _OTHER_INPUTS = (
     "{} has several interfaces or further inputs, and plots are of the six loads of one interface; "
@@ -209,7 +209,7 @@ def _answers(
     method: str | None,
     loads: dict[int, Vector],
 ) -> Displacements:
-    """Return the answers to a wrench in which some loads, by number, take many values."""
+    """Return the answers to a wrench in which some loads, by index, take many values."""
     count = len(next(iter(loads.values())))
     wrenches = np.tile(np.zeros(6) if wrench is None else single_wrench(wrench), (count, 1))
     for load, values in loads.items():

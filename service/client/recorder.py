@@ -1,4 +1,4 @@
-"""Record the wrenches of a loop, without waiting for the server."""
+"""Records the wrenches of a loop without blocking the loop."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ from .wrenches import many_wrenches, single_wrench
 if TYPE_CHECKING:
     from . import Client
 
-BLOCK = 256  # wrenches of a block, if not given: four requests a second at 1 kHz
+BLOCK = 256  # default number of wrenches in a block: four requests a second at 1 kHz
 MAX_PENDING = 100_000  # wrenches in memory, 4.8 MB: 100 s at 1 kHz
-FLUSH_S = 1.0  # a block that is not full is sent after this long: a slow loop is recorded too
-BACKOFF_S = (0.1, 5.0)  # between attempts while the server is away: doubled from, up to
-FLOAT_BYTES = 8  # of a number in a block, float64
-AT_EXIT_S = 5.0  # that the end of the program waits for unsent wrenches
-_AGAIN = (408, 425, 429)  # statuses besides 5xx after which the same block may be taken
+FLUSH_S = 1.0  # s after which an incomplete block is sent: a slow loop is recorded too
+# Pause between attempts while the server is away, s: doubled from the first to the second.
+BACKOFF_S = (0.1, 5.0)
+FLOAT_BYTES = 8  # size of a number in a block, float64
+AT_EXIT_S = 5.0  # s that the end of the program waits for unsent wrenches
+_AGAIN = (408, 425, 429)  # statuses besides 5xx after which the same block may be accepted
 
 
 class RecorderError(WrenchbookError, RuntimeError):
-    """Wrenches could not be recorded; the text says why, and what became of them."""
+    """Wrenches could not be recorded; the message has the cause, and where they are."""
 
 
 class Recorder:
@@ -94,8 +95,8 @@ class Recorder:
         self._size = block * self._width
         self._key, self._sequence = secrets.token_hex(16), 0
         self._changed = threading.Condition()
-        self._blocks: deque[bytes] = deque()  # full, oldest first
-        self._open, self._opened_at = bytearray(), 0.0  # the block that is being filled
+        self._blocks: deque[bytes] = deque()  # full blocks, oldest first
+        self._open, self._opened_at = bytearray(), 0.0  # the current block, and when it began
         self._count = self._sealed = 0  # pending wrenches; full blocks so far
         self._trouble: Exception | None = None
         self._failed, self._closing = False, False
@@ -113,7 +114,7 @@ class Recorder:
             return
         try:
             self.close()
-        except RecorderError as error:  # the loop's own error is the one to raise
+        except RecorderError as error:  # the loop's own error must be raised
             print(f"wrenchbook: {error}", file=sys.stderr)
 
     @property
@@ -123,7 +124,7 @@ class Recorder:
 
     @property
     def trouble(self) -> str | None:
-        """Why nothing can be sent at present; None if it can."""
+        """The reason for which nothing can be sent at present; None if it can."""
         return None if self._trouble is None else str(self._trouble)
 
     def add(self, wrench: ArrayLike) -> None:
@@ -241,6 +242,7 @@ class Recorder:
             ) from cause
 
     def _send_all(self) -> None:
+        """Send full blocks in order until the recorder closes; pause while the server is away."""
         wait, longest = BACKOFF_S
         while True:
             with self._changed:
@@ -256,7 +258,7 @@ class Recorder:
                     self.component, self.kind, block, self._key, self._sequence
                 )
             except Exception as error:
-                # Sending a block once more is safe, so after a passing error it is sent again.
+                # Sending a block again is safe, so it is sent again after a passing error.
                 again = isinstance(error, OSError | http.client.HTTPException | ValueError)
                 if isinstance(error, ProblemError):
                     again = error.status >= 500 or error.status in _AGAIN
@@ -281,13 +283,14 @@ class Recorder:
                     self._changed.notify_all()
 
     def _seal(self) -> None:
-        """Make the block that is being filled a full one."""
+        """Close the current block, which is then full."""
         if self._open:
             self._blocks.append(bytes(self._open))
             self._open.clear()
             self._sealed += 1
 
     def _check_failed(self) -> None:
+        """Raise the error that the sending thread met, if any."""
         if self._failed:
             raise RecorderError(
                 f"the server refused the recording of {self.component!r}: {self._trouble}. "
@@ -296,7 +299,7 @@ class Recorder:
             ) from self._trouble
 
     def _at_exit(self) -> None:
-        """Close a recorder that the program has not closed; print how many wrenches are lost."""
+        """Close a recorder that the program has not closed; print the number of lost wrenches."""
         if not self.pending:
             return
         try:

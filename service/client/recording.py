@@ -126,14 +126,14 @@ class RecordingCalls(Connection):
     ) -> Document:
         """Send a block of packed wrenches, little-endian float64 (n, inputs), under its key.
 
-        However often it is sent, it is taken in once. A refused connection is not tried again.
+        A block that is sent several times counts once. A refused connection is not tried again.
         """
         query = {"client": client, "sequence": sequence}
         path = component_path(name, kind)
         return self.call("POST", path, wrenches, kind=BINARY, query=query, retry=False).json()
 
     def _send_blocks(self, name: str, kind: Kind, wrenches: ArrayLike) -> Document:
-        """Send wrenches, shape (n, inputs), N and N·m, in as many blocks as it takes."""
+        """Send wrenches, shape (n, inputs), N and N·m, in as many blocks as needed."""
         block, key, reply = many_wrenches(wrenches, None), secrets.token_hex(16), {}
         path = component_path(name, kind)
         for sequence, start in enumerate(range(0, max(len(block), 1), MAX_BLOCK)):

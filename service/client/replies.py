@@ -233,7 +233,7 @@ class Displacements(messages.Displacements):
         known.
     """
 
-    # By wrench and as arrays, where the JSON has lists.
+    # By wrench and as arrays, in place of the JSON's lists.
     jobs: dict[int, Job]  # pyright: ignore[reportIncompatibleVariableOverride]
     coverage: NDArray[np.str_]  # pyright: ignore[reportIncompatibleVariableOverride]
     within_tolerance: NDArray[np.bool_] | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -338,9 +338,9 @@ class Displacements(messages.Displacements):
 
 
 def _stacked(answers: Sequence[Json], shape: tuple[int, ...]) -> Vector:
-    """Return the numbers of n answers as one array (n, ...), NaN where an answer has none (null).
+    """Return the numbers of n answers as one array (n, ...), NaN for answers without any (null).
 
-    `shape` is that of an answer if all have none.
+    `shape` is that of an answer if none has numbers.
     """
     shape = next((np.shape(answer) for answer in answers if answer is not None), shape)
     missing = np.full(shape, np.nan)
@@ -349,7 +349,10 @@ def _stacked(answers: Sequence[Json], shape: tuple[int, ...]) -> Vector:
 
 
 def _named(names: Sequence[str], block: Vector, word: str) -> Document:
-    """Return a block's columns by name; other widths than `names` by a word and their index."""
+    """Return a block's columns by name.
+
+    If their number is not that of `names`, by `word` and index.
+    """
     if block.shape[1] != len(names):
         names = [f"{word} {place}" for place in range(block.shape[1])]
     return named_columns(names, block)

@@ -20,7 +20,8 @@ def rotation_matrix(rotation: ArrayLike) -> Vector:
     x, y, z = np.asarray(rotation, dtype=float).tolist()
     angle = math.sqrt(x * x + y * y + z * z)
     s, c = sinc(angle), 0.5 * sinc(0.5 * angle) ** 2  # sin(a)/a and (1 - cos(a))/a^2
-    # Element by element: each step of a simulator computes it, and numpy's calls would be half.
+    # Element by element: every step of a simulator computes it, and numpy's calls would take half
+    # of its time.
     return np.array(
         (
             (1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y),
@@ -30,11 +31,14 @@ def rotation_matrix(rotation: ArrayLike) -> Vector:
     )
 
 
-_SINGLE_PRECISION = 1e-6  # of a pose; the displacement is exact to the square of it
+_SINGLE_PRECISION = 1e-6  # largest error of a pose; the displacement is exact to its square
 
 
 def checked_rotation(name: str, matrix: ArrayLike) -> Vector:
-    """Return a rotation matrix (3, 3), dimensionless; InvalidArgument if it is none."""
+    """Return a rotation matrix (3, 3), dimensionless.
+
+    Raises InvalidArgument if it is no rotation matrix.
+    """
     axes = floats_of(name, matrix, (3, 3))
     skew, determinant = float(np.abs(axes.T @ axes - np.eye(3)).max()), np.linalg.det(axes)
     if skew > _SINGLE_PRECISION or determinant < 0.0:
@@ -47,7 +51,10 @@ def checked_rotation(name: str, matrix: ArrayLike) -> Vector:
 
 
 def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
-    """Return a pose, axes as columns (3, 3) and point (3,), m; InvalidArgument if it is none."""
+    """Return a pose, axes as columns (3, 3) and point (3,), m.
+
+    Raises InvalidArgument if it is no pose.
+    """
     return checked_rotation("R0", R0), floats_of("p0", p0, (3,))
 
 

@@ -1,4 +1,4 @@
-"""A scene: what one simulation needs of its components."""
+"""A scene: the requirements of one simulation on its components."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _SPANS = "[[-100, 100], [0, 0], [-600, 0]]"  # three loads, in the syntax of TOM
 
 
 class SceneError(InvalidArgument):
-    """A scene is not valid; the text names the place and what is valid there."""
+    """A scene is not valid; the message has the place and the valid values."""
 
 
 class ComponentPlan(Plan):
-    """What a scene needs of one `component`, see `Plan`."""
+    """The plan of a scene for one `component`, see `Plan`."""
 
     component: str
 
@@ -143,6 +143,7 @@ class Scene:
         return client.run(self._plan)
 
     def _plan(self, client: Connection) -> dict[str, ComponentPlan]:
+        """Return the plan of each component from the server."""
         reply = client.call_json("POST", "/v1/scenes/plan", {"components": self.components})
         return {
             name: ComponentPlan.read({**plan, "component": name})
@@ -155,7 +156,7 @@ class Scene:
 
 
 def _checked(name: str, need: Json) -> Document:
-    """Return one component's need as the wire has it."""
+    """Return one component's requirements in the form of the request."""
     where = f"components.{name}"
     if not isinstance(need, Mapping):
         raise SceneError(f"{where}: must be a table of {', '.join(_FIELDS)}, not {need!r}")
@@ -180,7 +181,10 @@ def _checked(name: str, need: Json) -> Document:
 
 
 def _refuse_unknown(where: str, keys: Iterable[object], known: Sequence[str]) -> None:
-    """Raise SceneError of keys at a place of the scene that are not among the known ones."""
+    """Check that the keys at a place of the scene are among the known ones.
+
+    Raises SceneError if some are not.
+    """
     unknown = [str(key) for key in keys if key not in known]
     if unknown:
         place = f"{where}: " if where else ""
@@ -210,7 +214,7 @@ def _named(where: str, value: Json) -> Mapping[str, Json]:
 
 
 def _wrench(where: str, need: Json, parts: Iterable[str]) -> Document:
-    """Return the spans of force and moment; those that `parts` names must be there."""
+    """Return the spans of force and moment; `parts`: those that must be present."""
     _refuse_unknown(where, parts, ("force", "moment"))
     body: Document = {}
     for part in parts:
@@ -234,7 +238,7 @@ def _span(where: str, span: Json) -> list[float]:
     """Return the lowest and the highest value of ``[low, high]``, or of a number: both signs."""
     try:
         ends = np.asarray(span)
-    except ValueError:  # ragged
+    except ValueError:  # lists of different lengths
         ends = np.asarray("")
     if ends.dtype.kind not in "fiu" or ends.shape not in ((), (2,)) or not np.isfinite(ends).all():
         raise SceneError(f"{where}: must be [low, high], or one finite number, not {span!r}")

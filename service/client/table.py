@@ -1,4 +1,4 @@
-"""A component's table in the simulator's own process: the server's answers, without the server."""
+"""A component's table in the simulator's process: the server's answers without the server."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from wrenchbook.surrogate.kernel.replies import Floats, Reply
     from wrenchbook.surrogate.table.space import Input, Output, Space
 
-_PER_INTERFACE = len(LOADS)  # loads, or outputs, of one interface
+_PER_INTERFACE = len(LOADS)  # number of loads, or of outputs, of one interface
 
 
 class Table:
@@ -73,7 +73,7 @@ class Table:
         etag: str | None = None,
         scene: Scene | None = None,
     ) -> None:
-        self._now = packed, etag  # replaced as one: threads read it
+        self._now = packed, etag  # replaced as a pair: threads read it
         self.name: str = name or packed.meta["provenance"]["component"]
         self._client, self._scene = client, scene
         self._fetching = threading.Lock()
@@ -199,7 +199,10 @@ class Table:
         slope: Floats | None,
         interfaces: Mapping[str, Displacement] | None = None,
     ) -> Displacement:
-        """Return an answer with a reply's six outputs from the `first` on; without if None."""
+        """Return an answer with a reply's six outputs from index `first` on.
+
+        Without outputs if None.
+        """
         moved, error = (None, None) if first is None else (reply.outputs, reply.error)
         start = first or 0
         source, reason = "table" if reply.outputs else None, reply.reason
@@ -506,7 +509,7 @@ class DownloadCalls(Connection):
                 f"scene= must be a Scene, such as Scene.read('scene.toml'), not {scene!r}"
             )
         try:
-            kernel()  # an error comes before the download
+            kernel()  # an error must come before the download
         except RuntimeError as error:
             raise TableError(str(error)) from error
         fetched = _fetch(self, name, scene, None)
@@ -516,14 +519,14 @@ class DownloadCalls(Connection):
 
 
 def _frozen(values: Sequence[float | None]) -> Vector:
-    """Return floats, NaN for None, as an array that is not written to by mistake."""
+    """Return floats, NaN for None, as a read-only array."""
     array = np.array(values, dtype=float)
     array.flags.writeable = False
     return array
 
 
 def _columns(quantities: Iterable[Input | Output]) -> list[str]:
-    """Return the names of a CSV export: ``left.fx [N]``, ``mx [N*m]``, ``temperature [degC]``."""
+    """Return the columns of a CSV export: ``left.fx [N]``, ``mx [N*m]``, ``temperature [degC]``."""
     return [f"{quantity.name} [{quantity.unit.replace('·', '*')}]" for quantity in quantities]
 
 
@@ -537,7 +540,7 @@ def _fetch(
     headers = {"If-None-Match": etag} if etag else None
     reply = client.call("GET", component_path(name, call), query=query, headers=headers)
     newest = reply.headers.get("ETag")
-    # Some proxies answer from their cache with 200 where nothing is new.
+    # Some proxies answer from their cache with 200 although nothing is new.
     if reply.status == 304 or (etag is not None and newest == etag):
         return None
     try:

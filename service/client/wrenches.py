@@ -1,4 +1,4 @@
-"""Checks of wrenches before they are sent: errors name the number that is wrong."""
+"""Checks of wrenches before they are sent: errors name the wrong number."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ T = TypeVar("T")
 
 
 class TolerancePair(Protocol):
-    """``translation``, m, and ``rotation``, rad, as attributes."""
+    """A tolerance as attributes: ``translation``, m, and ``rotation``, rad."""
 
     @property
     def translation(self) -> float:
-        """Metres."""
+        """The tolerance of translations, m."""
         ...
 
     @property
     def rotation(self) -> float:
-        """Radians."""
+        """The tolerance of rotations, rad."""
         ...
 
 
@@ -41,10 +41,11 @@ Load = ArrayLike | Mapping[str, ArrayLike]  # (6,), or force and moment (3,), N 
 def single_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
     """Return a checked wrench (6,), N and N·m, of a force and a moment (3,), zero if not given.
 
-    The force alone may be the whole wrench (6,). InvalidArgument names the number that is NaN or
-    infinite, or the shape that is wrong.
+    The force alone may be the whole wrench (6,).
+
+    Raises InvalidArgument with the number that is NaN or infinite, or the shape that is wrong.
     """
-    # The path of a loop's thousands of calls a second: a sum that is finite has finite terms.
+    # The short path for a loop's thousands of calls a second: a finite sum has finite terms.
     if (
         type(force) is np.ndarray
         and force.shape == (6,)
@@ -75,11 +76,13 @@ def loads_body(
     loads: Mapping[str, Load] | None,
     inputs: Mapping[str, float] | None,
 ) -> Document:
-    """Return the checked loads of a call as the wire has them.
+    """Return the checked loads of a call in the form of the request.
 
     They are force and moment of a component with one interface, or the loads by interface, and the
-    further inputs by name, SI. InvalidArgument if there is a wrench and loads, if a shape is wrong
-    or a number is not finite.
+    further inputs by name, SI.
+
+    Raises InvalidArgument if both a wrench and loads are given, if a shape is wrong or a number is
+    not finite.
     """
     body: Document = {}
     is_wrench = force is not None or moment is not None
@@ -115,7 +118,7 @@ def loads_body(
 
 
 def wrench_of(body: Mapping[str, Json]) -> Vector:
-    """Return the wrench that `loads_body` gives for one interface, shape (6,), N and N·m."""
+    """Return the wrench of `loads_body`'s result for one interface, shape (6,), N and N·m."""
     zero = [0.0] * 3
     return np.array([*body.get("force", zero), *body.get("moment", zero)])
 
@@ -131,7 +134,7 @@ def _parts(wrench: Vector) -> Document:
 
 
 def many_wrenches(wrenches: ArrayLike, inputs: int | None = len(LOADS)) -> Vector:
-    """Return checked wrenches (n, inputs), SI; of any number of inputs if that is None."""
+    """Return checked wrenches (n, inputs), SI; with any number of inputs if it is None."""
     block = _numbers(wrenches, "wrenches")
     if block.size == 0 and block.ndim <= 2:
         return np.empty((0, inputs or len(LOADS)))
@@ -148,7 +151,7 @@ def many_wrenches(wrenches: ArrayLike, inputs: int | None = len(LOADS)) -> Vecto
 def options(
     *, on_thin: str | None = None, tolerance: Tolerance | None = None, **others: Json
 ) -> Document:
-    """Return the options of a call that are not None, checked where a slip is likely."""
+    """Return the options of a call that are not None, after a check of frequent mistakes."""
     if on_thin is not None and on_thin not in ON_THIN:
         raise InvalidArgument(f"on_thin must be one of {', '.join(ON_THIN)}, not {on_thin!r}")
     limit = None if tolerance is None else tolerance_body(tolerance)
@@ -157,7 +160,7 @@ def options(
 
 
 def tolerance_body(tolerance: Tolerance) -> dict[str, float]:
-    """Return a tolerance as the wire has it, positive and finite.
+    """Return a tolerance in the form of the request, positive and finite.
 
     It is ``translation`` in m and ``rotation`` in rad, as keys, as attributes or in this order.
     """
@@ -182,7 +185,7 @@ def tolerance_body(tolerance: Tolerance) -> dict[str, float]:
 
 
 def _numbers(values: ArrayLike, name: str) -> Vector:
-    """Return floats from numbers only: a text that looks like one is a slip."""
+    """Return floats from numbers only: a text that looks like a number is a mistake."""
     try:
         block = np.asarray(values)
     except ValueError:
@@ -200,20 +203,24 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
 
 
 def floats_of(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Vector:
-    """Return a copy of an argument, finite floats of a shape; InvalidArgument if it is none."""
+    """Return a copy of an argument as finite floats of a shape.
+
+    Raises InvalidArgument if it is not of that form.
+    """
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError):
         raise InvalidArgument(f"{name} must be numbers of shape {shape}, not {values!r}") from None
     if array.shape != shape:
         raise InvalidArgument(f"{name} must have shape {shape}, not {array.shape}")
-    # A sum is the cheapest test of all numbers; that of finite ones may overflow.
+    # A sum is the fastest test of all numbers; that of finite ones may overflow.
     if not (math.isfinite(array.sum()) or np.isfinite(array).all()):
         raise InvalidArgument(f"{name} must be finite, not {array.tolist()}")
     return array
 
 
 def _require_finite(block: Vector, where: str) -> None:
+    """Raise InvalidArgument with the place of the first number that is not finite."""
     finite = np.isfinite(block)
     if not finite.all():
         bad = np.argwhere(~finite)

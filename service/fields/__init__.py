@@ -1,1 +1,1 @@
-"""Deformed surfaces and stresses of solved rows: kept, and answered between rows."""
+"""Deformed surfaces and stresses of solved rows: stored, and interpolated between rows."""

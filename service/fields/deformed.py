@@ -32,30 +32,32 @@ from wrenchbook.surrogate.table.rows import NEAR, Rows, why_beyond
 
 Floats = NDArray[np.float64]
 
-# Rows of one interpolation: with their slopes as accurate as all rows; a factorisation of 0.02 s.
+# Rows of one interpolation: with their slopes as accurate as all rows; its factorisation takes 0.02
+# s.
 MAX_ROWS = 60
-BLEND_BYTES = 128 << 20  # of one component's interpolation; larger surfaces take fewer rows
-MIN_LEFT_OUT = 4  # rows with a surface; fewer do not show the size of the error
-MIN_ROWS = 8  # of an interpolation, whatever the size of their fields
+BLEND_BYTES = 128 << 20  # memory of one component's interpolation; larger surfaces use fewer rows
+MIN_LEFT_OUT = 4  # rows with a surface: fewer do not show the size of the error
+MIN_ROWS = 8  # rows of an interpolation, for any size of their fields
 MAX_BLENDS = 2  # components whose interpolation is in memory at once
-THREADS = 2  # surfaces at once: each may take a processor
-# Half ranges beyond an end of the load range: further out rows do not determine a surface.
+THREADS = 2  # surfaces computed at once: each may use a processor
+# Half ranges beyond an end of the load range: farther away rows do not determine a surface.
 FARTHEST = 2.0
-# Of the largest displacement of any row: a vertex's error bar allowed without a tolerance.
+# Part of the largest displacement of any row: the allowed error bar of a vertex without a
+# tolerance.
 WITHOUT_TOLERANCE = 0.01
-_ARRAYS = 7  # of a row: its fields, and their slopes by each of six loads
+_ARRAYS = 7  # arrays of a row: its fields, and their slopes by each of six loads
 _FLOAT_BYTES = 8
 
 
 class NoFieldsError(Exception):
-    """No row gives a deformed surface: none has fields, or those stored are `unusable`."""
+    """No row gives a deformed surface: none has fields, or the stored fields are `unusable`."""
 
     def __init__(
         self, component: Component, why: str, *, unusable: bool = False, rows: Sequence[int] = ()
     ) -> None:
         name = component.name
         solve = f"Solve wrenches that have no row: POST /v1/components/{name}/solve"
-        if rows:  # those whose files are damaged
+        if rows:  # rows whose files are damaged
             numbers = ", ".join(map(str, rows[:10])) + (", ..." if len(rows) > 10 else "")
             text = f"no stored surface of {name!r} can be used: {why} (row {numbers}). For another "
             text += f"DELETE /v1/components/{name}/table/{rows[0]}, then POST /v1/components/{name}"
@@ -72,7 +74,7 @@ class NoFieldsError(Exception):
 
 
 class TooFarError(ValueError):
-    """The wrench is over `FARTHEST` half ranges beyond the load range."""
+    """The wrench is more than `FARTHEST` half ranges beyond the load range."""
 
 
 class DeformedSurfaces:
@@ -102,11 +104,13 @@ class DeformedSurfaces:
     ) -> Deformed:
         """Return the deformed surface under a wrench (6,), N and N·m, from all rows of the table.
 
-        It reads files and may take a second: not for an event loop. `solver` is the solver's error,
-        `at_interface` its error bars at the interface under that wrench (`SolverError.parts`);
-        without them error bars are the interpolation error alone, see `Deformed.parts`. Raises
-        `NoFieldsError` if no row has usable fields, `TooFarError` if a load is over `FARTHEST`
-        half ranges beyond the load range.
+        It reads files and may take a second: do not call it in an event loop. `solver` is the
+        solver's error, `at_interface` its error bars at the interface under that wrench
+        (`SolverError.parts`); without them error bars are the interpolation error alone, see
+        `Deformed.parts`.
+
+        Raises NoFieldsError if no row has usable fields, TooFarError if a load is more than
+        `FARTHEST` half ranges beyond the load range.
         """
         acting = component.acting(np.asarray(wrench, dtype=float))
         loads = component.load_range
@@ -123,7 +127,7 @@ class DeformedSurfaces:
             shape = self._solved(component, rows, acting) or self._between(
                 component, rows, acting, hyperparameters
             )
-        if shape.error is not None:  # coverage stays the table's
+        if shape.error is not None:  # the coverage stays that of the table
             wrench = np.array(shape.wrench)
             parts = error_parts(shape.error, shape.follows, solver, wrench, at_interface)
             limit, total, within = component.tolerance, parts.total, None
@@ -166,7 +170,7 @@ class DeformedSurfaces:
         )
 
     def _solved(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
-        """Return the surface of this wrench's own solve; None if there is none with fields."""
+        """Return the surface of this wrench's own solve; None without a solve that has fields."""
         apart = np.abs(rows.wrench - wrench) / component.load_range.scale
         near = apart.max(axis=1, initial=0.0) <= NEAR
         for place in np.flatnonzero(near & (rows.fingerprint == component.fingerprint)).tolist():
@@ -278,7 +282,7 @@ class DeformedSurfaces:
         if not read:
             why = "those nearest to this wrench are damaged"
             raise NoFieldsError(component, why, rows=near.seq.tolist())
-        digest = read[-1][1].meta["geometry"]  # a mesher of another version makes another mesh
+        digest = read[-1][1].meta["geometry"]  # another version of a mesher makes another mesh
         same_mesh = [(place, row) for place, row in read if row.meta["geometry"] == digest]
         used = near.take([place for place, _ in same_mesh])
         try:
@@ -308,9 +312,9 @@ class BlendedFields(NamedTuple):
     """Interpolated fields at one wrench."""
 
     displacement: Floats  # (v, 3), m
-    error: Floats | None  # (v,), m; None where too few rows give it
+    error: Floats | None  # (v,), m; None with too few rows
     stress: Floats | None  # (p, 6), Pa
-    stress_error: float | None  # Pa, of its largest von Mises stress
+    stress_error: float | None  # Pa, error of the largest von Mises stress
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,10 +328,10 @@ class Blend:
     geometry: SurfaceGeometry
     weights: FieldWeights
     values: Floats
-    rows: tuple[int, ...]  # their numbers
-    largest: float  # m, displacement in any row
-    spread: Floats | None  # (v,), m: of a vertex's error over sigma; None with too few rows
-    factor: float  # of sigma times spread
+    rows: tuple[int, ...]  # numbers (`seq`) of the rows
+    largest: float  # m: largest displacement in any row
+    spread: Floats | None  # (v,), m: ratio of a vertex's error to sigma; None with too few rows
+    factor: float  # factor on sigma times spread
     stress_factor: float | None  # Pa: error bar of the largest von Mises stress over sigma
 
     @classmethod
@@ -353,7 +357,7 @@ class Blend:
         factor = float(conformal_factor(np.quantile(relative, LEVEL, axis=1)[:, None])[0])
         stress_factor = None
         if values.shape[2] > moved:
-            # Of each row left out the predicted largest is compared with its true one.
+            # The predicted largest stress of each left-out row is compared with its true one.
             predicted = values[:, 0, moved:] - errors[:, moved:]
             predicted = von_mises(predicted.reshape(len(rows), -1, 6)).max(axis=1)
             true = np.array([row.meta["largest"] for row in rows])
@@ -375,7 +379,7 @@ class Blend:
     def nearest(self, wrench: Floats) -> tuple[int, Floats]:
         """Return the number of the row nearest to a wrench (6,), N and N·m, and its slopes.
 
-        These are the change of its vertices with the wrench: shape (v, 3, 6), m/N and m/(N·m).
+        The slopes are the change of its vertices with the wrench: shape (v, 3, 6), m/N and m/(N·m).
         """
         apart = (self.weights.wrenches - wrench) / self.weights.load_range.scale
         place = int(np.linalg.norm(apart, axis=1).argmin())

@@ -30,31 +30,34 @@ from numpy.typing import NDArray
 
 from wrenchbook.service.files.durable import write_atomically
 
-GEOMETRY, ROW = "geometry.fields", "row.fields"  # as the solver names them
-FINE, STRESS, SLOPES = 44, 24, 20  # bits
+GEOMETRY, ROW = "geometry.fields", "row.fields"  # the solver's names of both files
+FINE, STRESS, SLOPES = 44, 24, 20  # bits of displacements, stresses and slopes, see above
 MAGIC = b"wrenchbook fields 1\n"
-EXACT = 0  # bits of a column that is stored without rounding
-MAX_BYTES = 1 << 28  # of one column unpacked: no header may ask for all memory
+EXACT = 0  # number of bits that means: stored without rounding
+MAX_BYTES = 1 << 28  # bytes of one unpacked column: no header may request all memory
 _MAX_BITS = 50  # differences of multiples must fit 64 bits, and multiples a float64
-_MAX_BITS_32 = 30  # of multiples whose differences, which take one bit more, fit 32 bits
-_MIN_EXPONENT = -1074  # of a float64
+_MAX_BITS_32 = 30  # bits of multiples whose differences, with one bit more, fit 32 bits
+_MIN_EXPONENT = -1074  # the least exponent of a float64
 
 Array = NDArray[Any]
 
 
 class DamagedFieldsError(Exception):
-    """A file that is not, byte for byte, what was written."""
+    """A file differs from what was written."""
 
 
 class Column(NamedTuple):
-    """An array, shape (n, ...), SI or indices, and the bits that are stored of its numbers."""
+    """An array, shape (n, ...), SI or indices, and the number of stored bits."""
 
     values: Array
     bits: int = EXACT
 
 
 def pack(meta: Mapping[str, Any], columns: Mapping[str, Column]) -> bytes:
-    """Return the file of arrays and of JSON values; raises ValueError unless all are finite."""
+    """Return the file of arrays and of JSON values.
+
+    Raises ValueError unless all numbers are finite.
+    """
     entries, payloads = zip(*(_packed(*item) for item in columns.items()), strict=True)
     body = b"".join(payloads)
     header: dict[str, Any] = {"meta": dict(meta), "columns": entries}
@@ -71,7 +74,7 @@ def read_meta(content: bytes) -> dict[str, Any]:
 def unpack(content: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the header's JSON values, and each array, shape (n, ...), by its name.
 
-    Raises `DamagedFieldsError` if the file is not as it was written.
+    Raises DamagedFieldsError if the file differs from what was written.
     """
     header, start = _header(content)
     body, digest = content[start:], header.pop("digest", None)
@@ -89,7 +92,10 @@ def unpack(content: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
 
 
 def _header(content: bytes) -> tuple[dict[str, Any], int]:
-    """Return a file's header, and the offset of its columns; raises `DamagedFieldsError`."""
+    """Return a file's header, and the offset of its columns.
+
+    Raises DamagedFieldsError if the file has none.
+    """
     start = len(MAGIC) + 4
     if content[: len(MAGIC)] != MAGIC:
         begins = f"begins with {content[:20]!r}" if content else "is empty"
@@ -163,11 +169,11 @@ class SurfaceGeometry(NamedTuple):
 
     vertices: Array  # (v, 3), m
     triangles: Array  # (t, 3)
-    full_vertices: int  # of the surface before it was simplified
+    full_vertices: int  # number of vertices of the surface before it was simplified
     places: Array  # (p, 3), m
     materials: Array  # (p,)
-    regions: tuple[str, ...]  # of the materials
-    digest: str  # of all this: a row's fields belong to the geometry of the same digest
+    regions: tuple[str, ...]  # the materials' regions
+    digest: str  # digest of all this: a row's fields belong to the geometry with the same digest
 
 
 class RowFields(NamedTuple):
@@ -188,7 +194,9 @@ def leave(folder: Path, wrench: tuple[float, ...], fields: Any) -> None:
     """Write the two files into an attempt's folder, each atomically and durably.
 
     `fields` is a `fea.recovery.fields.SolveFields`, not imported: readers of the files import no
-    finite elements. Raises OSError if they cannot be written, ValueError unless all are finite.
+    finite elements.
+
+    Raises OSError if they cannot be written, ValueError unless all numbers are finite.
     """
     names = "vertices", "triangles", "places", "materials"
     geometry = pack(
@@ -223,7 +231,10 @@ def digest_of(geometry: bytes) -> str:
 
 
 def read_geometry(content: bytes) -> SurfaceGeometry:
-    """Return the geometry of a file; raises `DamagedFieldsError` if it is not as written."""
+    """Return the geometry of a file.
+
+    Raises DamagedFieldsError if the file differs from what was written.
+    """
     meta, columns = unpack(content)
     vertices, regions = int(meta["whole_vertices"]), tuple(meta["regions"])
     return SurfaceGeometry(
@@ -232,6 +243,9 @@ def read_geometry(content: bytes) -> SurfaceGeometry:
 
 
 def read_row(content: bytes) -> RowFields:
-    """Return the fields of a row's file; raises `DamagedFieldsError` if it is not as written."""
+    """Return the fields of a row's file.
+
+    Raises DamagedFieldsError if the file differs from what was written.
+    """
     meta, columns = unpack(content)
     return RowFields(**columns, meta=meta)

@@ -25,12 +25,13 @@ from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
 from wrenchbook.surrogate.table.rows import ROUNDING
 
-# Added to a free vertex's error, of the largest discretisation error on the surface: near clamps
-# and edges cells have errors of their own. On six parts 9 of 10 vertices deviate by 3 to 18 % of
-# the largest error from the motion of the interface; without this term 77 to 99 % of vertices are
-# covered, with it 97 % and more (`make bench NAME=surface_error`).
+# Part of the largest discretisation error on the surface that is added to a free vertex's error:
+# near clamps and edges cells have errors of their own. On six parts 9 of 10 vertices deviate by 3
+# to 18 % of the largest error from the motion of the interface; without this term 77 to 99 % of
+# vertices are covered, with it 97 % and more (`make bench NAME=surface_error`).
 LOCAL = 0.1
-# Of the scaled compliance's largest singular value: smaller ones are locked freedoms and roundoff.
+# Part of the scaled compliance's largest singular value: smaller values are locked freedoms and
+# roundoff.
 _SINGULAR = 1e-9
 
 Floats = NDArray[np.float64]
@@ -43,9 +44,9 @@ NOT_FOLLOWED = (
 class ErrorParts(NamedTuple):
     """The parts of the error bars of a surface.
 
-    `by_cause`: ``table``, ``mesh`` and of a linear component ``linearity``, shape (v,), m; None
-    where it is not known.
-    `bases`: ``mesh_basis`` and the like: where an estimate is from, or why there is none.
+    `by_cause`: ``table``, ``mesh`` and of a linear component ``linearity``, shape (v,), m; None if
+    unknown.
+    `bases`: ``mesh_basis`` and so on: the origin of an estimate, or the reason of a missing one.
     """
 
     by_cause: dict[str, Floats | None]
@@ -58,7 +59,7 @@ class ErrorParts(NamedTuple):
 
     @property
     def are_complete(self) -> bool:
-        """Whether the discretisation error is known: else only the interpolation error is."""
+        """Whether the discretisation error is known; otherwise only the interpolation error is."""
         return self.by_cause.get("mesh") is not None
 
     def largest(self) -> dict[str, float | str | None]:
@@ -74,12 +75,12 @@ def vertex_modes(slopes: Floats, compliance: Floats) -> Floats | None:
     """Return the motion of the vertices per motion of the interface, (v, 3, 6), m/m and m/rad.
 
     `slopes`, shape (v, 3, 6), m/N and m/(N·m), are the change of the vertices with the wrench,
-    `compliance`, shape (6, 6), SI, that of the interface. None where the latter is not known.
+    `compliance`, shape (6, 6), SI, that of the interface. None if the compliance is unknown.
     """
     if not np.isfinite(compliance).all():
         return None
     size = np.sqrt(np.abs(np.diagonal(compliance)))
-    unit = 1.0 / np.where(size > 0, size, 1.0)  # a locked freedom's row and column are zero
+    unit = 1.0 / np.where(size > 0, size, 1.0)  # row and column of a locked freedom are zero
     inverse = np.linalg.pinv(compliance * np.outer(unit, unit), rcond=_SINGULAR)
     return slopes @ (inverse * np.outer(unit, unit))
 
@@ -93,11 +94,11 @@ def error_parts(
 ) -> ErrorParts:
     """Return the parts of a surface's error bars under a wrench, shape (6,), N and N·m.
 
-    `interpolation` (v,), m: its error.
+    `interpolation` (v,), m: the interpolation error.
     `modes` (v, 3, 6): those of `vertex_modes`.
-    `solver`: the solver's error; None where it was never estimated.
-    `at_interface`: the solver's error bars of the interface by cause, (6,), m and rad; those of
-    small loads without.
+    `solver`: the solver's error; None if it was never estimated.
+    `at_interface`: the solver's error bars of the interface by cause, (6,), m and rad; by default
+    those of small loads.
     """
     parts: dict[str, Floats | None] = {"table": interpolation, "mesh": None}
     if solver is None:
@@ -118,15 +119,15 @@ def error_parts(
 class LargestStress(NamedTuple):
     """The largest von Mises stress at the solver's integration points.
 
-    `yields` is whether any part yields, and by it which is named: None where it is not known, for
-    lack of a yield strength or because the error bar reaches across it.
+    `yields`: whether any part yields; the point is chosen by it. None if unknown, for lack of a
+    yield strength or because the error bar reaches across it.
     """
 
     largest: float  # Pa
     error: float | None  # Pa, 95 % error bar of the interpolation alone
     at: tuple[float, ...]  # (3,), m: the integration point, undeformed, in the interface frame
-    region: str  # the material there
-    yield_strength: float | None  # Pa; None where its bundle does not have it
+    region: str  # the region of the material there
+    yield_strength: float | None  # Pa; None if its bundle does not state it
     yields: bool | None
 
 
@@ -135,22 +136,23 @@ class Deformed:
     """A deformed surface, in the undeformed interface frame from its point.
 
     `error` is the 95 % error bar of the length of each vertex's error, with the solver's own error
-    as far as it is known (`parts`, None until that is added). `source` is ``row``: a solve of this
-    wrench, ``rows``: interpolated, or ``linear``: six unit fields. `coverage` and `reason` are of
-    the interpolation error alone.
+    if it is known (`parts`, None until it is added). `source` is ``row``: a solve of this wrench,
+    ``rows``: interpolated, or ``linear``: six unit fields. `coverage` and `reason` only refer to
+    the interpolation error.
     """
 
     component: str
     wrench: tuple[float, ...]  # (6,), N and N·m
     geometry: SurfaceGeometry  # undeformed
     displacement: Floats  # (v, 3), m
-    error: Floats | None  # (v,), m; None where not known
+    error: Floats | None  # (v,), m; None if unknown
     stress: LargestStress | None  # None between rows with too many integration points
     source: str
-    rows: tuple[int, ...] = ()  # numbers of those it is made of
+    rows: tuple[int, ...] = ()  # numbers (`seq`) of the rows used
     coverage: str = "covered"  # or thin, outside
     reason: str = ""
-    follows: Floats | None = None  # (v, 3, 6), m/m and m/rad: how vertices follow the interface
+    # (v, 3, 6), m/m and m/rad: motion of vertices by motions of the interface.
+    follows: Floats | None = None
     parts: ErrorParts | None = None
     within_tolerance: bool | None = None  # None without a tolerance or a discretisation error
 
@@ -165,8 +167,8 @@ def largest_stress(
 ) -> LargestStress | None:
     """Return the largest of stresses (p, 6), Pa, or that of the part that yields first.
 
-    With yield strengths the point named is the one nearest to yielding, or furthest past it.
-    `error` is the error bar of the von Mises stress, Pa.
+    With yield strengths the point is the one nearest to yielding, or farthest past it. `error` is
+    the error bar of the von Mises stress, Pa.
     """
     if not len(stress):
         return None
@@ -191,7 +193,7 @@ def stress_of_row(component: Component, row: RowFields) -> LargestStress:
 def _with_yield_strength(
     component: Component, largest: float, error: float | None, at: tuple[float, ...], region: str
 ) -> LargestStress:
-    """Return a stress with its region's yield strength, and whether it exceeds that."""
+    """Return a stress with its region's yield strength, and whether the stress exceeds it."""
     strength = component.yield_strengths.get(region)
     yields = None
     if strength is not None and error is not None and abs(largest - strength) > error:

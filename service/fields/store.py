@@ -1,9 +1,8 @@
 """The fields of solved rows in a folder: ``<component>/<fingerprint>/<wrench's digest>.fields``.
 
-A row's file is found by its wrench, not by its number: a row that was exported and imported again,
-or withdrawn and restored, has its fields all the same. A linear component has one file, whose six
-unit fields are the whole answer. Nothing else is needed to answer: a file that is missing or
-damaged is a row without fields.
+A row's file is found by its wrench, not by its number, so that a row that was exported and imported
+again, or withdrawn and restored, still has its fields. A linear component has one file, whose six
+unit fields are the complete answer. A row whose file is missing or damaged is a row without fields.
 """
 
 from __future__ import annotations
@@ -30,10 +29,10 @@ from wrenchbook.service.fields.record import (
 )
 from wrenchbook.service.files.durable import sync
 
-# Of one component: some thousand rows of 1,000 vertices. Later rows have no fields.
+# Bytes of one component: some thousand rows of 1,000 vertices. Later rows have no fields.
 MOST_BYTES = 1 << 30
 _LINEAR = "linear"
-_HEADER_BYTES = 1 << 20  # read for a file's header, which is far shorter
+_HEADER_BYTES = 1 << 20  # bytes read for a file's header, which is far shorter
 
 _log = logging.getLogger(__name__)
 
@@ -51,9 +50,12 @@ class FieldStore:
     def take(
         self, attempt: Path, component: str, fingerprint: str, wrench: Sequence[float]
     ) -> bool:
-        """Move a solver's files from an attempt's folder into the store; return whether it could.
+        """Move a solver's files from an attempt's folder into the store.
 
-        Never raises: without files, on a full disk or beyond `most_bytes` the row has no fields.
+        Return whether it succeeded.
+
+        It raises no error: without files, on a full disk or beyond `most_bytes` the row has no
+        fields.
         """
         row, geometry = attempt / ROW, attempt / GEOMETRY
         try:
@@ -64,7 +66,8 @@ class FieldStore:
             place = self._place(component, fingerprint)
             place.mkdir(parents=True, exist_ok=True)
             size = row.stat().st_size + geometry.stat().st_size
-            if self._bytes_of(component) + size > self._most_bytes:  # older set-ups make room
+            # Files of older setups are deleted.
+            if self._bytes_of(component) + size > self._most_bytes:
                 for old in self._folder.joinpath(component).iterdir():
                     if old.name != fingerprint:
                         shutil.rmtree(old, ignore_errors=True)
@@ -82,7 +85,7 @@ class FieldStore:
     def has(
         self, component: str, fingerprint: str, wrenches: Sequence[Sequence[float]]
     ) -> list[int]:
-        """Return the indices of those wrenches, each six numbers, N and N·m, that have fields."""
+        """Return the indices of wrenches, each six numbers, N and N·m, that have fields."""
         try:
             names = {path.name for path in self._place(component, fingerprint).iterdir()}
         except FileNotFoundError:
@@ -92,7 +95,7 @@ class FieldStore:
     def row(self, component: str, fingerprint: str, wrench: Sequence[float]) -> RowFields:
         """Return the fields of one row.
 
-        Raises `DamagedFieldsError` if the file is damaged, or gone, or of another wrench.
+        Raises DamagedFieldsError if the file is damaged, missing, or of another wrench.
         """
         key = key_of(wrench)
         row = self._read(self._place(component, fingerprint) / f"{key}.fields")
@@ -106,13 +109,16 @@ class FieldStore:
     def linear(self, component: str, fingerprint: str) -> RowFields | None:
         """Return the six unit fields of a linear component; None before its first solve.
 
-        Raises `DamagedFieldsError` if the file is not as it was written.
+        Raises DamagedFieldsError if the file differs from what was written.
         """
         path = self._place(component, fingerprint) / f"{_LINEAR}.fields"
         return self._read(path) if path.exists() else None
 
     def geometry(self, component: str, fingerprint: str, digest: str) -> SurfaceGeometry:
-        """Return the geometry of a row's fields; raises `DamagedFieldsError` without."""
+        """Return the geometry of a row's fields.
+
+        Raises DamagedFieldsError if it is missing or damaged.
+        """
         path = self._place(component, fingerprint) / f"{digest}.geometry"
         geometry = read_geometry(_content(path))
         if geometry.digest != digest:
@@ -120,7 +126,7 @@ class FieldStore:
         return geometry
 
     def _read(self, path: Path) -> RowFields:
-        """Return the fields in a file; the error of a damaged one names it."""
+        """Return the fields in a file; the error of a damaged file names it."""
         try:
             return read_row(_content(path))
         except DamagedFieldsError as error:
@@ -145,6 +151,10 @@ def key_of(wrench: Sequence[float]) -> str:
 
 
 def _content(path: Path) -> bytes:
+    """Return a file's bytes.
+
+    Raises DamagedFieldsError if it cannot be read.
+    """
     try:
         return path.read_bytes()
     except OSError as error:

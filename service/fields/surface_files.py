@@ -13,8 +13,8 @@ from wrenchbook.service.fields.shape import Deformed
 
 GLTF_MEDIA_TYPE = "model/gltf-binary"
 
-_FLOAT, _UNSIGNED = 5126, 5125  # componentType
-_VERTICES, _INDICES = 34962, 34963  # target of a bufferView
+_FLOAT, _UNSIGNED = 5126, 5125  # values of componentType
+_VERTICES, _INDICES = 34962, 34963  # values of a bufferView's target
 _Z_UP_TO_Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # quaternion: minus a quarter turn about x
 _MATERIAL = {
     "doubleSided": True,
@@ -30,8 +30,8 @@ def write_gltf(shape: Deformed) -> bytes:
     """Return the .glb file of a deformed surface: the undeformed mesh, and a morph target.
 
     The mesh is in the interface frame, in metres; its node rotates z up to y up, which is glTF's.
-    Numbers are float32, so right to 1e-7. Weight 1 of the morph target shows the deformed part, 0
-    the undeformed one, 100 a hundredfold exaggeration.
+    Numbers are float32, with an accuracy of 1e-7. Weight 1 of the morph target shows the deformed
+    part, 0 the undeformed one, 100 a hundredfold exaggeration.
 
     The error of each vertex, m, is the attribute ``_ERROR``, if it is known; the wrench, the
     coverage, the largest of each part of those errors, ``within_tolerance`` and the largest stress
@@ -55,7 +55,7 @@ def write_gltf(shape: Deformed) -> bytes:
             "min": columns.min(axis=0).tolist(),
             "max": columns.max(axis=0).tolist(),
         }
-        content.extend(numbers.tobytes())  # all are multiples of four bytes
+        content.extend(numbers.tobytes())  # all lengths are multiples of four bytes
         views.append(view | {"target": target})
         accessors.append(accessor)
         return len(accessors) - 1
@@ -106,8 +106,8 @@ _TYPES = {"<f8": "Float64", "<i8": "Int64", "|u1": "UInt8"}
 def write_vtu(shape: Deformed) -> bytes:
     """Return the .vtu file: undeformed triangles, in metres, with displacement and error.
 
-    Numbers are float64, as they are. Next to ``error`` are the parts it is the sum of, as
-    ``error_table``, ``error_mesh`` and ``error_linearity``; one that is not known is left out.
+    Numbers are unrounded float64. Beside ``error`` are its parts ``error_table``, ``error_mesh``
+    and ``error_linearity``, if they are known.
     """
     triangles = shape.geometry.triangles.astype("<i8")
     fields = {"displacement": shape.displacement, "error": shape.error}

@@ -27,9 +27,9 @@ def sync_tree(folder: Path) -> None:
 def write_atomically(
     path: Path, content: bytes, *, durable: bool = True, mode: int = 0o666
 ) -> None:
-    """Write a file such that readers see all of it, or what was there before.
+    """Write a file such that readers see its complete content, or the earlier content.
 
-    Unless `durable` is false it is on disk for good when this returns.
+    Unless `durable` is false, the content survives a power failure once this returns.
     """
     partial = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}")
     try:

@@ -1,7 +1,7 @@
-"""Locks that the kernel drops when their holder dies, whatever killed it.
+"""Locks that the kernel releases when their holder ends, for any reason.
 
-A lock belongs to an open file, not to a pid: it passes to a child that inherits the file and
-is gone when the last holder is, so a reused pid can never look alive.
+A lock belongs to an open file, not to a pid: it passes to a child that inherits the file and is
+gone with the last holder, so that a reused pid is never taken for the holder.
 """
 
 import fcntl
@@ -9,13 +9,13 @@ import os
 import time
 from pathlib import Path
 
-# How long `take` tolerates the short shared lock that `is_locked` tests with.
+# Time for which `take` waits for the short shared lock of `is_locked`, s.
 _PATIENCE_SECONDS = 0.5
 
 
 def take(path: Path, patience_s: float = _PATIENCE_SECONDS) -> int | None:
-    """Lock the file (made if there is none) and return its descriptor; None if it is locked."""
-    # Whoever may read a file may lock it, and so keep others from it.
+    """Lock the file (made if missing) and return its descriptor; None if it is locked."""
+    # Every process that may read a file may lock it, and so block others.
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     deadline = time.monotonic() + patience_s
     while True:

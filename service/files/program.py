@@ -20,9 +20,9 @@ def child_command(module: str, *arguments: str) -> list[str]:
 
 
 def run_child(module: str, *arguments: str) -> int:
-    """Run a module in a process of its own, which a SIGTERM of this one ends too.
+    """Run a module in a child process, which a SIGTERM of this process ends too.
 
-    Returns its exit status. For a program that does nothing else meanwhile.
+    Returns its exit status. This process must have no other work meanwhile.
     """
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     return subprocess.run(child_command(module, *arguments), check=False).returncode
@@ -64,16 +64,16 @@ def code_digest(*folders: str) -> str:
 
 
 _ARENA_MAX = -8  # M_ARENA_MAX of glibc's malloc.h
-# Each thread has a heap of its own otherwise, of 64 MiB of address space: the forty of a server
-# take 1.3 GB, 0.4 GB with few, and where addresses are limited no thread could be started.
+# Otherwise each thread has its own heap of 64 MiB of address space: the forty of a server take 1.3
+# GB, 0.4 GB with few, and with limited address space no thread could start.
 MAX_HEAPS = 4
 
 
 def give_back() -> None:
     """Return freed memory to the system where the C library can (glibc); else do nothing.
 
-    What reading a large file has used is scattered over the threads' heaps, and stays this
-    process' own until then: 60 MB after a CSV of 100,000 rows.
+    Memory from reading a large file is scattered over the threads' heaps, and stays allocated until
+    this call: 60 MB after a CSV of 100,000 rows.
     """
     with suppress(OSError, AttributeError):  # another C library
         ctypes.CDLL(None).malloc_trim(0)

@@ -1,4 +1,4 @@
-"""Redaction: replies name no path of this machine."""
+"""Redaction: replies contain no path of this machine."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-# First parts of the service's own paths, which are no folders of the machine.
+# First parts of the service's own URL paths, which are no folders of the machine.
 _OURS: Final = frozenset({"v1", "health", "metrics", "umbridge", "docs", "openapi.json"})
-# Of files that the service and its solvers read and write.
+# Endings of files that the service and its solvers read and write.
 _SUFFIXES: Final = (
     "csv|dat|db|fmu|frd|gz|h5|hdf5|inp|json|log|lvm|mat|msh|npz|parquet|py|step|stp|tdms|toml|txt|"
     "wbt|xls|xlsx|zip"
 )
 _TRACEBACK: Final = re.compile(
-    # Up to the line of the exception, or the end of a text that was cut.
+    # Up to the line of the exception, or to the end of a text that was cut.
     r"Traceback \(most recent call last\):.*?(?=^\S(?!raceback)|\Z)",
     re.MULTILINE | re.DOTALL,
 )
@@ -24,7 +24,7 @@ _TRACEBACK: Final = re.compile(
 def redact(text: str) -> str:
     """Return a text with absolute paths cut to their last names, and no traceback.
 
-    Only what begins with a folder that this machine has is taken for a path; ``N/m`` and
+    Only a text that begins with a folder of this machine counts as a path; ``N/m`` and
     ``/v1/jobs/3`` stay. A path with spaces is cut if it is quoted, or ends with one of `_SUFFIXES`.
     """
     if "/" not in text:
@@ -36,7 +36,7 @@ def redact(text: str) -> str:
 
 
 def redact_values(value: Any) -> Any:
-    """Return JSON's values with all their texts made `redact`."""
+    """Return JSON values with `redact` applied to all texts."""
     if isinstance(value, str):
         return redact(value)
     if isinstance(value, dict):
@@ -46,12 +46,12 @@ def redact_values(value: Any) -> Any:
 
 @cache
 def _path_patterns() -> tuple[re.Pattern[str], ...]:
-    """Return patterns of paths, whose group ``name`` is the last name: the most certain first."""
+    """Return patterns of paths, the most certain first; the group ``name`` is the last name."""
     names = {path.name for path in Path("/").iterdir() if path.is_dir()} - _OURS
     roots = "|".join(sorted(map(re.escape, names))) or "tmp"
     root = rf"(?<![\w.:/-])/(?:{roots})(?=/)"
     plain, spaced = r"[^/\s'\"<>|:;,()]*", r"[^/\n'\"<>|:;,]*"
-    # The space before a slash is between two paths, not within one. The count of folders is limited
+    # A space before a slash is between two paths, not within one. The number of folders is limited,
     # since each start of a text without a suffix would read on to the text's end.
     folder = rf"/(?! ){spaced}(?<! )"
     return (

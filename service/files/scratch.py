@@ -1,6 +1,7 @@
-"""A folder for the temporary files of a process, which does not outlive it for long.
+"""A folder for the temporary files of a process, removed after its end.
 
-A process that is killed removes nothing: its lock is free then, and the next process removes all.
+A killed process removes nothing, but its lock is free then, and the next process removes its
+folder.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ PREFIX: Final = "wrenchbook-web-"
 def take_scratch() -> Path:
     """Return a new folder that `tempfile` uses from now on, locked until this process ends.
 
-    Folders of processes that have ended are removed. The lock is on the folder itself: services
-    that remove old files (systemd-tmpfiles) leave such folders alone.
+    Folders of ended processes are removed. The lock is on the folder itself: services that remove
+    old files (systemd-tmpfiles) leave such folders alone.
     """
     parent = Path(tempfile.gettempdir())
     for folder in parent.glob(f"{PREFIX}*"):
-        with suppress(OSError):  # another user's, or removed meanwhile
+        with suppress(OSError):  # another user's folder, or removed meanwhile
             if not is_locked(folder):
                 shutil.rmtree(folder, ignore_errors=True)
     draft = Path(tempfile.mkdtemp(prefix=f".{PREFIX}"))

@@ -24,7 +24,7 @@ from wrenchbook.surrogate.kernel import build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.table.space import DEFAULT, Space
 
-# The kernel's sources and headers that an FMU has: no FMU has a joint.
+# The kernel's sources and headers in an FMU: no FMU has a joint.
 _KERNEL = sorted(path for path in build.sources() if path.name != "wb_joint.c")
 SOURCES = (
     "fmu_instance.c",
@@ -56,8 +56,8 @@ _WITHIN = (
     "error included, 0 if not, -1 where that is not known"
 )
 _INTEGERS = ("coverage", "within_tolerance")  # variables of FMI's type Integer
-_STEPS = {"canHandleVariableCommunicationStepSize": "true"}  # of co-simulation only
-_GUID_ENDS = (0, 8, 12, 16, 20, 32)  # of its groups among 32 hexadecimal digits
+_STEPS = {"canHandleVariableCommunicationStepSize": "true"}  # attribute of co-simulation only
+_GUID_ENDS = (0, 8, 12, 16, 20, 32)  # ends of its groups among 32 hexadecimal digits
 _TOLERANCE = "largest error bar of a covered answer; 0: the component's own. Give both or none"
 
 
@@ -105,8 +105,8 @@ def describe(component: str, guid: str, tool: str, summary: str, space: Space = 
         ElementTree.SubElement(categories, "Category", name=name)
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1")
     _add_variables(ElementTree.SubElement(root, "ModelVariables"), space)
-    # Each output depends on all inputs, without delay. Variables count from 1 in the order of
-    # `_add_variables`: two tolerances stand between coverage and within_tolerance.
+    # Each output depends on all inputs, without delay. Variables are numbered from 1 in the order
+    # of `_add_variables`: two tolerances are between coverage and within_tolerance.
     structure = ElementTree.SubElement(root, "ModelStructure")
     first = len(space.inputs) + 1
     coverage = first + 2 * len(space.outputs)
@@ -120,7 +120,7 @@ def describe(component: str, guid: str, tool: str, summary: str, space: Space = 
 
 
 def _unit(text: str) -> str:
-    """Return a unit of a table's space as FMI spells it: ``N.m``, ``m/s2``."""
+    """Return a unit of a table's space in FMI's spelling: ``N.m``, ``m/s2``."""
     return text.replace("·", ".").replace("²", "2")
 
 
@@ -129,7 +129,8 @@ def _add_variables(root: ElementTree.Element, space: Space) -> None:
     for load in space.inputs:
         unit, kind = _unit(load.unit), "input" if load.kind == "scalar" else "load"
         point = f", about {MOMENT_POINT}" if load.kind == "moment" else ""
-        only = not load.interface and load.kind != "scalar"  # of the only interface: Fx to Mz
+        # The loads of a single interface are Fx to Mz.
+        only = not load.interface and load.kind != "scalar"
         name = load.name.capitalize() if only else load.name
         start = {"unit": unit, "start": f"{load.zero:.17g}"}
         _add(root, name, "input", f"{kind}, {unit}{point}", start)
@@ -163,11 +164,12 @@ def _add(
     ElementTree.SubElement(variable, "Integer" if name in _INTEGERS else "Real", attributes)
 
 
-# The kernel's, so that an FMU's answers are the same to the last bit.
+# The kernel's flags, so that an FMU's answers are the same to the last bit.
 FLAGS = tuple(flag for flag in build.FLAGS if flag != "-DWB_SHARED")
-OPTIONS = " ".join(flag for flag in FLAGS if flag.startswith(("-O", "-f")))  # for a CMakeLists.txt
-# Folders of binaries: the ending, and the keys of `build.PLATFORMS` whose code each file holds.
-# FMI 2.0 has one name for both processors of macOS, and none for arm64 Linux: that is FMI 3.0's.
+# Options for a CMakeLists.txt.
+OPTIONS = " ".join(flag for flag in FLAGS if flag.startswith(("-O", "-f")))
+# Folders of binaries: the ending, and the keys of `build.PLATFORMS` whose code each file has. FMI
+# 2.0 has one name for both processors of macOS, and none for arm64 Linux, which has FMI 3.0's.
 PLATFORMS = {
     "linux64": (".so", ("manylinux_2_28_x86_64",)),
     "aarch64-linux": (".so", ("manylinux_2_28_aarch64",)),
@@ -180,11 +182,11 @@ _MACHINES = {
     ("Darwin", "x86_64"): "darwin64",
     ("Darwin", "arm64"): "darwin64",
 }
-_FAT_MAGIC = 0xCAFEBABE  # of a universal Mach-O; its header is big-endian (mach-o/fat.h)
+_FAT_MAGIC = 0xCAFEBABE  # mark of a universal Mach-O; its header is big-endian (mach-o/fat.h)
 _FAT_ALIGNMENT = 14  # slices begin at multiples of 2^14 bytes, the page of arm64 macOS
 _HEADERS = ("fmu.h", "fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
-LIBRARY_FILES = Path(__file__).parent / "cmake"  # of the C library: example, CMakeLists.txt
-_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest a zip holds: the same table gives the same file
+LIBRARY_FILES = Path(__file__).parent / "cmake"  # files of the C library: example, CMakeLists.txt
+_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest date of a zip: the same table gives the same file
 _CMAKE = """\
 # Build the FMU's binary where the exporting machine had no compiler, or for another platform:
 #   cmake -S sources -B build && cmake --build build
@@ -201,11 +203,11 @@ endif()
 
 
 class UnknownPlatformError(ValueError):
-    """A platform that FMUs have no binary for; the message lists those there are."""
+    """A platform without a binary for FMUs; the message lists the known ones."""
 
 
 class NotExportableError(ValueError):
-    """A table that no FMU can hold; the message has the reason and the remedy."""
+    """A table that cannot be an FMU; the message has the reason and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -213,15 +215,16 @@ class Fmu:
     """An FMU."""
 
     content: bytes  # the zip file
-    platforms: tuple[str, ...]  # of its binaries, of `PLATFORMS`; empty if it holds sources only
-    method: str  # of `METHODS`, or several with commas: those of its groups of outputs
+    # Platforms of its binaries, of `PLATFORMS`; empty if it only has sources.
+    platforms: tuple[str, ...]
+    method: str  # a method of `METHODS`, or those of its groups of outputs, separated by commas
 
 
 def platforms_of(text: str) -> tuple[str, ...]:
-    """Return the platforms that a list names: ``all``, or names of `PLATFORMS` with commas.
+    """Return the platforms in a list: ``all``, or names of `PLATFORMS` with commas.
 
-    UnknownPlatformError if there is no such platform; KernelBuildError if ziglang, which compiles
-    for them, is not installed.
+    Raises UnknownPlatformError if there is no such platform, and KernelBuildError if ziglang, which
+    compiles for them, is not installed.
     """
     names = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
     names = tuple(PLATFORMS) if names == ("all",) else names
@@ -231,7 +234,8 @@ def platforms_of(text: str) -> tuple[str, ...]:
             f"platforms must be all or some of {', '.join(PLATFORMS)}, not "
             f"{', '.join(map(repr, unknown))}"
         )
-    build.compiler_command(next(iter(build.PLATFORMS.values())))  # any: one compiler makes all
+    # Any platform: one compiler serves all.
+    build.compiler_command(next(iter(build.PLATFORMS.values())))
     return names
 
 
@@ -241,6 +245,7 @@ def make_fmu(
     """Return the FMU of a component's table, which answers by its default method or another.
 
     platforms: names of `PLATFORMS`, compiled by ziglang; empty for this machine by its compiler.
+
     Raises UnknownMethodError if the table does not answer by the method, NotExportableError if it
     has no rows within its load range, and KernelBuildError if the compiler fails, or platforms are
     named and ziglang is missing.
@@ -259,14 +264,15 @@ def make_fmu(
             f"all rows of the table of {component} are outside its load range; run wrenchbook fill "
             f"{component}, or import rows within the range, then export it"
         )
-    table.answer(table.space.zero.tolist(), None, method)  # raises if it cannot by this method
+    table.answer(table.space.zero.tolist(), None, method)  # raises if the table has no such method
     methods = ", ".join(dict.fromkeys(method or group["method"] for group in table.meta["groups"]))
     provenance, space, identifier = table.meta["provenance"], table.space, identifier_of(component)
     summary = f"table version {provenance['version']}, {provenance['rows']} rows, method {methods}"
     zeros = " ".join(f"{load.zero:.17g}" for load in space.inputs)
-    method_index = -1 if method is None else METHODS.index(method)  # -1: of each group
+    method_index = -1 if method is None else METHODS.index(method)  # -1: the default of each group
 
-    # The GUID is a digest of all that decides the answers: the same table has the same GUID.
+    # The GUID is a digest of everything on which the answers depend: the same table has the same
+    # GUID.
     header = f"{component}\0{method_index}\0".encode()
     digest = hashlib.blake2b(header + table.content, digest_size=16).hexdigest()
     guid = "{" + "-".join(digest[a:b] for a, b in pairwise(_GUID_ENDS)) + "}"
@@ -289,7 +295,7 @@ def make_fmu(
 
 
 def _binaries(platforms: Sequence[str]) -> dict[str, bytes]:
-    """Return the library of each platform; without names that of this machine, if it compiles."""
+    """Return the library of each platform; by default that of this machine, if it compiles."""
     targets = {name: PLATFORMS[name][1] for name in platforms}
     if not platforms:
         machine = _MACHINES.get((platform.system(), platform.machine()))
@@ -315,7 +321,7 @@ def universal(slices: Sequence[bytes]) -> bytes:
 
 
 def _source_paths() -> list[Path]:
-    """Return the files that an FMU is compiled from: C sources and headers."""
+    """Return the files from which an FMU is compiled: C sources and headers."""
     folder = Path(__file__).parent / "c"
     sources = [name for name in SOURCES if name.startswith("fmu_")]
     return [*(folder / name for name in (*sources, *_HEADERS)), *_KERNEL]
@@ -343,7 +349,7 @@ def zipped(parts: dict[str, bytes]) -> bytes:
 def make_library(component: str, table: PackedTable) -> bytes:
     """Return a zip of a table and the C library that answers from it; it needs no Python."""
     space = table.space
-    # One newton or newton metre each; temperatures and the like have no effect.
+    # One newton or newton metre each; further inputs at their value without an effect.
     loads = [f"{load.zero if load.kind == 'scalar' else 1:g}" for load in space.inputs]
     texts = {
         "@NAME@": component,

@@ -1,8 +1,8 @@
 """Cells and units: numbers with a decimal mark, times of logs, texts, and factors to SI.
 
-Pint knows the units. This module decides which spellings reach it, because pint misreads three:
+Pint knows the units. This module decides which spellings reach pint, because it misreads three:
 ``Nm`` is a textile count (hgrecco/pint issue 817), ``N-m`` a subtraction, ``mil`` an angle. Only
-products of letters pass, so a header can hold no arithmetic either.
+products of letters pass, so that a header cannot contain arithmetic either.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from typing import Any
 
 import numpy as np
 
-MAX_TEXT = 131_072  # characters of one text: as the csv module
-_QUOTED = 40  # characters of a cell in a message
+MAX_TEXT = 131_072  # characters of one text: the limit of the csv module
+_QUOTED = 40  # characters of a cell in a message: longer ones are cut
 NO_VALUE = "#NO VALUE: "
 """Stands before the place of a formula that a program wrote without its value."""
 
 
 class Digits(str):
-    """A number that its file stores as one: its decimal mark is a point whatever texts use."""
+    """A number that its file stores as a number: its decimal mark is a point in any file."""
 
     __slots__ = ()
 
 
 # Formats of loggers in addition to ISO 8601. Day and month may be swapped: only differences count,
-# and a log rarely runs over midnight.
+# and a log rarely includes midnight.
 _CLOCK_FORMATS = (
     "%H:%M:%S.%f",
     "%H:%M:%S",
@@ -46,8 +46,8 @@ _CLOCK_FORMATS = (
     "%b %d, %Y %I:%M:%S.%f %p",
     "%b %d, %Y %I:%M:%S %p",
 )
-# A spreadsheet runs a text that begins with one of these signs as a formula (OWASP, CSV injection).
-# The wide forms count: spreadsheets with East Asian input convert them.
+# A spreadsheet executes a text that begins with one of these signs as a formula (OWASP, CSV
+# injection). The wide forms count too: spreadsheets with East Asian input convert them.
 _FORMULA = re.compile(r"'*\s*[=+\-@\t\r\n|%＝＋－＠]")
 _GUARDED = re.compile(r"''*\s*[=+\-@\t\r\n|%＝＋－＠]")
 # 1.234 is 1.234 with a decimal point and 1234 with a point between thousands.
@@ -58,14 +58,14 @@ _GROUPED = re.compile(
     r"(?:(?!(?P=gap))(?P<mark>[.,])\d*)?"
 )
 _DECIMAL_MARK = re.compile(r"[+-]?\d*([.,])\d*(?:[eE][+-]?\d+)?")
-_ROUNDING = 3e-16  # of a number: what its 15 digits may differ by, under three roundings
+_ROUNDING = 3e-16  # part of a number: error of its 15 digits after three roundings
 
 
 def number_text(cell: str, comma: bool, declared: bool = False) -> str | None:
-    """Return a cell's number as `float` reads it, None if it is none with this decimal mark.
+    """Return a cell's number for `float`, None if it is no number with this decimal mark.
 
-    `comma`: the decimal mark is a comma. `declared`: the sender says which it is, so that with a
-    point 1,234 is 1234.
+    `comma`: the decimal mark is a comma. `declared`: the sender has stated the mark, so that 1,234
+    with a point is 1234.
     """
     grouped, mark = _GROUPED.fullmatch(cell), "," if comma else "."
     # 915.009 has the form of thousands, and the point is the decimal mark.
@@ -75,7 +75,7 @@ def number_text(cell: str, comma: bool, declared: bool = False) -> str | None:
         if grouped["gap"] == mark or grouped["mark"] not in (None, mark):
             return None
         cell = cell.replace(grouped["gap"], "")
-    # Python alone reads 1_000 and digits of other scripts. In a file with decimal commas, 1.234
+    # Python alone accepts 1_000 and digits of other scripts. In a file with decimal commas, 1.234
     # may mean 1234.
     if "_" in cell or not cell.strip().isascii() or (comma and "." in cell):
         return None
@@ -93,7 +93,10 @@ def is_number(cell: str) -> bool:
 
 
 def decimal_mark(cell: str) -> str | None:
-    """Return the mark, ``.`` or ``,``, that can only be a number's decimal one; None if none is."""
+    """Return the mark, ``.`` or ``,``, if it can only be a number's decimal mark.
+
+    None otherwise.
+    """
     if grouped := _GROUPED.fullmatch(cell):
         other = {".": ",", ",": "."}.get(grouped["gap"]) if grouped["more"] else None
         return grouped["mark"] or other
@@ -108,7 +111,7 @@ def quoted(cell: str) -> str:
 
 
 def number_problem(cell: str, comma: bool) -> str:
-    """Return why a cell is no finite number, and what to write."""
+    """Return the reason for which a cell is no finite number, and the remedy."""
     if not cell:
         return "is empty; write 0 for no load, or leave the row out"
     if cell.lower().lstrip("+-") in ("nan", "inf", "infinity"):
@@ -153,7 +156,7 @@ def time_seconds(cell: str, comma: bool, factor: float | None) -> float:
 
 
 def guard_formula(text: str) -> str:
-    """Return the text with a ``'`` before it if a spreadsheet or an import would change it."""
+    """Return the text, with a ``'`` before it if a spreadsheet or an import would change it."""
     return f"'{text}" if _FORMULA.match(text) else text
 
 
@@ -163,7 +166,7 @@ def unguard_formula(text: str) -> str:
 
 
 def text_problem(text: str) -> str | None:
-    """Return why the ledger and the table store cannot keep a text; None if they can."""
+    """Return the reason for which ledger and table store cannot keep a text; None if they can."""
     if "\0" in text:
         return "contains a zero byte; remove it"
     try:
@@ -174,7 +177,10 @@ def text_problem(text: str) -> str | None:
 
 
 def cell_text(value: Any, label: str) -> str:
-    """Return a stored value of a column as the text of a cell, empty for none; ContentError."""
+    """Return a stored value of a column as the text of a cell, empty for none.
+
+    Raises ContentError if the value has no text.
+    """
     if value is None or value != value:
         return ""
     if isinstance(value, Decimal):
@@ -187,11 +193,11 @@ def cell_text(value: Any, label: str) -> str:
 
 
 class ContentError(ValueError):
-    """The file is no table that can be read; the message is complete, with the remedy."""
+    """The file is no readable table; the message is complete, with the remedy."""
 
 
 class UnitError(ValueError):
-    """A unit is unknown or measures another quantity; the message has the remedy."""
+    """A unit is unknown or of another quantity; the message has the remedy."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +205,7 @@ class Quantity:
     """A physical quantity: its name, the unit of arrays, units that messages offer.
 
     A further input has its spellings as the name of a column, and the factor and the zero of each
-    unit in that of arrays: 1 and 273.15 of degC in K.
+    unit relative to the unit of arrays: 1 and 273.15 for degC in K.
     """
 
     name: str
@@ -216,7 +222,7 @@ ROTATION = Quantity("rotation", "rad", ("rad", "mrad", "deg"))
 TIME = Quantity("time", "s", ("s", "ms", "us"))
 QUANTITIES = (FORCE, MOMENT, TRANSLATION, ROTATION)  # an export has a unit for each
 
-# Units of further inputs, which pint reads as others or not at all: factor and zero.
+# Units of further inputs that pint misreads or does not know: factor and zero.
 _SCALES = {
     "temperature": (
         *((unit, 1.0, 273.15) for unit in ("degC", "°C", "C", "celsius")),
@@ -249,7 +255,10 @@ _PINT = Context(prec=50)  # pi as pint writes it
 
 @cache
 def si_factor(unit: str, quantity: Quantity) -> float:
-    """Return the factor from a unit such as `lbf` or `N*mm` to that of arrays; UnitError."""
+    """Return the factor from a unit such as `lbf` or `N*mm` to that of arrays.
+
+    Raises UnitError if the unit is unknown or of another quantity.
+    """
     parts = _parts(unit)
     if quantity.scales:
         known = next((factor for name, factor, _ in quantity.scales if name == unit), None)
@@ -262,7 +271,7 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     parsed, si = _parsed("*".join(parts)), _parsed(quantity.si)
     if parsed is None:
         raise UnitError(f"the unit [{unit}] is not known; {_offer(quantity, unit)}")
-    # Pint's root units keep the radian, so that a percent is not taken for an angle.
+    # Pint's root units keep the radian, so that a percent does not count as an angle.
     if parsed.units != si.units:
         raise UnitError(f"[{unit}] is not a unit of {quantity.name}; {_offer(quantity, unit)}")
     return float(_PINT.divide(parsed.magnitude, si.magnitude))
@@ -270,7 +279,7 @@ def si_factor(unit: str, quantity: Quantity) -> float:
 
 @cache
 def further_quantity(name: str, unit: str) -> Quantity:
-    """Return the quantity of an input that is no load, whose arrays are in `unit`."""
+    """Return the quantity of a further input, whose arrays are in `unit`."""
     for kind, scales in _SCALES.items():
         unit_zero = next((zero for scale, _, zero in scales if scale == unit), None)
         if unit_zero is not None:
@@ -282,7 +291,10 @@ def further_quantity(name: str, unit: str) -> Quantity:
 
 
 def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, float]]:
-    """Return the unit of each quantity in an export, else SI, and its factor; UnitError."""
+    """Return the unit of each quantity in an export, else SI, and its factor.
+
+    Raises UnitError if a unit is unknown or of another quantity.
+    """
     others = dict(units or {})
     chosen: dict[Quantity, tuple[str, float]] = {}
     for quantity in QUANTITIES:
@@ -295,7 +307,7 @@ def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, f
 
 
 def _parts(unit: str) -> list[str] | None:
-    """Return the factors of a unit; None if it holds more than letters."""
+    """Return the factors of a unit; None if it contains more than letters."""
     parts: list[str] = []
     for word in _PRODUCT.split(unit.strip()):
         if not _WORD.fullmatch(word):
@@ -306,7 +318,7 @@ def _parts(unit: str) -> list[str] | None:
 
 
 def _offer(quantity: Quantity, unit: str) -> str:
-    """Return advice on what to write instead of `unit`."""
+    """Return advice on a replacement of `unit`."""
     for word in _parts(unit) or []:
         if word.lower() in _HINTS:
             return _HINTS[word.lower()]
@@ -323,14 +335,14 @@ def _parsed(text: str) -> Any:
     try:
         with localcontext(_PINT):
             return registry.Quantity(Decimal(1), registry.parse_units(text)).to_root_units()
-    # Pint raises AssertionError, TypeError, TokenError and its own errors on unknown text.
+    # Pint raises AssertionError, TypeError, TokenError and its own errors for unknown texts.
     except Exception:
         return None
 
 
 @cache
 def _registry() -> Any:
-    # Imported on first use: 0.3 s.
+    # Imported on first use, as it takes 0.3 s.
     import pint
 
     with localcontext(_PINT):
@@ -339,7 +351,7 @@ def _registry() -> Any:
 
 
 def scaled(values: np.ndarray, factor: float) -> np.ndarray:
-    """Return numbers (n,) times a factor; divided, and so rounded once, if it is 1/integer."""
+    """Return numbers (n,) times a factor; if it is 1/integer, divided, which rounds once."""
     inverse = float(round(1.0 / factor))
     return values / inverse if inverse and 1.0 / inverse == factor else values * factor
 

@@ -23,12 +23,12 @@ from wrenchbook.surrogate.table.rows import unknown_column
 from wrenchbook.surrogate.table.space import Space
 
 MAX_UNPACKED = 1024 * 1024 * 1024  # bytes: 10 million rows of 12 numbers
-_MAX_NAMED = 8  # variables or channels in a message
+_MAX_NAMED = 8  # variables or channels in a message: more would hide its remedy
 
 
 def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    """Yield the good rows of a Parquet file piece by piece; `report` gets the mistakes."""
-    # Imported on first use: 0.5 s and 60 MB.
+    """Yield the good rows of a Parquet file in pieces; mistakes are added to `report`."""
+    # Imported on first use, as it takes 0.5 s and 60 MB.
     import pyarrow as arrow
     import pyarrow.parquet as parquet
 
@@ -63,14 +63,14 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
             yield from read_columns(pieces, options, report)
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
-    except Exception as error:  # pyarrow raises many classes on damaged files
+    except Exception as error:  # pyarrow raises many classes for damaged files
         report.mistakes.ruin(0, "file", f"cannot be read as Parquet ({error}); write it again")
 
 
 def write_parquet(
     path: Path, pieces: Iterable[WritableRows], layout: Layout, metadata: Mapping[str, str]
 ) -> None:
-    """Write pieces of a table as row groups of float64 in SI; with metadata of the file."""
+    """Write pieces of a table as row groups of float64 in SI, with metadata of the file."""
     import pyarrow as arrow
     import pyarrow.parquet as parquet
 
@@ -91,7 +91,10 @@ def write_parquet(
 
 
 def _check_unpacked(size: int) -> None:
-    """Refuse a file of more than `MAX_UNPACKED` bytes in memory; raises ContentError."""
+    """Refuse a file of more than `MAX_UNPACKED` bytes in memory.
+
+    Raises ContentError if it is larger.
+    """
     if size > MAX_UNPACKED:
         most = f"over the limit of {MAX_UNPACKED >> 20:,} MiB"
         raise ContentError(f"it unpacks to {size >> 20:,} MiB, {most}; send it in parts")
@@ -114,7 +117,7 @@ def _values(name: str, column: Any) -> Array | list[Any]:
 
 
 def read_hdf5(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    """Yield the good rows of an HDF5 file piece by piece; `report` gets the mistakes."""
+    """Yield the good rows of an HDF5 file in pieces; mistakes are added to `report`."""
     columns = options.columns
     try:
         if not is_table(path):
@@ -164,7 +167,10 @@ def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 
 
 def _mat_variables(path: Path) -> dict[str, Any]:
-    """Return the variables of a MATLAB file by name; ContentError if it cannot be read."""
+    """Return the variables of a MATLAB file by name.
+
+    Raises ContentError if it cannot be read.
+    """
     try:
         try:
             size = sum(8 * math.prod(shape) for _, shape, _ in whosmat(path))
@@ -175,7 +181,7 @@ def _mat_variables(path: Path) -> dict[str, Any]:
         values = loadmat(path, squeeze_me=True)
     except ContentError:
         raise
-    except Exception as error:  # scipy raises many classes on damaged files
+    except Exception as error:  # scipy raises many classes for damaged files
         raise ContentError(
             f"cannot be read as a MATLAB file: {error}; save it again with save('t.mat', '-v7')"
         ) from error
@@ -183,7 +189,10 @@ def _mat_variables(path: Path) -> dict[str, Any]:
 
 
 def _vectors(values: dict[str, Any]) -> dict[str, Array]:
-    """Return variables, or a single struct's fields, as vectors of one length; ContentError."""
+    """Return variables, or a single struct's fields, as vectors of one length.
+
+    Raises ContentError if they are no such vectors.
+    """
     struct = next(iter(values.values()), None) if len(values) == 1 else None
     if isinstance(struct, np.ndarray) and struct.dtype.names:
         values = {name: struct[name].tolist() for name in struct.dtype.names}
@@ -215,7 +224,7 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
 
     The channels are columns in the unit of ``unit_string``; waveforms have a time.
     """
-    # Imported on first use, and of the extra `rig`.
+    # Imported on first use, from the extra `rig`.
     from nptdms import TdmsFile
 
     try:
@@ -232,7 +241,7 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             yield from read_columns(_tdms_pieces(groups[sheet], options), options, report)
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
-    except Exception as error:  # nptdms raises many classes on damaged files
+    except Exception as error:  # nptdms raises many classes for damaged files
         message = f"cannot be read as TDMS: {error}; export it again, or as CSV"
         report.mistakes.ruin(0, "file", message)
 
@@ -240,7 +249,7 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
 def _tdms_pieces(
     channels: Sequence[Any], options: Options
 ) -> Iterator[tuple[list[str], list[np.ndarray]]]:
-    """Yield labels and channels, some rows at a time, with a time if only waveforms have one."""
+    """Yield labels and channels, some rows at a time; with a time if all channels are waveforms."""
     lengths, columns = {len(channel) for channel in channels}, options.columns
     if len(channels) > columns.most:
         most = f"at most {columns.most} are read; leave some out"

@@ -1,9 +1,9 @@
 """CSV tables: encodings, delimiters, decimal marks, comments, and mistakes by line and column.
 
-Fields are parted by ``,``, ``;``, tab, ``|`` or runs of blanks, with the latter four the decimal
-mark may be a comma. If all marks in the numbers may part thousands (``1,234``), the file is
-refused: a guess would be wrong by a factor of 1000. Blank lines and comments (``#``) count in the
-numbers of lines.
+Fields are separated by ``,``, ``;``, tab, ``|`` or runs of blanks; with the latter four the decimal
+mark may be a comma. If all marks in the numbers could separate thousands (``1,234``), the file is
+refused: a guess could be wrong by a factor of 1000. Blank lines and comments (``#``) count in the
+line numbers.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ from wrenchbook.service.formats.text import (
     until_broken,
 )
 
-MAX_LINE = 1 << 20  # characters; 54 numbers and three texts are some thousands
-MAX_RECORD = 4 * MAX_LINE  # a quoted text may have many lines
-MAX_BLANK = 1 << 20  # consecutive lines: a spreadsheet has no more in all
+MAX_LINE = 1 << 20  # characters of a line; 54 numbers and three texts are some thousands
+MAX_RECORD = 4 * MAX_LINE  # characters of a record: a quoted text may have many lines
+MAX_BLANK = 1 << 20  # consecutive blank lines: a spreadsheet has no more lines at all
 MAX_TEXT = csv.field_size_limit()  # characters of a cell: 131,072
 _BLOCK = 1 << 22  # bytes: 25,000 rows
-_MAX_HEAD = 200  # lines to find a header in
-_LONG_ZERO = b"0" * 290  # a number written without an exponent may be too small for a float
+_MAX_HEAD = 200  # lines in which the header must be
+_LONG_ZERO = b"0" * 290  # a number with so many zeros may be too small for a float
 
 _SEPARATOR_LINE = re.compile(r'"?sep=(?P<mark>[,;\t|])"?[,;\t]*\s*', re.IGNORECASE)
 # A line with a spreadsheet's error value is a row with a mistake, not a comment.
@@ -58,7 +58,8 @@ _SHEET_ERROR = re.compile(
 )
 _IN_BRACKETS = re.compile(r"\[[^\]]*\]|\([^)]*\)|\"[^\"]*\"")
 _MARKS = re.compile(r"[;,|\t]")
-_BLANK_CELL = re.compile(r'(?:"[^"]*"|[^\s"]+)(?:\s*[\[(][^\])]*[\])])?')  # Load [N], "Load cell"
+# A cell between blanks: Load [N], "Load cell".
+_BLANK_CELL = re.compile(r'(?:"[^"]*"|[^\s"]+)(?:\s*[\[(][^\])]*[\])])?')
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _NO_CSV = (
     "cannot be read as CSV ({}); close open quotation marks, and write a quotation mark within a "
@@ -67,7 +68,7 @@ _NO_CSV = (
 
 
 def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    """Yield the good rows of a CSV file piece by piece; `report` gets the mistakes."""
+    """Yield the good rows of a CSV file in pieces; mistakes are added to `report`."""
     try:
         encoding = encoding_of(path)
         with path.open("rb") as content:
@@ -84,7 +85,7 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 
     def records(content: BinaryIO) -> Iterator[Record]:
         every = records_of(lines_of(content, encoding), 1, delimiter, width)
-        for line, cells in islice(every, 1):  # spreadsheets put a line sep=; first
+        for line, cells in islice(every, 1):  # spreadsheets write a line sep=; first
             is_whole = _SEPARATOR_LINE.fullmatch(delimiter.join(cells))
             is_split = cells[0].lower() in ("sep=", '"sep=') and cells[1:] and not any(cells[1:])
             if not (is_whole or is_split):
@@ -108,19 +109,19 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 
 @dataclass(frozen=True)
 class _Body:
-    """The rows of a CSV file in pieces: by Arrow, or line by line where Arrow cannot.
+    """The rows of a CSV file in pieces: by Arrow, or line by line where Arrow cannot read them.
 
-    Arrow reads blocks of plain rows of numbers in the file's decimal mark. Blocks with blank lines,
-    comments, empty or wrong cells are read line by line, for the same messages with the same lines.
-    So is all from the first quotation mark on that is not around a field of one line: a quoted text
-    may go over the end of a block.
+    Arrow reads blocks of plain rows of numbers with the file's decimal mark. Blocks with blank
+    lines, comments, empty or wrong cells are read line by line, so that messages have the same line
+    numbers, and so is the rest after the first quotation mark that is not around a field of one
+    line: a quoted text may continue in the next block.
     """
 
     content: BinaryIO
     encoding: str
     delimiter: str
     header: Header
-    mark: str  # of decimals
+    mark: str  # the decimal mark
     inputs: tuple[str, ...]
     mistakes: Mistakes
 
@@ -160,15 +161,15 @@ class _Body:
         yield from text_pieces(records, self.header, self.mistakes, check)
 
     def _by_arrow(self, block: bytes, line: int, count: int) -> Piece | None:
-        """Return a block of whole lines; None if it is more than plain rows of numbers."""
-        # Imported on first use: 0.5 s and 60 MB.
+        """Return a block of whole lines; None if it has more than plain rows of numbers."""
+        # Imported on first use, as it takes 0.5 s and 60 MB.
         from pyarrow import csv as arrow_csv
 
         ascii_only = self.encoding == "utf-8-sig" or block.isascii()
         marked = b"\0" in block or (b"#" in block and b"\n#" in b"\n" + block)
         marked |= b"\r" in block and block.count(b"\r") != block.count(b"\r\n")
         columns = self.header.columns.values()
-        # A time without a unit is that of a clock.
+        # A time without a unit is a clock time.
         texts = [column.index for column in columns if not column.unit]
         texts += [c.index for c in (self.header.status, self.header.sequence) if c]
         texts += self.header.unnamed
@@ -266,7 +267,10 @@ class _Lines(list[str]):
 
 
 def encoding_of(path: Path) -> str:
-    """Return utf-8-sig, utf-16 (with a mark) or cp1252; ContentError."""
+    """Return the encoding of a file: utf-8-sig, utf-16 (with a mark) or cp1252.
+
+    Raises ContentError if it is none of these.
+    """
     with path.open("rb") as content:
         head = content.read(4)
         if head.startswith(b"PK\x03\x04"):
@@ -278,7 +282,7 @@ def encoding_of(path: Path) -> str:
             decoder = codecs.getincrementaldecoder(encoding)()
             try:
                 while block := content.read(_BLOCK):
-                    # Three times as fast as to decode; a character may go over the end of a block.
+                    # Three times as fast as decoding; a character may continue in the next block.
                     if utf16 or decoder.getstate()[0] or not block.isascii():
                         decoder.decode(block)
                 decoder.decode(b"", final=True)
@@ -290,7 +294,10 @@ def encoding_of(path: Path) -> str:
 
 
 def lines_of(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:
-    """Yield the lines with their ends (LF, CR or both), the first of a number; BrokenLineError."""
+    """Yield the lines with their ends (LF, CR or both); `number` is that of the first line.
+
+    Raises BrokenLineError if a line cannot be read.
+    """
     with io.TextIOWrapper(content, encoding=encoding, newline="") as text:
         while line := text.readline(MAX_LINE):
             if len(line) >= MAX_LINE:
@@ -328,7 +335,7 @@ def _may_be_header(line: str) -> bool:
 
 
 def _refuse_blank(count: int, line: int) -> None:
-    """Refuse a file of line ends: half a megabyte of gzip would take minutes to read."""
+    """Refuse a file of blank lines: half a megabyte of gzip would take minutes to read."""
     if count > MAX_BLANK:
         raise BrokenLineError(
             line, f"comes after {MAX_BLANK:,} lines without a row; remove these lines"
@@ -342,9 +349,11 @@ def _is_comment(line: str) -> bool:
 def records_of(
     lines: Iterator[str], first: int, delimiter: str, width: int = 0
 ) -> Iterator[Record]:
-    """Yield the line, from `first` on, and cells of each record with text; BrokenLineError.
+    """Yield the line number, beginning at `first`, and the cells of each record with text.
 
-    Those between blanks have `width` cells, or else single blanks in a text, or quotation marks.
+    Between blanks records have `width` cells, or else single blanks in a text, or quotation marks.
+
+    Raises BrokenLineError if a record cannot be read.
     """
     if delimiter == " ":
         yield from _blank_records(lines, first, width)
@@ -352,7 +361,7 @@ def records_of(
     fresh, length = True, 0
 
     def uncommented() -> Iterator[str]:
-        # A comment begins where a record does, not inside a quoted text.
+        # A comment begins at the start of a record, not inside a quoted text.
         nonlocal fresh, length
         for line in lines:
             begins, fresh = fresh, False
@@ -361,7 +370,8 @@ def records_of(
                 raise csv.Error(f"a record longer than {MAX_RECORD:,} characters")
             yield "\n" if begins and _is_comment(line) else line
 
-    # Not strict, an open quotation mark would silently take the lines below into its field.
+    # If not strict, an open quotation mark would take the lines below into its field without an
+    # error.
     reader = csv.reader(uncommented(), delimiter=delimiter, skipinitialspace=True, strict=True)
     before = row = first - 1
     try:
@@ -405,7 +415,7 @@ def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
         return message
     if not broken:
         return ""
-    # A text of several lines leaves at most one of them that holds the numbers of the row.
+    # A text of several lines has the numbers of the row in at most one of them.
     numeric = [c.index for name, c in header.columns.items() if name not in (*TEXTS, TIME_COLUMN)]
     rows = 0
     for line in _LINE_END.split(delimiter.join(cells)):

@@ -22,24 +22,26 @@ from wrenchbook.surrogate.findings.cycles import TURN, Passes, passes_of
 from wrenchbook.surrogate.table.rows import joined
 from wrenchbook.surrogate.table.space import Space
 
-MAX_CYCLE_ROWS = 1_000_000  # all in memory: 0.4 GB of the child's 1 GB with their intermediates
-_BLOCK = 65_536  # rows of a piece, as of a file
-# Of a load's range: cycles of one load differ by less in the others, of a cross-load sensor too.
+# Rows, all in memory: 0.4 GB of the child's 1 GB with their intermediate results.
+MAX_CYCLE_ROWS = 1_000_000
+_BLOCK = 65_536  # rows of a piece, as in a file
+# Part of a load's range: repeated cycles of one load differ by less in the others, also with a
+# cross-load sensor.
 _REPEATED = 0.02
-_FEW = 0.1  # of the places: single rows may lie apart
+_FEW = 0.1  # part of the places: single rows may deviate
 
 
 class _CycleError(ValueError):
-    """The cycles of a file do not allow an option: its name, and a message with the remedy."""
+    """The cycles of a file do not permit an option: its name, and a message with the remedy."""
 
 
 def with_cycles(
     pieces: Iterator[ParsedTable], options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
-    """Yield the rows that the cycle options leave, from all rows of a file in their order.
+    """Yield the rows that the cycle options select, from all rows of a file in their order.
 
-    The main load is the one with the largest range, in parts of the component's. In this order:
-    the first cycles are left out, the other branch is, the rows of a pass within one place are
+    The main load is the one with the largest range, relative to the component's. In this order: the
+    first cycles are left out, the other branch is left out, the rows of a pass within one place are
     averaged, and the passes of a branch become their mean.
     """
     if not (options.skip_cycles or options.branch or options.thin or options.mean_cycles):
@@ -66,7 +68,7 @@ def _joined(parts: list[ParsedTable]) -> ParsedTable:
 
 
 def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
-    """Return the rows that the cycle options leave; `report` counts the others."""
+    """Return the rows that the cycle options select; `report` counts the others."""
     solved = (rows.source == FEA) | (rows.fingerprint != "")
     if any(rows.compliance.strides) or solved.any():
         problem = "has tangents"
@@ -130,7 +132,7 @@ def _thinned(rows: ParsedTable, passes: Passes, place: Array) -> tuple[ParsedTab
     """Return the mean of the rows of each pass within one place, as large as `place`, (inputs,)."""
     keys = np.column_stack((passes.number, passes.sure, np.rint(rows.wrench / place)))
     _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)  # of the groups, as they were measured
+    order = np.argsort(first)  # order of the groups, as they were measured
     columns: dict[str, Array] = {}
     for name in ("wrench", "displacement", "uncertainty"):
         values = getattr(rows, name)
@@ -147,8 +149,8 @@ def _branch_mean(
 ) -> ParsedTable:
     """Return the mean of the passes of a branch at the main loads of its widest pass.
 
-    The 95 % half width of a mean is that of the scatter about it, which all loads have in common; a
-    larger stated one stays. `size` is that of each input, (inputs,).
+    The 95 % half width of a mean is that of the scatter about it, which all loads share; a larger
+    stated one stays. `size` is that of each input, (inputs,).
     """
     chosen = np.flatnonzero(passes.sure & (passes.loading == loading))
     number, inputs = passes.number[chosen], rows.wrench.shape[1]
@@ -188,7 +190,10 @@ def _interpolated(columns: Array, at: Array, main: int) -> Array:
 
 
 def _require_same_loads(wrenches: Array, size: Array, space: Space) -> None:
-    """Raise an error if the passes, (passes, n, inputs), differ in a load besides the main one."""
+    """Check that the passes, (passes, n, inputs), differ in no load besides the main one.
+
+    Raises an error with the load that differs.
+    """
     spread = np.nanmax(wrenches, axis=0) - np.nanmin(wrenches, axis=0)
     differing = (spread > _REPEATED * size).mean(axis=0)
     if (differing > _FEW).any():

@@ -1,6 +1,6 @@
-"""The header of a table of columns: lines above it, and which column is which in which unit.
+"""The header of a table of columns: lines above it, and the meaning and unit of each column.
 
-Names and spellings are those of `columns`. A number column names its unit in its label, in a row of
+Names and spellings are those of `columns`. A number column has its unit in its label, in a row of
 units below or in the preamble. An unknown column is a mistake unless the sender leaves it out: a
 misspelt load would count as zero. The first of 31 lines that names two columns is the header;
 without one the first line is read as the header, and its mistakes are reported. The sender may name
@@ -33,10 +33,10 @@ from wrenchbook.service.formats.columns import (
 )
 from wrenchbook.service.formats.options import FileMistake, Options
 
-MAX_TITLES = 30  # lines: a page of a report above its table
-_SEVERAL = 2  # one word of a title may be the name of a column ("Fx test, 3 mm")
+MAX_TITLES = 30  # lines above a table: a page of a report
+_SEVERAL = 2  # names of columns in a header: one word of a title may be a name ("Fx test, 3 mm")
 _MAX_LISTED = 200  # characters of the file's labels in a message
-_SURE_DELIMITERS, _OTHER_DELIMITERS = ";\t", ",|"  # no label holds one of the former
+_SURE_DELIMITERS, _OTHER_DELIMITERS = ";\t", ",|"  # delimiters that no label contains, and others
 _ENTRY = re.compile(
     r"(?P<key>start time|rdt sample rate|sample rate|force units?|torque units?"
     r"|counts per (?:unit )?force(?: unit)?|counts per (?:unit )?torque(?: unit)?)"
@@ -74,7 +74,8 @@ Record = tuple[int, list[str]]
 class Preamble:
     """Lines of a logger above the header; false if there are none.
 
-    `units` and `counts` (per unit) are of ``force`` and ``torque``; `rate` is samples a second.
+    `units` and `counts` (per unit) are those of ``force`` and ``torque``; `rate` is samples a
+    second.
     """
 
     units: dict[str, str] = field(default_factory=dict)
@@ -86,12 +87,15 @@ class Preamble:
         return self._any
 
     def add(self, cells: list[str]) -> bool:
-        """Read a line if it belongs to a preamble; ValueError if a number is not above zero."""
+        """Read a line if it belongs to a preamble; return whether it does.
+
+        Raises ValueError if a number is not above zero.
+        """
         filled = [cell.strip() for cell in ",".join(cells).split(",") if cell.strip()]
         if filled and filled[0].lower().startswith("start time"):
-            filled = [" ".join(filled)]  # a date may hold commas
+            filled = [" ".join(filled)]  # a date may contain commas
         entries: list[str] = []
-        for cell in filled:  # a key and the cell of its value are one
+        for cell in filled:  # a key and the cell of its value belong together
             if entries and not _ENTRY.fullmatch(cell):
                 entries[-1] += " " + cell
             else:
@@ -121,7 +125,10 @@ class Preamble:
 
 
 def _positive(key: str, value: str) -> float:
-    """Return the number of a line of the preamble; ValueError unless it is above 0."""
+    """Return the number of a line of the preamble.
+
+    Raises ValueError unless it is above 0.
+    """
     try:
         number = float(value)
     except ValueError:
@@ -142,7 +149,7 @@ def _split_titles(
 ) -> tuple[list[str], Record, Iterator[Record]]:
     """Return the titles, the header and the records below it; keys of `mapping` count as names.
 
-    If they are positions, the first row of numbers may stand in place of a header.
+    If the keys are positions, the first row of numbers may replace a header.
     """
     if named_columns(first[1], columns, mapping) >= _SEVERAL or is_row(first[1]):
         return [], first, rest
@@ -168,9 +175,11 @@ def _split_titles(
 def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Options) -> str:
     """Return the delimiter of the header, else of the first row of numbers, else of the first line.
 
-    It is ``;`` or tab if the header has one, else ``,`` or ``|``, whichever splits off more names.
-    A blank stands for runs of them. `bare` removes brackets from a line: units may hold delimiters.
-    ValueError if blanks and commas both make a row.
+    It is ``;`` or tab if the header has one, else ``,`` or ``|``, whichever gives more names. A
+    blank stands for runs of blanks. `bare` removes brackets from a line, as units may contain
+    delimiters.
+
+    Raises ValueError if blanks and commas both make a row.
     """
     heads, columns = [bare(line) for line in islice(lines, MAX_TITLES + 1)], options.columns
     marks = _SURE_DELIMITERS + _OTHER_DELIMITERS
@@ -197,7 +206,7 @@ def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Opti
 
 
 def named_columns(cells: Sequence[str], columns: Columns, mapping: Mapping[str, str]) -> int:
-    """Return how many cells name a column of a table or a key of the mapping."""
+    """Return the number of cells that name a column of a table or a key of the mapping."""
     mapped = {_key(name) for name in mapping} - {""}
     labels = (" ".join(cell.split()) for cell in cells[: columns.most])
     return sum(
@@ -236,7 +245,7 @@ class Header:
     preamble: Preamble = field(default_factory=Preamble)
     unnamed: list[int] = field(default_factory=list)
     titles: list[str] = field(default_factory=list)
-    named: bool = True  # by the file, which then has labels and units
+    named: bool = True  # whether the file has labels and units
 
 
 def array_header(columns: Columns) -> Header:
@@ -274,7 +283,7 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
         message = f"names {len(cells):,} columns, at most {columns.most} are read; remove some"
         return _no_header(line, "header", message), records
     positions = [int(key) for key in options.mapping if POSITION.fullmatch(key)]
-    # Files that were joined have the mark of UTF-8 before a later label too.
+    # Concatenated files have the mark of UTF-8 before a later label too.
     labels = [" ".join(cell.replace("\ufeff", "").split()) for cell in cells]
     if all(is_number(cell) for cell in cells if cell.strip()):
         if not positions:
@@ -302,7 +311,7 @@ def _no_header(line: int, field: str, message: str) -> Header:
 
 
 def _is_units_row(labels: list[str], cells: list[str], options: Options) -> bool:
-    """Return whether a record below labels without units holds units."""
+    """Return whether a record below labels without units is a row of units."""
     if any(is_number(cell) for cell in cells if cell.strip()):
         return False
     targets = _meanings(labels, options.mapping)
@@ -317,7 +326,7 @@ def _is_units_row(labels: list[str], cells: list[str], options: Options) -> bool
 
 
 def _meanings(labels: Sequence[str], mapping: Mapping[str, str]) -> list[str]:
-    """Return of each label its value in a mapping, or an empty text.
+    """Return the mapping's value of each label, or an empty text.
 
     A key is a label, with or without the brackets, or the position of a column, from 1, if it is no
     label.
@@ -340,7 +349,7 @@ def readings_of(label: str, columns: Columns) -> list[Reading]:
 
 
 def with_unit(name: str, unit: str, columns: Columns) -> str:
-    """Return a label with the unit that the file has beside it, unless it names one itself."""
+    """Return a label with the unit that the file states beside it, unless it has its own."""
     named = "[" in name or "(" in name or any(r.unit for r in readings_of(name, columns))
     return f"{name} [{unit}]" if unit and not named else name
 
@@ -412,7 +421,10 @@ def _add_column(
 
 
 def _reading(label: str, below: str, preamble: Preamble, columns: Columns) -> Reading:
-    """Return name, unit and factor of a label with a unit below it; UnitError."""
+    """Return name, unit and factor of a label with a unit below it.
+
+    Raises UnitError if the label is no column, or its unit is wrong.
+    """
     problem: UnitError | None = None
     fits: dict[str, Reading] = {}
     meanings = list(columns.readings(label))
@@ -437,7 +449,7 @@ def _reading(label: str, below: str, preamble: Preamble, columns: Columns) -> Re
         names = sorted(fits)
         example = f"--column '{label}={names[0]} [{fits[names[0]].unit}]'"
         raise UnitError(f"can mean {' or '.join(names)}; name one by mapping, such as {example}")
-    # With brackets, or as a bare name, the label names a column and its unit is the mistake.
+    # With brackets, or as a bare name, the label is a column and its unit is the mistake.
     if problem and (split(label)[1] or any(not meaning.unit for meaning in meanings)):
         raise problem
     name = _parts(label)[0]

@@ -1,8 +1,8 @@
 """LabVIEW measurement files (.lvm) to records (NI: Specification for the LabVIEW Measurement File).
 
-Below a header of the file come segments: a header of tags, the names of the channels, rows. The X
-values, mostly times, are one column, a column before each channel, or none: then they follow from
-``X0`` and ``Delta_X``. Segments of the same channels are joined.
+Segments follow the header of the file: a header of tags, the names of the channels, rows. The X
+values, mostly times, are one column, a column before each channel, or no column: then they follow
+from ``X0`` and ``Delta_X``. Segments of the same channels are joined.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from wrenchbook.service.formats.options import Mistakes, Options, ParsedTable, R
 from wrenchbook.service.formats.text import CellFormat, read_records
 
 MAGIC = b"LabVIEW Measurement"
-_HEAD = 4096  # bytes: the header of the file with a long description
+_HEAD = 4096  # bytes: the header of a file with a long description
 _SEPARATORS = re.compile(r"^(Separator|Decimal_Separator|X_Columns)([\t,;])(\S+)", re.MULTILINE)
 _X, _COMMENT, _END = "X_Value", "Comment", "***End_of_Header***"
-# Tags that may begin the header of a segment.
+# Tags with which the header of a segment may begin.
 _TAGS = {"Channels", "Samples", "Notes", "Test_Name", "Test_Numbers", "Test_Series", "Date", "Time"}
 _TAGS |= {"X_Dimension", "X_Unit_Label", "X0", "Delta_X", "Y_Dimension", "Y_Unit_Label"}
 _TAGS |= {"UUT_M/N", "UUT_Name", "UUT_S/N"}
 
 
 def read_lvm(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    """Yield the good rows of a LabVIEW file piece by piece; `report` gets the mistakes.
+    """Yield the good rows of a LabVIEW file in pieces; mistakes are added to `report`.
 
     The channels are columns, in the unit of ``Y_Unit_Label``; the X value is ``time`` and a comment
-    is ``note`` unless `options` say otherwise.
+    is ``note`` unless `options` state otherwise.
     """
     with path.open("rb") as content:
         head = content.read(_HEAD).decode("utf-8", "replace").partition(_END)[0]
@@ -59,7 +59,10 @@ def read_lvm(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 def _rows(
     records: Iterator[Record], has_x: bool, columns: Columns, mistakes: Mistakes
 ) -> Iterator[Record]:
-    """Yield the labels, then the rows of all segments; ValueError if these differ."""
+    """Yield the labels, then the rows of all segments.
+
+    Raises ValueError if the segments' channels differ.
+    """
     tags: dict[str, list[str]] = {}
     more_x: set[int] = set()
     first, place, clock, count = None, "tags", None, 0
@@ -95,7 +98,7 @@ def _segment(
 ) -> tuple[list[str], tuple[float, float] | None]:
     """Return the labels of a line of names, with units, and X0 and Delta_X if no column has them.
 
-    ValueError if the tags above are of other channels, or of several clocks.
+    Raises ValueError if the tags above are those of other channels, or of several clocks.
     """
     names = [" ".join(cell.split()) for cell in cells]
     while names and not names[-1]:

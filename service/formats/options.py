@@ -1,7 +1,8 @@
 """Arguments and results of a reader: options, rows within limits, and the report with all mistakes.
 
-A row beyond the limits is a mistake of a unit. Rows of different setups are never mixed: a solve of
-another fingerprint, or of none, would be a solve of another mesh. The sender can change the source.
+A row beyond the limits has a wrong unit. Rows of different setups are never mixed: a solve with
+another fingerprint, or with none, would be a solve of another mesh. The sender can change the
+source.
 """
 
 from __future__ import annotations
@@ -30,31 +31,36 @@ from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space
 
 Array = np.ndarray
 Problem = tuple[int, str, str]
-"""The index of a row in the arrays, its column, and what to do."""
+"""The index of a row in the arrays, its column, and the remedy."""
 
 LOAD_LIMIT = 10.0
-"""Largest load over the component's range: tests reach a few times the service load; kN read as N,
-or a shifted column, is off by more."""
+"""Largest load over the component's range: tests reach a few times the service load.
+
+KN read as N, or a shifted column, is larger.
+"""
 
 
 FEA = "fea"  # the source of solves
-MEASURED = "measured"  # the source of rows that name none
+MEASURED = "measured"  # the source of rows without a source
 Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat", "lvm", "tdms", "xls"]
 Role = Literal["table", "loads", "displacements"]
 
-MAX_ROWS = 5_000_000  # of a file: 0.6 GB as arrays without tangents
-MAX_ZERO_ROWS = 10_000  # all in the first piece of a file
+MAX_ROWS = 5_000_000  # rows of a file: 0.6 GB as arrays without tangents
+MAX_ZERO_ROWS = 10_000  # rows of the zero offset, all in the first piece of a file
 MAX_LISTED = 1000
-"""Mistakes listed at most; one more line then counts the others."""
+"""Largest number of listed mistakes; a further line then counts the others."""
 
 MAX_MISTAKES = 100 * MAX_LISTED
-"""Reading stops after so many: 8.8 KB of gzip can hold six million, 78 s of processor time."""
+"""Mistakes after which reading stops: 8.8 KB of gzip can contain six million, 78 s of processor
+time.
+"""
 
-_MAX_FIELD = 200  # characters: a key of a row can have a million
+_MAX_FIELD = 200  # characters of a field in a message: a key of a row can have a million
 _MAX_CAUSES = 100
-_MAX_SHOWN = 10  # rows and columns of a cause
-_VALUE = re.compile(r"'[^']*'|[-+\d][\w.+-]*")  # differs between two mistakes of one cause
-_MAX_FIRST = 20 * MAX_LISTED  # until they are sorted at the end of a piece
+_MAX_SHOWN = 10  # rows and columns of a cause in a message
+# Parts that differ between two mistakes of one cause.
+_VALUE = re.compile(r"'[^']*'|[-+\d][\w.+-]*")
+_MAX_FIRST = 20 * MAX_LISTED  # mistakes before they are sorted at the end of a piece
 
 
 @dataclass(frozen=True)
@@ -130,7 +136,7 @@ class Options:
 
 @dataclass(frozen=True, order=True)
 class FileMistake:
-    """A mistake in a table file: where, and what to write.
+    """A mistake in a table file: its place, and its remedy.
 
     `row` is the line of a CSV, the row of a sheet, else the number of the row, from 1; 0 is the
     whole file. `field` is the label of the column, or the JSON key with its index.
@@ -146,7 +152,10 @@ class FileMistake:
 
 
 class Mistakes:
-    """The mistakes of a file; `of_file`: one of them concerns all of it, so no row is loaded."""
+    """The mistakes of a file.
+
+    `of_file`: a mistake concerns the whole file, so that no row is loaded.
+    """
 
     def __init__(self) -> None:
         self._first: list[FileMistake] = []
@@ -173,7 +182,7 @@ class Mistakes:
         self.of_file = True
 
     def trim(self) -> None:
-        """Keep the first by row, at the end of a piece: later pieces have higher rows."""
+        """Keep the first mistakes by row, at the end of a piece: later pieces have higher rows."""
         self._first.sort(key=lambda mistake: mistake.row)
         del self._first[MAX_LISTED + 1 :]
 
@@ -183,7 +192,7 @@ class Mistakes:
         return [cause.as_dict() for cause in causes]
 
     def listed(self) -> tuple[FileMistake, ...]:
-        """Return the first by row; a last one counts those that are not listed."""
+        """Return the first mistakes by row; a last one counts those that are not listed."""
         self.trim()
         if self.count <= MAX_LISTED:
             return tuple(self._first)
@@ -196,7 +205,7 @@ class Mistakes:
 
 @dataclass
 class MistakeCause:
-    """Mistakes of one cause: the first, their count, the first rows and columns, each once."""
+    """Mistakes of one cause: the first, their count, the first distinct rows and columns."""
 
     first: FileMistake
     count: int = 0
@@ -248,7 +257,7 @@ class ReadReport:
     omitted: dict[str, int] = field(default_factory=dict)
 
     def is_beyond_limits(self) -> bool:
-        """Return whether reading ends here: with too many rows or mistakes, no row is loaded."""
+        """Return whether reading ends here: with too many rows or mistakes no row is loaded."""
         self.mistakes.trim()
         if self.read > MAX_ROWS:
             message = f"has more than {MAX_ROWS:,} rows; send it in parts"
@@ -287,10 +296,10 @@ class ReadReport:
 
 @dataclass(frozen=True)
 class ParsedTable(Rows):
-    """Rows of a table file; `seq` are places in the file as of `FileMistake.row`."""
+    """Rows of a table file; `seq` are positions in the file, see `FileMistake.row`."""
 
     note: Sequence[str] = ()
-    time: Array | None = None  # (n,), s; of logs that are joined by it
+    time: Array | None = None  # (n,), s; for logs that are joined by it
 
     def take(self, which: ArrayLike) -> ParsedTable:
         """Return the rows that an index array or a mask of shape (n,) picks."""
@@ -312,7 +321,7 @@ def picked(columns: Mapping[str, Any], which: Array) -> dict[str, Any]:
 
 
 def is_corrected(options: Options) -> bool:
-    """Return whether readings are joined or corrected: rows of the interface have limits."""
+    """Return whether readings are joined or corrected: then limits are for the interface's rows."""
     return bool(options.zero_rows or options.rig or options.role != "table")
 
 
@@ -372,7 +381,7 @@ def _excesses(
         )
         yield at, columns.displacement[axis], message
     limit = np.where(is_rotation, LONGEST, TRANSLATION_LIMIT)
-    known = any(uncertainty.strides)  # infinite ones are other mistakes
+    known = any(uncertainty.strides)  # infinite uncertainties are other mistakes
     beyond = np.isfinite(uncertainty) & (uncertainty > limit) if known else np.zeros((0, 0))
     for at, output in np.argwhere(beyond).tolist():
         unit, end = ("rad", ROTATION_LIMIT) if is_rotation[output] else ("m", TRANSLATION_LIMIT)
@@ -415,7 +424,7 @@ def of_current_setup(
 
 
 def _foreign_rows(piece: ParsedTable, setup: str) -> Iterator[Problem]:
-    """Yield the rows that are solves of another setup, or incomplete ones."""
+    """Yield the rows that are solves of another setup, or incomplete solves."""
     pairs = zip(piece.fingerprint.tolist(), piece.source.tolist(), strict=True)
     for at, (fingerprint, source) in enumerate(pairs):
         if fingerprint != setup and (fingerprint or source == FEA):

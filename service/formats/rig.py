@@ -1,7 +1,7 @@
 """From readings of a test rig to rows of the interface: zero offset, join of two logs, frame.
 
-Forces and translations are polar vectors. Moments and rotations are axial ones: left-handed axes
-turn their sign. Points are in the interface's frame, from the interface's point.
+Forces and translations are polar vectors. Moments and rotations are axial vectors: left-handed axes
+change their sign. Points are in the interface's frame, from the interface's point.
 """
 
 from __future__ import annotations
@@ -33,12 +33,14 @@ from wrenchbook.service.formats.options import (
 from wrenchbook.surrogate.findings.clock import Logs, clock_findings, estimate_lag, repeated
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
-GAP_FACTOR = 5.0  # times the median interval of the loads: in a longer one samples were lost
+# Ratio to the median interval of the loads: in a longer interval samples were lost.
+GAP_FACTOR = 5.0
 _CLOCK = 1e6  # s: clock times count from 1900 or 1970, elapsed ones from the beginning of a test
 MAX_RIG = 8000  # characters of a TOML: it is sent in a URL, whose head has 64 KiB at most
-_MAX_NAME = 100  # characters
-_SKEW = 1e-3  # axes written as 0.707 are perpendicular unit vectors to 2e-4
-_ROUNDOFF = 1e-12  # of the nearest rotation, by a singular value decomposition
+_MAX_NAME = 100  # characters of a rig's name
+# Largest deviation of axes: those written as 0.707 are perpendicular unit vectors to 2e-4.
+_SKEW = 1e-3
+_ROUNDOFF = 1e-12  # error of the nearest rotation by a singular value decomposition
 _FARTHEST = 100.0  # m: a point given in mm is refused
 _KEYS = ("name", "frame", "load_point", "displacement_point", "load_cell")
 _OWN = "import"  # the table of one import's options, which replace those of the profile
@@ -46,12 +48,12 @@ OPTIONS = (
     *("columns", "ignore", "ignore_extra", "decimal", "missing_loads", "tare", "lag", "sheet"),
     *("skip_cycles", "branch", "thin", "mean_cycles"),
 )
-"""Keys of a profile beside those of the frame; as the import's own options of these names."""
+"""Keys of a profile beside those of the frame, with the names of the import's own options."""
 
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")  # of a stored or shipped profile
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")  # name of a stored or shipped profile
 _LOAD_CELLS = ("moving", "fixed")
-_SMALL_SHIFT = 0.01  # of the moment's range: as large as the default tolerance of an output
-_FEW_ROWS = 0.1  # of the rows: outliers and the corners of the load range alone do not ask
+_SMALL_SHIFT = 0.01  # part of the moment's range: the default tolerance of an output
+_FEW_ROWS = 0.1  # part of the rows: outliers and corners of the load range alone are not enough
 _AXES = dict(zip("xyz", np.eye(3), strict=True))
 _PART = re.compile(r"\s*([xyz])\s*=\s*([+-]?)\s*([xyz])\s*")
 _MARK = ", rig "  # in a row's source, before the rig's name
@@ -94,16 +96,18 @@ class Rig:
     load_point: Array  # (3,), m: the point that moments are about
     displacement_point: Array  # (3,), m: the point whose translation was measured
     name: str = ""
-    # Whether the load point moves with the interface or stays where it was: moving, fixed; empty if
-    # not known.
+    # Whether the load point moves with the interface or stays in place: moving, fixed; empty if
+    # unknown.
     load_cell: str = ""
-    options: dict[str, Any] = field(default_factory=dict)  # of an import, by `OPTIONS`
+    options: dict[str, Any] = field(default_factory=dict)  # options of an import, by `OPTIONS`
 
     @classmethod
     def read(cls, text: str) -> Rig:
-        """Return the rig of a TOML text; RigError if a key or a value is wrong.
+        """Return the rig of a TOML text.
 
         Values of its table ``import`` replace those of the top level.
+
+        Raises RigError if a key or a value is wrong.
         """
         try:
             values = tomllib.loads(text)
@@ -138,7 +142,7 @@ class Rig:
 
     @property
     def turn(self) -> Array:
-        """The matrix that turns six rig components, as rows, to the interface's frame, (6, 6)."""
+        """The matrix that rotates six rig components, as rows, to the interface's frame, (6, 6)."""
         return np.kron(np.diag([1.0, np.sign(np.linalg.det(self.axes))]), self.axes)
 
     def loads(self, wrench: Array) -> Array:
@@ -168,9 +172,9 @@ class Rig:
 
 
 def rig_text(*parts: str, of: str = "") -> str:
-    """Return the TOML of frame, load point, displacement point and load cell, but of empty ones.
+    """Return the TOML of frame, load point, displacement point and load cell, without empty ones.
 
-    They take the place of those of the TOML `of`, which is before them.
+    They replace those of the TOML `of`, which precedes them.
     """
     pairs = zip(_KEYS[1:], parts, strict=False)
     text = "".join(f"{key} = {json.dumps(text)}\n" for key, text in pairs if text.strip())
@@ -201,7 +205,7 @@ def rigged(
         if rig.load_cell == "fixed":
             shift = _shift(loads, moved)
         elif rig.load_cell == "moving" and rig.load_point.any():
-            # The point moves with the section: its lever turns by the rotation that was measured.
+            # The point moves with the section: its lever rotates by the measured rotation.
             lever = _swing(np.nan_to_num(moved[:, 3:]), rig.load_point)
             shift[:, 3:] = -np.cross(lever, loads[:, :3])
         good = np.ones(len(piece), dtype=bool)
@@ -217,12 +221,12 @@ def rigged(
 def with_known_point(
     pieces: Iterator[ParsedTable], options: Options, report: ReadReport
 ) -> Iterator[ParsedTable]:
-    """Yield the rows of the interface; ruin a file that must say which point its moments are about.
+    """Yield the rows of the interface; refuse a file that must state the point of its moments.
 
-    It must where translation x force exceeds 1 % of a moment's range, or moves the answer of a
+    It must if translation x force exceeds 1 % of a moment's range, or changes the answer of a
     component with solves by more than the row's stated uncertainty, in over 10 % of the rows. Rows
-    with a source (an export's) or slopes are about the interface's point where it is now, and so is
-    a moment without a column, which no cell has read.
+    with a source (an export's) or slopes are about the displaced interface point, and so is a
+    moment without a column, which no cell has measured.
     """
     span, solved = options.load_range, options.solved
     if span is None or not span.space.is_default or Rig.read(options.rig).load_cell:
@@ -254,7 +258,7 @@ def with_known_point(
 
 
 def _shift(wrench: Array, displacement: Array) -> Array:
-    """Return translation x force at each moment, (n, inputs), N·m; NaN where one is not known."""
+    """Return translation x force at each moment, (n, inputs), N·m; NaN where unknown."""
     shift = np.zeros(wrench.shape)
     for first in range(0, displacement.shape[1], PER_INTERFACE):
         force, moved = (values[:, first : first + 3] for values in (wrench, displacement))
@@ -279,7 +283,7 @@ def _of_interface(piece: ParsedTable) -> Array:
 def _problems(
     piece: ParsedTable, rig: Rig, moved: Array, shift: Array, names: tuple[str, ...]
 ) -> Iterator[Problem]:
-    """Yield the rows that are of the interface already, and those that cannot be moved to it."""
+    """Yield the rows that are the interface's already, and those that cannot be moved to it."""
     missing, done = np.isnan(piece.displacement), _of_interface(piece)
     loose = np.asarray(missing[:, 3:].any(axis=1) & ~missing[:, :3].all(axis=1))
     loose &= rig.displacement_point.any()
@@ -305,7 +309,7 @@ def _product(values: Array, matrix: Array) -> Array:
 
 
 def _swing(rotation: Array, point: Array) -> Array:
-    """Return (exp(r) - 1) p, (n, 3), m, of rotation vectors (n, 3), rad; no digits cancel."""
+    """Return (exp(r) - 1) p, (n, 3), m, of rotation vectors (n, 3), rad, without cancellation."""
     angle = np.linalg.norm(rotation, axis=1, keepdims=True) / np.pi
     first = np.cross(rotation, point)
     return np.sinc(angle) * first + 0.5 * np.sinc(0.5 * angle) ** 2 * np.cross(rotation, first)
@@ -438,9 +442,9 @@ def _applied_lag(
 def loads_between(time: Array, wrench: Array, when: Array, after: NDArray[np.intp]) -> Array:
     """Return the loads (k, n) at times `when` (k,) before the samples `after` (k,), from two on.
 
-    A straight line between two samples cuts off what a load that swings does between them, always
-    on the side of no load. Its bend is that of modified Akima slopes, which do not overshoot where
-    a load steps (Akima 1970). Beside either end of the log it is straight.
+    A straight line between two samples cuts off the peak of an oscillating load, always towards
+    zero load. The curve has modified Akima slopes, which do not overshoot where a load steps (Akima
+    1970). Beside either end of the log it is straight.
     """
     length = (time[after] - time[after - 1])[:, None]
     part = (when - time[after - 1])[:, None] / length

@@ -1,6 +1,6 @@
-"""Columns of numbers and texts to SI arrays: the part that all tables of columns have in common.
+"""Columns of numbers and texts to SI arrays: the part that all tables of columns share.
 
-A format gives a header, an optional row of units, then rows in pieces: of each column an array of
+A format gives a header, an optional row of units, then rows in pieces: for each column an array of
 float64, NaN where empty, or its cells as text. Only CSV, XLSX and JSON bring numbers as text.
 """
 
@@ -44,21 +44,21 @@ from wrenchbook.surrogate.table.rows import unknown_column
 
 PIECE = 20_000  # rows as text at once: 30 MB of Python objects
 
-MAX_NAME = 1000  # characters of a source or a fingerprint: of 20,000 rows they are 80 MB
+MAX_NAME = 1000  # characters of a source or a fingerprint: for 20,000 rows 80 MB
 _LONG_NAME = f"is longer than {MAX_NAME:,} characters; shorten it, or move the text to note"
 _UNNAMED = (
     "has a value in column {}, which has no name in the header; name the column, or skip it with "
     "ignore_extra (--ignore-extra)"
 )
 RecordCheck = Callable[[list[str], Header], str]
-"""Returns what is wrong with the cells of a record; an empty text if nothing is."""
+"""Returns the mistake in the cells of a record; an empty text if there is none."""
 
 Cells = Array | Sequence[str]
 """A column of a piece: float64, NaN where empty, or the text of each cell."""
 
 
 class BrokenLineError(ValueError):
-    """A record cannot be read, so what follows has no meaning; `line` is its beginning."""
+    """A record cannot be read, so that the following text has no meaning; `line`: its beginning."""
 
     def __init__(self, line: int, message: str) -> None:
         super().__init__(message)
@@ -67,11 +67,11 @@ class BrokenLineError(ValueError):
 
 @dataclass(frozen=True)
 class CellFormat:
-    """How a file writes its cells.
+    """The form of a file's cells.
 
-    `comma`: the decimal mark is a comma; `declared`: the sender says so. `ambiguous` is line,
-    column and text of a number if all numbers leave the mark open. `guarded`: a text that looks
-    like a formula has a ``'`` before it.
+    `comma`: the decimal mark is a comma; `declared`: the sender has stated the mark. `ambiguous` is
+    line, column and text of a number if all numbers leave the mark open. `guarded`: a text that
+    looks like a formula has a ``'`` before it.
     """
 
     comma: bool = False
@@ -82,7 +82,7 @@ class CellFormat:
 
 @dataclass
 class Piece:
-    """Some rows: the place of each in the file, their columns, and how many records these were."""
+    """Some rows: their positions in the file, their columns, and the number of their records."""
 
     row: Sequence[int] | Array
     columns: Sequence[Cells]
@@ -194,7 +194,7 @@ def _stored_format(piece: Piece, header: Header, options: Options) -> CellFormat
 
 
 def format_in(records: Iterator[Record], options: Options) -> CellFormat:
-    """Return the decimal mark of the first piece with a number that leaves no doubt."""
+    """Return the decimal mark of the first piece with an unambiguous number."""
     mistakes = Mistakes()
     header, rest = read_head(until_broken(records, mistakes), options)
     if header.mistakes:
@@ -210,7 +210,7 @@ def format_in(records: Iterator[Record], options: Options) -> CellFormat:
 
 
 def _marks(piece: Piece, header: Header) -> tuple[set[str], tuple[int, str, str] | None]:
-    """Return the marks that are decimal ones, and line, label and text of a number in doubt."""
+    """Return the unambiguous decimal marks, and line, label and text of an ambiguous number."""
     sure: set[str] = set()
     doubtful = None
     for name, column in header.columns.items():
@@ -348,7 +348,7 @@ class _Conversion:
             infinite = np.isinf(values)
             for at in np.flatnonzero(infinite | empty).tolist():
                 self._refuse(at, column.label, number_problem(self._cell(column, at), False))
-            values = np.where(infinite, np.nan, values)  # no limit names it again
+            values = np.where(infinite, np.nan, values)  # no other limit reports it again
         converted = values
         if column.factor != 1.0 or column.zero:
             with np.errstate(over="ignore"):
@@ -449,7 +449,7 @@ class _Conversion:
         for cell in dict.fromkeys(cells):
             texts[cell] = unguard_formula(cell.strip()) if self._format.guarded else cell.strip()
         wrong = {text: text_problem(text) for text in texts}
-        if name != "note":  # an array of texts takes the room of the longest for each
+        if name != "note":  # an array of texts takes the memory of the longest for each
             wrong |= {text: _LONG_NAME for text in texts if len(text) > MAX_NAME}
         if any(wrong.values()):
             for at, cell in enumerate(cells):
@@ -464,7 +464,10 @@ class _Conversion:
 
 
 def _floats(cells: Sequence[str], comma: bool) -> Array | None:
-    """Return a column, shape (n,), NaN where a cell is empty; None if one is no finite number."""
+    """Return a column, shape (n,), NaN where a cell is empty.
+
+    None if a cell is no finite number.
+    """
     joined = "".join(cells)
     if "_" in joined or not joined.isascii() or (comma and "." in joined):
         return None

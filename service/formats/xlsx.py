@@ -1,8 +1,8 @@
 """XLSX and XLS tables: a sheet of a workbook to records of text, and XLSX back.
 
-openpyxl gives the cells row by row: neither a sheet that claims a billion cells nor a million rows
-are in memory. Formulas give the value that the spreadsheet saved. Numbers are written as digits:
-openpyxl writes 16 of them, too few for every third float.
+openpyxl gives the cells row by row, so that neither a sheet that claims a billion cells nor a
+million rows are in memory. Formulas give the value that the spreadsheet saved. Numbers are written
+as digits: openpyxl writes 16 of them, too few for every third float.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from wrenchbook.service.formats.header import MAX_TITLES, Record
 from wrenchbook.service.formats.options import Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import read_records
 
-MAX_UNPACKED = 1024 * 1024 * 1024  # a million rows of 12 numbers are 500 MB of XML
-MAX_IN_MEMORY = 64 * 1024 * 1024  # of a member that is no sheet: texts, styles
+MAX_UNPACKED = 1024 * 1024 * 1024  # bytes: a million rows of 12 numbers are 500 MB of XML
+MAX_IN_MEMORY = 64 * 1024 * 1024  # bytes of a member that is no sheet: texts, styles
 MAX_MEMBERS = 1000
-MAX_SHEET_ROWS = 1_048_575  # below the header (ECMA-376)
-ABOUT_SHEET = "about"  # of an export; it has no rows
+MAX_SHEET_ROWS = 1_048_575  # rows of a sheet below the header (ECMA-376)
+ABOUT_SHEET = "about"  # sheet of an export's metadata; it has no rows
 _BLOCK = 1 << 20
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 1  # the flag of an encrypted member (APPNOTE.TXT, 4.4.4)
@@ -39,11 +39,11 @@ _ESCAPE = re.compile(r"_x([0-9A-Fa-f]{4})_")
 
 
 class SheetFullError(ValueError):
-    """The table has more rows than a sheet."""
+    """The table has more rows than a sheet allows."""
 
 
 def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    """Yield the good rows of a sheet piece by piece; `report` gets the mistakes."""
+    """Yield the good rows of a sheet in pieces; mistakes are added to `report`."""
     try:
         for entry, size in entry_sizes(path, MAX_UNPACKED).items():
             if size > MAX_IN_MEMORY and not entry.startswith("xl/worksheets/"):
@@ -51,7 +51,7 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
                 raise ContentError(f"has {size >> 20} MiB in {entry}, {most}; send it in parts")
         # Opened here, because openpyxl checks the ending of a name.
         with path.open("rb") as values, path.open("rb") as formulas, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of styles and extensions
+            warnings.simplefilter("ignore")  # warnings about styles and extensions
             sheets, most = _sheets(values, values=True), options.columns.most
 
             def is_filled(name: str) -> bool:
@@ -63,14 +63,17 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             yield from read_records(records, options, report)
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
-    except Exception as error:  # openpyxl raises many classes on damaged files
+    except Exception as error:  # openpyxl raises many classes for damaged files
         report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}; save it again")
 
 
 def write_xlsx(
     path: Path, pieces: Iterable[WritableRows], layout: Layout, metadata: Mapping[str, str]
 ) -> None:
-    """Write pieces of a table to one sheet, and `metadata` to another; SheetFullError, OSError."""
+    """Write pieces of a table to one sheet, and `metadata` to another.
+
+    Raises SheetFullError if a sheet is too small, OSError if the file cannot be written.
+    """
     from openpyxl import Workbook
 
     book = Workbook(write_only=True)
@@ -79,10 +82,11 @@ def write_xlsx(
     except Exception as error:
         writers: list[Any] = [getattr(sheet, "_writer", None) for sheet in book.worksheets]
         for writer in filter(None, writers):
-            with suppress(Exception):  # the end of its file is not written either
+            with suppress(Exception):  # the end of its file cannot be written either
                 writer.xf.close()
             writer.cleanup()
-        number = getattr(errno, str(error).removeprefix("IO_"), None)  # of lxml: IO_ENOSPC
+        # Error names of lxml: IO_ENOSPC.
+        number = getattr(errno, str(error).removeprefix("IO_"), None)
         if number is None:
             raise
         raise OSError(number, os.strerror(number)) from error
@@ -129,11 +133,11 @@ def _write_cell(sheet: Any, text: str, kind: str) -> Any:
 
 
 def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    """Yield the good rows of a sheet of an old workbook; `report` gets the mistakes.
+    """Yield the good rows of a sheet of an old workbook; mistakes are added to `report`.
 
-    calamine holds a sheet in memory: 65,536 rows of 256 columns at most.
+    calamine keeps a sheet in memory: 65,536 rows of 256 columns at most.
     """
-    # Imported on first use, and of the extra `rig`.
+    # Imported on first use, from the extra `rig`.
     from python_calamine import CalamineWorkbook
 
     try:
@@ -159,7 +163,10 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 def chosen_sheet(
     names: Sequence[str], wanted: str | None, is_filled: Callable[[str], bool], report: ReadReport
 ) -> str:
-    """Return the sheet of a name, or the first with rows; the report has it. ContentError."""
+    """Return the sheet with a name, or the first with rows, and store it in the report.
+
+    Raises ContentError if there is no such sheet.
+    """
     report.sheets = list(names)
     fitting = [name for name in names if wanted is None or name == wanted]
     if not fitting:
@@ -176,17 +183,17 @@ def chosen_sheet(
 
 def _sheets(file: BinaryIO, *, values: bool) -> dict[str, Any]:
     """Return the sheets of a workbook by name, with stored values or with formulas."""
-    # Imported on first use: 0.2 s and 20 MB.
+    # Imported on first use, as it takes 0.2 s and 20 MB.
     import openpyxl
 
     book = openpyxl.load_workbook(file, read_only=True, data_only=values, keep_links=False)
     for sheet in book.worksheets:
-        sheet.reset_dimensions()  # those that a file states may be wrong
+        sheet.reset_dimensions()  # the dimensions that a file states may be wrong
     return {sheet.title: sheet for sheet in book.worksheets}
 
 
 def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Record]:
-    """Yield number and cells of each row with text; of a formula without a value its place."""
+    """Yield number and cells of each row with text; for a formula without a value its place."""
     below = None
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > MAX_SHEET_ROWS + 1:
@@ -218,11 +225,11 @@ def _text(value: Any) -> str:
         return Digits(value)
     if isinstance(value, str):
         return unescape(value)
-    return str(value)  # of dates and times as ISO 8601, with a space between them
+    return str(value)  # dates and times as ISO 8601, with a space between them
 
 
 def escape(text: str) -> str:
-    """Return a text as the XML of a sheet can hold it."""
+    """Return a text in a form that the XML of a sheet allows."""
     return _UNFIT.sub(lambda match: f"_x{ord(match[0]):04X}_", text)
 
 
@@ -232,7 +239,10 @@ def unescape(text: str) -> str:
 
 
 def _check_entries(entries: Sequence[zipfile.ZipInfo]) -> None:
-    """Refuse a zip file that is no workbook of a spreadsheet program; raises ContentError."""
+    """Check that a zip file is a workbook of a spreadsheet program.
+
+    Raises ContentError if it is not.
+    """
     if len(entries) > MAX_MEMBERS:
         raise ContentError(f"has {len(entries)} members, over {MAX_MEMBERS}; save it again")
     names: set[str] = set()
@@ -248,7 +258,10 @@ def _check_entries(entries: Sequence[zipfile.ZipInfo]) -> None:
 
 
 def entry_sizes(path: Path, most: int) -> dict[str, int]:
-    """Return the bytes of each member, unpacked once since directories lie; ContentError."""
+    """Return the bytes of each member after unpacking once, since directories may lie.
+
+    Raises ContentError if they are too many.
+    """
     too_large = f"unpacks to more than {most >> 20} MiB; send the table in parts"
     try:
         with zipfile.ZipFile(path) as archive:

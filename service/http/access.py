@@ -27,35 +27,37 @@ from wrenchbook.service.keys import MAX_KEYS, OWN_KEY, Key, Keyring, Scope, dige
 from wrenchbook.service.tables.rows import iso_time
 
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
-PERMISSION: Final = "wrenchbook.permission"  # its key in a request's scope
+PERMISSION: Final = "wrenchbook.permission"  # key of the permission in a request's scope
 PLAIN: Final = b"x-content-type-options: nosniff\r\n"
-"""Header fields of an answer of the fast path: JSON that no browser requests by itself."""
+"""Header fields of a reply of the fast path: JSON that no browser requests by itself."""
 
 _READING: Final = ("GET", "HEAD", "OPTIONS")
-# Open to every site and without a key: these files contain nothing of the tables.
+# Open to every site and without a key: these files have no content of tables.
 _PUBLIC_FOLDERS: Final = ("/page/",)
 _PUBLIC: Final = frozenset({"/", "/docs", "/openapi.json", "/favicon.ico", "/health/live"})
 _ADMIN: Final = ("/v1/keys", "/v1/audit")
-# Calls that answer about the components which the caller may touch, and of no other. A key for some
-# components has no further ones: each that is new is refused until it is listed here.
+# Calls whose replies only concern the components that the caller may use. A key limited to some
+# components has no other calls: a new call is refused until it is listed here.
 _LIMITED: Final = ("/v1/components", "/v1/jobs", "/v1/events", "/v1/scenes/plan", "/health/ready")
 _LIMITED_NAMED: Final = ("/v1/components/", "/v1/jobs/", "/umbridge/")
 _JSON: Final = b"application/json"
 _BYTES: Final = b"application/octet-stream"
 _QUERIES: Final = ("/displacement", "/displacements")
 _BINARY: Final = ("/displacements", "/recording", "/envelope")
-_RIGS: Final = "/v1/rigs/"  # TOML by PUT, which pages of another site send after a preflight alone
-# Calls that name what they take themselves: files of many kinds.
+_RIGS: Final = "/v1/rigs/"  # TOML by PUT, which pages of another site send only after a preflight
+# Calls that check content types themselves: files of many kinds.
 _ANY_TYPE: Final = ("/table", "/v1/components")
 _UMBRIDGE: Final = "/umbridge/"  # clients send the content type of their library
-_NO_LIMIT: Final = 1e6  # requests a second and MiB: no limits
-_BURST_S: Final = 2.0  # a burst is what this many seconds allow
-# Share of a second's requests that a process takes from the common bucket at a time: a lock costs
-# 2 µs, an answer 50. What a process has taken and not used is at most half a percent of a burst.
+_NO_LIMIT: Final = 1e6  # requests a second and MiB that mean no limit
+_BURST_S: Final = 2.0  # s: a burst is the requests that this time allows
+# Part of a second's requests that a process takes from the common bucket at a time: a lock costs 2
+# µs, an answer 50. Unused requests of a process are at most half a percent of a burst.
 _TAKEN: Final = 0.01
-_USED_S: Final = 60.0  # between two notes of a key's use
-_BUCKET: Final = Struct("=8sd")  # begin of a key's digest; monotonic time at which it is full
-_TRIES: Final = 1000  # for the lock, 1 ms; its holder was stopped in the middle of it then
+_USED_S: Final = 60.0  # s between two notes of a key's use
+# Beginning of a key's digest; monotonic time at which the bucket is full.
+_BUCKET: Final = Struct("=8sd")
+# Attempts for the lock, 1 ms; after them its holder must have been stopped while it had it.
+_TRIES: Final = 1000
 
 Fields = tuple[tuple[bytes, bytes], ...]
 
@@ -72,7 +74,7 @@ _PAGE: Final = (
     b"img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; worker-src 'self' "
     b"blob:; manifest-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
 )
-# A report carries its own script, and runs it as a page of no site: it cannot call the server.
+# A report contains its own script, and runs as a page of no site: it cannot call the server.
 _REPORT: Final = (
     b"default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     b"img-src data: blob:; frame-ancestors 'none'; sandbox allow-scripts allow-downloads"
@@ -100,7 +102,7 @@ _PREFLIGHT: Final[Fields] = (
 class SecuritySettings:
     """Whether keys are needed; allowed hosts (all if None) and other sites; the server's own key.
 
-    A key is needed anyway once there is one. `server_key` permits all calls and is stored nowhere.
+    Keys are always needed once a key is stored. `server_key` permits all calls and is not stored.
     """
 
     keys_needed: bool = False
@@ -113,11 +115,12 @@ class SecuritySettings:
 def security_settings(
     host: str, hosts: str | None, origins: str | None, proxy: ProxyTrust | None = None
 ) -> SecuritySettings:
-    """Security settings of a server that listens on an address; `hosts`, `origins` by commas.
+    """Return the security settings of a server that listens on an address.
 
-    On loopback it answers to loopback's names and those listed: a page of another site whose name
-    is made to mean this machine (DNS rebinding) is refused. Elsewhere it needs keys, and answers to
-    any name unless some are listed. The server's own key is in the environment.
+    `hosts` and `origins` are lists separated by commas. On loopback the server answers to
+    loopback's names and listed ones: a page of another site whose name is made to mean this machine
+    (DNS rebinding) is refused. On other addresses it needs keys, and answers to any name unless
+    some are listed. The environment has the server's own key.
     """
 
     def listed(text: str | None) -> frozenset[str]:
@@ -130,30 +133,30 @@ def security_settings(
 
 
 class Rates:
-    """How many requests each key may send now, counted together by all processes of a server.
+    """The number of requests that each key may send now, shared by all processes of a server.
 
     The generic cell rate algorithm (ITU-T I.371): a bucket is the time at which it is full again,
-    and a bucket whose time has passed is none. The others are in the small file `path` under a
-    lock. Without a path, or on a full disk, each process counts for itself.
+    and a bucket whose time has passed is not stored. The others are in the small file `path` under
+    a lock. Without a path, or on a full disk, each process counts for itself.
     """
 
     def __init__(self, path: Path | None = None) -> None:
-        self._known: dict[bytes, float] = {}  # what this process has written last
+        self._known: dict[bytes, float] = {}  # the last written content of this process
         self._file: int | None = None
         if path is not None:
             self.share(path)
 
     def share(self, path: Path) -> None:
-        """Count together with the other processes that use the file, from now on."""
+        """Share the counts with the other processes that use the file, from now on."""
         with suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
             weakref.finalize(self, os.close, self._file)
 
     def take(self, key: Key) -> tuple[int, float]:
-        """Take some requests of a key: their number, and the seconds until there is one."""
+        """Take some requests of a key; return their number, and the seconds until the next one."""
         name, rate, file = bytes.fromhex(key.digest[:16]), key.rate, self._file
-        burst_s = max(_BURST_S, 1.0 / rate)  # that a full bucket lasts
+        burst_s = max(_BURST_S, 1.0 / rate)  # duration of a full bucket, s
         content, now = b"", time.monotonic()  # the same clock in all processes
         if file is not None:
             for _ in range(_TRIES):
@@ -167,7 +170,7 @@ class Rates:
             key_name: full for key_name, full in _BUCKET.iter_unpack(content[:size]) if full > now
         }
         full = max(buckets.get(name, now), self._known.get(name, now))
-        if full > now + 2.0 * burst_s:  # of an earlier start of the machine
+        if full > now + 2.0 * burst_s:  # written before the machine was restarted
             full = now
         # 1e-6: rounding does not withhold a request that is due.
         due = int((now + burst_s - full) * rate + 1e-6)
@@ -186,7 +189,10 @@ class Rates:
 
 
 class Permission:
-    """What a key may do, with the `rates` it shares; without a key all, and nothing is counted."""
+    """The rights of a key, with the `rates` it shares.
+
+    Without a key all rights, and nothing is counted.
+    """
 
     __slots__ = ("_keyring", "_note_at", "_rates", "_remaining", "caller", "key")
 
@@ -196,17 +202,17 @@ class Permission:
         self.key = key
         self._rates = rates
         self._remaining = 0
-        self._keyring, self._note_at = keyring, 0.0  # of a stored key the use is noted
+        self._keyring, self._note_at = keyring, 0.0  # the use of a stored key is noted
         self.caller = Caller(ANONYMOUS)
         if key is not None:
             self.caller = Caller(key.name, key.components, key.allows("admin"))
 
     def allows(self, scope: Scope) -> bool:
-        """Whether it is for a scope."""
+        """Return whether the key has a scope."""
         return self.key is None or self.key.allows(scope)
 
     def wait(self) -> float:
-        """Count one request: 0, or the seconds until there is one again."""
+        """Count one request; return 0, or the seconds until the next request is allowed."""
         if self.key is None or self._rates is None:
             return 0.0
         if self._keyring is not None and time.time() >= self._note_at:
@@ -231,7 +237,7 @@ def permission_of(scope: Any) -> Permission:
 class AccessControl:
     """Authentication, rate limits and origin checks of every request.
 
-    `rates`, what keys may send now, is shared by the web workers of a server.
+    `rates` is shared by the web workers of a server.
     """
 
     def __init__(
@@ -245,7 +251,7 @@ class AccessControl:
         self._permissions: dict[str, Permission] = {}
         self._users: dict[tuple[str, Scope], Permission] = {}
         self._streams: weakref.WeakKeyDictionary[Listener, Permission] = weakref.WeakKeyDictionary()
-        self.heads: dict[bytes, Any] = {}  # cache of the fast path, emptied once a key changes
+        self.heads: dict[bytes, Any] = {}  # cache of the fast path, emptied when a key changes
         self._version = keyring.version
 
     @property
@@ -257,9 +263,9 @@ class AccessControl:
     def admit(self, path: str, head: Mapping[bytes, bytes]) -> Permission | None:
         """Return the permission of a query of the fast path; None for the ordinary path.
 
-        The fast path counts each query itself, and sends neither refusals nor CORS headers; what a
-        key without the scope `write` may ask depends on the body, and whether a proxy's header
-        counts on the connection.
+        The fast path counts each query itself, and sends neither refusals nor CORS headers. It
+        cannot decide on a key without the scope `write`, whose rights depend on the body, nor on a
+        proxy's header, which depends on the connection.
         """
         if self.security.proxy is not None and self.security.proxy.user in head:
             return None
@@ -272,13 +278,13 @@ class AccessControl:
     def end_with_key(self, listener: Listener, permission: Permission) -> None:
         """End a listener of events once its key is revoked or changed."""
         self._streams[listener] = permission
-        if not self._holds(permission):  # since it was permitted
+        if not self._holds(permission):  # a key may have changed after the permission was given
             listener.end()
 
     async def pass_on(
         self, scope: HttpScope, receive: Receive, send: Send
     ) -> tuple[Receive, Send] | None:
-        """Return a permitted request's `receive` and `send`; answer any other, None then."""
+        """Return a permitted request's `receive` and `send`; answer all others, and return None."""
         head = dict(scope["headers"])
         origin = head.get(b"origin")
         listed = None
@@ -314,14 +320,15 @@ class AccessControl:
     ) -> Permission:
         """Check a request by its head, and return its permission; `counts`: for its key's rate.
 
-        It raises HttpProblemError, 401, 403, 413, 415 or 429; nothing of the body was read.
+        Raises HttpProblemError with status 401, 403, 413, 415 or 429 if the request is not
+        permitted; its body was not read then.
         """
         self._check_host(head)
         if method in ("GET", "HEAD") and (path in _PUBLIC or path.startswith(_PUBLIC_FOLDERS)):
             return OPEN
         self._check_origin(head)
         permission = self._permission(head)
-        # Whether a displacement queues anything stands in its body, which is read later.
+        # Whether a displacement queues anything depends on its body, which is read later.
         is_query = path.startswith("/v1/components/") and path.endswith(_QUERIES)
         reads = method in _READING or (method == "POST" and is_query)
         needed: Scope = "read" if reads else "write"
@@ -383,6 +390,7 @@ class AccessControl:
         raise HttpProblemError(403, "cross-site", title, why)
 
     def _permission(self, head: Mapping[bytes, bytes]) -> Permission:
+        """Return the permission of a request by its key, or by a trusted proxy's headers."""
         self.refresh()
         if not self.keys_needed:
             return OPEN
@@ -396,7 +404,7 @@ class AccessControl:
         secret = secret.strip()
         if word.lower() != "bearer" or not secret:
             why = "This server needs a key, and the request has none."
-            if sent:  # it may be a secret: not quoted
+            if sent:  # it may be a secret, so it is not quoted
                 why = "The header Authorization of the request is not Bearer and a key."
             raise _no_key(why)
         permission = self._permissions.get(secret)
@@ -414,7 +422,10 @@ class AccessControl:
         return permission
 
     def refresh(self) -> None:
-        """Once a key has changed, end its streams and drop cached permissions; for the loop."""
+        """End the streams of changed keys and empty the cache of permissions.
+
+        Call it in the loop.
+        """
         if self.keyring.refresh() == self._version:
             return
         self._version = self.keyring.version
@@ -425,7 +436,7 @@ class AccessControl:
                 listener.end()
 
     def _holds(self, permission: Permission) -> bool:
-        """Whether a request that was permitted would be so now."""
+        """Return whether a request that was permitted would be permitted now."""
         key = permission.key
         if key is None or key is self._server_key:
             return key is self._server_key or not self.keys_needed
@@ -458,7 +469,7 @@ def _beyond_key(key: Key) -> HttpProblemError:
 
 
 def _check_components(caller: Caller, method: str, path: str) -> None:
-    """Refuse a key for some components a call of another one, or of the whole server."""
+    """Refuse calls about other components, or the whole server, with a key for some components."""
     if caller.components == ANY:
         return
     name = path.split("/")[3] if path.startswith("/v1/components/") else None
@@ -477,7 +488,7 @@ def _check_components(caller: Caller, method: str, path: str) -> None:
 
 
 def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
-    """Refuse bodies that a page may send without a preflight: a form, or text, that holds JSON.
+    """Refuse bodies that a page may send without a preflight: a form, or text, that may be JSON.
 
     A program may leave the type out. A request with an Origin, which browsers send, may not.
     """
@@ -539,7 +550,7 @@ def sending(send: Send, path: str, origin: bytes | None) -> Send:
 
 
 def _of_listed(origin: bytes) -> Fields:
-    """Headers that permit a page of a listed site to read the reply."""
+    """Return headers that permit a page of a listed site to read the reply."""
     return (
         (b"access-control-allow-origin", origin),
         (b"access-control-expose-headers", b"location, link, etag, retry-after, x-request-id"),

@@ -58,7 +58,7 @@ _SUMMARY = (
     "finite-element results, with an error bar. Where the table is too thin, a solve is queued."
 )
 
-# In the order of the document.
+# The order of the OpenAPI document.
 _PARTS = (
     *(displacement, components, coverage, deformed, table, rows, rigs, library),
     *(report, recording, scenes, jobs, events, keys, audit),
@@ -66,8 +66,10 @@ _PARTS = (
 
 
 access_log = logging.getLogger("wrenchbook.access")
-NO_ROUTE: Final = "none"  # no call of the API, or refused before the router
-_REFUSED: Final = Caller("-", (), admin=False)  # until the access control knows the caller
+# Route name of a request that is no call of the API, or was refused before the router.
+NO_ROUTE: Final = "none"
+# The caller until the access control has identified it.
+_REFUSED: Final = Caller("-", (), admin=False)
 _METHODS: Final = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 _QUERIES: Final = ("/displacement", "/displacements", "/scenes/plan")
 _STOPPING: Final = HttpProblemError(
@@ -86,12 +88,12 @@ class Application(FastAPI):
     The id is the header X-Request-ID of the request (1 to 128 visible ASCII characters), else a
     random one. The reply has it, but for a displacement with status 200 to a request without the
     header: the fast path sends the same reply. `fast_path` answers queries of the main call from
-    their bytes; None if requests are `logged`, each in a line of the access log, or traced.
+    their bytes; it is None if requests are `logged`, each in a line of the access log, or traced.
     """
 
     fast_path: FastPath | None = None
     logged = False
-    read_only = False  # it answers from a replica
+    read_only = False  # whether it answers from a replica
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or run the lifespan."""
@@ -131,14 +133,14 @@ class Application(FastAPI):
 
     def _count(self, scope: Scope, status: int, seconds: float) -> None:
         """Count an answered request, and write its line of the access log."""
-        # The template of the route, such as ``/v1/jobs/{job_id}``; no words of the caller.
+        # The template of the route, such as ``/v1/jobs/{job_id}``, without the caller's words.
         route, method = getattr(scope.get("route"), "path", NO_ROUTE), scope["method"]
         known = method if method in _METHODS else "other"
         self.state.counts.add_request(route, known, status, seconds)
         if self.logged:
             host = (scope.get("client") or ("-",))[0]
             query = scope["query_string"].decode("latin-1")
-            # The path as it was sent: a decoded one may hold a line end.
+            # The path as sent: a decoded path may contain a line end.
             target = scope["raw_path"].decode("latin-1").partition("?")[0]
             target += "?" + query if query else ""
             actor = CALLER.get().actor
@@ -147,7 +149,7 @@ class Application(FastAPI):
 
 
 def _reads(scope: Scope) -> bool:
-    """Whether a request writes nothing by itself; queries refuse what they would add."""
+    """Return whether a request writes nothing by itself; queries refuse to add jobs."""
     if scope["method"] in ("GET", "HEAD", "OPTIONS"):
         return True
     return scope["path"].endswith(_QUERIES) or scope["path"].startswith("/umbridge/")
@@ -198,7 +200,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
     app.state.counts, app.state.large_batches = counts, asyncio.Semaphore(AT_ONCE)
     app.state.access = AccessControl(Keyring(settings.data), security or SecuritySettings(), rates)
     problems.install(app)
-    app.include_router(umbridge.router)  # a protocol with errors of its own form
+    app.include_router(umbridge.router)  # a protocol with its own form of errors
     app.include_router(health.router, responses=openapi.refused(403, 500))
     for part in _PARTS:
         app.include_router(part.router, responses=openapi.refused(403, 500, 503, 507))

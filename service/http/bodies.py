@@ -29,19 +29,20 @@ Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Load = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST_LOAD, le=LARGEST_LOAD)]
 Vector = Annotated[list[Load], Field(min_length=3, max_length=3)]
 Wrench = list[Load]
-# A list of a million mistakes takes gigabytes.
+# A list of a million mistakes would take gigabytes.
 Wrenches = Annotated[list[Wrench], FailFast()]
 Seconds = Annotated[float, Field(strict=True, ge=0, le=3600, allow_inf_nan=False)]
 Flag = Annotated[bool, Field(strict=True)]
 
-MAX_SCENE_COMPONENTS = 64  # each is measured, tenths of a second, while the caller waits
+# Components of a scene: each is measured, tenths of a second, while the caller waits.
+MAX_SCENE_COMPONENTS = 64
 ClientName = Annotated[str, Field(min_length=1, max_length=64)]
 # The ledger's numbers are SQLite's: 64 bits with a sign.
 Sequence = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class Body(BaseModel):
-    """A request body: unknown fields are mistakes, numbers are never guessed from strings."""
+    """A request body: unknown fields are mistakes, and strings are not converted to numbers."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -87,7 +88,7 @@ def tolerance_of(body: ToleranceBody | None) -> Tolerance | None:
 
 
 def query_of(options: Body, tolerance: Tolerance | None) -> Query:
-    """Return the query without its wrench: each field that a body and a query have in common."""
+    """Return the query without its wrench, from the fields that body and query share."""
     common = type(options).model_fields.keys() & set(Query._fields) - {"tolerance"}
     return Query((), tolerance=tolerance, **{name: getattr(options, name) for name in common})
 
@@ -109,13 +110,16 @@ class WrenchBody(Body):
         return self.force is None and self.moment is None
 
     def wrench(self) -> list[float]:
-        """Return force then moment, zeros for the one that is missing."""
+        """Return force then moment, zeros for a missing one."""
         zero = [0.0, 0.0, 0.0]
         return [number + 0.0 for number in (self.force or zero) + (self.moment or zero)]
 
 
 class LoadsBody(WrenchBody):
-    """The loads of a component: one wrench, or one an interface by its name; further inputs."""
+    """The loads of a component: one wrench, or a wrench for each interface by name.
+
+    Further inputs.
+    """
 
     loads: dict[str, WrenchBody] = {}
     inputs: dict[str, Load] = {}
@@ -162,12 +166,12 @@ class SolveBody(LoadsBody):
 Span = Annotated[
     Annotated[Annotated[list[Finite], Field(min_length=2, max_length=2)], Tag("pair")]
     | Annotated[Positive, Tag("number")],
-    # The mistakes of a span are those of its form alone.
+    # A mistake in a span is reported for its own form alone.
     Discriminator(lambda span: "pair" if isinstance(span, list) else "number"),
 ]
 
 
-MAX_VALUES = 64  # inputs, outputs of a table
+MAX_VALUES = 64  # inputs, or outputs, of a table
 Outputs = Annotated[list[str] | None, Field(min_length=1, max_length=MAX_VALUES)]
 Spans = Annotated[list[Span], Field(min_length=3, max_length=3)]
 
@@ -180,7 +184,7 @@ class RangeBody(Body):
 
 
 class InterfaceSpan(Body):
-    """Expected loads of one interface; zero where they are left out."""
+    """Expected loads of one interface; zero if left out."""
 
     force: Spans | None = None
     moment: Spans | None = None
@@ -189,10 +193,11 @@ class InterfaceSpan(Body):
 class SpaceSpan(Body):
     """Expected loads: of the only interface, or of each by its name, and of further inputs.
 
-    An interface without loads has none; a further input that is left out has the component's range.
+    An interface that is left out has no loads; a further input that is left out has the component's
+    range.
     """
 
-    # First: whether the others are needed depends on them.
+    # First, since it decides whether the others are required.
     loads: Annotated[dict[str, InterfaceSpan] | None, Field(max_length=MAX_VALUES)] = None
     inputs: Annotated[dict[str, Span] | None, Field(max_length=MAX_VALUES)] = None
     force: Annotated[Spans | None, Field(validate_default=True)] = None
@@ -290,7 +295,8 @@ class BlockKey(Body):
 class BlockBody(BlockKey):
     """Block of wrenches of a simulation, each force then moment."""
 
-    # Of any size: a recording holds each wrench of a loop; only a start checks which can be solved.
+    # Any size is allowed: a recording stores each wrench of a loop; only a start checks which can
+    # be solved.
     wrenches: Annotated[
         list[Annotated[list[Finite], Field(min_length=6, max_length=6)]],
         FailFast(),
@@ -306,7 +312,7 @@ class StartBody(Body):
 
 
 class EnvelopeStartBody(Body):
-    """Whether extremes outside the load range are solved as well."""
+    """Whether extremes outside the load range are solved too."""
 
     beyond_range: Flag = False
 

@@ -1,4 +1,4 @@
-"""The query of a bulk import and its reply, as pydantic and OpenAPI have them."""
+"""The query of a bulk import and its reply, for pydantic and OpenAPI."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from wrenchbook.service.formats.rig import MAX_RIG, NAME, Rig, RigError, rig_tex
 from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.messages import ImportFinding, PreviewRow, RowMistake, RowMistakes
 
-_MAX_COLUMNS = 1000  # of a mapping; a logger has some hundred
+_MAX_COLUMNS = 1000  # columns of a mapping: a logger has some hundred
 _MAPPING_FORM = '{"column in the file": "fz [N]"}'
-# Options that read a file as a whole; the rows of an appended block are taken one by one.
+# Options for whole files; the rows of an appended block are read one by one.
 _OF_FILES = frozenset(
     {"tare", "preview", "sheet", "time_offset_s", "max_gap_s", "filename"}
     | {"skip_cycles", "branch", "thin", "mean_cycles"}
 )
-WAIT_S = 10.0  # a table of 20,000 measured rows is built by then
-MAX_WAIT_S = 600.0  # a million rows take minutes
+WAIT_S = 10.0  # s: a table of 20,000 measured rows is built by then
+MAX_WAIT_S = 600.0  # s: a million rows take minutes
 _Text = Annotated[str, Field(max_length=1000)]
 
 
 class ImportQuery(Body):
-    """The query of an import; what is not named is refused."""
+    """The query of an import; unknown parameters are refused."""
 
     format: FileFormat | None = None
     dry_run: bool = False
@@ -101,7 +101,10 @@ class ImportQuery(Body):
         return text
 
     def options(self, rig: str) -> Options:
-        """Return the options of reading the file, else those of the profile `rig`; RigError."""
+        """Return the options for reading the file, completed by those of the profile `rig`.
+
+        Raises RigError if the profile or its combination with the query is not valid.
+        """
         rig = self._with_axes(rig)
         profile = profile_of(rig)
         others = profile.model_fields_set & _OF_FILES
@@ -111,7 +114,7 @@ class ImportQuery(Body):
             raise RigError(why + "; name a rig without them, or import the file without append")
         own_mapping, rig_mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
         rig_ignore = set(profile.ignore) - own_mapping.keys()
-        # A file may lack the columns that only the rig names.
+        # A file may lack columns that only the rig names.
         only_of_rig = (rig_ignore | rig_mapping.keys()) - own_mapping.keys() - set(self.ignore)
         query = profile.model_copy(update=self.model_dump(include=self.model_fields_set))
         options = query.model_dump(include={field.name for field in fields(Options)})
@@ -125,7 +128,10 @@ class ImportQuery(Body):
 
 
 def profile_of(text: str) -> ImportQuery:
-    """Return the options of a rig's profile as a query; RigError or ValidationError if wrong."""
+    """Return the options of a rig's profile as a query.
+
+    Raises RigError or ValidationError if the profile is wrong.
+    """
     values = Rig.read(text).options
     if "columns" in values:
         values["mapping"] = orjson.dumps(values.pop("columns"), default=str).decode()
@@ -133,6 +139,7 @@ def profile_of(text: str) -> ImportQuery:
 
 
 def _pairs(text: str) -> dict[str, str]:
+    """Return the pairs of a JSON object of texts."""
     try:
         pairs = orjson.loads(text)
     except orjson.JSONDecodeError as error:
@@ -148,7 +155,7 @@ def _pairs(text: str) -> dict[str, str]:
     return pairs
 
 
-# A dataclass has no field of the name `import`.
+# A dataclass cannot have a field named `import`.
 Imported = TypedDict(
     "Imported",
     {

@@ -44,16 +44,17 @@ TEXTS: Final[dict[str, dict[str, str]]] = {
 }
 _KINDS: Final[dict[str, Any]] = {"Problem": Problem}  # the types of bodies, by their names
 _DEFAULT: Final = "Successful Response"
-_OWN_ERRORS: Final = "/umbridge/"  # a protocol with its form of errors
+_OWN_ERRORS: Final = "/umbridge/"  # a protocol with its own form of errors
 
 
-# Of the application.
+# Options of the application.
 OPTIONS: Final[dict[str, Any]] = {
     "openapi_url": None,  # `install` serves it with an ETag
-    "docs_url": None,  # service/http/routes/page.py has it without a host of others
+    # Service/http/routes/page.py has the documentation without another host's files.
+    "docs_url": None,
     "redoc_url": None,
-    # A call is named, in clients that are generated, after its function; those of UM-Bridge begin
-    # with its name, since it has an `info` and a `gradient` too.
+    # Generated clients name a call after its function; the calls of UM-Bridge begin with its name,
+    # since it has an `info` and a `gradient` too.
     "generate_unique_id_function": lambda route: (
         f"umbridge_{route.name}" if "umbridge" in route.tags else route.name
     ),
@@ -77,7 +78,7 @@ def refused(*statuses: int, **texts: str) -> Responses:
 def component_router(
     tag: str, path: str = "", codes: Sequence[int] = (404, 422), route: type[APIRoute] = APIRoute
 ) -> APIRouter:
-    """Return a router of calls of a component, which are below its name."""
+    """Return a router of calls of a component, whose paths begin with its name."""
     prefix = "/v1/components/{name}" + path
     return APIRouter(prefix=prefix, tags=[tag], responses=refused(*codes), route_class=route)
 
@@ -85,7 +86,7 @@ def component_router(
 def takes(body: Any, more: Mapping[str, Any] | None = None, query: Any = None) -> Schema:
     """Return FastAPI's `openapi_extra` of a call that reads its body, and its `query`, itself.
 
-    `more` is what OpenAPI says of further content types.
+    `more`: OpenAPI's description of further content types.
     """
     _KINDS[body.__name__] = body  # the document has its schema by its name
     schema = {"$ref": _REFERENCE.format(model=body.__name__)}
@@ -98,7 +99,7 @@ def takes(body: Any, more: Mapping[str, Any] | None = None, query: Any = None) -
 
 
 def install(app: FastAPI) -> None:
-    """Serve the document; one with keys and one without them is cached."""
+    """Serve the document, with one cached form with keys and one without."""
     documents: dict[tuple[bool, str], tuple[bytes, str]] = {}
 
     def document() -> dict[str, Any]:
@@ -163,6 +164,6 @@ def places(document: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
             for item in operation.get("parameters", ()):
                 yield item, item["name"], call, "parameters"
             for reply in operation["responses"].values():
-                # FastAPI's default, or the text that has replaced it.
+                # FastAPI's default text, or its replacement.
                 if reply["description"] in (_DEFAULT, TEXTS.get(call, {}).get("reply")):
                     yield reply, "reply", call

@@ -1,4 +1,4 @@
-"""Every error as ``application/problem+json`` (RFC 9457), saying what to do about it."""
+"""Every error as ``application/problem+json`` (RFC 9457), with its remedy."""
 
 from __future__ import annotations
 
@@ -36,17 +36,18 @@ from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.surrogate.answer import UnknownMethodError
 
 MEDIA_TYPE = "application/problem+json"
-CLIENT_GONE = 499  # as nginx counts it: the caller left before its request was complete
+# Status as nginx counts it: the caller disconnected before its request was complete.
+CLIENT_GONE = 499
 MAX_ERRORS = 1000
-MAX_TEXT = 1000  # characters of a message
-MAX_PLACE = 200  # characters of a path or a key: a caller may send any
-MAX_VALUE = 40  # characters of a quoted value
-# By pydantic's type of an error, where its own text has no next action.
+MAX_TEXT = 1000  # characters of a message: longer ones are cut
+MAX_PLACE = 200  # characters of a path or a key, which a caller may send at any length
+MAX_VALUE = 40  # characters of a quoted value: longer ones are cut
+# Texts by pydantic's type of an error, if its own text has no remedy.
 _PLAIN = {
     "extra_forbidden": "is unknown; correct its name, or leave it out (see the fields at /docs)",
     "missing": "is missing; add it (see the fields at /docs)",
 }
-# Status, kind and title of each error; a subclass that is not here has those of its base.
+# Status, kind and title of each error; a subclass that is not listed has those of its base.
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     component.UnknownComponentError: (404, "unknown-component", "No such component"),
     component.ComponentExistsError: (409, "component-exists", "The name is taken"),
@@ -89,17 +90,18 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ledger.LedgerBusyError: (503, "ledger", "The ledger is busy"),
     ledger.LedgerUnavailableError: (503, "ledger", "The ledger cannot be used"),
 }
-# Of a full disk, a quota and a limit of file sizes: bodies and parsed files are temporary files.
+# Errors of a full disk, a quota and a limit of file sizes: bodies and parsed files are temporary
+# files.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _BUILT_S = "1"  # Retry-After, s: most tables are built in less
 _TYPE_ROOT = "urn:wrenchbook:problem:"
 
 
 class HttpProblemError(HTTPException):
-    """A problem+json answer: its HTTP status, and `kind`, which ends its ``type``.
+    """A problem+json reply: its HTTP status, and `kind`, the end of its ``type``.
 
-    `title` and `detail` say what is wrong, in short and exactly with what to do. `extra` are
-    further members, such as ``errors`` or ``job``.
+    `title` is the mistake in short, `detail` the exact mistake with its remedy. `extra` are further
+    members, such as ``errors`` or ``job``.
     """
 
     def __init__(
@@ -121,7 +123,7 @@ class HttpProblemError(HTTPException):
         return self.detail
 
     def response(self) -> Response:
-        """Return the answer; a 5xx names its request, as the server's log does."""
+        """Return the reply; a 5xx has its request id, as the server's log does."""
         body = self.body
         if self.status >= 500 and (request_id := REQUEST_ID.get()):
             body = {**body, "request_id": request_id}
@@ -164,7 +166,7 @@ def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[s
 
 
 def problem_of(error: Exception) -> HttpProblemError:
-    """Map a named error of a package to its answer; an unmapped one is raised again."""
+    """Return the problem of a named error of a package; raise any other error again."""
     if isinstance(error, HttpProblemError):
         return error
     if isinstance(error, ValidationError | RequestValidationError):
@@ -190,7 +192,7 @@ def problem_of(error: Exception) -> HttpProblemError:
 
 
 def _retry_after(error: Exception) -> dict[str, str] | None:
-    """Return the header that says when to repeat the request, of errors that end by themselves."""
+    """Return the header with the time to repeat the request, for errors that pass by themselves."""
     if isinstance(error, ledger.QuotaError):
         return {"Retry-After": str(ceil(error.retry_s))}
     if isinstance(error, ledger.LedgerBusyError):
@@ -199,7 +201,7 @@ def _retry_after(error: Exception) -> dict[str, str] | None:
 
 
 def install(app: FastAPI) -> None:
-    """Make every error of ``app`` answer as a problem."""
+    """Make every error of ``app`` a problem reply."""
 
     def answer(_: Request, error: Exception) -> Response:
         return problem_of(error).response()

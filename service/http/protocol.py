@@ -1,9 +1,9 @@
 """HTTP/1.1 protocol of the server: uvicorn's, with timeouts and a fast path for single queries.
 
-uvicorn makes a scope, a task and two messages of each request; that costs more than most answers.
-The fast path answers from its bytes a query that is `POST /v1/components/{name}/displacement` with
-a small JSON body of force, moment and on_thin. All else, and each problem, is a request of the
-application, with the fast path's permission, query and reply.
+uvicorn makes a scope, a task and two messages of each request, which costs more than most answers.
+The fast path answers a `POST /v1/components/{name}/displacement` with a small JSON body of force,
+moment and on_thin from its bytes. All other requests, and each problem, go to the application, with
+the fast path's permission, query and reply.
 """
 
 from __future__ import annotations
@@ -32,15 +32,18 @@ from wrenchbook.service.query import answered_at_once, fields_of, plain_query
 
 log = logging.getLogger(__name__)
 
-MAX_CONNECTIONS: Final = 8192  # below the open files of a server, see `server.OPEN_FILES`
-MAX_HEAD_BYTES: Final = 64 * 1024  # what proxies and other servers take, or less
-HEAD_S: Final = 10.0  # for a head, from its first byte or from the connection's beginning
-BODY_S: Final = 30.0  # for a body, the rest of a refused one, and the time at this rate:
-SLOWEST: Final = 16 * 1024  # bytes a second; a bad mobile connection has more
-READ_S: Final = 60.0  # in which the caller must read some of an answer that waits
-POLL_S: Final = 5.0  # between two checks of a connection's timeouts
-LAST_S: Final = 0.25  # for a last request of an idle connection when the server stops
-REFUSALS_S: Final = 60.0  # between two lines of the log: input that is not HTTP needs no key
+# Connections, below the open files of a server, see `server.OPEN_FILES`.
+MAX_CONNECTIONS: Final = 8192
+MAX_HEAD_BYTES: Final = 64 * 1024  # bytes of a head that proxies and other servers allow, or less
+HEAD_S: Final = 10.0  # s for a head, from its first byte or from the connection's beginning
+# s for a body, for the rest of a refused body, and in addition the time at this rate:
+BODY_S: Final = 30.0
+SLOWEST: Final = 16 * 1024  # bytes a second; a bad mobile connection is faster
+READ_S: Final = 60.0  # s within which the caller must read some of a waiting reply
+POLL_S: Final = 5.0  # s between two checks of a connection's timeouts
+LAST_S: Final = 0.25  # s for a last request of an idle connection when the server stops
+# s between two log lines: input that is not HTTP needs no key and could fill the log.
+REFUSALS_S: Final = 60.0
 _SIZES: Final = {b"content-length", b"transfer-encoding"}
 _NO_UPGRADE: Final = HttpProblemError(
     400,
@@ -79,13 +82,15 @@ _ID: Final = re.compile(rb"[\x21-\x7e]{1,128}")
 _FIRST_LINE: Final = re.compile(rb"POST /v1/components/([\w-]+)/displacement HTTP/1\.1\r\n")
 _BLANK_LINE: Final = b"\r\n\r\n"
 _UNUSUAL: Final = frozenset({b"expect", b"transfer-encoding", b"upgrade"})
-_LENGTH: Final = re.compile(rb"[1-9]\d{0,2}|[1-3]\d{3}")  # of a body; the longest have some 400
-_MAX_PLAIN_HEAD: Final = 2048  # bytes: a loop's heads have some 200
-_MAX_HEADS: Final = 1024  # 2 MiB: a loop's heads differ by component and content-length
+# Lengths of a body on the fast path; the longest bodies have some 400.
+_LENGTH: Final = re.compile(rb"[1-9]\d{0,2}|[1-3]\d{3}")
+_MAX_PLAIN_HEAD: Final = 2048  # bytes of a head on the fast path: a loop's heads have some 200
+# Cached heads, 2 MiB: a loop's heads differ by component and content-length.
+_MAX_HEADS: Final = 1024
 
 
 def id_of(headers: Iterable[tuple[bytes, bytes]]) -> bytes | None:
-    """Return the id that a request has: empty without the header, None if it is not valid."""
+    """Return the id of a request: empty without the header, None if it is not valid."""
     sent = next((value for name, value in headers if name == HEADER), b"")
     return sent if not sent or _ID.fullmatch(sent) else None
 
@@ -101,7 +106,7 @@ class Head(NamedTuple):
 
 
 class _Fields:
-    """Header fields of one head, as a parser calls back."""
+    """Header fields of one head, collected by the parser's callbacks."""
 
     def __init__(self) -> None:
         self.fields: list[tuple[bytes, bytes]] = []
@@ -114,11 +119,11 @@ class _Fields:
         self.is_complete = True
 
     def on_body(self, _: bytes) -> None:
-        self.is_complete = False  # the parser has read the end of the head earlier
+        self.is_complete = False  # the parser had read the end of the head before
 
 
 class FastPath:
-    """Answers queries without a request of the application.
+    """Answers queries without the application.
 
     `state` is the application's, with `access`, `counts` and, while the server runs, `workspace`.
     """
@@ -128,7 +133,10 @@ class FastPath:
         self._heads: dict[bytes, Head] = state.access.heads
 
     def head(self, data: bytes) -> Head | None:
-        """Return the head that `data` begins with; None if it is not that of a permitted query."""
+        """Return the head at the beginning of `data`.
+
+        None if it is not that of a permitted query.
+        """
         start = data[: data.find(_BLANK_LINE) + 4]
         head = self._heads.get(start)
         if head is None:
@@ -141,7 +149,7 @@ class FastPath:
         return head
 
     def answer(self, head: Head, body: bytes) -> bytes | dict[str, Any]:
-        """Return the JSON of a 200 to a query, or what its request's scope is to have besides."""
+        """Return the JSON of a 200 to a query, or further entries of its request's scope."""
         started, state, permission = perf_counter(), self._state, head.permission
         if permission.key is not None and permission.wait() > 0.0:
             return {}
@@ -156,7 +164,7 @@ class FastPath:
                     state.counts.add(reply.coverage, reply.method, outcome.elapsed_us)
                     state.counts.add_request(ROUTE, "POST", 200, perf_counter() - started)
                     return content
-        except Exception:  # the request meets the error again, and answers it
+        except Exception:  # the request meets the error again, and replies
             return {PERMISSION: permission}
         return known
 
@@ -191,7 +199,7 @@ class FastPath:
 def reply_bytes(
     fields: Iterable[tuple[bytes, bytes]], head: Head, content: bytes, *, close: bool
 ) -> bytes:
-    """Return a 200 with the server's `fields`, byte for byte as the application's route has it."""
+    """Return a 200 with the server's `fields`, byte for byte as the application's route."""
     lines = [b"%b: %b\r\n" % field for field in fields]
     lines += [b"content-length: %d\r\n" % len(content)]
     if close:
@@ -203,7 +211,7 @@ def reply_bytes(
 
 
 class _Flow(FlowControl):
-    """Flow control that reads no further while requests are queued."""
+    """Flow control that stops reading while requests are queued."""
 
     def __init__(self, transport: asyncio.Transport, queue: Sized) -> None:
         super().__init__(transport)
@@ -220,7 +228,7 @@ class FastPathProtocol(HttpToolsProtocol):
     The fast path needs an application with `fast_path` that is not mounted below a path.
     """
 
-    _refusals: ClassVar[int] = 0  # of all connections, since the last line of the log
+    _refusals: ClassVar[int] = 0  # refusals of all connections, since the last line of the log
     _logged_at: ClassVar[float] = -math.inf
 
     def __init__(
@@ -231,20 +239,22 @@ class FastPathProtocol(HttpToolsProtocol):
         _loop: asyncio.AbstractEventLoop | None = None,
     ) -> None:
         super().__init__(config, server_state, app_state, _loop)
-        # Whether the last byte is of an unfinished request, or of its body; whether one has begun.
+        # Whether the last byte belongs to an unfinished request, or to its body; whether a request
+        # has begun.
         self._in_request = self._in_body = self._used = False
         self._head_bytes = self._body_bytes = 0
-        self._unread = 0  # bytes of an answer that waited at the last check
+        self._unread = 0  # bytes of a reply that waited at the last check
         self._since = self._unread_since = self._answered_at = 0.0
         self._timer: asyncio.TimerHandle | None = None
         # The request that is being answered; `cycle` is the last one that has arrived.
         self._answering: RequestResponseCycle | None = None
-        self._drops_input = self._is_last = False  # `_is_last`: the next answer closes
+        # `_is_last`: the next reply closes the connection.
+        self._drops_input = self._is_last = False
 
         self._fast: FastPath | None = getattr(config.app, "fast_path", None)
         if self.root_path or config.access_log or self.limit_concurrency is not None:
             self._fast = None  # uvicorn alone logs and counts
-        self._partial = b""  # a query of the fast path until all of its body is there
+        self._partial = b""  # a query of the fast path until its whole body has arrived
         self._known: dict[str, Any] = {}  # for the scope of the query that has arrived
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
@@ -270,7 +280,7 @@ class FastPathProtocol(HttpToolsProtocol):
             return
         if self._partial or not self._in_request:
             data, self._partial = self._partial + data, b""
-            # No other request is being answered, and the caller reads answers.
+            # No other request is being answered, and the caller reads replies.
             free = not self.flow.write_paused and not self.transport.is_closing()
             if self._fast and free and self._is_answered() and self._answer(self._fast, data):
                 return
@@ -289,12 +299,12 @@ class FastPathProtocol(HttpToolsProtocol):
         super().on_message_begin()
 
     def on_url(self, url: bytes) -> None:
-        """Take a piece of the URL."""
+        """Store a piece of the URL."""
         self._count(len(url))
         super().on_url(url)
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """Take a header field; trailers, behind a body, are dropped."""
+        """Store a header field; trailers, after a body, are dropped."""
         self._count(len(name) + len(value))
         if not self._in_body:
             super().on_header(name, value)
@@ -317,13 +327,13 @@ class FastPathProtocol(HttpToolsProtocol):
         self.app, self._in_body = app, True
         scope: Any = self.scope
         scope.update(self._known)
-        # uvicorn has X-Forwarded-For replace the scope's address.
+        # uvicorn replaces the scope's address by X-Forwarded-For.
         scope[PEER] = self.client[0] if self.client else ""
         if self._is_last:
             self.cycle.keep_alive = False
 
     def on_body(self, body: bytes) -> None:
-        """Take a piece of a body."""
+        """Store a piece of a body."""
         self._body_bytes += len(body)
         super().on_body(body)
 
@@ -333,12 +343,12 @@ class FastPathProtocol(HttpToolsProtocol):
         super().on_message_complete()
 
     def on_response_complete(self) -> None:
-        """Begin the time limit for the rest of a body that is not read, such as a refused one."""
+        """Start the time limit for the rest of a body that is not read, such as a refused one."""
         self._since = self.loop.time()
         super().on_response_complete()
 
     def shutdown(self) -> None:
-        """Close after the present answer; without one, after the next one or `LAST_S`."""
+        """Close after the present reply; without one, after the next one or `LAST_S`."""
         self._is_last = True
         if self._is_answered():
             self.loop.call_later(LAST_S, self._close_if_idle)
@@ -346,7 +356,7 @@ class FastPathProtocol(HttpToolsProtocol):
             self.cycle.keep_alive = False
 
     def timeout_keep_alive_handler(self) -> None:
-        """Close a connection that has been idle since the last answer."""
+        """Close a connection that has been idle since the last reply."""
         remaining = self._answered_at + self.timeout_keep_alive - self.loop.time()
         if remaining > 0:
             self._close_after(remaining)
@@ -361,7 +371,7 @@ class FastPathProtocol(HttpToolsProtocol):
     def _close_if_idle(self) -> None:
         """Close unless a request is being read or answered, or has arrived and is read next.
 
-        After a stall the loop runs timers first: a request that came meanwhile would be reset.
+        After a stall the loop runs timers first: a request that arrived meanwhile would be reset.
         """
         if self._in_request or not self._is_answered() or self.transport.is_closing():
             return
@@ -375,15 +385,15 @@ class FastPathProtocol(HttpToolsProtocol):
         super()._start_asgi_task(cycle, app)
 
     def _abandon(self, cycle: RequestResponseCycle | None) -> None:
-        """Let a request end as one whose caller has gone: its answer is not written."""
+        """End a request whose caller has disconnected: its reply is not written."""
         if cycle is not None and not cycle.response_complete:
             cycle.disconnected = True
             cycle.message_event.set()
 
     def _refuse(self) -> None:
-        """Answer what is not HTTP after the requests before it, then close; read nothing more.
+        """Refuse input that is not HTTP after the replies to earlier requests, then close.
 
-        The refusal takes the place of a request whose body cannot be read further.
+        Nothing more is read. The refusal replaces the reply to a request whose body cannot be read.
         """
         refusal = _TOO_LONG if self._head_bytes > MAX_HEAD_BYTES else _NOT_HTTP
         self._drops_input = self._is_last = True
@@ -411,14 +421,14 @@ class FastPathProtocol(HttpToolsProtocol):
             kind._refusals, kind._logged_at = 0, now
 
     def _begin(self, *, in_body: bool) -> None:
-        """Begin the time limits of a request."""
+        """Start the time limits of a request."""
         self._in_request = self._used = True
         self._in_body = in_body
         self._head_bytes = self._body_bytes = 0
         self._since = self.loop.time()
 
     def _count(self, size: int) -> None:
-        """Count bytes of a head; the parser ends with an error at too many."""
+        """Count bytes of a head; the parser raises an error for too many."""
         self._head_bytes += size
         if self._head_bytes > MAX_HEAD_BYTES:
             raise ValueError(f"the head is longer than {MAX_HEAD_BYTES} bytes; send fewer fields")
@@ -472,7 +482,7 @@ class FastPathProtocol(HttpToolsProtocol):
                 self._unread, self._unread_since = unsent, now
             return "an answer that is not read" if now - self._unread_since > READ_S else ""
         self._unread = 0
-        self._since = now if self.flow.read_paused else self._since  # the caller waits for answers
+        self._since = now if self.flow.read_paused else self._since  # the caller waits for replies
         waited = now - self._since
         if not self._in_request:
             return "a first request" if not self._used and waited > HEAD_S else ""

@@ -1,4 +1,4 @@
-"""Users that a trusted proxy names in headers, as proxies of OpenID Connect send them."""
+"""Users that a trusted proxy states in headers, as proxies of OpenID Connect do."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.keys import SCOPES, Key, Scope, digest_of
 from wrenchbook.service.settings import Settings, SettingsError
 
-PEER: Final = "wrenchbook.peer"  # key in a scope: the address that a connection comes from
+PEER: Final = "wrenchbook.peer"  # key in a scope: the address of a connection
 PEER_FIELD: Final = b":peer"  # the same among the header fields; no caller can send a ":" in a name
 _HEADER: Final = re.compile(r"[A-Za-z0-9-]{1,64}")
-_USER: Final = re.compile(r"[A-Za-z0-9][\w.@+:/=|-]{0,127}", re.ASCII)  # a mail, or an id
-_OF_CALLERS: Final = ("authorization", "cookie", "host")  # proxies pass these on
+_USER: Final = re.compile(r"[A-Za-z0-9][\w.@+:/=|-]{0,127}", re.ASCII)  # a mail address, or an id
+# Headers of callers, which proxies pass on.
+_OF_CALLERS: Final = ("authorization", "cookie", "host")
 _MAX_GROUPS: Final = 1000
 
 
@@ -31,9 +32,11 @@ class ProxyTrust:
     scopes: Mapping[str, Scope]
 
     def key_of(self, head: Mapping[bytes, bytes]) -> Key | None:
-        """Return the user of a request as a key that is stored nowhere; None if none is named.
+        """Return the user of a request as a key that is not stored; None without a user.
 
-        The header of any other address is ignored. Raises HttpProblemError, 403.
+        The header is ignored if the request comes from an address that is not trusted.
+
+        Raises HttpProblemError with status 403 if the user or its groups are refused.
         """
         sent = head.get(self.user, b"").decode("latin-1").strip()
         if not sent or not self.trusts(head.get(PEER_FIELD, b"").decode()):
@@ -62,7 +65,10 @@ class ProxyTrust:
 
 
 def proxy_trust(settings: Settings) -> ProxyTrust | None:
-    """Return the settings of trusted proxies; None without. Raises SettingsError."""
+    """Return the settings of trusted proxies; None without any.
+
+    Raises SettingsError if they are not valid.
+    """
     user, groups = settings.trust_proxy_user, settings.trust_proxy_groups
     if user is None:
         if settings.trust_proxy_from or groups:
@@ -92,7 +98,10 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
 
 
 def _check_header(option: str, header: str | None) -> None:
-    """Raise SettingsError for the name of a header that callers send, or that is not valid."""
+    """Check the name of a proxy's header.
+
+    Raises SettingsError if callers send this header, or the name is not valid.
+    """
     remedy = f"write the header that the proxy sets, such as X-Forwarded-{option.capitalize()}"
     if header and header.lower() in _OF_CALLERS:
         raise SettingsError(f"--trust-proxy-{option}: callers send {header!r} themselves; {remedy}")

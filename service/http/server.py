@@ -20,15 +20,15 @@ from wrenchbook.service.http.protocol import FastPathProtocol
 
 log = logging.getLogger(__name__)
 
-TICKS_A_SECOND = 10  # uvicorn's, which makes the headers anew each second
-OPEN_FILES = 10_240  # more than connections and files together may be
-FINISH_S = 5  # for requests to end after SIGTERM
-# For requests to end once another process answers new ones. An import may wait a minute for its
-# turn and a minute for the sandbox, is parsed for a minute, and its body may come slowly.
+TICKS_A_SECOND = 10  # uvicorn's ticks, of which one a second renews the headers
+OPEN_FILES = 10_240  # more than connections and files together
+FINISH_S = 5  # s for requests to end after SIGTERM
+# Time for requests to end, s, after another process has taken over. An import may wait a minute for
+# its turn and a minute for the sandbox, is parsed for a minute, and its body may arrive slowly.
 RETIRE_S = 600
-# Objects made before the young, the middle and the old are collected. A collection of the old takes
-# as long as thousands of answers, which all wait for it: by Python's own (700, 10, 10) each build
-# of a large table brings about several.
+# Number of objects before the young, the middle and the old generation are collected. A collection
+# of the old takes as long as thousands of answers, which all wait for it: Python's own (700, 10,
+# 10) collects several times during each build of a large table.
 GARBAGE_AFTER = (10_000, 20, 50)
 
 
@@ -49,10 +49,10 @@ def server_config(app: Any, log_level: str = "warning", **more: Any) -> uvicorn.
 class Server(uvicorn.Server):
     """uvicorn's server, with a frozen heap after the start; event streams end before it stops."""
 
-    _loop: asyncio.AbstractEventLoop  # from the start on; before it no request can run
+    _loop: asyncio.AbstractEventLoop  # set at the start, before any request
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start; objects that stay are not looked through for garbage from then on."""
+        """Start, and exclude existing objects from garbage collection."""
         self._loop = asyncio.get_running_loop()
         keep_few_heaps()
         await super().startup(sockets)
@@ -83,7 +83,7 @@ class Server(uvicorn.Server):
         log.info("stopped; %d requests were answered", self.server_state.total_requests)
 
     def retire(self) -> None:
-        """Stop, with `RETIRE_S` for requests to end; for the loop."""
+        """Stop, with `RETIRE_S` for requests to end; call it in the loop."""
         self.config.timeout_graceful_shutdown = RETIRE_S
         self.should_exit = True
 
@@ -99,9 +99,9 @@ class Server(uvicorn.Server):
 
 
 def raise_open_files() -> None:
-    """Let this process have as many connections as the machine allows, not 1024 of them."""
+    """Allow this process as many connections as the machine allows, more than the usual 1024."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    # macOS takes no more than this where there is no limit.
+    # macOS refuses more than this even if there is no limit.
     limit = OPEN_FILES if most == resource.RLIM_INFINITY else min(most, OPEN_FILES)
     with contextlib.suppress(ValueError, OSError):
         resource.setrlimit(resource.RLIMIT_NOFILE, (limit, most))

@@ -1,9 +1,8 @@
-"""Attempts: one solve of a job, and the folder that it has.
+"""Attempts: one solve of a job, and its folder.
 
-The folder is the only thing dispatcher, engine and solver share. ``spec.json`` is the attempt,
-``lock`` is locked by the solver as long as it lives, ``log.txt`` is what it printed,
-``progress.json`` how far it is, ``result.json`` how it ended. Both JSON files of the solver appear
-whole or not at all.
+The folder is all that dispatcher, engine and solver share. ``spec.json`` is the attempt, ``lock``
+is locked while the solver lives, ``log.txt`` is its output, ``progress.json`` its progress,
+``result.json`` its outcome. Both JSON files of the solver appear complete or not at all.
 """
 
 from __future__ import annotations
@@ -29,20 +28,20 @@ if TYPE_CHECKING:  # solvers need no ledger
 
 SPEC, LOCK, LOG = "spec.json", "lock", "log.txt"
 PROGRESS, OUTCOME = "progress.json", "result.json"
-DECK = "deck"  # what an outside solver was given and wrote
+DECK = "deck"  # folder of an outside solver's input and output
 _QUESTION: Final = ("job", "attempt", "component", "fingerprint", "wrench")
 _SOLVE: Final = (*_QUESTION, "bundle", "estimate", "task", "priority", "deadline", "memory")
 
 
 class BadOutcomeError(Exception):
-    """The result.json cannot be read, or answers another question than this attempt's."""
+    """The result.json cannot be read, or belongs to another question than this attempt's."""
 
 
 @dataclass
 class Outcome:
-    """How an attempt ended: ``done`` with numbers, ``failed`` with an error, or ``cancelled``.
+    """The end of an attempt: ``done`` with numbers, ``failed`` with an error, or ``cancelled``.
 
-    All else that a solver reports stands in `further`, and in result.json beside these fields.
+    All other reports of a solver are in `further`, and in result.json beside these fields.
     """
 
     status: str
@@ -51,7 +50,7 @@ class Outcome:
     compliance: Sequence[Sequence[float]] | None = None
     curvature: Sequence[Any] | None = None
     solver_error: Mapping[str, Any] | None = (
-        None  # the mesh's, where the attempt was to estimate it
+        None  # the mesh's error, if the attempt was to estimate it
     )
     notes: Sequence[str] | None = None
     program: str | None = None  # version and code digest of the solver
@@ -59,7 +58,10 @@ class Outcome:
 
     @classmethod
     def of(cls, fields: Mapping[str, Any]) -> Outcome:
-        """Return the outcome of result.json's fields; TypeError without a status."""
+        """Return the outcome of result.json's fields.
+
+        Raises TypeError without a status.
+        """
         known = {name: fields[name] for name in _OUTCOME if name in fields}
         return cls(**known, further={n: v for n, v in fields.items() if n not in known})
 
@@ -77,33 +79,35 @@ class Attempt:
     """One attempt, from its claim to its solver: a wrench (N, N·m) on a component."""
 
     job: int
-    attempt: int  # which of the job's attempts
+    attempt: int  # number of the attempt within the job
     component: str
     bundle: str  # the component's folder on this machine
     fingerprint: str
     wrench: tuple[float, ...]
-    estimate: bool = False  # whether the solver also estimates its own error, once a set-up
-    folder: Path = Path()  # of the attempt on this machine, absolute
+    estimate: bool = False  # whether the solver also estimates its own error, once a setup
+    folder: Path = Path()  # folder of the attempt on this machine, absolute
     # Unique to an attempt of a job of a data directory, and in the ledger before the engine gets
-    # it. Two submissions of one key are one attempt.
+    # it. Two submissions with one key are one attempt.
     task: str = ""
-    priority: int = 0  # higher ones go first where an engine has a queue of its own
+    priority: int = 0  # an engine with a queue of its own starts higher ones first
     deadline: float | None = None  # s from the solver's first instruction until it fails
-    # Bytes a solve of this component takes, as the check of its bundle estimates them (right to a
-    # factor of two); None if no check has been stored.
+    # Memory of a solve of this component by the check's estimate (right to a factor of two); None
+    # without a stored check.
     memory: int | None = None
-    cores: int = 1  # of a solver; its libraries use as many threads
-    # Of the dispatcher that owns it
-    accepted: bool = field(default=False, compare=False)  # by an engine
-    witnessed: bool = field(default=True, compare=False)  # its solver has lived in its time
+    cores: int = 1  # cores of a solver; its libraries use as many threads
+    # Fields of the dispatcher that owns it
+    accepted: bool = field(default=False, compare=False)  # whether an engine has accepted it
+    # Whether its solver lived during this dispatcher's time.
+    witnessed: bool = field(default=True, compare=False)
     adopted: bool = field(default=False, compare=False)  # another dispatcher started it
-    leaving: bool = field(default=False, compare=False)  # its answer is not needed any more
+    leaving: bool = field(default=False, compare=False)  # its answer is no longer needed
     began: bool = field(default=False, compare=False)  # a solver has reported its begin
-    died: float | None = field(default=None, compare=False)  # first detected as dead, monotonic s
+    # When its death was first detected, monotonic s.
+    died: float | None = field(default=None, compare=False)
 
     @classmethod
     def of(cls, job: JobRecord, folder: Path) -> Attempt:
-        """Return the latest attempt of a job, with its folder; where the component lies is open."""
+        """Return the latest attempt of a job, with its folder; its bundle is not set."""
         task = job.task or f"{job.id}-{job.attempt}"
         question = job.id, job.attempt, job.component, "", job.fingerprint, job.wrench
         return cls(*question, folder=folder, task=task, priority=job.priority)
@@ -115,27 +119,27 @@ class Attempt:
 
     @property
     def question(self) -> dict[str, Any]:
-        """The fields that identify an answer: neither paths nor the estimate flag."""
+        """The fields that identify an answer: without paths and the estimate flag."""
         return {name: getattr(self, name) for name in _QUESTION} | {"wrench": list(self.wrench)}
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a solver is: a fraction 0..1 and what it is at."""
+    """The progress of a solver: a fraction 0..1 and its present step."""
 
     fraction: float
     message: str
 
 
 def attempt_folder(jobs_folder: Path, job: int, attempt: int) -> Path:
-    """Return where an attempt's folder is."""
+    """Return the path of an attempt's folder."""
     return jobs_folder / str(job) / str(attempt)
 
 
 def prepare(attempt: Attempt) -> None:
     """Make the attempt's folder with its spec.json.
 
-    A folder of that number can only be left over from a ledger that is gone; it is moved aside.
+    An existing folder of that number can only come from a lost ledger; it is moved aside.
     """
     folder = attempt.folder
     if folder.exists():
@@ -145,7 +149,10 @@ def prepare(attempt: Attempt) -> None:
 
 
 def read_attempt(folder: Path) -> Attempt:
-    """Return the attempt of a folder; raises OSError, ValueError, TypeError, KeyError without."""
+    """Return the attempt of a folder.
+
+    Raises OSError, ValueError, TypeError or KeyError if its spec.json is missing or damaged.
+    """
     fields = json.loads((folder / SPEC).read_bytes())
     return Attempt(**fields | {"wrench": tuple(fields["wrench"])}, folder=folder)
 
@@ -160,7 +167,7 @@ def read_progress(folder: Path) -> Progress | None:
 
 
 def solver_began(folder: Path) -> bool:
-    """Return whether a solver came to its first instruction: it writes its pid into the lock.
+    """Return whether a solver came to its first instruction, which writes its pid into the lock.
 
     The lock alone proves nothing: an engine takes it before there is a process.
     """
@@ -168,7 +175,7 @@ def solver_began(folder: Path) -> bool:
 
 
 def solver_seconds(folder: Path) -> float | None:
-    """Return how long the attempt's solver has run, or ran until its outcome, in seconds.
+    """Return the run time of the attempt's solver until now or until its outcome, in seconds.
 
     None before its first instruction.
     """
@@ -193,9 +200,9 @@ def last_output(folder: Path) -> str:
 
 
 def write_outcome(attempt: Attempt, outcome: Outcome, *, durable: bool = True) -> None:
-    """Write result.json to disk for good; its appearance means that the solver has ended.
+    """Write result.json durably; its appearance means that the solver has ended.
 
-    It repeats the question, so that it is not taken for the answer to another wrench.
+    It repeats the question, so that it cannot be taken for the answer to another wrench.
     """
     known = {name: value for name in _OUTCOME if (value := getattr(outcome, name)) is not None}
     content = outcome.further | known | {"asked": attempt.question}
@@ -203,10 +210,10 @@ def write_outcome(attempt: Attempt, outcome: Outcome, *, durable: bool = True) -
 
 
 def read_outcome(attempt: Attempt) -> Outcome | None:
-    """Return how an attempt ended; None if it has not.
+    """Return the outcome of an attempt; None if it has not ended.
 
-    Raises `BadOutcomeError` if the file is not what `write_outcome` wrote, or answers another
-    question.
+    Raises BadOutcomeError if the file differs from the result of `write_outcome`, or belongs to
+    another question.
     """
     path = attempt.folder / OUTCOME
     try:
@@ -227,7 +234,7 @@ def read_outcome(attempt: Attempt) -> Outcome | None:
 
 
 def notes_of(attempt: Attempt) -> list[str]:
-    """Return the solver's notes on its answer; often none."""
+    """Return the solver's notes on its answer; often an empty list."""
     try:
         outcome = read_outcome(attempt)
     except BadOutcomeError:
@@ -237,7 +244,7 @@ def notes_of(attempt: Attempt) -> list[str]:
 
 
 def tidy(folder: Path) -> None:
-    """Leave of a done attempt only its spec, log and outcome, and an outside solver's files."""
+    """Reduce a done attempt's folder to spec, log and outcome, and an outside solver's files."""
     for entry in folder.iterdir():
         if entry.name in (SPEC, LOCK, LOG, OUTCOME, DECK):
             continue
@@ -248,20 +255,20 @@ def tidy(folder: Path) -> None:
 
 
 def write_json(path: Path, content: Mapping[str, Any], *, durable: bool = False) -> None:
-    """Write JSON such that readers see all of it or the file before; never NaN.
+    """Write JSON such that readers see its complete content or the earlier one; never NaN.
 
-    With `durable` it also survives a power cut.
+    With `durable` it also survives a power failure.
     """
     write_atomically(path, json.dumps(content, allow_nan=False).encode(), durable=durable)
 
 
 def _digest(content: Mapping[str, Any]) -> str:
-    """Return a digest that survives writing as JSON and reading again: floats come back exactly."""
+    """Return a digest that does not change by writing JSON and reading it again."""
     text = json.dumps(content, allow_nan=False, sort_keys=True)
     return blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-MAX_BYTES: Final = 1 << 30  # of all files together; a deck's solver may leave any number
+MAX_BYTES: Final = 1 << 30  # bytes of all files together; a deck's solver may leave any number
 _MAX_TEXT: Final = 8 << 20
 _PIECE: Final = 1 << 18
 _TEXTS: Final = (".txt", ".json", ".log")
@@ -270,8 +277,8 @@ _TEXTS: Final = (".txt", ".json", ".log")
 def zipped(folder: Path) -> IO[bytes]:
     """Return a file with the zip of a folder; its texts lose the paths of this machine.
 
-    Links and other special files are left out: a deck's command may have made them, to anything on
-    the machine.
+    Links and other special files are left out: a deck's command may have linked to any file of the
+    machine.
     """
     file: Any = tempfile.SpooledTemporaryFile(_MAX_TEXT)  # noqa: SIM115 (closed by the reader)
     room, missing = MAX_BYTES, []
@@ -281,7 +288,8 @@ def zipped(folder: Path) -> IO[bytes]:
                 continue
             name = path.relative_to(folder).as_posix()
             try:
-                # Opened first and checked then: between the two it could become a link.
+                # Opened first and checked afterwards: between check and opening it could become a
+                # link.
                 descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
             except OSError:
                 missing.append(name)
@@ -312,26 +320,29 @@ def pieces_of(file: IO[bytes]) -> Iterator[bytes]:
             yield piece
 
 
-# A solver's answers over its line: it has begun an attempt, it waits for work, it ends.
+# A solver's messages over its socket: it has begun an attempt, it waits for work, it ends.
 TAKEN, FREE, LEAVES = b"t", b"e", b"r"
 State = Literal["submitted", "running", "finished", "lost"]
 ALIVE: tuple[State, ...] = ("submitted", "running")
 
 Listener = Callable[[str], None]
-"""Gets the task key of an attempt whose state may have changed; called from any thread."""
+"""Called with the task key of an attempt whose state may have changed; in any thread."""
 
 
 class EngineError(Exception):
-    """The engine cannot take an attempt now; the job should wait and be tried again."""
+    """The engine cannot accept an attempt now; the job waits and is tried again."""
 
 
 class Listeners:
-    """What an engine calls with the task key of an attempt whose state may have changed."""
+    """The listeners of an engine, called with the task key of an attempt that may have changed."""
 
     _listeners: tuple[Listener, ...] = ()
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call the listener when an attempt's state may have changed; returns what ends that."""
+        """Call the listener when an attempt's state may have changed.
+
+        Return a function that ends this.
+        """
         self._listeners = (*self._listeners, listener)
 
         def stop() -> None:

@@ -1,9 +1,9 @@
-"""The engine for an existing Dask cluster; no file system needs to be shared with it.
+"""The engine for an existing Dask cluster, without a shared file system.
 
 A worker needs this program: a bundle comes as an argument of the task, an attempt is a subprocess
-in the worker's local directory, and its files are the task's result. The scheduler holds the result
+in the worker's local directory, and its files are the task's result. The scheduler keeps the result
 until a server has it, under the attempt's key. A solver ends with its worker; Dask then gives the
-task to another one.
+task to another worker.
 """
 
 from __future__ import annotations
@@ -44,25 +44,26 @@ _log = logging.getLogger(__name__)
 for _name in ("distributed.client", "distributed.batched"):
     logging.getLogger(_name).setLevel(logging.CRITICAL)
 
-# A thread that is free finds its next task on its worker: the way through the scheduler takes as
-# long as a solve of 10 ms. Scheduler and workers keep the order of priorities.
+# A free thread finds its next task on its worker: the way through the scheduler takes as long as a
+# solve of 10 ms. Scheduler and workers keep the order of priorities.
 TASKS_A_THREAD = 2
 CLOSE_SECONDS = 5.0
 CANCEL_SECONDS = 2.0  # for the scheduler to be reachable before an attempt counts as cancelled
-CONNECT_SECONDS = 10.0  # also how long the client tries to reconnect before it is replaced
-AWAY_SECONDS = (0.2, 5.0)  # before the first reconnection, and at most
+# Also the time for which the client tries to reconnect before it is replaced.
+CONNECT_SECONDS = 10.0
+AWAY_SECONDS = (0.2, 5.0)  # pause before the first reconnection, and the longest one
 ROSTER_SECONDS = 1.0  # between requests for the list of workers
-ROSTER_SECONDS_A_WORKER = 0.002  # a reply holds some kB of each
-ANSWER_SECONDS = 10.0  # a scheduler that takes longer does not answer
-# For a probe of a worker, then it is repeated: the call to a worker that has only just registered
-# may be lost, and what a slow one has imported stays imported.
+ROSTER_SECONDS_A_WORKER = 0.002  # addition for each worker: a reply has some kB for each
+ANSWER_SECONDS = 10.0  # a scheduler that takes longer counts as unreachable
+# Time for a probe of a worker before it is repeated: the call to a worker that has just registered
+# may be lost, and modules that a slow worker has imported stay imported.
 PROBE_SECONDS = 3.0
-PROBE_AGAIN_SECONDS = 20.0  # between probes of a worker that is not fit
-WAIT_SECONDS = 0.1  # between searches of an attempt for a worker that fits it
-# An attempt that killed so many workers is treated as the cause and fails: KILLED_TIMES times the
-# `distributed.scheduler.allowed-failures` + 1 (4) after which Dask gives a task up.
+PROBE_AGAIN_SECONDS = 20.0  # between probes of an unfit worker
+WAIT_SECONDS = 0.1  # between searches for a worker that fits an attempt
+# An attempt that killed this number of workers is treated as the cause and fails: KILLED_TIMES
+# times the `distributed.scheduler.allowed-failures` + 1 (4) after which Dask gives a task up.
 KILLED_TIMES = 5
-FAULTS = 10  # exceptions of a worker's part of the engine before the attempt fails
+FAULTS = 10  # exceptions in a worker's part of the engine before the attempt fails
 AGAIN_SECONDS = 1.0  # before a retry after an error of this machine or of the connection
 SENT_BUNDLES = 20  # components that workers keep in memory
 # Resources a worker may declare: ``--resources "wrenchbook_memory=8e9 wrenchbook_cores=4"``.
@@ -91,18 +92,18 @@ class _Worker:
 
 @dataclass
 class _Task:
-    """An attempt on its way."""
+    """The state of a submitted attempt."""
 
     attempt: Attempt
     state: attempts.State = "submitted"
     waits: str | None = None  # why no worker can have it
-    worker: str | None = None  # that sent the last event
+    worker: str | None = None  # the worker that sent the last event
     killed: int = 0
     run: asyncio.Task[None] | None = None
 
 
 class DaskEngine(attempts.Listeners):
-    """Runs attempts as tasks of a Dask scheduler, from a thread and an event loop of its own.
+    """Runs attempts as tasks of a Dask scheduler, in a thread with its own event loop.
 
     The scheduler's address is ``tcp://host:8786``, or ``tls://`` with the certificates of Dask's
     own configuration (``distributed.comm.tls``).
@@ -112,7 +113,7 @@ class DaskEngine(attempts.Listeners):
 
     def __init__(self, scheduler: str) -> None:
         self._scheduler = f"the Dask scheduler at {scheduler}"
-        # Why the scheduler cannot be used; None while it can.
+        # Why the scheduler cannot be used; None while it can be.
         self._disconnected: str | None = f"{self._scheduler} has not answered yet"
         self._workers: dict[str, _Worker] = {}
         self._tasks: dict[str, _Task] = {}
@@ -126,7 +127,7 @@ class DaskEngine(attempts.Listeners):
 
     @property
     def slots(self) -> int:
-        """Tasks for the threads of fit workers, and those that wait for a worker."""
+        """Number of tasks for the threads of fit workers, and of tasks that wait for a worker."""
         waiting = sum(task.waits is not None for task in tuple(self._tasks.values()))
         return TASKS_A_THREAD * sum(worker.threads for worker in self._fit) + waiting
 
@@ -145,7 +146,7 @@ class DaskEngine(attempts.Listeners):
             self._call_soon(self._start, task)
 
     def attach(self, attempt: Attempt) -> None:
-        """Submit the attempt under its key: a task of that key on the cluster goes on."""
+        """Submit the attempt under its key: a task of that key on the cluster continues."""
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
             if attempt.task not in self._tasks and not (attempt.folder / OUTCOME).exists():
                 attempt.bundle = attempts.read_attempt(attempt.folder).bundle
@@ -163,7 +164,7 @@ class DaskEngine(attempts.Listeners):
         self._call_soon(lambda: self._create_task(self._cancel(attempt.task)))
 
     def forget(self, attempt: Attempt) -> None:
-        """Stop following an attempt; a worker that runs it goes on."""
+        """Stop following an attempt; a worker that runs it continues."""
         if task := self._tasks.pop(attempt.task, None):
             self._call_soon(lambda: task.run and task.run.cancel())
 
@@ -196,7 +197,7 @@ class DaskEngine(attempts.Listeners):
         try:
             self._loop.run_forever()
         finally:
-            # It sends what the client has not sent yet: cancellations. Dask's own may not end.
+            # It sends the client's remaining messages: cancellations. Dask's own tasks may not end.
             for tasks in ({following}, asyncio.all_tasks(self._loop)):
                 for task in tasks:
                     task.cancel()
@@ -215,9 +216,9 @@ class DaskEngine(attempts.Listeners):
         return task
 
     async def _connect(self, scheduler: str) -> None:
-        """Connect and follow the workers for ever.
+        """Connect and follow the workers until the engine closes.
 
-        The client reconnects by itself for CONNECT_SECONDS; then another one takes its place.
+        The client reconnects by itself for CONNECT_SECONDS; then another one replaces it.
         """
         pause = AWAY_SECONDS[0]
         options: dict[str, Any] = {"timeout": CONNECT_SECONDS, "name": "wrenchbook"}
@@ -262,7 +263,7 @@ class DaskEngine(attempts.Listeners):
                 self._set_disconnected("cannot be used: the connection to it was lost")
                 await asyncio.sleep(AWAY_SECONDS[0])
                 continue
-            # A client that has reconnected has no subscriptions any more.
+            # A client that has reconnected has no subscriptions.
             client.subscribe_topic(TOPIC, self._on_progress)
             try:
                 roster = await asyncio.wait_for(scheduler.identity(n_workers=-1), ANSWER_SECONDS)
@@ -297,7 +298,7 @@ class DaskEngine(attempts.Listeners):
                 if answer["version"] != solver_version():
                     why = f"it has wrenchbook {answer['version']}, this server has "
                     why += solver_version()
-            # A worker that cannot import a function answers with the error as text.
+            # A worker that cannot import a function replies with the error as text.
             elif re.search("ModuleNotFoundError|ImportError|AttributeError", repr(answer)):
                 why = f"it lacks this program ({answer}); install wrenchbook[cluster,server] there"
             elif isinstance(answer, TimeoutError):
@@ -305,11 +306,12 @@ class DaskEngine(attempts.Listeners):
             else:
                 why = f"its answer is invalid ({answer!r}); see its log"
             self._suspend(worker, why)
-            if isinstance(answer, OSError):  # no answer in time, or no connection: at once again
+            # No answer in time, or no connection: probe again at once.
+            if isinstance(answer, OSError):
                 worker.probed = -float("inf")
 
     def _suspend(self, worker: _Worker, why: str | None) -> None:
-        """Send a worker no tasks until the next probe of it, if there is a reason."""
+        """Send a worker no tasks until its next probe, if there is a reason."""
         worker.unfit, worker.probed = why and f"{worker.address}: {why}", time.monotonic()
         if why:
             _log.warning("a Dask worker gets nothing to solve: %s", worker.unfit)
@@ -328,14 +330,14 @@ class DaskEngine(attempts.Listeners):
         with contextlib.suppress(TimeoutError, OSError, ClosedClientError):
             async with asyncio.timeout(CANCEL_SECONDS if task else None):
                 client = await self._connected(lambda: True)
-                future: Future = Future(f"wrenchbook-{name}", client)  # whoever submitted it
+                future: Future = Future(f"wrenchbook-{name}", client)  # the task of any client
                 await client.cancel([future], force=True)
                 await client.unpublish_dataset(future.key)
         if task:
             self._set(task, await self._write_outcome(task, attempts.Outcome("cancelled")))
 
     def _on_progress(self, event: tuple[float, Any]) -> None:
-        """Take a worker's progress event: a solver is at the attempt."""
+        """Handle a worker's progress event: a solver works on the attempt."""
         report = event[1]
         task = self._tasks.get(report["task"])
         if task is not None and task.state in ALIVE:
@@ -352,7 +354,7 @@ class DaskEngine(attempts.Listeners):
             self._report(task.attempt.task)
 
     async def _run(self, task: _Task) -> None:
-        """Submit the attempt until it has ended and its folder holds the artifacts."""
+        """Submit the attempt until it has ended and its folder has the artifacts."""
         ended: attempts.State | None = None
         while ended is None:
             goes_on = False
@@ -364,7 +366,8 @@ class DaskEngine(attempts.Listeners):
                 remedy = "add the component again, then retry the job"
                 ended = await self._fail(task, "component_missing", error, remedy)
             except FutureCancelled:
-                # With the connection, and it goes on, or it was lost with scheduler or bundle.
+                # After a lost connection it continues; otherwise it was lost with scheduler or
+                # bundle.
                 goes_on = True
                 await asyncio.sleep(0)
             except KilledWorker as error:
@@ -391,7 +394,7 @@ class DaskEngine(attempts.Listeners):
         return await self._write_outcome(task, outcome)
 
     async def _write_outcome(self, task: _Task, outcome: attempts.Outcome) -> attempts.State:
-        """Write an outcome in the solver's stead; an attempt whose folder is gone is lost."""
+        """Write an outcome in the solver's place; an attempt whose folder is gone is lost."""
         try:
             if not (task.attempt.folder / OUTCOME).exists():
                 await asyncio.to_thread(attempts.write_outcome, task.attempt, outcome)
@@ -400,14 +403,20 @@ class DaskEngine(attempts.Listeners):
         return "finished"
 
     async def _submit_once(self, task: _Task) -> attempts.State | None:
-        """Submit the attempt once; return how it ended, or None if it is to be submitted again."""
+        """Submit the attempt once.
+
+        Return its final state, or None if it is to be submitted again.
+        """
         attempt = task.attempt
         client = await self._connected(lambda: not self._unreachable)
         workers, resources = await self._suitable_workers(task)
         name, bundle = await self._send(client, attempt.bundle)
 
         def run(*arguments: Any) -> dict[str, Any]:
-            """Pickled by value: a scheduler unpickles tasks and lacks this program."""
+            """Run a task.
+
+            Pickled by value, as a scheduler unpickles tasks and lacks this program.
+            """
             from wrenchbook.service.jobs.dask_worker import run_task
 
             return run_task(*arguments)
@@ -426,14 +435,14 @@ class DaskEngine(attempts.Listeners):
         result = asyncio.ensure_future(future.result())
         try:
             if client.status == "running":  # without the connection the future is cancelled
-                # The task goes on without this server, and its result stays for the next one. A new
-                # scheduler waits for ever for what was sent to one that has died.
+                # The task continues without this server, and its result stays for the next server.
+                # A new scheduler waits for ever for data that were sent to a dead one.
                 with contextlib.suppress(OSError):
                     async with asyncio.timeout(ANSWER_SECONDS):
                         await client.publish_dataset(future, name=future.key, override=True)
             while not (await asyncio.wait({result}, timeout=ROSTER_SECONDS))[0]:
                 if workers and not self._disconnected and not self._workers.keys() & workers:
-                    # Dask would keep the task for these workers, whichever others come.
+                    # Dask would reserve the task for these workers even if others come.
                     await client.cancel([future], force=True)
                     return None
             payload = result.result()
@@ -504,7 +513,7 @@ class DaskEngine(attempts.Listeners):
                 with dask.config.set({limit: BUNDLE_BYTES}):
                     key = f"wrenchbook-bundle-{name}"
                     sent = stats, name, client.submit(bytes, content, key=key, retries=FAULTS)
-            self._bundles[folder] = sent  # the last used stands last
+            self._bundles[folder] = sent  # the last used is last
             for old in list(self._bundles)[:-SENT_BUNDLES]:
                 del self._bundles[old]
             return sent[1], sent[2]
@@ -520,7 +529,7 @@ def _store(task: _Task, payload: dict[str, Any]) -> None:
 
 
 def _mark_begun(task: _Task, seconds: float) -> None:
-    """Write the lock as a solver does that began some seconds ago."""
+    """Write the lock as a solver does that began `seconds` ago."""
     lock, now = task.attempt.folder / LOCK, time.time()
     if not lock.exists():
         write_atomically(lock, f"{task.worker}\n".encode(), durable=False)

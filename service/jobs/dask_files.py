@@ -1,4 +1,4 @@
-"""Files that travel between server and Dask workers by value, limited in size."""
+"""Files that are sent between server and Dask workers by value, limited in size."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from pathlib import Path
 from wrenchbook.service.jobs import attempt as attempts
 from wrenchbook.service.jobs.attempt import LOCK, LOG, OUTCOME, PROGRESS, SPEC, Attempt
 
-BUNDLE_BYTES = 512 * 1024 * 1024  # the limit of an uploaded bundle
-OUTCOME_BYTES = 8 * 1024 * 1024  # a displacement, a compliance and a history are some kB
-LOG_BYTES = 1024 * 1024  # of the end of a log
-FILES_BYTES = 32 * 1024 * 1024  # a failed solve's mesh, a deck's files
-MAX_NAMES = 20  # in the log, of files that are too large to be sent
+BUNDLE_BYTES = 512 * 1024 * 1024  # bytes: the limit of an uploaded bundle
+OUTCOME_BYTES = 8 * 1024 * 1024  # bytes: a displacement, a compliance and a history are some kB
+LOG_BYTES = 1024 * 1024  # bytes of the end of a log
+FILES_BYTES = 32 * 1024 * 1024  # bytes: a failed solve's mesh, a deck's files
+MAX_NAMES = 20  # names, in the log, of files that are too large to be sent
 
 Files = dict[str, bytes]
-"""The content of files by their names, relative to a folder."""
+"""The content of files by their names relative to a folder."""
 
 
 class BadPayloadError(Exception):
@@ -45,7 +45,10 @@ def read_files(folder: Path, limit: int, skip: Iterable[str] = ()) -> tuple[File
 
 
 def write_files(files: Files, folder: Path) -> None:
-    """Write files into a folder; raises `BadPayloadError`, before, if a name leads out of it."""
+    """Write files into a folder.
+
+    Raises BadPayloadError, before anything is written, if a name leads out of it.
+    """
     for name in files:
         if not name or name.startswith("/") or "\\" in name or ".." in name.split("/"):
             raise BadPayloadError(f"the file name {name!r} leads out of its folder")
@@ -58,7 +61,7 @@ def write_files(files: Files, folder: Path) -> None:
 def pack(folder: Path, limit: int) -> bytes:
     """Return the content of a folder, the same bytes for the same files.
 
-    Raises FileNotFoundError without the folder, `BadPayloadError` for more than `limit` bytes.
+    Raises FileNotFoundError without the folder, BadPayloadError for more than `limit` bytes.
     """
     if not folder.is_dir():
         raise FileNotFoundError(f"there is no folder {folder}")
@@ -79,7 +82,7 @@ def digest(content: bytes) -> str:
 def unpack(content: bytes, name: str, folder: Path) -> None:
     """Write the files of a packed folder with the digest `name` into ``folder/name``, all or none.
 
-    Raises `BadPayloadError` if they were damaged in transit, OSError if they cannot be written.
+    Raises BadPayloadError if they were damaged in transit, OSError if they cannot be written.
     """
     if digest(content) != name:
         why = f"their digest is {digest(content)}, but was {name} when they were sent"
@@ -89,17 +92,17 @@ def unpack(content: bytes, name: str, folder: Path) -> None:
         write_files(pickle.loads(content), partial)
         partial.rename(folder / name)
     except OSError:
-        if not (folder / name).is_dir():  # else another worker wrote the same files
+        if not (folder / name).is_dir():  # otherwise another worker wrote the same files
             raise
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 
 
 def artifacts(attempt: Attempt) -> tuple[bytes | None, Files]:
-    """Return the outcome of an ended attempt, and its log and other files, bounded in size.
+    """Return the outcome of an ended attempt, and its log and other files, limited in size.
 
     The log names the files that are too large; an outcome that is too large becomes a failure. The
-    notes on a log come first because its last line is a cause of death.
+    notes on a log come first because its last line is the cause of a death.
     """
     outcome, log = (attempt.folder / name for name in (OUTCOME, LOG))
     if outcome.exists() and (size := outcome.stat().st_size) > OUTCOME_BYTES:

@@ -20,19 +20,19 @@ from wrenchbook.service.jobs.attempt import ALIVE, Attempt
 from wrenchbook.service.jobs.dask_files import BadPayloadError, artifacts, unpack
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
-TOPIC = "wrenchbook-progress"  # of the workers' progress events, on the scheduler
-FREE_BYTES = 64 * 1024 * 1024  # a disk with less has no room for a solver's files
+TOPIC = "wrenchbook-progress"  # topic of the workers' progress events on the scheduler
+FREE_BYTES = 64 * 1024 * 1024  # free space for a solver's files: with less a worker is unfit
 BUNDLES = 50  # components that a worker keeps on its disk
 BUNDLE_SECONDS = 3600.0  # a solver has read its bundle long before
 POLL_SECONDS = 0.1  # between a worker's polls of a running solver
 REPORT_SECONDS = 1.0  # between two progress events of an attempt
 REPEAT_SECONDS = 30.0  # before the same progress is sent again
 # A kill of a solver and then its worker, or of a machine, is not the job's fault: the death of a
-# solver counts if its worker outlives it so long.
+# solver counts if its worker outlives it by this time.
 OUTLIVE_SECONDS = 1.0
 GRACE_SECONDS = 5.0  # between SIGTERM and SIGKILL of a solver
 
-_solvers: list[LocalEngine] = []  # of this process, one at most
+_solvers: list[LocalEngine] = []  # the engine of this process, at most one
 _solvers_lock = threading.Lock()
 
 
@@ -52,7 +52,7 @@ def probe(dask_worker: Worker) -> dict[str, Any]:
 
 
 def _no_room(folder: str) -> str | None:
-    """Return why the folder has no room for an attempt; None if it has."""
+    """Return the reason for which the folder is too full for an attempt; None if it is not."""
     free = shutil.disk_usage(folder).free
     if free < FREE_BYTES:
         return f"{folder} is on a disk with {free >> 20} MB left; make {FREE_BYTES >> 20} free"
@@ -63,8 +63,8 @@ def run_task(sent: bytes, name: str, files: bytes) -> dict[str, Any]:
     """Run an attempt, a pickled `Attempt`, of a component with these files to its end.
 
     In the result ``unfit`` is why the worker could not run it. Otherwise ``outcome`` is the content
-    of result.json, None if the solver died, ``files`` has the others by name, ``seconds`` is how
-    long the solver ran.
+    of result.json, None if the solver died, ``files`` has the others by name, ``seconds`` is the
+    solver's run time.
     """
     worker = distributed.get_worker()
     attempt: Attempt = pickle.loads(sent)
@@ -72,19 +72,19 @@ def run_task(sent: bytes, name: str, files: bytes) -> dict[str, Any]:
     if result["unfit"]:
         return result
     folder = Path(worker.local_directory, "wrenchbook")
-    bundle = folder / "bundles" / name  # a worker keeps it under its digest
+    bundle = folder / "bundles" / name  # a worker stores it under its digest
     attempt.folder, attempt.bundle = folder / "attempts" / attempt.task, str(bundle)
     try:
         if not bundle.is_dir():
             unpack(files, name, bundle.parent)
             drop_old_bundles(bundle.parent)
-        os.utime(bundle)  # bundles in use are kept
+        os.utime(bundle)  # marks a bundle as used, which keeps it
         attempts.prepare(attempt)
         engine = solvers(worker)
         engine.submit(attempt)
         if not _supervise(worker, attempt, engine):
             time.sleep(OUTLIVE_SECONDS)
-            result["unfit"] = _no_room(worker.local_directory)  # solvers die of a full disk
+            result["unfit"] = _no_room(worker.local_directory)  # solvers die on a full disk
         result["seconds"] = attempts.solver_seconds(attempt.folder) or 0.0
         result["outcome"], result["files"] = artifacts(attempt)
     except (OSError, BadPayloadError) as error:
@@ -95,10 +95,11 @@ def run_task(sent: bytes, name: str, files: bytes) -> dict[str, Any]:
 
 
 def _supervise(worker: Worker, attempt: Attempt, engine: LocalEngine) -> bool:
-    """Return once the attempt's solver has ended: whether it left an outcome.
+    """Wait until the attempt's solver has ended; return whether it left an outcome.
 
-    Sends progress events: one a second at most, and only changes. Raises Reschedule if the worker
-    closes before.
+    Sends progress events: one a second at most, and only changes.
+
+    Raises Reschedule if the worker closes before.
     """
     changed, key = threading.Event(), worker.get_current_task()
     stop_listening = engine.listen(lambda task: changed.set() if task == attempt.task else None)
@@ -130,7 +131,7 @@ def _supervise(worker: Worker, attempt: Attempt, engine: LocalEngine) -> bool:
 
 
 def drop_old_bundles(bundles: Path) -> None:
-    """Remove bundles that are neither among the last used nor used within an hour."""
+    """Remove bundles that are neither among the last used nor were used within an hour."""
     ages = {path: time.time() - path.stat().st_mtime for path in bundles.glob("[!.]*")}
     for path in sorted(ages, key=lambda path: ages[path])[BUNDLES:]:
         if ages[path] > BUNDLE_SECONDS:

@@ -56,36 +56,37 @@ if TYPE_CHECKING:  # only a server with a cluster has Dask, and waits for its im
 _log = logging.getLogger(__name__)
 
 # Between polls for changes without an event: commits of other processes, the end of solvers that
-# another dispatcher started, and the grace of those that are to end.
+# another dispatcher started, and the grace period of solvers that must end.
 POLL_SECONDS = 0.02
 RECOVER_SECONDS = 1.0  # between checks of all attempts, and for jobs whose dispatcher has died
-TROUBLE_SECONDS = 1.0  # before trying again what failed: a full disk, no more processes
-# A death counts once its dispatcher has outlived it so long: what takes the solver and then the
-# server, one kill of both or a machine going down, is nothing the job has done.
+TROUBLE_SECONDS = 1.0  # before a failed action is tried again: a full disk, no more processes
+# A death counts once its dispatcher has outlived it by this time: if the solver and then the server
+# die, by a kill of both or of the machine, the job is not the cause.
 OUTLIVE_SECONDS = 1.0
-START_AGAIN_SECONDS = 5.0  # before the next attempt of a job whose solver could not even begin
-STOP_SECONDS = 15.0  # how long `stop` waits for solvers to end
-MAX_CLAIMED = 100  # in one transaction, which takes a few milliseconds then
+START_AGAIN_SECONDS = 5.0  # before the next attempt of a job whose solver could not begin
+STOP_SECONDS = 15.0  # time that `stop` waits for solvers to end
+MAX_CLAIMED = 100  # jobs claimed in one transaction, which then takes a few milliseconds
 ORPHANS = 200  # cancelled jobs examined at start-up for solvers that still run
-# A dispatcher never takes over attempts of another engine: it cannot see whether they live. But
-# if no dispatcher of that engine comes back within a minute, the job waits again, for any engine.
+# A dispatcher never takes over attempts of another engine, whose state it cannot see. But if no
+# dispatcher of that engine returns within this time, the job waits again, for any engine.
 ABANDONED_SECONDS = 60.0
 HEARTBEAT_SECONDS = 2.0  # between the heartbeats of a dispatcher that has attempts
-# Four heartbeats missed. With a check a second, a lost lease is detected within ten seconds.
+# Four missed heartbeats. With a check a second, a lost lease is detected within ten seconds.
 LEASE_SECONDS = 8.0
 
-# Times the estimated seconds: a load may take 4 times the iterations of a usual one, the estimate
-# is right to a factor of two, and a machine may be slower or busier by as much again and more.
+# Ratio of a deadline to the estimated seconds: a load may take 4 times the iterations of a usual
+# one, the estimate is right to a factor of two, and a machine may be slower or busier by as much
+# again and more.
 DEADLINE_MARGIN = 100.0
-MIN_DEADLINE = 3600.0  # s: a solve of seconds on a machine that is hardly there
-# s, where no check has estimated anything: solves take hours, none is known to have taken a day.
+MIN_DEADLINE = 3600.0  # s: a solve of seconds on a machine that is almost stopped
+# s, without an estimate of a check: solves take hours, but no known one a day
 UNKNOWN_DEADLINE = 24 * 3600.0
 
 
 class Lease:
-    """The name under which a dispatcher owns running jobs, for as long as it lives.
+    """The name under which a dispatcher owns running jobs as long as it lives.
 
-    All dispatchers of a data directory keep their lock files in `folder`.
+    All dispatchers of a data directory have their lock files in `folder`.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -98,9 +99,9 @@ class Lease:
     def is_lost(self, owner: str, engine: str, heartbeat: Heartbeat | None) -> bool:
         """Return whether an owner of attempts has died, or has abandoned them.
 
-        A file that is not locked proves it at once; all dispatchers of `local` have theirs here.
-        Otherwise the heartbeat does, by whether it has changed while this dispatcher ran: no
-        clock of another one is trusted. An owner without a heartbeat has ended its lease.
+        An unlocked file proves it at once; all dispatchers of `local` have their files in the
+        folder. Otherwise the heartbeat does, if it has not changed while this dispatcher ran, so
+        that no other machine's clock matters. An owner without a heartbeat has ended its lease.
         """
         file = self._file(owner)
         has_file = file.exists()
@@ -133,18 +134,18 @@ class Lease:
 
 
 class Dispatcher:
-    """Runs the jobs of a ledger on an engine, in one thread of its own.
+    """Runs the jobs of a ledger on an engine, in a thread of its own.
 
-    Several dispatchers, in one process or many, may share a ledger and its jobs folder: each looks
-    after the jobs it claimed, and takes over those of one of the same engine that died, whose
-    solvers may well be still running.
+    Several dispatchers, in one process or many, may share a ledger and its jobs folder: each
+    handles the jobs it claimed, and takes over those of a dead dispatcher of the same engine, whose
+    solvers may still be running.
 
-    `bundles` gives the folder of a component by its name; what it raises fails the job. The jobs
-    folder holds the attempts' folders, ``<job>/<attempt>``, and ``owners``. `fields` keeps deformed
-    surfaces and `errors` estimates of the solver's own error, if there are any. `deadline` is the
-    seconds a solve may take, by default what the component's check makes of it. `setups` gives the
-    fingerprint of a component as it is now: a job that was accepted for an earlier one, before an
-    upgrade for example, is asked again for it. `stop` does not close the engine.
+    `bundles` returns the folder of a component by its name; its errors fail the job. The jobs
+    folder has the attempts' folders, ``<job>/<attempt>``, and ``owners``. `fields` stores deformed
+    surfaces and `errors` estimates of the solver's own error, if they are given. `deadline` is the
+    time of a solve in seconds, by default derived from the component's check. `setups` returns the
+    present fingerprint of a component: a job that was accepted for an earlier one, before an
+    upgrade for example, is submitted again for it. `stop` does not close the engine.
     """
 
     def __init__(
@@ -168,8 +169,8 @@ class Dispatcher:
         self._fields, self._errors = fields, errors
         self._deadline = deadline
         self._lease: Lease | None = None
-        self._attempts: dict[str, Attempt] = {}  # by task key, as the next
-        # Polled often: their end may come without an event, or something is due soon.
+        self._attempts: dict[str, Attempt] = {}  # by task key, as the next dictionary
+        # Polled often: their end may come without an event, or an action is due soon.
         self._pressing: dict[str, Attempt] = {}
         self._begun: dict[tuple[int, int], float] = {}
         self._abandoned: dict[tuple[int, int], float] = {}
@@ -186,7 +187,7 @@ class Dispatcher:
     # -- from other threads -----------------------------------------------------------------
 
     def start(self) -> None:
-        """Take over what a dead dispatcher left, then run jobs until `stop`."""
+        """Take over the attempts of dead dispatchers, then run jobs until `stop`."""
         if self._thread is not None:
             raise RuntimeError("the dispatcher runs already")
         self._stopping.clear()
@@ -198,10 +199,11 @@ class Dispatcher:
         self._thread.start()
 
     def stop(self, *, keep_solvers: bool = False) -> None:
-        """End; every job is then done, failed, cancelled or waiting again.
+        """Stop; every job is then done, failed, cancelled or waiting again.
 
-        With `keep_solvers` the solvers go on and their jobs with them: the next dispatcher on this
-        jobs folder takes them over. Otherwise they are ended, which may take the engine's grace.
+        With `keep_solvers` the solvers continue, and their jobs with them: the next dispatcher on
+        this jobs folder takes them over. Otherwise they are ended, which may take the engine's
+        grace period.
         """
         if self._thread is None:
             return
@@ -224,11 +226,11 @@ class Dispatcher:
         finally:
             for end in self._ends:
                 end()
-            # What could not be recorded is left to the next dispatcher.
+            # The next dispatcher records the remaining ends.
             for registry in (self._attempts, self._pressing, self._begun):
                 registry.clear()
             if self._lease is not None:
-                with contextlib.suppress(Exception):  # it ends all the same
+                with contextlib.suppress(Exception):  # the lease ends in any case
                     self._ledger.end_lease(self._lease.name)
                 self._lease.close()
                 self._lease = None
@@ -330,9 +332,9 @@ class Dispatcher:
                 self._engine.cancel(attempt)
 
     def _adopt_lost(self, lease: Lease) -> None:
-        """Take over what dead dispatchers of this engine left; give up what another engine's did.
+        """Take over attempts of dead dispatchers of this engine; release those of another engine.
 
-        What is not adopted because the ledger cannot be written now is found again.
+        Attempts that cannot be adopted because the ledger cannot be written now are found again.
         """
         others = [job for job in self._ledger.running() if job.owner != lease.name]
         leases = self._ledger.leases() if others else {}
@@ -377,7 +379,7 @@ class Dispatcher:
         return Attempt.of(job, attempt_folder(self._jobs_folder, job.id, job.attempt))
 
     def _complete(self, attempt: Attempt, bundle: Path) -> None:
-        """Add where the component lies and what a solve of it needs."""
+        """Add the component's folder and the resources of its solve."""
         check = estimate_of(bundle)
         memory, seconds = check.get("memory_bytes"), check.get("nonlinear_seconds")
         deadline = UNKNOWN_DEADLINE
@@ -434,8 +436,8 @@ class Dispatcher:
     def _claim(self, lease: Lease, limit: int) -> None:
         jobs = self._ledger.claim_many(lease.name, self._engine.name, limit)
         self._may_claim = len(jobs) == limit
-        # Known from here on: whatever fails below, the next poll finds attempts without a
-        # solver and gives them back.
+        # Registered from now on: after a failure below, the next poll finds attempts without a
+        # solver and releases them.
         attempts = [self._attempt_of(job) for job in jobs]
         for attempt in attempts:
             self._add(attempt)
@@ -472,11 +474,12 @@ def record(
     fields: FieldStore | None = None,
     errors: SolverErrors | None = None,
 ) -> None:
-    """Record in the ledger how an attempt ended, in whose folder no solver works any more.
+    """Record the end of an attempt in the ledger, after the last solver in its folder has ended.
 
     Safe to repeat. `record_loss` is the ledger's call for a solver that left no outcome,
-    `Ledger.release` by default. Raises `StaleAttemptError` if the job has gone on without this
-    attempt.
+    `Ledger.release` by default.
+
+    Raises StaleAttemptError if the job has continued without this attempt.
     """
     try:
         outcome = read_outcome(attempt)
@@ -484,12 +487,12 @@ def record(
         _log.warning("taken for a lost attempt: %s", error)
         outcome = None
     setup, seconds = ((attempt.component, attempt.fingerprint), solver_seconds(attempt.folder))
-    if errors is not None:  # before the row too: the table's version with the row then has it
+    if errors is not None:  # before the row: then the table's version with the row has it
         errors.record(*setup, outcome and outcome.solver_error)
     if outcome is None:
         (record_loss or ledger.release)(*attempt.key)
     elif outcome.status == "done":
-        if fields is not None:  # without its row it does no harm, and is found by its wrench
+        if fields is not None:  # without its row it does no harm, and it is found by its wrench
             fields.take(attempt.folder, *setup, attempt.wrench)
         origin = f"job {attempt.job}"
         if isinstance(outcome.program, str):

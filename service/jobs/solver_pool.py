@@ -1,9 +1,9 @@
-"""The engine that needs nothing installed: solvers as processes of this machine.
+"""The engine without further installation: solvers as processes of this machine.
 
-A solver process lives on from one attempt to the next. It is started with one end of a socket pair.
-Over it come, for each attempt, its folder and two open files: the attempt's lock, taken, and its
-log. The solver answers with one letter when it has begun and one when it has ended; when the socket
-is closed, as it is when the server dies, it ends itself after its attempt (`service.jobs.solver`).
+A solver process lives from one attempt to the next. It is started with one end of a socket pair,
+which transmits, for each attempt, its folder and two open files: the attempt's lock, taken, and its
+log. The solver replies with one letter when it has begun and one when it has ended; when the socket
+is closed, as at the server's death, it ends after its attempt (`service.jobs.solver`).
 """
 
 import contextlib
@@ -21,22 +21,22 @@ from wrenchbook.service.files.program import child_command, usable_cores
 from wrenchbook.service.jobs import attempt as attempts
 from wrenchbook.service.jobs.attempt import LOCK, LOG, OUTCOME, Attempt, Outcome, State
 
-# Several solvers share the cores, so each gets one; what the user has set is left alone.
+# Several solvers share the cores, so each gets one; the user's own variables are kept.
 _ENVIRONMENT = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")}
 _ENVIRONMENT |= {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # readable logs
 
-# A start costs 0.6 s of processor time for the imports and 0.3 s for the first solve of a
-# component; shared by 200 attempts that is 1 % of the shortest solves, 0.4 s. What leaks too slowly
-# to be noticed is gone after as many.
+# Attempts of a solver process. A start costs 0.6 s of processor time for the imports and 0.3 s for
+# the first solve of a component; shared by 200 attempts that is 1 % of the shortest solves, 0.4 s.
+# Slow leaks of memory end with the process.
 LIVES = 200
-# A solver that waits for work confirms an attempt at once. One that does not is stopped or
-# damaged, and another one is started in its place.
+# Time for a waiting solver to confirm an attempt, which it does at once. Without a confirmation it
+# is stopped or damaged, and another one is started in its place.
 TAKEN_SECONDS = 5.0
-ENDING_SECONDS = 2.0  # between an attempt's result.json and its solver's word that it is free
+ENDING_SECONDS = 2.0  # between an attempt's result.json and its solver's message that it is free
 
 
 class SolverProcess:
-    """A solver process, and the attempt that it is at."""
+    """A solver process, and its present attempt."""
 
     def __init__(
         self,
@@ -51,28 +51,31 @@ class SolverProcess:
         self.attempt = attempt
         self.component: tuple[str, str] | None = None
         self.has_taken = False
-        self.answered = threading.Event()  # or is gone
+        self.answered = threading.Event()  # set when it has answered or is gone
         self.gone = threading.Event()
 
     def hand(self, attempt: Attempt, lock: int, log: int) -> None:
-        """Send an attempt with its lock and its log; raises OSError if the solver is gone."""
+        """Send an attempt with its lock and its log.
+
+        Raises OSError if the solver is gone.
+        """
         self.has_taken = False
         self.answered.clear()
         self.component = attempt.bundle, attempt.fingerprint
         socket.send_fds(self.line, [os.fsencode(attempt.folder.absolute())], [lock, log])
 
     def signal(self, number: int) -> None:
-        """Send a signal to the solver and what it started."""
+        """Send a signal to the solver and its children."""
         if not self.gone.is_set():
             signal_group(self.process.pid, number)
 
 
 class LocalEngine(attempts.Listeners):
-    """Runs attempts in processes that live on, each in a session of its own, at low priority.
+    """Runs attempts in persistent processes, each in a session of its own, at low priority.
 
     A solver keeps its imports, the component and its factorisations for the next attempt. If the
-    server is killed, it ends after its present attempt. The attempt's ``lock`` is taken here and
-    handed over to the solver, which holds it to the end: a free lock means that no solver works.
+    server is killed, it ends after its present attempt. The engine takes the attempt's ``lock`` and
+    passes it to the solver, which holds it to the end: a free lock means that no solver works.
 
     At most `slots` solvers, by default one a core, work at a time, and as many wait for work.
     `environment` is added to the variables that solvers inherit; a solver that was started with
@@ -82,7 +85,7 @@ class LocalEngine(attempts.Listeners):
     """
 
     name = "local"
-    trouble = None  # this machine is always there
+    trouble = None  # this machine is always available
 
     def __init__(
         self,
@@ -108,12 +111,12 @@ class LocalEngine(attempts.Listeners):
 
     @property
     def solvers(self) -> frozenset[int]:
-        """The pids of its solvers that have not ended, those that wait for work as well."""
+        """The pids of its solvers that have not ended, including those that wait for work."""
         with self._changed:
             return frozenset(self._processes)
 
     def submit(self, attempt: Attempt) -> None:
-        """Have a solver take the attempt: one that has its component, any other, or a new one."""
+        """Give the attempt to a solver: one that has its component, any other, or a new one."""
         lock = flock.take(attempt.folder / LOCK)
         if lock is None:
             why = (
@@ -129,7 +132,7 @@ class LocalEngine(attempts.Listeners):
                         solver.answered.wait(TAKEN_SECONDS)
                         if solver.has_taken:
                             return
-                    # It must not begin late what another solver is at.
+                    # It must not begin late after another solver's attempt.
                     with self._changed:
                         solver.attempt = None
                         self._drop(solver)
@@ -140,7 +143,7 @@ class LocalEngine(attempts.Listeners):
             os.close(lock)
 
     def attach(self, attempt: Attempt) -> None:
-        """Do nothing: lock and files hold the complete state."""
+        """Do nothing: lock and files have the complete state."""
 
     def poll(self, attempt: Attempt) -> State:
         """Return the attempt's state; see `service.jobs.dispatcher`."""
@@ -150,7 +153,7 @@ class LocalEngine(attempts.Listeners):
         if flock.is_locked(folder / LOCK):
             self._end_if_due(attempt)
             return "running" if attempts.solver_began(folder) else "submitted"
-        # The solver may have ended well between the two polls.
+        # The solver may have ended regularly between the two polls.
         if (folder / OUTCOME).exists():
             return "finished"
         if folder in self._overdue:
@@ -165,19 +168,19 @@ class LocalEngine(attempts.Listeners):
         return "lost"
 
     def cancel(self, attempt: Attempt) -> None:
-        """Send SIGTERM to the solver and its children; SIGKILL once `grace` is over."""
+        """Send SIGTERM to the solver and its children; SIGKILL after the `grace` period."""
         if attempt.folder not in self._kill_after:
             self._kill_after[attempt.folder] = time.monotonic() + self._grace
             self._signal(attempt, signal.SIGTERM)
 
     def forget(self, attempt: Attempt) -> None:
-        """Let go of what is kept of an attempt."""
+        """Delete all state of an attempt."""
         self._kill_after.pop(attempt.folder, None)
         self._began.pop(attempt.folder, None)
         self._overdue.discard(attempt.folder)
 
     def close(self) -> None:
-        """End the solvers that wait; those at work end after their attempt."""
+        """End the waiting solvers; working ones end after their attempt."""
         self._kill_after.clear()
         with self._changed:
             for solver in list(self._solvers):
@@ -205,18 +208,18 @@ class LocalEngine(attempts.Listeners):
                 if solver.attempt is not None and solver.attempt.folder == attempt.folder:
                     solver.signal(number)
                     return
-        # Another server's solver. Only while the file is locked is its pid surely the solver's.
+        # Another server's solver. Only while the file is locked is its pid certainly the solver's.
         with contextlib.suppress(OSError, ValueError):
             pid = int(lock.read_text())
             if flock.is_locked(lock):
                 signal_group(pid, number)
 
     def _reserve(self, attempt: Attempt, environment: Mapping[str, str]) -> SolverProcess | None:
-        """Return a solver that waits for work, now reserved for the attempt; None if none does."""
+        """Return a solver that waits for work, now reserved for the attempt; None if none waits."""
         with self._changed:
             if not self._changed.wait_for(lambda: not self._ending(), ENDING_SECONDS):
                 for solver in self._ending():
-                    solver.signal(signal.SIGKILL)  # stopped, most likely; its outcome is there
+                    solver.signal(signal.SIGKILL)  # probably stopped; its outcome exists
                     self._drop(solver)
             idle = [solver for solver in self._solvers if solver.attempt is None]
             for solver in [solver for solver in idle if solver.environment != environment]:
@@ -224,7 +227,7 @@ class LocalEngine(attempts.Listeners):
                 self._drop(solver)
             component = attempt.bundle, attempt.fingerprint
             ready = [solver for solver in idle if solver.component == component]
-            # Another component's solver keeps what it has while there is room for one more.
+            # Another component's solver keeps its state while there is room for one more.
             if not ready and len(self._solvers) >= self.slots:
                 ready = idle
             if not ready:
@@ -233,9 +236,9 @@ class LocalEngine(attempts.Listeners):
             return ready[0]
 
     def _ending(self) -> list[SolverProcess]:
-        """Return those that will wait for work in a moment, their outcome being there.
+        """Return solvers that will wait for work in a moment, as their outcome exists.
 
-        An empty list if a solver waits already.
+        The list is empty if a solver waits already.
         """
         at_work = [(solver, solver.attempt) for solver in self._solvers if solver.attempt]
         if len(at_work) < len(self._solvers):
@@ -311,7 +314,7 @@ class LocalEngine(attempts.Listeners):
             self._report(attempt.task)
 
     def _drop(self, solver: SolverProcess) -> None:
-        """Let a solver end once it has nothing to do."""
+        """Let a solver end once it has no work."""
         if solver in self._solvers:
             self._solvers.remove(solver)
         with contextlib.suppress(OSError):

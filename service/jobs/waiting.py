@@ -1,4 +1,4 @@
-"""Why a job waits and how long it may; callers that wait for jobs to end."""
+"""The reason and the expected time of a job's wait; callers that wait for jobs to end."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from wrenchbook.service.ledger import JobRecord, Ledger, LedgerUnavailableError
 
 @dataclass(frozen=True)
 class Waiting:
-    """Why a job waits.
+    """The reason for which a job waits.
 
-    `ahead` jobs start before it, here or in the queue of a cluster; `running` are those that a
-    solver works on now, wherever; `slots` the solves at once of this server. `solve_s` is what the
-    newest solves of its component took on average, s. `expected_s` is when it is expected to start,
-    s from now: all that is ahead of it shared by the slots, at what solves of those components
-    took; None where a component has not been solved yet.
+    `ahead` jobs start before it, here or in the queue of a cluster; `running` are the jobs that
+    solvers work on now, on any machine; `slots` is the number of solves at once of this server.
+    `solve_s` is the mean time of the newest solves of its component, s. `expected_s` is its
+    expected start, s from now: the time of all jobs ahead of it shared by the slots, by the mean
+    times of their components; None if a component has not been solved yet.
     """
 
     reason: str
@@ -36,8 +36,8 @@ class Waiting:
 def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None) -> Waiting:
     """Return why a waiting job waits.
 
-    `slots` is how many solve at once here, 0 if other processes solve; `trouble` what keeps all
-    jobs from running.
+    `slots`: number of solves at once here, 0 if other processes solve; `trouble`: the reason for
+    which no job runs.
     """
     now = time.time()
     ahead, attempts = ledger.ahead(job.id, job.priority, now), ledger.running()
@@ -76,7 +76,7 @@ def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None)
 def _expected_start(
     remaining: Sequence[float | None], work: Sequence[float | None], slots: int, pause: float
 ) -> float | None:
-    """Return when a job is expected to start, s from now; None where a time ahead is not known.
+    """Return when a job is expected to start, s from now; None if a time ahead is unknown.
 
     `remaining` are the times of attempts, `work` those of the jobs ahead by component, s.
     """
@@ -90,11 +90,11 @@ def _expected_start(
 
 
 MAX_WAITERS: Final = 4096
-"""Callers that wait at once: each takes a connection and some 10 kB."""
+"""Callers that may wait at once: each takes a connection and some 10 kB."""
 
 
 class TooManyPollsError(RuntimeError):
-    """As many wait for jobs as may; nothing was changed."""
+    """The largest number of callers waits for jobs already; nothing was changed."""
 
 
 @dataclass(eq=False)
@@ -116,12 +116,13 @@ class Polls:
         self._stopping = False
 
     async def wait_all(self, job_ids: Sequence[int], seconds: float) -> list[JobRecord]:
-        """Return the jobs once all have ended, or as they are after ``seconds``.
+        """Return the jobs once all have ended, or their state after ``seconds``.
 
-        Raises TooManyPollsError if as many wait already as may, UnknownJobError.
+        Raises TooManyPollsError if too many callers wait already, and UnknownJobError if there is
+        no such job.
         """
         waiter = _Waiter(set(job_ids), asyncio.Event())
-        self._waiters.add(waiter)  # before the first read: an end after it wakes the caller
+        self._waiters.add(waiter)  # before the first read: a later end wakes the caller
         try:
             jobs = await run_in_threadpool(self._read, job_ids)
             waiter.open_jobs = {job.id for job in jobs if not job.is_final}
@@ -141,11 +142,11 @@ class Polls:
         return await run_in_threadpool(self._read, job_ids)
 
     def notify(self) -> None:
-        """Poll for ended jobs: something was committed. For the loop."""
+        """Poll for ended jobs after a commit; call it in the loop."""
         self._changed.set()
 
     def stop(self) -> None:
-        """Return from all waits with the jobs as they are: the server stops. For the loop."""
+        """End all waits with the jobs' present state, as the server stops; call it in the loop."""
         self._stopping = True
         for waiter in self._waiters:
             waiter.ended.set()
@@ -154,7 +155,7 @@ class Polls:
         return [self._ledger.job(number) for number in job_ids]
 
     async def _poll(self) -> None:
-        """Poll for jobs that have ended after each commit, for as long as a caller waits."""
+        """Poll for ended jobs after each commit, as long as a caller waits."""
         while self._waiters:
             self._changed.clear()
             open_jobs = list(set[int]().union(*(waiter.open_jobs for waiter in self._waiters)))

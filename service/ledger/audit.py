@@ -1,4 +1,7 @@
-"""SQL of the audit: one entry a write, in the write's transaction; entries are only added."""
+"""SQL of the audit: one entry for each write, in the write's transaction.
+
+Entries are only added.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +24,9 @@ _INSERT = f"INSERT INTO audit ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?)"
 
 @dataclass(frozen=True)
 class AuditEntry:
-    """A write: when (seconds since the epoch), by which actor, of what; JSON before and after.
+    """A write: its time (seconds since the epoch), its actor, its object; JSON before and after.
 
-    `actor` is empty for rows of jobs that were accepted before the ledger knew actors; `component`
+    `actor` is empty for rows of jobs that were accepted before the ledger had actors; `component`
     is empty for keys, rigs and settings.
     """
 
@@ -47,7 +50,7 @@ def note(
     after: Any = None,
     actor: str | None = None,
 ) -> None:
-    """Add the entry of a write, by the context's caller unless `actor` is another."""
+    """Add the entry of a write, by the context's caller unless `actor` is given."""
     actor = CALLER.get().actor if actor is None else actor
     states = (None if state is None else json.dumps(state) for state in (before, after))
     db.execute(_INSERT, (time.time(), actor, action, component, str(subject), *states))
@@ -55,9 +58,9 @@ def note(
 
 @contextmanager
 def noted(ledger: Ledger, action: str, subject: object, **more: Any) -> Iterator[None]:
-    """Write a file, which the block does, with its entry: a block that fails leaves no entry.
+    """Add the entry of a file that the block writes; a block that fails leaves no entry.
 
-    The entry is committed once the file is there; a caller that gets an answer has both.
+    The entry is committed after the file is written, so that a caller with a reply has both.
     """
     with ledger.writing() as db:
         note(db, action, subject, **more)

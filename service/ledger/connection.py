@@ -1,7 +1,7 @@
 """The ledger's SQLite file: opening, checking, upgrading and copying it, and its errors.
 
-The one file that imports sqlite3. WAL with ``synchronous=FULL``: when a transaction has
-returned, it survives a power cut.
+This is the only file that imports sqlite3. WAL with ``synchronous=FULL``: a transaction that has
+returned survives a power failure.
 """
 
 import errno
@@ -30,7 +30,7 @@ from wrenchbook.service.ledger.schema import APPLICATION_ID, STEPS, TABLES, VERS
 
 _log = logging.getLogger(__name__)
 
-# Errors of a file in use; damaged text need not be UTF-8.
+# Errors of a file in use; damaged text may not be UTF-8.
 USE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -48,10 +48,11 @@ _REMEDIES = {
     errno.ENOLCK: "its file system has no locks left: start the lock service of the file server "
     "(NFS), or move the data directory to a local disk",
 }
-BUSY_SECONDS = 30.0  # a writer waits so long for another process: a bulk import takes seconds
+# Time for which a writer waits for another process: a bulk import takes seconds.
+BUSY_SECONDS = 30.0
 LOOK_AGAIN_SECONDS = 0.001  # between attempts: a tenth of a short transaction
-# The log is moved into the file each 1000 pages (4 MB) unless a reader prevents it; a longer one,
-# after a large import, is then truncated to this.
+# The log is moved into the file each 1000 pages (4 MB) unless a reader prevents it; a longer log,
+# after a large import, is then truncated to this size.
 LOG_BYTES = 16 * 1024 * 1024
 
 
@@ -61,14 +62,15 @@ class Connection(sqlite3.Connection):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.jobs: dict[int, JobRecord] = {}
-        self.rows = 0  # added, withdrawn or restored
-        self.damaged: dict[int, str] = {}  # rows, with their component: the ledger's dict
+        self.rows = 0  # number of rows added, withdrawn or restored
+        # Damaged rows, with their component: the ledger's dictionary.
+        self.damaged: dict[int, str] = {}
 
 
 def can_be_read_frozen(path: Path) -> bool:
     """Return whether a ledger that cannot be opened for writing can be read without its log.
 
-    SQLite then writes no files beside it, as a full disk requires; so the log must be empty.
+    SQLite then writes no files beside it, as needed on a full disk; so the log must be empty.
     """
     wal = path.with_name(f"{path.name}-wal")
     try:
@@ -93,7 +95,7 @@ def inode(path: Path) -> tuple[int, int]:
 
 
 def connect(path: Path, *, frozen: bool = False) -> Connection:
-    """Open the file as it is; `frozen` only to read, without files next to it."""
+    """Open the file unchanged; with `frozen` only for reading, without files beside it."""
     connection = sqlite3.connect(
         f"{path.as_uri()}?immutable=1" if frozen else path,
         timeout=BUSY_SECONDS,
@@ -103,7 +105,7 @@ def connect(path: Path, *, frozen: bool = False) -> Connection:
         factory=Connection,
     )
     try:
-        # A damaged text must not keep other rows from being read.
+        # A damaged text must not prevent reading other rows.
         connection.text_factory = lambda word: word.decode("utf-8", "replace")
         connection.create_function("key_hash", 1, _key_hash, deterministic=True)
         connection.execute("PRAGMA synchronous = FULL")
@@ -125,7 +127,8 @@ def _key_hash(key: object) -> int:
 def begin(connection: Connection, statement: str = "BEGIN IMMEDIATE") -> None:
     """Begin a writing transaction, or execute another statement, once no other process writes.
 
-    SQLite itself retries after up to 100 ms; the next transaction of an import begins earlier.
+    SQLite itself retries after up to 100 ms, by which time the next transaction of an import has
+    begun.
     """
     deadline = time.monotonic() + BUSY_SECONDS
     connection.execute("PRAGMA busy_timeout = 0")

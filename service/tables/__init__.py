@@ -1,1 +1,1 @@
-"""Live surrogates that follow the ledger."""
+"""Tables that follow the ledger, their builder and their files."""

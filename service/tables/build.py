@@ -1,4 +1,4 @@
-"""The builder's tables: each is built again, packed and recorded as the ledger's rows change."""
+"""The builder's tables: each is built again, packed and stored when the ledger's rows change."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from wrenchbook.surrogate.table.rows import Rows
 log = logging.getLogger(__name__)
 
 POLL_S = 0.02
-SMALL_AT_ONCE = 2  # small builds next to a large one: all share one interpreter
+SMALL_AT_ONCE = 2  # small builds beside a large one: all share one interpreter
 SAVE_AFTER_QUIET_S = 1.0
 RETRY_S = 1.0
-START_S = 30.0  # for small tables at a start; larger ones answer 503 until they are built
-_UNCONFIRMED = -1  # version of rows of a file that the ledger could not confirm
+START_S = 30.0  # s for small tables at a start; larger ones answer 503 until they are built
+_UNCONFIRMED = -1  # version of a file's rows that the ledger could not confirm
 
 
 def build_table(
@@ -45,10 +45,10 @@ def build_table(
     error: SolverError | None = None,
     before: Table | None = None,
 ) -> Table:
-    """Build a version of a component's table, named by the ledger's newest change in it.
+    """Build a version of a component's table; its number is that of the ledger's newest change.
 
-    A function of the rows and the solver's error alone: whoever builds it has the same digits.
-    Parts that are the same in the version `before` are taken from it.
+    The result depends on the rows and the solver's error alone: every process computes the same
+    digits. Equal parts are taken from the version `before`.
     """
     return build(
         rows,
@@ -63,7 +63,7 @@ def build_table(
 
 
 def packed_bytes(table: Table, component: Component, origin: dict[str, str] | None = None) -> bytes:
-    """Return the packed file of a component's table; `origin` is of `TableStore.origin`."""
+    """Return the packed file of a component's table; `origin`: see `TableStore.origin`."""
     name, fingerprint = component.name, component.fingerprint
     pieces = pack(table, component=name, fingerprint=fingerprint, contract=CONTRACT, origin=origin)
     return b"".join(pieces)
@@ -75,9 +75,9 @@ class _Version:
 
     component: Component
     number: int
-    table: Table | None = None  # None if it was not built here, or is dropped
-    save_at: float | None = None  # when its HDF5 file is due; None once that is written
-    packed: bytes = b""  # the packed file while the disk does not take it
+    table: Table | None = None  # None if it was not built in this process, or was dropped
+    save_at: float | None = None  # when its HDF5 file is due; None once it is written
+    packed: bytes = b""  # the packed file while the disk cannot store it
     used: float = 0.0
 
     def rows_in_memory(self) -> int:
@@ -88,15 +88,15 @@ class _Version:
 
 
 class TableBuilder:
-    """Tables by component name, built as the ledger says.
+    """Tables by component name, built from the ledger's rows.
 
-    A start takes up the packed files of the last one that are what it would build. One thread
-    watches the ledger for rows committed, withdrawn or restored by any process of the machine and
-    publishes `Status`; one large table at a time is built, and small ones next to it; another
-    thread writes a table's HDF5 file once it has been quiet for a second. A fault of one
-    component stops no other: `faults` names it, and the ledger's next change tries again.
+    At a start it reuses packed files that a build would reproduce. One thread watches the ledger
+    for rows committed, withdrawn or restored by any process of the machine and publishes `Status`;
+    one large table at a time is built, and small ones beside it; another thread writes a table's
+    HDF5 file after a second without changes. A fault of one component does not stop the others:
+    `faults` has it, and the ledger's next change tries again.
 
-    `state` is the data directory's, taken by this process; `memory` is in MB, and `trouble`
+    `state` is the data directory's, locked by this process; `memory` is in MB, and `trouble`
     returns why no job runs.
     """
 
@@ -117,8 +117,9 @@ class TableBuilder:
         self._faults: dict[str, str] = {}
         self._failed_at: dict[str, int] = {}
         self._unwritten: dict[str, str] = {}
-        self._behind: set[str] = set()  # to be built; of the following thread alone
-        self._running: set[str] = set()  # that thread adds a name, the build's end removes it
+        self._behind: set[str] = set()  # tables to build; used by the following thread alone
+        # The following thread adds a name, the end of a build removes it.
+        self._running: set[str] = set()
         self._ended = threading.Condition()  # notified at the end of each build
         self._stopping = threading.Event()
         self._large = ThreadPoolExecutor(1, "build-large")
@@ -129,10 +130,10 @@ class TableBuilder:
         ]
 
     def start(self) -> None:
-        """Start to build; return once the small tables are there."""
+        """Start to build; return once the small tables are built."""
         names = self._library.names()
         self._store.remove_stray({*names, *self._library.broken()})
-        with ThreadPoolExecutor(usable_cores()) as threads:  # checksums let the others run
+        with ThreadPoolExecutor(usable_cores()) as threads:  # the others run during checksums
             list(threads.map(lambda name: self._guarded(name, self._take_up, self._faults), names))
         self._behind = {name for name in names if name not in self._versions}
         small = self._store.small(names)
@@ -142,7 +143,7 @@ class TableBuilder:
             self._ended.wait_for(lambda: small <= {*self._versions, *self._faults}, START_S)
 
     def stop(self) -> None:
-        """Finish the builds that run, and write what is not written yet."""
+        """Finish the running builds, and write unwritten files."""
         self._stopping.set()
         for thread in self._threads:
             if thread.is_alive():
@@ -152,7 +153,7 @@ class TableBuilder:
         self._save(math.inf)
 
     def faults(self) -> dict[str, str]:
-        """Why a component's table differs from the ledger, by its name."""
+        """Return why a component's table differs from the ledger, by its name."""
         return {**self._store.caveats, **self._unwritten, **self._faults}
 
     def _follow(self) -> None:
@@ -160,7 +161,7 @@ class TableBuilder:
         while not self._stopping.wait(POLL_S):
             pause = 0.0
             try:
-                # A table that changes while it is built is built once more, after that.
+                # A table that changes during its build is built again afterwards.
                 for name in self._behind - self._running:
                     lane = self._small if self._store.small([name]) else self._large
                     self._submit(lane, name)
@@ -169,7 +170,7 @@ class TableBuilder:
                     self._behind |= {name for name in self._library.names() if self._lags(name)}
                     version = now
             except LedgerUnavailableError:
-                version, pause = None, RETRY_S  # the ledger reports it
+                version, pause = None, RETRY_S  # the ledger reports the error
             except Exception:
                 log.exception("following the ledger failed; trying again")
                 pause = RETRY_S
@@ -190,7 +191,7 @@ class TableBuilder:
         self._behind.discard(name)
 
     def _lags(self, name: str) -> bool:
-        """Whether a table is not of the component as it is now, or not of the ledger's rows."""
+        """Return whether a table's component or rows are not the present ones."""
         known = self._versions.get(name)
         if known is None or known.component is not self._library[name]:
             return True
@@ -208,7 +209,10 @@ class TableBuilder:
                 self._guarded(name, self._write, self._unwritten)
 
     def _guarded(self, name: str, step: Callable[[str], None], faults: dict[str, str]) -> bool:
-        """Do a step for one component, whose failure stops no other; return whether it is done."""
+        """Run a step for one component without stopping others at a failure.
+
+        Return whether it succeeded.
+        """
         try:
             step(name)
             faults.pop(name, None)
@@ -222,9 +226,9 @@ class TableBuilder:
             return False
 
     def _bring_up(self, name: str) -> None:
-        """Build a component's table from the rows that the ledger has now."""
+        """Build a component's table from the ledger's present rows."""
         goal = 0
-        with suppress(Exception):  # the build meets it too, and reports it
+        with suppress(Exception):  # the build meets the error too, and reports it
             goal = self._ledger.last_seq(name)
         if not self._guarded(name, self._build_newest, self._faults):
             self._failed_at[name] = goal
@@ -237,7 +241,7 @@ class TableBuilder:
             return
         component, known = self._library[name], self._versions.get(name)
         if known is not None and known.component is not component:
-            known = None  # its files were edited: its rows may be others
+            known = None  # its files were edited, so its rows may differ
         try:
             if known is None or known.number == _UNCONFIRMED:
                 rows, after = self._store.load(component)
@@ -246,7 +250,7 @@ class TableBuilder:
                 rows = self._store.rows(component, after) if table is None else table.rows
             rows, version = followed(self._ledger, component, rows, after)
         except LedgerUnavailableError:
-            if known is None:  # its file answers for as long as the ledger cannot be read
+            if known is None:  # its file answers while the ledger cannot be read
                 content = self._store.read(component)
                 if content is None or content[1].fingerprint != component.fingerprint:
                     rows, version = Rows.empty(component.space), 0
@@ -257,7 +261,7 @@ class TableBuilder:
                 self._versions[name].save_at = None
             raise
         if len(rows) > store.LARGE:
-            give_back()  # the import's, before the build takes as much again
+            give_back()  # free the import's memory before the build takes as much
         self._build(component, rows, version)
         if version == after and not self._versions[name].packed:
             self._versions[name].save_at = None  # its HDF5 file has these rows
@@ -274,7 +278,7 @@ class TableBuilder:
         try:
             self._store.write_packed(name, number, content)
             content = b""
-        except OSError as failure:  # the version before answers; `_write` tries again
+        except OSError as failure:  # the earlier version answers; `_write` tries again
             why = with_remedy(failure)
             log.warning("the packed table of %s cannot be written: %s", name, why)
             save_at = 0.0
@@ -285,7 +289,7 @@ class TableBuilder:
         log.debug("%s: version %d, %.3f s", name, number, now - started)
 
     def _take_up(self, name: str) -> None:
-        """Take up the packed file of an earlier start if it is what would be built now."""
+        """Reuse the packed file of an earlier start if a build would reproduce it."""
         component = self._library[name]
         with suppress(LedgerUnavailableError):
             number = self._ledger.last_seq(name)
@@ -293,7 +297,7 @@ class TableBuilder:
             if self._store.is_current(component, number, origin):
                 saved = self._store.saved(component, number, origin["ledger"])
             if saved is None:
-                self._store.remove_packed(name)  # no other process may answer from it
+                self._store.remove_packed(name)  # no other process must answer from it
                 return
             self._store.remove_packed(name, keep=number)
             due = None if saved == number else time.monotonic() + SAVE_AFTER_QUIET_S
@@ -302,7 +306,7 @@ class TableBuilder:
     def _write(self, name: str) -> None:
         """Write a table's HDF5 file, and its packed file if that is missing."""
         version = self._versions[name]
-        version.save_at = time.monotonic() + RETRY_S  # if it fails
+        version.save_at = time.monotonic() + RETRY_S  # in case of a failure
         rows = version.table.rows if version.table else None
         if rows is None:
             rows = self._store.rows(version.component, version.number)

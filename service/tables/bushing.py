@@ -15,23 +15,25 @@ from wrenchbook.surrogate.kernel.replies import InverseError
 from wrenchbook.surrogate.table.rows import why_beyond
 
 Others = Literal["displacement", "load"]
-HALVINGS = 40  # of the way to the end of a curve: to 1e-12 of it
-SHORT = 1e-3  # of the load range: a shorter curve is none
-_ROUNDING = 1e-9  # of the load range: rows at an end of a curve count as on it
-_TIGHT = 1e-15  # of the load range: to the last digit of the load of a displacement
+HALVINGS = 40  # halvings of the distance to the end of a curve: to 1e-12 of it
+SHORT = 1e-3  # part of the load range: a shorter curve is left out
+_ROUNDING = 1e-9  # part of the load range: rows this near to an end of a curve count as on it
+_TIGHT = 1e-15  # part of the load range: the last digit of the load of a displacement
 _OUTSIDE, _COVERED = NAMES.index("outside"), NAMES.index("covered")
 _HEAD = "axis,displacement [m or rad],load [N or N*m],bar [N or N*m],loop [N or N*m],coverage\n"
 
 
 class BushingError(ValueError):
-    """The table has no such curves; the message says what to do."""
+    """The table has no such curves; the message has the remedy."""
 
 
 class _Point(NamedTuple):
+    """One point of a curve: the load of a displacement, SI."""
+
     load: float
-    bar: float  # 95 % of the load, NaN where not known
-    stiffness: float  # of the axis
-    moved: float  # 95 % of the axis' displacement
+    bar: float  # 95 % half width of the load, NaN if unknown
+    stiffness: float  # of the axis, N/m or N·m/rad
+    moved: float  # 95 % half width of the axis' displacement
     coverage: int
 
 
@@ -40,7 +42,9 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
 
     `others` is zero on the other axes: their displacement, so that the curves are the diagonal of
     the stiffness, or their load. A curve ends with the load range and the table's rows. The loop's
-    width is empty where rows do not tell it. Raises BushingError.
+    width is empty if rows do not show it.
+
+    Raises BushingError if the table has no such curves.
     """
     if not table.load_range.space.is_default:
         raise BushingError(
@@ -69,7 +73,7 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
                 point = _Point(np.nan, np.nan, np.nan, np.nan, _OUTSIDE)
             width = abs(loop[axis]) * point.stiffness
             if not loop[axis] and not hidden[axis] <= point.moved:
-                width = np.nan  # no loop shows, and rows would not show one as large as the bar
+                width = np.nan  # no loop shows, but rows would not show a loop as large as the bar
             numbers = (d, point.load, point.bar, width)
             cells = ["" if value != value else repr(float(value)) for value in numbers]
             lines.append(",".join([OUTPUTS[axis], *cells, NAMES[point.coverage]]) + "\n")
@@ -80,10 +84,12 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
 
 
 class _Curve:
-    """The load of one axis over its displacement; raises BushingError if there is none.
+    """The load of one axis over its displacement.
 
     `rows` are the least and the largest load of the table's rows, `rest` the displacement at zero
     load, m or rad.
+
+    Raises BushingError if the axis has no curve.
     """
 
     def __init__(self, table: ServedTable, axis: int, others: Others) -> None:
@@ -103,7 +109,7 @@ class _Curve:
         return float(self.table.packed.batch(wrench, without_rows=True).outputs[0, self.axis])
 
     def end(self, side: int) -> float:
-        """Return the last displacement of a side that the table covers, m or rad."""
+        """Return the last covered displacement on a side, m or rad."""
         inside, outside = self.rest, self._moved(self.high if side > 0 else self.low)
         middle = outside
         for _ in range(HALVINGS):
@@ -139,7 +145,7 @@ class _Curve:
             row = self.unit / slope
         reply = packed.batch(wrench[None], without_rows=True)
         coverage, errors = int(reply.coverage[0]), reply.errors[0]
-        # Beyond its rows a thin table guesses, and a linear one answers.
+        # Beyond its rows a thin table extrapolates, and a linear one answers.
         load, loads = wrench[axis], self.table.load_range
         if not loads.holds(wrench[None])[0]:
             raise BushingError(f"{why_beyond(loads, wrench)}; widen the load range")

@@ -1,6 +1,6 @@
 """Measured rows beside a reference: the answer of the solves alone, or of another import's rows.
 
-The reference never holds the rows that are compared with it: a table of both answers between them.
+The reference never contains the compared rows: a table of both would answer between them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from wrenchbook.surrogate.table.rows import SOLVED, Floats, Rows
 from wrenchbook.surrogate.table.space import Space
 
 MAX_COMPARED = 3_000  # rows of a reply: 2 MB of JSON; a plot shows no more
-MAX_REFERENCE = 3_000  # rows of another import that a reference is built from: a second
+MAX_REFERENCE = 3_000  # rows of another import in a reference: its build takes a second
 MAX_LISTED = 500
 _OUTSIDE = NAMES.index("outside")
 _KINDS = "displacement", "expected", "residual", "bar", "uncertainty"
@@ -64,7 +64,7 @@ class Disagreement(Message):
 
 
 class Comparison(Message):
-    """Measured rows beside a reference; arrays have a line a row, in the order of the rows."""
+    """Measured rows beside a reference; arrays have one entry a row, in the order of the rows."""
 
     component: str
     table_version: int
@@ -90,24 +90,27 @@ class Comparison(Message):
 
 
 class UncomparableError(ValueError):
-    """No such import, or it is the reference itself; the message says what to do."""
+    """An import does not exist, or is the reference itself; the message has the remedy."""
 
 
 class _Selection(NamedTuple):
-    """The rows of a table that are compared, and those of the reference."""
+    """The compared rows of a table, and those of the reference."""
 
-    of_import: NDArray[np.int64]  # (n,): the import of each row of the table; 0 without
+    of_import: NDArray[np.int64]  # (n,): the import of each row of the table; 0 without an import
     measured: int
-    beyond_range: int  # of the measured ones
-    compared: Indices  # (k,): of the others evenly chosen
-    available: int  # rows of the reference
-    used: Indices  # (r,): of them evenly chosen
+    beyond_range: int  # number of measured rows beyond the range
+    compared: Indices  # (k,): an even choice of the others
+    available: int  # number of rows of the reference
+    used: Indices  # (r,): an even choice of these
 
 
 def _selection(
     component: Component, rows: Rows, spans: Spans, number: int | None, against: int | None
 ) -> _Selection:
-    """Return the rows of a comparison; raises UncomparableError: parameters as of `comparison`."""
+    """Return the rows of a comparison; parameters as of `comparison`.
+
+    Raises UncomparableError if there are no rows to compare, or both sides are the same.
+    """
     of_import, measured = _imports(rows.seq, spans), rows.source != SOLVED
     for wanted in (number, against):
         if wanted is not None and not (measured & (of_import == wanted)).any():
@@ -137,7 +140,7 @@ class _Answers(NamedTuple):
     coverage: NDArray[np.integer]  # (k,): indices of `NAMES`
     expected: Floats  # (k, m)
     bar: Floats  # (k, m): 95 %
-    noise: Floats  # (m,): 95 % of one reading, by the compared rows alone
+    noise: Floats  # (m,): 95 % noise of one reading, by the compared rows alone
 
 
 def _answers(
@@ -154,11 +157,11 @@ def _answers(
     noise = build_table(of_rig, rows, 0).observation_noise
     model = component if solved else of_rig
     packed = packed_of(build_table(model, reference, 0, error if solved else None))
-    # Between measured rows, since a reading at the same wrench has noise of its own.
+    # Between measured rows, since a reading at the same wrench has its own noise.
     replies = packed.batch(rows.wrench, without_rows=not solved)
     answered = (replies.coverage != _OUTSIDE)[:, None]
     if not solved or error is not None:
-        # Far from its rows a kriging extrapolates and has no bar.
+        # Far from its rows a kriging extrapolates and has no error bar.
         answered = answered & np.isfinite(replies.errors)
     expected = np.where(answered, replies.outputs, np.nan)
     bar = np.where(answered, replies.errors, np.nan)
@@ -177,10 +180,11 @@ def comparison(
     """Return measured rows beside a reference.
 
     `rows`, `version`: of the component's table, in ascending order of `seq`.
-    `error`: error of the solver; None where it is not known.
-    `spans`: the rows that imports brought.
-    `number`, `against`: the import whose rows are compared, all measured ones without; and the
-    import whose rows are the reference, the solves without.
+    `error`: error of the solver; None if unknown.
+    `spans`: the rows of each import.
+    `number`: the import whose rows are compared; all measured rows if None.
+    `against`: the import whose rows are the reference; the solves if None.
+
     Raises UncomparableError if the table has no measured rows of an import, or the two are the
     same.
     """
@@ -193,7 +197,7 @@ def comparison(
     elif not len(some):
         beside = "" if solved else f" beside those of import {against}"
         reason = f"there is no measured row{beside}; import some"
-    stated = np.ascontiguousarray(some.uncertainty)  # as the JSON writer needs it
+    stated = np.ascontiguousarray(some.uncertainty)  # contiguous for the JSON writer
     scatter = np.where(np.isfinite(stated), stated, answers.noise)
     columns = some.displacement, answers.expected, answers.bar, scatter
 
@@ -240,7 +244,7 @@ def comparison(
 
 
 def _imports(seq: NDArray[np.int64], spans: Spans) -> NDArray[np.int64]:
-    """Return the number of the import of each row, (n,); 0 of rows that no import brought."""
+    """Return the number of each row's import, (n,); 0 for rows without an import."""
     none = [(0, 0, 0)]
     first, last, number = np.array([(a, b, record.id) for a, b, record in spans] or none).T
     at = np.searchsorted(first, seq, side="right") - 1
@@ -248,12 +252,12 @@ def _imports(seq: NDArray[np.int64], spans: Spans) -> NDArray[np.int64]:
 
 
 def _bound(bar: Floats, scatter: Floats) -> Floats:
-    """Return the 95 % half width of a residual: of the reference alone if no scatter is known."""
+    """Return the 95 % half width of a residual: the reference's own if no scatter is known."""
     return np.hypot(bar, np.where(np.isfinite(scatter), scatter, 0.0))
 
 
 def _summary(measured: Floats, expected: Floats, bar: Floats, scatter: Floats) -> dict[str, Any]:
-    """Return the differences of one output, (n,) each, m or rad: None where they are not known."""
+    """Return the differences of one output, (n,) each, m or rad: None if unknown."""
     residual, bound = measured - expected, _bound(bar, scatter)
     some = residual[np.isfinite(residual)]
     factor, half_width, of_reference = scale_factor(measured, expected, bar, scatter)
@@ -274,7 +278,7 @@ def _summary(measured: Floats, expected: Floats, bar: Floats, scatter: Floats) -
 
 
 def comparison_csv(reply: Comparison, space: Space) -> str:
-    """Return the rows of a comparison as CSV, SI; empty where a number is not known."""
+    """Return the rows of a comparison as CSV, SI; a cell is empty if its number is unknown."""
     head = ["row", "import", "coverage", *(f"{item.name} [{item.unit}]" for item in space.inputs)]
     for kind in _KINDS:
         more = "" if kind == "displacement" else f"_{kind}"
@@ -292,9 +296,9 @@ def comparison_csv(reply: Comparison, space: Space) -> str:
 def disagreement(
     component: Component, rows: Rows, version: int, error: SolverError | None
 ) -> Disagreement:
-    """Return the measured rows outside the bars of reading and solves.
+    """Return the measured rows outside the error bars of reading and solves.
 
-    `error`: error of the solver; 0 where it is not known.
+    `error`: error of the solver; 0 if unknown.
     """
     span = component.load_range
     none = np.zeros((len(span.space.outputs), len(span.low)))

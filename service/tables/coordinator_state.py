@@ -1,4 +1,4 @@
-"""Lock and status of the one process that builds tables, for those that map them.
+"""Lock and status of the single process that builds tables, for processes that map them.
 
 Both are in a folder of the data directory that the process removes when it ends.
 """
@@ -16,18 +16,18 @@ from pathlib import Path
 from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.files.lock import is_locked, take
 
-FOLDER = "shared"  # in the data directory
+FOLDER = "shared"  # name of the folder in the data directory
 Mapped = dict[str, list[int | str]]  # version and setup of a process's tables, by component
 LOCK, _STATUS = "lock", "status.json"
 
 
 @dataclass(frozen=True)
 class Status:
-    """The problems that the builder knows.
+    """The builder's problems.
 
-    `trouble` says why no job runs, `faults` why a component's table is not what the ledger says;
-    `failed` has the ledger's newest change of a component when its table could not be built. `pid`
-    is the builder's, 0 if it has written no status.
+    `trouble`: why no job runs; `faults`: why a component's table differs from the ledger; `failed`:
+    the ledger's newest change of a component when its table could not be built. `pid` is the
+    builder's, 0 if it has written no status.
     """
 
     trouble: str | None = None
@@ -37,22 +37,26 @@ class Status:
 
 
 class CoordinatorState:
-    """The folder of a data directory's builder, made if there is none."""
+    """The folder of a data directory's builder, which the first use makes."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._mapped = folder / f"{os.getpid()}-{id(self)}.mapped"
         self._written: Status | None = None
         self._lock: int | None = None
-        with suppress(OSError):  # a web worker answers on a read-only disk
+        with suppress(OSError):  # a web worker answers on a read-only disk too
             folder.mkdir(parents=True, exist_ok=True)
 
     def take(self) -> bool:
-        """Take the lock of the process that builds; False if another process has it."""
+        """Lock the folder for the process that builds.
+
+        Return False if another process has the lock.
+        """
         self._lock = take(self._folder / LOCK)
         if self._lock is None:
             return False
-        for path in self._folder.glob("*.mapped"):  # of killed processes, or written once more
+        # Files of killed processes, or of processes that write them again.
+        for path in self._folder.glob("*.mapped"):
             path.unlink(missing_ok=True)
         return True
 
@@ -61,36 +65,39 @@ class CoordinatorState:
         return is_locked(self._folder / LOCK)
 
     def release(self) -> None:
-        """Give the lock up and remove the folder."""
+        """Release the lock and remove the folder."""
         if self._lock is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
             os.close(self._lock)
             self._lock = None
 
     def write(self, status: Status) -> None:
-        """Write the status for the other processes if it has changed; raises OSError."""
+        """Write the status for the other processes if it has changed.
+
+        Raises OSError if it cannot be written.
+        """
         path = self._folder / _STATUS
         if status != self._written or not path.exists():
             write_atomically(path, json.dumps(asdict(status)).encode(), durable=False)
             self._written = status
 
     def read(self) -> Status:
-        """Return the status written last; nothing is wrong if there is none."""
+        """Return the last written status; one without problems if there is none."""
         try:
             return Status(**json.loads((self._folder / _STATUS).read_bytes()))
         except (OSError, ValueError, TypeError):
             return Status()
 
     def publish(self, mapped: Mapped) -> None:
-        """Write which tables this process answers from; see `unpublish`."""
+        """Write the tables from which this process answers; see `unpublish`."""
         write_atomically(self._mapped, json.dumps(mapped).encode(), durable=False)
 
     def unpublish(self) -> None:
-        """Remove what this process has published."""
+        """Remove this process's published tables."""
         self._mapped.unlink(missing_ok=True)
 
     def others(self) -> Iterator[Mapped]:
-        """Yield which tables each other running process answers from."""
+        """Yield the tables from which each other running process answers."""
         for path in self._folder.glob("*.mapped"):
             with suppress(OSError):  # that process has just ended
                 os.kill(int(path.name.partition("-")[0]), 0)

@@ -1,4 +1,4 @@
-"""A component's table as a file: any form, any version, written piece by piece."""
+"""A component's table as a file in any format and version, written piece by piece."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class ExportRequest:
     """Format and options of an export."""
 
     format: ExportFormat
-    units: Mapping[str, str]  # of force, moment, translation, rotation
-    version: int | None = None  # of the table; the newest if None
+    units: Mapping[str, str]  # units of force, moment, translation, rotation
+    version: int | None = None  # version of the table; the newest if None
     comments: bool = False  # whether a CSV begins with lines (``#``) that describe it
 
 
@@ -42,10 +42,12 @@ def export_table(
     path: Path,
     error: SolverError | None = None,
 ) -> int:
-    """Write a component's table into a file and return the version it is of.
+    """Write a component's table into a file and return its version.
 
-    An HDF5 export has `error`, the error estimate of the rows' solver. Raises UnitError as
-    `check_units`, UnknownVersionError, or SheetFullError if a sheet cannot hold the rows.
+    An HDF5 export has `error`, the error estimate of the rows' solver.
+
+    Raises UnitError as `check_units`, UnknownVersionError if there is no such version, and
+    SheetFullError if a sheet is too small for the rows.
     """
     check_units(request)
     space = component.space
@@ -70,7 +72,10 @@ def export_table(
 
 
 def check_units(request: ExportRequest) -> None:
-    """Raise UnitError for an unknown unit, and for any but SI in formats that programs read."""
+    """Check the units of an export.
+
+    Raises UnitError if a unit is unknown, or not SI in a format that programs read.
+    """
     for quantity, (unit, _) in chosen_units(request.units).items():
         if request.format in IN_SI and unit != quantity.si:
             remedy = "leave the units out, or use CSV"
@@ -84,7 +89,7 @@ def _write_columns(
     table: TableAt,
     request: ExportRequest,
 ) -> None:
-    """Write a CSV, XLSX or Parquet file: the columns that any row has."""
+    """Write a CSV, XLSX or Parquet file with the columns that any row has."""
     uncertainty, compliance, curvature, note, fingerprint = table.known
     present = {"source": True, "note": note, "fingerprint": fingerprint}
     columns = layout(

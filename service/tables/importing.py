@@ -1,4 +1,4 @@
-"""Rows into the ledger: of table files, read in the sandbox, and of another component."""
+"""Rows into the ledger: from table files, read in the sandbox, and from another component."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from wrenchbook.surrogate.findings.find import MAX_ROWS
 from wrenchbook.surrogate.findings.response import RigFinding
 from wrenchbook.surrogate.table.compliance import fit_compliance
 
-SAME = 1e-12  # of a number: the rounding of an export in other units and of its import
+SAME = 1e-12  # part of a number: rounding of an export in other units and of its import
 TWICE = (
     "import {0.id} already has the rows of this file ({0.filename}), read with other options, so "
     "each test counts twice. Unless the rows differ, withdraw one of the two imports: "
     "wrenchbook withdraw {0.component} {0.id}"
 )
-_MAX_TRIED = 16  # stored rows of nearly the same sum that a row is compared with
-# In the sums: displacements are of 1e-6 to 1e-3 m and rad, loads of 1 to 1000 N and N·m.
+_MAX_TRIED = 16  # stored rows of almost the same sum with which a row is compared
+# Weight of displacements in the sums: they are 1e-6 to 1e-3 m and rad, loads 1 to 1000 N and N·m.
 _DISPLACEMENT_WEIGHT = 1e6
 
 # By component: its setup and the numbers of its solves, and their compliance.
@@ -51,12 +51,14 @@ def import_files(
     """Read one table, or the logs of the loads and the displacements, and load its rows.
 
     Load range and fingerprint are the component's, not those of `options`. `dry_run` only counts;
-    with `partial` the good rows are loaded though others have mistakes; the reply has the first
+    with `partial` the good rows are loaded even if others have mistakes; the reply has the first
     `preview` good rows. With `append` the rows of a JSON block go into the import of `origin`,
-    without findings. Findings say where measured rows differ from the answers of `table`. The reply
-    has the members ``inserted``, ``existing``, ``errors``, ``rows`` and so on; ``loaded`` is
-    whether rows were loaded. Raises SandboxBusyError, ImportRunningError, LedgerUnavailableError or
-    OSError if nothing could be read or written now.
+    without findings. Findings include differences of measured rows from the answers of `table`. The
+    reply has the members ``inserted``, ``existing``, ``errors``, ``rows`` and so on; ``loaded``:
+    whether rows were loaded.
+
+    Raises SandboxBusyError, ImportRunningError, LedgerUnavailableError or OSError if nothing can be
+    read or written now.
     """
     component_options = replace(
         options, load_range=component.load_range, fingerprint=component.fingerprint
@@ -70,8 +72,8 @@ def import_files(
     report.pop("converted")
 
     def pieces() -> Iterator[ParsedTable]:
-        # A block is in SI, so that a repeated one has the stored bits; and comparing each block
-        # with all stored rows takes longer with each block.
+        # A block is in SI, so that a repeated one has the stored bits; a comparison with all stored
+        # rows would take longer with each block.
         return read.pieces() if append else _with_stored_numbers(ledger, component, read)
 
     if table is not None and not refused:
@@ -93,7 +95,7 @@ def import_files(
         blocks = (NotedRows(piece, piece.note) for piece in pieces())
         load = ledger.append_rows if append else ledger.import_rows
         inserted, existing, number = load(component.name, blocks, origin)
-    if not inserted:  # all rows were stored before, so none counts twice
+    if not inserted:  # all rows were stored before, so that none counts twice
         report["findings"] = [
             finding for finding in report["findings"] if finding["cause"] != "twice"
         ]
@@ -122,7 +124,7 @@ def _findings_by_key(
     findings: Sequence[Mapping[str, Any]],
     pieces: Callable[[], Iterator[ParsedTable]],
 ) -> str:
-    """Return findings as JSON whose rows are hexadecimal keys instead of places in the file."""
+    """Return findings as JSON whose rows are hexadecimal keys instead of positions in the file."""
     rows = [row for finding in findings for row in finding["rows"]]
     key_of: dict[int, str] = {}
     for piece in pieces() if rows else ():
@@ -141,7 +143,7 @@ def _compared(
 ) -> list[dict[str, Any]]:
     """Return the finding that the file's measured rows differ from a table's answers, if they do.
 
-    None if `known` has a wrong unit, sign or clock, which causes the difference.
+    The list is empty if `known` has a wrong unit, sign or clock, which causes the difference.
     """
     good = read.report["rows"]["good"]
     wrong = any(item["cause"] in ("unit", "sign", "clock") for item in known)
@@ -183,7 +185,7 @@ def _with_stored_numbers(
     """Yield the rows of a file; numbers that agree with a stored row become its numbers.
 
     Factors of units round. A row whose numbers all agree with those of a stored row to `SAME` gets
-    that row's bits, so that an export in any unit comes back as known rows.
+    that row's bits, so that an export in any unit is recognised as known rows.
     """
     if not read.report["converted"]:
         yield from read.pieces()
@@ -196,7 +198,7 @@ def _with_stored_numbers(
     for piece in read.pieces():
         numbers = np.hstack((piece.wrench, piece.displacement, piece.uncertainty))
         total, size = _sums(numbers, inputs)
-        # `open_`: rows with further stored rows of nearly the same sum, none of which was equal.
+        # `open_`: rows with further stored rows of almost the same sum, none of which was equal.
         first = np.searchsorted(sums, total - 2.0 * SAME * size)
         end = np.searchsorted(sums, total + 2.0 * SAME * size, side="right")
         open_ = np.flatnonzero(first < end)

@@ -1,4 +1,4 @@
-"""A web worker's tables: mapped from the files that the builder writes, never built for answers."""
+"""A web worker's tables: mapped from the builder's files, never built for answers."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
 
 log = logging.getLogger(__name__)
 
-POLL_S = 0.005  # between polls of other web workers' versions, while a caller waits
-MEMORY_S = 0.1  # between checks of the memory of tables
-# A folder's time goes on in steps of up to 10 ms (a kernel's tick): what came within the step of
-# the last check is detected by the checks of this long after a change.
+POLL_S = 0.005  # s between polls of other web workers' versions, while a caller waits
+MEMORY_S = 0.1  # s between checks of the memory of tables
+# A folder's time advances in steps of up to 10 ms (a kernel's tick). The checks of this time after
+# a change find changes within the step of the last check.
 SETTLED_NS = 100_000_000
-START_S = 30.0  # for a start to wait for the builder: a table that comes later answers 503
-# How long a thread that computes may keep the interpreter from another that answers: about what an
-# answer takes; Python's 5 ms are felt by each call.
+START_S = 30.0  # s that a start waits for the builder: a table that comes later answers 503
+# Time, s, for which a computing thread may keep the interpreter from one that answers: about the
+# time of an answer; Python's 5 ms would delay each call.
 SWITCH_S = 0.0005
 ROW = "row"  # the method of an answer by one row
 ROW_DETAIL = "the displacement that a row of the table has at this wrench"
 
 
 class TableBehindError(Exception):
-    """The table does not hold yet all rows that the ledger has; ask again."""
+    """The table lacks rows that the ledger has; the caller should repeat the request."""
 
     @classmethod
     def unbuilt(cls, name: str, why: str | None) -> TableBehindError:
@@ -62,11 +62,11 @@ class TableBehindError(Exception):
 class ServedTable:
     """A packed table and its facts; rows and numpy table are read and built on first use.
 
-    `sources` has the number of rows of each source, `default` the method that answers without a
-    choice of the caller's, `interfaces` the names where there are several, `needs_compliance`
-    whether solves of a linear component's 6x6 compliance are missing, `bars_are_complete` whether
-    error bars have all their parts. `other_rows` are rows of another setup of the component, and
-    `other_wrenches` their wrenches that no row here has.
+    `sources` has the number of rows of each source, `default` the method of requests without
+    `method`, `interfaces` the names if there are several, `needs_compliance` whether solves of a
+    linear component's 6x6 compliance are missing, `bars_are_complete` whether error bars have all
+    their parts. `other_rows` are rows of another setup of the component, and `other_wrenches` their
+    wrenches that no row of this table has.
     """
 
     other_rows: int = 0
@@ -96,7 +96,7 @@ class ServedTable:
         self.interfaces = self.load_range.space.several
         self.tolerance = None if packed.tolerance is None else Tolerance(*packed.tolerance)
         self.solver_error = SolverError.read(packed.meta["solver_error"])
-        # The server's method answers where the table's inputs have it.
+        # The server's method answers if it applies to the table's inputs.
         if method is not None and (self.load_range.space.is_default or method not in BY_AXES):
             self.packed.method = self.default = method
         packed.answer([0.0] * len(packed.meta["space"]["inputs"]))  # reads pages: 0.1 ms
@@ -128,7 +128,7 @@ class ServedTable:
             return built
 
     def rows_in_memory(self) -> int:
-        """Return the number of rows in memory; 0 if nothing could read them again."""
+        """Return the number of rows in memory; 0 if they could not be read again."""
         return 0 if self._rows is None or self._rows_of is None else self.row_count
 
     def drop(self) -> None:
@@ -141,7 +141,7 @@ class ServedTable:
 
     @property
     def fit(self) -> ComplianceFit:
-        """The compliance of each output's group; loads that all groups know."""
+        """The compliance of each output's group; its known loads are those that all groups know."""
         names = [f"g{group}/fit/known" for group in range(len(self.packed.meta["groups"]))]
         known = np.all([self.packed.arrays[name] for name in names], axis=0)
         matrix, origin = self._of_groups("fit/matrix", len(known)), self.summary["compliance"]
@@ -154,7 +154,7 @@ class ServedTable:
         return self._of_groups("row/steepest")
 
     def _of_groups(self, name: str, *columns: int) -> Floats:
-        """Return an array by outputs, (m, ...): each line of the output's group, 0 without one."""
+        """Return an array by outputs, (m, ...): a row of the output's group, 0 without a group."""
         merged = np.zeros((len(self.load_range.space.outputs), *columns))
         for group in range(len(self.packed.meta["groups"])):
             outputs = self.packed.arrays[f"g{group}/outputs"].astype(bool)
@@ -163,7 +163,7 @@ class ServedTable:
 
     @property
     def hyperparameters(self) -> Hyperparameters | None:
-        """Those of the first outputs that have a kriging, None if none has."""
+        """The hyperparameters of the first outputs that have a kriging, None if none has."""
         arrays = self.packed.arrays
         for group in range(len(self.packed.meta["groups"])):
             if f"g{group}/kriging/terms" in arrays:
@@ -174,7 +174,7 @@ class ServedTable:
         return None
 
     def method_detail(self, method: str) -> str:
-        """How a method answers, or why it answers, in the group of the fewest rows."""
+        """Return the details of a method, or its reason, in the group of the fewest rows."""
         group = self.packed.meta["groups"][0]
         if method == ROW:
             return ROW_DETAIL
@@ -184,11 +184,11 @@ class ServedTable:
 
 
 class MappedTables:
-    """The newest tables by component name, mapped from the files that the builder writes.
+    """The newest tables by component name, mapped from the builder's files.
 
-    A request takes the table there is (`surrogate`, a dictionary look-up). One thread maps each
-    new version and then swaps it in; without a builder the last versions go on answering.
-    `method` answers where a request names none; `memory` is in MB.
+    A request uses the present table (`surrogate`, a dictionary look-up). One thread maps each new
+    version and then replaces the earlier one; without a builder the last versions continue to
+    answer. `method` is that of requests without a method; `memory` is in MB.
     """
 
     def __init__(
@@ -214,9 +214,9 @@ class MappedTables:
         self._thread = threading.Thread(target=self._follow, name="tables-follow", daemon=True)
 
     def start(self) -> None:
-        """Start to map; return once the small tables are there that the builder can build.
+        """Start to map; return once the small tables that the builder can build are mapped.
 
-        From then on `wake` is to be called whenever `stamp` changes.
+        From then on the caller calls `wake` whenever `stamp` changes.
         """
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_S))
         self.wake()
@@ -236,8 +236,8 @@ class MappedTables:
     def surrogate(self, name: str) -> ServedTable:
         """Return the newest table of a component.
 
-        Raises UnknownComponentError, and TableBehindError if it has rows and has not been built
-        since the start.
+        Raises UnknownComponentError if there is no such component, and TableBehindError if it has
+        rows and was not built since the start.
         """
         known = self._tables.get(name)
         if known is not None:
@@ -258,11 +258,11 @@ class MappedTables:
         return self._tables.copy()
 
     def faults(self) -> dict[str, str]:
-        """Why a component's table differs from the ledger, by its name."""
+        """Return why a component's table differs from the ledger, by its name."""
         return {**self._status.faults, **self._unread}
 
     def trouble(self) -> str | None:
-        """Why no job runs, as far as it is known here."""
+        """Return why no job runs, as far as this process knows."""
         if not self._state.is_locked_by_builder():
             return "the process that runs them has ended; it is started again"
         return self._status.trouble
@@ -272,15 +272,15 @@ class MappedTables:
         return [name for name in self._library.names() if name not in self._tables]
 
     def catch_up(self, name: str, timeout: float) -> bool:
-        """Wait until every web worker's table holds all rows committed when this is called.
+        """Wait until every web worker's table has all rows committed at the time of the call.
 
-        Returns False if time ran out, or if the table cannot be built: see `faults`.
+        Return False after the timeout, or if the table cannot be built: see `faults`.
         """
         goal, end = self._ledger.last_seq(name), time.monotonic() + timeout
         wanted = setup_of(self._library[name])
 
         def holds() -> bool:
-            # A file that does not fit a component that was just added is written anew.
+            # A file that does not fit a component that was just added is written again.
             table = self._tables.get(name)
             return table is not None and table.version >= goal and _mark(table)[1] == wanted
 
@@ -299,7 +299,10 @@ class MappedTables:
         return False
 
     def caught_up(self, name: str, timeout: float) -> ServedTable:
-        """Return the table with all rows committed by now, or raise TableBehindError."""
+        """Return the table with all rows committed by now.
+
+        Raises TableBehindError after the timeout.
+        """
         if self.catch_up(name, timeout):
             return self.surrogate(name)
         why = self.faults().get(name, f"its newest rows are not in it after {timeout:g} s")
@@ -313,7 +316,7 @@ class MappedTables:
     def stamp(self) -> object:
         """Return a value that changes when there may be new tables; takes microseconds.
 
-        The library's version takes up the components that another process has added.
+        The library's version includes components that another process has added.
         """
         files = self._store.stamp()
         settled = time.time_ns() - files > SETTLED_NS
@@ -339,7 +342,7 @@ class MappedTables:
                 component = self._library[name]
                 try:
                     next((file for file in files if self._map(component, file)), None)
-                except Exception as error:  # the other tables are mapped all the same
+                except Exception as error:  # the other tables are mapped in spite of it
                     self._unread[name], failed = with_remedy(error), error
                     continue
                 if not any(self._refused.get(file.path) == (file, component) for file in files):
@@ -356,7 +359,10 @@ class MappedTables:
             raise failed
 
     def _map(self, component: Component, file: PackedFile) -> bool:
-        """Take a file up unless it is of anything else; return whether it is taken up."""
+        """Map a file unless it belongs to another component or setup.
+
+        Return whether it is mapped.
+        """
         name, version = component.name, (file, component)
         if version in (self._mapped.get(name), self._refused.get(file.path)):
             return version == self._mapped.get(name)
@@ -387,14 +393,14 @@ class MappedTables:
 
 
 def _mark(table: ServedTable) -> list[int | str]:
-    """Return a table's version, and the setup that its file was built from."""
+    """Return a table's version, and the setup from which its file was built."""
     return [table.version, table.packed.meta["provenance"]["origin"].get("setup", "")]
 
 
 def row_table(
     component: Component, row: Rows, error: SolverError | None, near: ServedTable
 ) -> ServedTable:
-    """Return a table of one row, which answers its wrench until the component's table holds it.
+    """Return a table of one row, which answers its wrench until the component's table has it.
 
     A row without a tangent takes the steepest slopes of `near`, the component's newest table.
     """
@@ -413,7 +419,7 @@ def row_table(
 
 
 def note_on_other_rows(name: str, table: ServedTable) -> str:
-    """Return how many rows belong to another setup and what to do; empty if nothing is to do."""
+    """Return a text on rows of another setup and the remedy; empty if nothing is to do."""
     if not table.other_wrenches:
         return ""
     return (
@@ -424,7 +430,7 @@ def note_on_other_rows(name: str, table: ServedTable) -> str:
 
 
 def warning_of(component: Component, table: ServedTable) -> str:
-    """As `note_on_other_rows`, also of a component that nothing can be solved for."""
+    """Return the text of `note_on_other_rows`, also for a component that cannot be solved."""
     if component.has_fea or not table.other_rows:
         return note_on_other_rows(component.name, table)
     return (

@@ -1,4 +1,4 @@
-"""Rows of the ledger as tables, imports and exports take them, and rows of another setup.
+"""Rows of the ledger in the forms of tables, imports and exports, and rows of another setup.
 
 A component whose files change has another fingerprint. Its earlier solves stay in the ledger; no
 table has them until the files are restored, or `resolve` solves their wrenches again.
@@ -23,10 +23,10 @@ CONTRACT_TEXT = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.ite
 
 
 class ExportRows:
-    """Rows of the ledger as table files hold them: their columns, and texts of each row.
+    """Rows of the ledger for table files: their columns, and texts of each row.
 
-    ``when`` each came, UTC, and ``who`` sent it by the numbers of the imports, `spans`, in order;
-    empty for a solve.
+    ``when`` is the time of each row's arrival, UTC, and ``who`` its sender, from the imports'
+    numbers, `spans`, in order; empty for a solve.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ def table_meta(component: Component, version: int, error: SolverError | None = N
 
 
 def followed(ledger: Ledger, component: Component, rows: Rows, after: int) -> tuple[Rows, int]:
-    """Return a component's rows with the ledger's changes after a seq, and up to which seq."""
+    """Return a component's rows with the ledger's changes after a seq, and the last seq."""
     fresh = [rows]  # joined at the end: a table of a million rows comes in fifty parts
     setup = {"space": component.space, "fingerprint": component.fingerprint}
     while True:
@@ -85,7 +85,7 @@ def unsolved(component: Component, others: Iterable[bytes], known: Floats) -> Fl
     """Return the distinct wrenches of rows of other setups that no row of the table has.
 
     `others` are packed wrenches of the rows of other setups, `known` (n, inputs), N and N·m, those
-    of the table's rows. In the order of `others`, loads on locked freedoms zero.
+    of the table's rows. The result is in the order of `others`, with zero loads on locked freedoms.
     """
     inputs = len(component.space.inputs)
     distinct = dict.fromkeys(packed(component.acting(unpacked(others, inputs))))

@@ -1,8 +1,8 @@
 """The estimated error of the solver of each setup, in the ledger's database.
 
-It is estimated with the first solve of a setup, by the solver's process, and belongs to all rows of
-it. Without an estimate error bars lack the discretisation error, replies say so, and the next solve
-estimates it again.
+The solver's process estimates it with the first solve of a setup, and it belongs to all rows of the
+setup. Without an estimate error bars lack the discretisation error, replies say so, and the next
+solve estimates it again.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _log = logging.getLogger(__name__)
 
 
 class SolverErrors:
-    """The estimates of a data directory; several processes may use it."""
+    """The error estimates of a data directory; several processes may use it."""
 
     def __init__(self, ledger: Ledger) -> None:
         self._ledger = ledger
@@ -28,9 +28,9 @@ class SolverErrors:
         self._lock = threading.Lock()
 
     def claim(self, component: str, fingerprint: str) -> bool:
-        """Return whether a solve that starts now shall estimate; one at a time in this process.
+        """Return whether a solve that starts now should estimate; one at a time in this process.
 
-        So it shall where an older version's estimate lacks the growth of the error with the load.
+        It should also if an older version's estimate lacks the growth of the error with the load.
         """
         key = component, fingerprint
         with self._lock:
@@ -43,7 +43,7 @@ class SolverErrors:
             return True
 
     def record(self, component: str, fingerprint: str, estimate: Mapping[str, Any] | None) -> None:
-        """Keep the estimate of an ended solve, or let the next one estimate; never raises."""
+        """Store the estimate of an ended solve, or let the next solve estimate; raises no error."""
         try:
             if estimate is not None:
                 SolverError(estimate)
@@ -57,14 +57,14 @@ class SolverErrors:
     def copy(self, component: str, fingerprint: str, other: str) -> None:
         """Give a component's copy, which has the same setup, the same estimate.
 
-        Raises LedgerUnavailableError.
+        Raises LedgerUnavailableError if the ledger cannot be written.
         """
         known = self.read(component, fingerprint)
         if known is not None:
             self._write(other, fingerprint, known.values)
 
     def read(self, component: str, fingerprint: str) -> SolverError | None:
-        """Return the estimate of a setup; None if there is none that can be read."""
+        """Return the estimate of a setup; None if there is none, or it cannot be read."""
         where = "SELECT estimate FROM solver_errors WHERE component = ? AND fingerprint = ?"
         try:
             with self._ledger.reading() as db:

@@ -1,4 +1,4 @@
-"""The table files of a data directory: mapped packed tables, and the HDF5 record of their rows.
+"""The table files of a data directory: packed tables, and the HDF5 record of their rows.
 
 ``NAME-VERSION.wbt`` is derived: a file that is missing, damaged or of another origin is written
 again. ``NAME.h5`` is a second copy of the ledger's rows, from which a lost ledger is restored.
@@ -35,9 +35,10 @@ T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
-ROW_MB = 0.013  # of a numpy table, a row: measured with 20,000 single-axis and multi-axis rows
-LARGE = 3000  # rows: a table of more takes over a second to build
-ROW_BYTES = 450  # of a row in an HDF5 file, about
+# MB of a numpy table, for each row: measured with 20,000 single-axis and multi-axis rows.
+ROW_MB = 0.013
+LARGE = 3000  # rows: the build of a larger table takes over a second
+ROW_BYTES = 450  # bytes of a row in an HDF5 file, approximately
 _UNKNOWN_WITHDRAWALS = (
     "the table file was written from another ledger and does not list withdrawn rows, which may be "
     "in the table again. Look through its rows, or restore the newer ledger"
@@ -56,7 +57,7 @@ class PackedFile(NamedTuple):
 class TableStore:
     """The table files in a folder, which the first write makes.
 
-    `caveats` has what is not known of a component's table, by its name, and what to do about it.
+    `caveats` has open questions about a component's table, by its name, and their remedies.
     """
 
     def __init__(self, folder: Path, ledger: Ledger, errors: SolverErrors | None = None) -> None:
@@ -64,15 +65,16 @@ class TableStore:
         self.caveats: dict[str, str] = {}
 
     def solver_error(self, component: Component) -> SolverError | None:
-        """Return the estimate of a component's solver error; None if it is not known."""
+        """Return the estimate of a component's solver error; None if unknown."""
         if self._errors is None:
             return None
         return self._errors.read(component.name, component.fingerprint)
 
     def origin(self, component: Component, version: int) -> dict[str, str]:
-        """Return digests of all that a version of a table is built from; a packed file has them.
+        """Return digests of all inputs of a table's version; a packed file has them.
 
-        Without ``ledger`` if the ledger cannot be read: then no file is known to be of these rows.
+        ``ledger`` is missing if the ledger cannot be read: then no file is known to have these
+        rows.
         """
         error = self.solver_error(component)
         program = [np.__version__, scipy.__version__, code_digest("surrogate")]
@@ -86,7 +88,7 @@ class TableStore:
         return origin
 
     def is_current(self, component: Component, version: int, origin: dict[str, str]) -> bool:
-        """Return whether the packed file of a version is undamaged and what would be built now."""
+        """Return whether a version's packed file is undamaged and a build would reproduce it."""
         try:
             packed = PackedTable.open(self._packed_path(component.name, version))
         except (PackedTableError, OSError):
@@ -98,7 +100,7 @@ class TableStore:
     def write_packed(self, name: str, version: int, content: bytes) -> None:
         """Write a version and remove the component's others; after an OSError these stay.
 
-        It need not outlive a power failure: it can be built again.
+        The file need not survive a power failure, as it can be built again.
         """
         self._folder.mkdir(parents=True, exist_ok=True)
         write_atomically(self._packed_path(name, version), content, durable=False)
@@ -112,7 +114,7 @@ class TableStore:
                     file.path.unlink()
 
     def remove_stray(self, names: Container[str]) -> None:
-        """Remove drafts that killed writers left, and packed files of no component in `names`."""
+        """Remove drafts of killed writers, and packed files of components not in `names`."""
         for path in self._folder.glob(f".*{SUFFIX}.*"):
             path.unlink(missing_ok=True)
         for name in self.packed_files():
@@ -125,21 +127,21 @@ class TableStore:
         for path in self._folder.glob(f"*{SUFFIX}"):
             name, _, version = path.stem.rpartition("-")
             if version.isdecimal() and name and not name.startswith("."):
-                with suppress(OSError):  # a newer version has taken its place
+                with suppress(OSError):  # a newer version has replaced it
                     stat = path.stat()
                     file = PackedFile(int(version), stat.st_mtime_ns, stat.st_ino, path)
                     files.setdefault(name, []).append(file)
         return {name: sorted(versions, reverse=True) for name, versions in files.items()}
 
     def stamp(self) -> int:
-        """Return a number that changes when a file comes or goes; takes microseconds."""
+        """Return a number that changes when a file is added or removed; takes microseconds."""
         try:
             return os.stat(self._folder).st_mtime_ns  # noqa: PTH116 (fifty times a second)
         except OSError:
             return 0
 
     def size(self, name: str) -> int:
-        """Return how many rows a component has, by the ledger, or about, by its HDF5 file."""
+        """Return the number of a component's rows by the ledger, or about, by its HDF5 file."""
         with suppress(LedgerUnavailableError):
             if count := self.ledger.count_rows(name):
                 return count
@@ -149,11 +151,14 @@ class TableStore:
             return 0
 
     def small(self, names: Iterable[str]) -> set[str]:
-        """Return the components whose tables are built within a second or so."""
+        """Return the components whose tables are built within about a second."""
         return {name for name in names if self.size(name) <= LARGE}
 
     def written(self, name: str) -> float | None:
-        """Return when a component's HDF5 file was written, s since the epoch; None without it."""
+        """Return when a component's HDF5 file was written, s since the epoch.
+
+        None without a file.
+        """
         try:
             return self._path(name).stat().st_mtime
         except OSError:
@@ -166,8 +171,10 @@ class TableStore:
     def saved(self, component: Component, version: int, digest: str) -> int | None:
         """Return the seq up to which a component's HDF5 file has its rows; 0 without a usable file.
 
-        None if it has rows that the ledger lacks: `load` puts these back. `version` and `digest`
-        are of the ledger's newest change. Raises LedgerUnavailableError.
+        None if the file has rows that the ledger lacks: `load` restores these. `version` and
+        `digest` are those of the ledger's newest change.
+
+        Raises LedgerUnavailableError if the ledger cannot be read.
         """
         content = self._read_usable(component, lambda path: (None, read_meta(path)))
         if content is None:
@@ -192,12 +199,14 @@ class TableStore:
             return joined([Rows.empty(component.space), *(lot.rows for lot in table.lots)])
 
     def load(self, component: Component) -> tuple[Rows, int]:
-        """Return the rows of a component's HDF5 file and the seq they go up to.
+        """Return the rows of a component's HDF5 file and their last seq.
 
-        No rows, and 0, if they are not exactly what the ledger has up to there. Rows that the
-        ledger has lost, being a new one or an older copy, are restored in it first, and so are
-        withdrawals; `caveats` names the tables whose file does not have those. Raises
-        LedgerUnavailableError if the ledger cannot be read, or cannot take the rows.
+        Return no rows, and 0, if they differ from the ledger's rows up to there. If the ledger
+        lacks rows, being a new one or an older copy, they are first restored in it, and so are
+        withdrawals; `caveats` has the tables whose file lacks withdrawals.
+
+        Raises LedgerUnavailableError if the ledger cannot be read, or the rows cannot be written to
+        it.
         """
         content = self.read(component)
         if content is not None:
@@ -214,7 +223,7 @@ class TableStore:
         """Write a component's rows, the ledger's up to `last_seq`; after an OSError the file stays.
 
         If the ledger cannot be read, the file may be the last copy of the rows: it is written
-        without the ledger's digest, and they are restored from it.
+        without the ledger's digest, so that the rows are restored from it.
         """
         name, of_ledger = component.name, dict[str, Any]()
         with suppress(LedgerUnavailableError):
@@ -238,13 +247,13 @@ class TableStore:
     def _read_usable(
         self, component: Component, read: Callable[[Path], tuple[T, TableMeta]]
     ) -> tuple[T, TableMeta] | None:
-        """Return the result of `read` of a component's file; None, logged, if it is unusable."""
+        """Return the result of `read` for a component's file; None, logged, if it is unusable."""
         try:
             content = read(self._path(component.name))
             named = content[1].component
             if named == component.name:
                 return content
-            # Tables without a setup have the same fingerprint: the name separates them.
+            # Tables without a setup have the same fingerprint, so their names distinguish them.
             why: object = f"the file is the table of {named!r}"
         except FileNotFoundError:
             return None
@@ -260,14 +269,18 @@ class TableStore:
         )
 
     def _restore(self, name: str, rows: Rows, meta: TableMeta) -> None:
-        """Insert a file's rows and repeat its edits; the ledger knows what it has by content."""
+        """Insert a file's rows and repeat its edits.
+
+        Rows that the ledger has are recognised by content.
+        """
         newest = self.ledger.last_seq(name)
         inserted, _ = self.ledger.insert_rows(name, rows, "table file", above=meta.last_seq)
         if inserted:
             text = "%s: %d rows of the table file were missing in the ledger and are there again"
             log.warning(text, name, inserted)
         if meta.edits is None:
-            # Files of 0.1 have neither edits nor a digest of their ledger: numbers show it.
+            # Files of version 0.1 have neither edits nor a digest of their ledger: row numbers show
+            # it.
             stored = self.ledger.rows_of(rows.seq.tolist())
             wrenches = zip(rows.seq.tolist(), map(tuple, rows.wrench.tolist()), strict=True)
             same = all(seq in stored and stored[seq].wrench == wrench for seq, wrench in wrenches)
@@ -287,14 +300,14 @@ class TableStore:
 
 
 def is_of(packed: PackedTable, name: str, origin: dict[str, str]) -> bool:
-    """Whether a packed table is of a component and of this origin."""
+    """Return whether a packed table belongs to a component and an origin."""
     provenance = packed.meta.get("provenance", {})
     built = provenance.get("origin") or {"setup": None}
     return provenance.get("component") == name and built.items() <= origin.items()
 
 
 def setup_of(component: Component) -> str:
-    """Return a digest of all but rows that a component's table is built from."""
+    """Return a digest of all inputs of a component's table other than rows."""
     bounds, tolerance = component.load_range, component.tolerance
     values = (
         component.fingerprint,
@@ -311,12 +324,12 @@ def _short(text: str) -> str:
 
 
 class InMemory(Protocol):
-    """Rows and a numpy table that may be dropped: they can be read or built again."""
+    """Rows and a numpy table that may be dropped, as they can be read or built again."""
 
     used: float
 
     def rows_in_memory(self) -> int:
-        """Return the number of rows in memory that `drop` gives back."""
+        """Return the number of rows in memory that `drop` frees."""
         ...
 
     def drop(self) -> None:
@@ -325,7 +338,7 @@ class InMemory(Protocol):
 
 
 def drop_least_used(tables: Iterable[InMemory], limit_mb: float) -> None:
-    """Drop tables used longest ago beyond a limit; the table used last stays whatever its size."""
+    """Drop the least recently used tables beyond a limit; the last used table always stays."""
     total = 0.0
     for table in sorted(tables, key=lambda table: -table.used):
         size = ROW_MB * table.rows_in_memory()

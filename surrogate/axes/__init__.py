@@ -1,1 +1,1 @@
-"""The axes: triangulations of the rows of single axes, composed to answers."""
+"""The axes: triangulations of the rows of single axes, combined to answers."""

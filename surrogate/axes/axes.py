@@ -30,15 +30,15 @@ from ..table.space import LOADS
 from .axis_table import AxisTable, axis_table
 from .triangulation import Triangulation
 
-SAME_STATION = 1e-12  # stations closer than this, in scaled units, are the same
-IN_SIMPLEX = 1e-9  # by which a barycentric coordinate may be below 0: rounding of a station
-BOX_MARGIN = 1e-6  # of the points' size: more than rounding at thin simplices
+SAME_STATION = 1e-12  # stations closer than this, in scaled units, are the same station
+IN_SIMPLEX = 1e-9  # lower limit of a barycentric coordinate below 0: rounding of a station
+BOX_MARGIN = 1e-6  # part of the points' size: above the rounding at thin simplices
 
-# Whether a stretch of a cut lies within the hull of the points: WB_INSIDE and WB_OFF_HULL.
+# States of a stretch of a cut, within the hull of the points or not: WB_INSIDE and WB_OFF_HULL.
 INSIDE, OFF_HULL = 0, 9
 
-MAX_SPOTS = 5  # largest simplices in a list of gaps
-MAX_VERTICES = 200  # of a hull that is listed: a page draws no more
+MAX_SPOTS = 5  # simplices in a list of gaps, the largest ones
+MAX_VERTICES = 200  # vertices of a listed hull: a page draws no more
 
 
 def build_axes(
@@ -51,7 +51,7 @@ def build_axes(
     """Build the three axes over rows within the load range.
 
     `before`: the axes of another version of the table. An axis whose points, values and slopes are
-    equal is taken from it, since building it again gives the same bits.
+    equal is reused, since a new build would give the same bits.
     """
     earlier = before.tables if before is not None else (None,) * len(AXES)
     tables = [
@@ -76,9 +76,9 @@ def _axis_table(
         return table
     chosen = axis_rows(rows, load_range, axis, fit, off_axis)
     if off_axis == "correct" and table is not None:
-        # A full wrench's displacement without its off-axis part is as uncertain as the linear fit.
-        # Between clean rows that is far more than the error of these, and such a row would only
-        # put its nonlinear part into all three axes; beyond them it is better than nothing.
+        # The displacement of a multi-axis row without its off-axis part is as uncertain as the
+        # linear fit. Between single-axis rows that is far more than their error, and the row would
+        # only add its nonlinear part to all three axes; beyond them it is better than nothing.
         beyond = table.triangulation.locate(chosen.points) < 0
         chosen = chosen.take(chosen.single_axis | beyond)
     if not len(chosen.points):
@@ -91,8 +91,9 @@ def _axis_table(
 def answer_at_zero(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable | None]) -> Floats:
     """Return the displacement at no load, shape (6,), m and rad.
 
-    The mean of the rows at zero load or, without any, of what the axes whose hull holds zero
-    interpolate there (measured tables have offsets). Zero where there are none either.
+    It is the mean of the rows at zero load or, without any, the mean of the interpolations at zero
+    by the axes whose hull contains zero (measured tables have offsets). It is zero if there are
+    none either.
     """
     unloaded = (np.abs(rows.wrench) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if unloaded.any():
@@ -108,14 +109,15 @@ def answer_at_zero(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable
 class Axes:
     """Three axis tables (None where there are no rows) and the answer at no load.
 
-    `cuts`: of each moment, x, y, z: from the axis it comes first in, then from the other.
+    `cuts`: for each moment, x, y, z: along the axis that has it as the first moment, then along the
+    other.
     `at_zero` (6,), m and rad: displacement at no load.
     """
 
     def __init__(
         self, tables: Sequence[AxisTable | None], at_zero: Floats, before: Axes | None = None
     ) -> None:
-        """Compose; cuts of axes that another composition has too are taken from it."""
+        """Combine tables; cuts of axes that `before` shares are reused."""
         self.tables = tuple(tables)
         self.at_zero = at_zero
         known = before.cuts if before is not None else ((),) * 3
@@ -135,7 +137,7 @@ class Axes:
 def _cuts(
     tables: Sequence[AxisTable | None], moment: int, known: Sequence[PureMomentCut]
 ) -> tuple[PureMomentCut, ...]:
-    """Return the cuts along a moment, that of the axis it comes first in before the other."""
+    """Return the cuts along a moment, that of the axis that has it as the first moment first."""
     cuts = []
     for column in (1, 2):
         index = next(index for index, axis in enumerate(AXES) if axis.inputs[column] == moment)
@@ -149,6 +151,7 @@ def _cuts(
 
 
 def _gaps(axis: LoadAxis, table: AxisTable | None, load_range: LoadRange) -> dict[str, Any]:
+    """Return the gaps of an axis: its hull, corners of the range outside, largest simplices."""
     # The low and high ends, (3,) each, of an axis' loads, stretched to hold zero.
     inputs = list(axis.inputs)
     low, high = np.minimum(load_range.low[inputs], 0.0), np.maximum(load_range.high[inputs], 0.0)
@@ -224,16 +227,15 @@ def _axis_summary(axis: LoadAxis, table: AxisTable | None) -> dict[str, Any]:
 class PureMomentCut:
     """An axis' table along one of its moments, the other two loads being zero.
 
-    Every composed rotation counts from these answers. They lie on a line through a
-    triangulation, and along it barycentric outputs are straight between two faces of its
-    simplices.
+    Every combined rotation is relative to these answers. They lie on a line through a
+    triangulation, and along it barycentric outputs are straight between two faces of its simplices.
 
-    `shape`: of the table.
+    `shape`: the table's triangulation.
     `stations` (s + 1,), dimensionless: scaled moments at which the line passes from one simplex to
     the next, ascending.
-    `outputs` (s, 2, 6), m and rad: of each stretch, by the scaled moment less its first station:
-    constant and straight part.
-    `state` (s,): `INSIDE`; `OFF_HULL` where no simplex holds the stretch.
+    `outputs` (s, 2, 6), m and rad: constant and linear part of each stretch, by the scaled moment
+    less its first station.
+    `state` (s,): `INSIDE`; `OFF_HULL` where no simplex contains the stretch.
     """
 
     def __init__(self, table: AxisTable, column: int) -> None:
@@ -256,7 +258,7 @@ class PureMomentCut:
 
 
 def _stations(shape: Triangulation, column: int) -> Floats:
-    """Return, ascending, where the line meets faces of the simplices it passes; none or several."""
+    """Return, ascending, where the line crosses faces of the simplices; none or several."""
     if shape.dimension == 0 or not shape.holds_direction(column):
         return np.empty(0)
     simplices = _simplices_on_line(shape, column)
@@ -277,7 +279,7 @@ def _stations(shape: Triangulation, column: int) -> Floats:
 
 
 def _simplices_on_line(shape: Triangulation, column: int) -> NDArray[np.intp]:
-    """Return the simplices that the line may pass, by their boxes: a few in a hundred."""
+    """Return the simplices that the line may cross, by their boxes: a few in a hundred."""
     others = [load for load in range(3) if load != column]
     corners = shape.points[:, others][shape.simplices]
     low, high = corners.min(axis=1), corners.max(axis=1)

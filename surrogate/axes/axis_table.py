@@ -1,7 +1,7 @@
 """The table of an axis: triangulation, values and slopes at its points.
 
-It has no error bars of its own: those of answers by the axes are their distance from the kriging's
-answers, and the kriging's error bars.
+It has no error bars of its own: the error bar of an answer by the axes is its distance from the
+kriging's answer plus the kriging's error bar.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ class AxisTable:
     """The rows of an axis, triangulated.
 
     `triangulation`: over the scaled inputs.
-    `scale` (3,), N and N·m: what the inputs are divided by.
+    `scale` (3,), N and N·m: divisors of the inputs.
     `values` (n, 6), m and rad: displacements at the points.
-    `slopes` (n, 6, 3), m and rad: derivatives by the scaled inputs: of stored tangents, else of a
-    quadratic through neighbours.
+    `slopes` (n, 6, 3), m and rad: derivatives by the scaled inputs, from stored tangents, else from
+    a quadratic through neighbours.
     """
 
     def __init__(self, rows: AxisRows, load_range: LoadRange) -> None:
@@ -38,7 +38,7 @@ class AxisTable:
             self.slopes = np.where(stored, rows.tangent, recovered)
 
     def of(self, rows: AxisRows) -> AxisTable:
-        """Return this table for rows of the same numbers, which may have other indices."""
+        """Return this table with the row indices of `rows`, whose numbers are the same."""
         table = copy(self)
         table.rows = rows
         return table
@@ -58,7 +58,8 @@ class AxisTable:
 def axis_table(rows: AxisRows, load_range: LoadRange, earlier: AxisTable | None) -> AxisTable:
     """Return the table of an axis' rows, at least one.
 
-    `earlier`: that of another version, which is reused if its points, values and slopes are equal.
+    `earlier`: the table of another version, which is reused if its points, values and slopes are
+    equal.
     """
     scale = load_range.scale[list(rows.axis.inputs)]
     is_same = earlier is not None and np.array_equal(earlier.scale, scale)

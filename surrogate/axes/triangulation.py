@@ -18,24 +18,26 @@ from ..table.rows import Floats
 
 Indices = NDArray[np.intp]
 
-# Of the points' extent: points closer to a plane, a line or a point are in it.
+# Part of the points' extent: points closer than this to a plane, a line or a point lie in it.
 SPAN_TOLERANCE = 1e-9
-ROUNDED = 2e-14  # of a barycentric coordinate, some 100 roundings: still inside
-STEPS = 64  # of a walk, which takes some 5 from the simplex of the nearest middle
-ON_HULL = 1e-9  # of the way to the middle: rounding may put points of the hull so much outside
+ROUNDED = 2e-14  # barycentric coordinate below zero that still counts as inside: some 100 roundings
+# Largest number of steps of a walk, which takes some 5 from the simplex of the nearest middle.
+STEPS = 64
+# Part of the way to the middle: rounding may move points of the hull outside by so much.
+ON_HULL = 1e-9
 SLIVER = 1e-10  # volume over cubed longest edge (or the like) below which a simplex is degenerate
 SHEAR = np.eye(3) + 1e-3 * np.array([[0.31, 0.77, -0.53], [0.19, -0.41, 0.97], [-0.61, 0.37, 0.23]])
 
-# Of the order of a batch:
-CELLS = 32  # a side: three times five bits fit 16, which numpy sorts by radix
+# Constants of the order of a batch:
+CELLS = 32  # cells a side: three times five bits fit 16, which numpy sorts by radix
 MIN_SORTED = 64  # points below which sorting costs more than it saves
 
-# Of points beside degenerate simplices:
+# Constant of points beside degenerate simplices:
 PAIRS = 200_000  # pairs of points and simplices at once: some 50 MB of numbers
 
-# Of slopes at the points:
-NEIGHBOURS = {1: 5, 2: 10, 3: 18}  # of a patch, by dimension: not quite two for each unknown
-RIDGE = 1e-10  # of the patch's size: keeps points on one quadric from a singular fit
+# Constants of slopes at the points:
+NEIGHBOURS = {1: 5, 2: 10, 3: 18}  # points of a patch, by dimension: not quite two for each unknown
+RIDGE = 1e-10  # part of the patch's size: keeps points on one quadric from a singular fit
 NEARER = 0.1  # added to squared distances (of the farthest) before weights are their inverse
 CHUNK = 4096  # patches fitted at once: their normal equations fit the cache
 
@@ -44,13 +46,13 @@ class Triangulation:
     """A triangulation of scattered points, with one affine barycentric map per simplex.
 
     `points` (n, 3).
-    `dimension`: 0 to 3, what the points span.
+    `dimension`: 0 to 3, the dimension that the points span.
     `simplices` (m, dimension + 1): vertices of each simplex; the last one is its anchor.
-    `anchors` (m, 3).
+    `anchors` (m, 3): positions of the anchors.
     `weights` (m, dimension, 3): `weights[s] @ (x - anchors[s])` are the barycentric coordinates but
     the last one.
     `volumes` (m,): length, area or volume of each simplex; 1 for a single point.
-    `degenerate` (m,).
+    `degenerate` (m,): whether each simplex has (almost) no volume.
     `neighbours` (m, dimension + 1): the simplex across from each vertex, -1 on the hull.
     """
 
@@ -81,7 +83,9 @@ class Triangulation:
             )
             try:
                 return self._connect(local)
-            except QhullError:  # of a lower dimension within qhull's precision, though not ours
+            # The points span a lower dimension within qhull's precision, though not within
+            # `SPAN_TOLERANCE`.
+            except QhullError:
                 dimension -= 1
                 basis = np.linalg.svd(self.points - self.origin, full_matrices=False)[2]
 
@@ -103,11 +107,11 @@ class Triangulation:
             self._connect_simplices(local)
 
     def _connect_simplices(self, local: Floats) -> None:
-        """Triangulate; in three dimensions the points themselves, so that it is scipy's.
+        """Triangulate; in three dimensions the points themselves, so that the result is scipy's.
 
-        qhull joins the cells of a grid by slivers where their diagonals differ: answers
-        would jump there. A slight shear leaves each cell one triangulation only, and barycentric
-        coordinates as they are.
+        qhull joins the cells of a grid by slivers where their diagonals differ: answers would jump
+        there. After a slight shear each cell has one triangulation only, and barycentric
+        coordinates are unchanged.
         """
         points = self.points if self.dimension == 3 else local
         delaunay = Delaunay(points)
@@ -139,10 +143,10 @@ class Triangulation:
         return simplices
 
     def _walk(self, points: Floats) -> Indices:
-        """Walk from the simplex with the nearest middle over the face that a point is behind.
+        """Walk from the simplex with the nearest middle, each time over the face before the point.
 
-        In a Delaunay triangulation no such walk comes back (Devillers, Pion and Teillaud 2002,
-        "Walking in a triangulation").
+        In a Delaunay triangulation such a walk never returns to a simplex (Devillers, Pion and
+        Teillaud 2002, "Walking in a triangulation").
         """
         centred = points - self.origin
         off = np.abs(centred - centred @ self.basis.T @ self.basis).max(axis=1, initial=0.0)
@@ -152,7 +156,7 @@ class Triangulation:
             parts = self.barycentric(simplices[walking], points[walking])
             behind, least = parts.argmin(axis=1), parts.min(axis=1)
             degenerate = self.degenerate[simplices[walking]]
-            lost.append(walking[degenerate])  # its barycentric coordinates show no way
+            lost.append(walking[degenerate])  # their barycentric coordinates have no direction
             goes_on = ~degenerate & (least < -ROUNDED)
             walking, behind = walking[goes_on], behind[goes_on]
             simplices[walking] = self.neighbours[simplices[walking], behind]
@@ -162,7 +166,7 @@ class Triangulation:
         return np.where(off > self.slack, -1, simplices)
 
     def _compared(self, points: Floats) -> Indices:
-        """Return the sound simplex that holds each point (k, 3) best, of all; -1 if none."""
+        """Return the regular simplex that holds each point (k, 3) best, of all; -1 if none."""
         simplices, most = np.full(len(points), -1), np.full(len(points), -ROUNDED)
         for radius, members, middles in self._by_size:
             count = middles.query_ball_point(points, radius, return_length=True)
@@ -180,9 +184,10 @@ class Triangulation:
 
     @cached_property
     def _by_size(self) -> list[tuple[float, Indices, KDTree]]:
-        """Group sound simplices by a power of 2 of the farthest corner's distance.
+        """Group regular simplices by a power of 2 of the farthest corner's distance.
 
-        A point in a simplex is nearer to its middle than that: few of a size are.
+        A point in a simplex is nearer to its middle than the farthest corner, so few simplices of a
+        size can hold it.
         """
         members = np.flatnonzero(~self.degenerate)
         corners = self.points[self.simplices[members]]
@@ -199,14 +204,14 @@ class Triangulation:
         return KDTree(self.points[self.simplices].mean(axis=1))
 
     def local_coordinates(self, x: Floats) -> Floats:
-        """Return points in the coordinates of what the points span.
+        """Return points in the coordinates of the points' span.
 
         Shape (k, 3) -> (k, dimension), dimensionless.
         """
         return x if self.dimension == 3 else (x - self.origin) @ self.basis.T
 
     def holds_direction(self, column: int) -> bool:
-        """Return whether a line along a coordinate through zero lies in what the points span."""
+        """Return whether a line along a coordinate through zero lies in the points' span."""
         ends = np.zeros((2, 3))
         ends[1, column] = 1.0
         off = ends - self.origin
@@ -290,7 +295,7 @@ def curve_order(x: Floats) -> NDArray[np.intp]:
     if len(x) < MIN_SORTED or x.shape[1] == 0:
         return np.arange(len(x))
     key = np.zeros(len(x), dtype=np.uint16)
-    for dimension, column in enumerate(x.T):  # by columns, which numpy is quick at
+    for dimension, column in enumerate(x.T):  # by columns, which is fast in numpy
         low, high = column.min(), column.max()
         if high > low:
             cells = (column - low) * (CELLS * (1 - 1e-9) / (high - low))
@@ -298,7 +303,7 @@ def curve_order(x: Floats) -> NDArray[np.intp]:
     return np.argsort(key, kind="stable")
 
 
-# Each cell number with two zeros between its bits.
+# Each cell number with two zero bits between its bits.
 _SPREAD = np.bitwise_or.reduce(
     [((np.arange(CELLS, dtype=np.uint16) >> bit) & 1) << (3 * bit) for bit in range(5)]
 ).astype(np.uint16)

@@ -1,8 +1,8 @@
 """Channels that do not measure: dead, stuck, at the end of their range, noise.
 
-What a load does on its own displacement is work, which is positive on every elastic part. So a
-channel whose own load varies and which does not move, or moves by noise alone, is broken. A load
-cell is at the end of its range, or stuck, where displacements go on while its reading stays.
+The work of a load on its own displacement is positive on every elastic part. So a channel whose own
+load varies and which does not move, or moves by noise alone, is broken. A load cell is at the end
+of its range, or stuck, where displacements change while its reading stays.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from ..table.rows import ROUNDING, ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
 from .response import CONFIDENT, NORMAL, RANK, REMARKABLE, Cause, RigFinding, fitted, is_nines
 
-MIN_CHANNEL_ROWS = 12  # readings: fewer do not show what the channel should read
-MIN_EQUAL = 3  # rows of one value: two are equal by the digits that are written
-DIGITS = 3  # values of a channel at rest: its converter is between two, or off by one at times
-TAIL = 5  # per cent of the rows at either end, whose values count as the end: they may be wrong
-ROWS_A_TERM = 2  # rows of each term of the response that must remain beside those in question
+MIN_CHANNEL_ROWS = 12  # readings: fewer do not show the channel's normal behaviour
+MIN_EQUAL = 3  # rows of one value: two may be equal by rounding of the written digits
+DIGITS = 3  # values of a channel at rest: its converter may alternate between neighbouring digits
+TAIL = 5  # per cent of the rows at either end that count as the end, as single rows may be wrong
+ROWS_A_TERM = 2  # rows for each term of the response that must remain beside the suspected rows
 
 
 class Fault(NamedTuple):
@@ -30,8 +30,9 @@ class Fault(NamedTuple):
 
     cause: Cause
     rows: NDArray[np.intp]  # (k,): indices among the readings that were examined
-    value: float  # the one value of these rows, or the deviation of noise
-    off: float  # of the range: how far the other rows say that the worst of these is off
+    value: float  # the constant value of these rows, or the deviation of noise
+    # Part of the range: largest deviation of these rows from the prediction by the others.
+    off: float
 
 
 MESSAGES: dict[Cause, str] = {
@@ -55,7 +56,7 @@ OF_LOADS = (
 def channel_findings(
     rows: Rows, load_range: LoadRange, still: NDArray[np.bool_]
 ) -> tuple[Rows, list[RigFinding]]:
-    """Return the rows without what broken channels read, and their findings.
+    """Return the rows without the readings of broken channels, and the findings.
 
     `rows`: in the order of their measurement.
     `still` (6,): outputs that do not move, by the component's solves.
@@ -64,7 +65,7 @@ def channel_findings(
     terms, moved = terms_of(rows.wrench / load_range.scale), rows.displacement.copy()
     varies = np.ptp(rows.wrench, axis=0) > ZERO_LOAD * load_range.scale
     for output in np.flatnonzero(varies & ~still).tolist():
-        # What a logger writes where it has no value is no reading of the channel.
+        # A logger's mark for "no value" is no reading of the channel.
         read = [value == value and not is_nines(value) for value in moved[:, output].tolist()]
         known = np.flatnonzero(read)
         unit = "m" if output < 3 else "rad"
@@ -91,8 +92,9 @@ def channel_findings(
 def dead_channels(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
     """Return which outputs (m,) of measured rows stay at one value while their own load varies.
 
-    A digit on both sides of it is the converter's, if the loads do not explain it. A planar test
-    may fill others with zeros: there the own load rests, but for its sensor's noise.
+    A change of one digit up or down is the converter's, if the loads do not explain it. A planar
+    test may record zeros for the other outputs: there the own load does not vary either, but for
+    its sensor's noise.
     """
     moved = rows.displacement
     if len(rows) < MIN_CHANNEL_ROWS or not rows.space.is_default or rows.is_solved.any():
@@ -150,10 +152,11 @@ def _output_faults(terms: Floats, y: Floats) -> list[Fault]:
 
 
 def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Fault]:
-    """Return where a load (n,) keeps a value while its own displacement (n,) goes on.
+    """Return the rows where a load (n,) keeps a value while its own displacement (n,) changes.
 
-    Tests reach one load often. There displacements scatter about the response of all rows as they
-    do elsewhere, or are all off it by as much, where the response is no polynomial.
+    A test may reach one load often without a fault. Displacements at this load then scatter about
+    the response of all rows as elsewhere, or all deviate by the same amount, where the response is
+    no polynomial.
     """
     known, faults = np.isfinite(y), list[Fault]()
     equal = ROUNDING * float(np.abs(load).max(initial=0.0))
@@ -193,7 +196,7 @@ def _constant_rows(values: Floats, equal: float) -> list[NDArray[np.intp]]:
 
 
 def _is_explained(terms: Floats, y: Floats) -> bool:
-    """Whether the terms (n, t) explain more of the variance of y (n,) than they would of noise."""
+    """Return whether the terms (n, t) explain more of the variance of y (n,) than of pure noise."""
     y = y.clip(*np.percentile(y, [TAIL, 100 - TAIL]))
     y, free = y - y.mean(), terms.shape[1] - 1
     residual = y - terms @ np.linalg.lstsq(terms, y, rcond=RANK)[0]

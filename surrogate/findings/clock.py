@@ -15,34 +15,40 @@ from ..table.polynomial import terms_of
 from ..table.rows import Floats
 from .response import RigFinding
 
-MIN_DISPLACEMENTS = 60  # with fewer a lag shows by chance
-MAX_DISPLACEMENTS = 2_000  # that are fitted, evenly chosen: some 5 ms a fit
-MAX_STEPS = 1 << 15  # of the time grid
-MAX_LAG = 0.25  # of the displacements' duration: the largest lag of the search
-ROUNDING = 1e-9  # of the displacements' variance: smaller residuals are written digits
-RESOLUTION = 1e-9  # of the displacements' duration: smaller steps are lost in the clock's digits
-PEAKS = 5  # of the correlation that are fitted: turned by half a period, a load correlates as well
-RELATED = 0.5  # of the displacements' variance: loads that explain less are of another test
-INTERPOLATION_ERROR = 0.02  # of the loads' interval: exact logs of 0.1 to 4 Hz were within 1.1 %
-INNER_PART = 0.9  # of a search's width: an optimum beyond it may be the bound
-MIN_GAIN = 0.2  # of the residual's variance at the applied lag that another lag must explain
+MIN_DISPLACEMENTS = 60  # displacements: with fewer a lag may show by chance
+MAX_DISPLACEMENTS = 2_000  # displacements that are fitted, evenly chosen: some 5 ms a fit
+MAX_STEPS = 1 << 15  # steps of the time grid: limits the memory of the Fourier transforms
+MAX_LAG = 0.25  # largest lag of the search, as a part of the displacements' duration
+# Part of the displacements' variance: smaller residuals are the rounding of written digits.
+ROUNDING = 1e-9
+# Part of the displacements' duration: smaller steps are lost in the clock's digits.
+RESOLUTION = 1e-9
+# Peaks of the correlation that are fitted: a load shifted by half a period correlates as well.
+PEAKS = 5
+RELATED = 0.5  # part of the displacements' variance: loads that explain less are of another test
+# Part of the loads' interval: exact logs of 0.1 to 4 Hz were within 1.1 %.
+INTERPOLATION_ERROR = 0.02
+INNER_PART = 0.9  # part of a search's width: an optimum beyond it may be the bound of the search
+MIN_GAIN = 0.2  # part of the residual's variance at the applied lag that another lag must explain
 # Ratio of residual variances that counts as equal: between two loads interpolation averages their
 # noise, so that half the variance shows no better lag.
 ALIKE = 0.5
-DEVIATIONS = 4.0  # of the estimate: residuals that are near in time are not independent
-MIN_MISFIT = 0.003  # of the displacements' deviation: misfits below it need no remark
-MAX_TAIL = 0.5  # ranges: what a displacement beyond the 1st and 99th percentiles counts at most
-SEARCH_ACCURACY = 0.05  # of a step of the grid: the parabola of `vertex` then gives the digits
-RANK, LOAD_RANK = 1e-9, 1e-6  # of the largest singular value: of the response, and of the loads
-TINY = 1e-300  # in place of a variance of zero, by which something is divided
+# Standard deviations of the error of a lag: residuals that are near in time are not independent.
+DEVIATIONS = 4.0
+MIN_MISFIT = 0.003  # part of the displacements' deviation: misfits below it need no remark
+MAX_TAIL = 0.5  # ranges: largest weight of a displacement beyond the 1st and 99th percentiles
+SEARCH_ACCURACY = 0.05  # part of a step of the grid: the parabola of `vertex` then gives the digits
+# Smallest singular values, over the largest, of the response and of the loads.
+RANK, LOAD_RANK = 1e-9, 1e-6
+TINY = 1e-300  # replaces a variance of zero in a divisor
 
 
 class Logs(NamedTuple):
     """Two logs of one test."""
 
-    time: Floats  # (n,), s: of the loads; it grows
+    time: Floats  # (n,), s: times of the loads, ascending
     wrench: Floats  # (n, 6), N and N·m
-    when: Floats  # (m,), s: of the displacements
+    when: Floats  # (m,), s: times of the displacements
     displacement: Floats  # (m, 6), m and rad: NaN where not measured
 
 
@@ -59,8 +65,8 @@ class Lag(NamedTuple):
     misfit: float
     misfit_applied: float
     misfit_rate: float
-    named: bool  # whether the applied lag does not fit, and hysteresis does not explain that
-    # s: lags that fit as well: loads that repeat do not show by how many periods clocks differ
+    named: bool  # whether the applied lag does not fit, and hysteresis does not explain the misfit
+    # s: lags that fit as well: periodic loads do not show by how many periods the clocks differ
     others: tuple[float, ...]
 
 
@@ -84,7 +90,7 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
     if not fits:
         return None
 
-    # Periodic loads fit as well a period later: the lag nearest to the applied lag then.
+    # With periodic loads lags one period apart fit alike: take the one nearest to the applied lag.
     sizes = [max(float(fit.residual(lag).mean()), MIN_MISFIT**2) for lag, fit in fits]
     alike = [fits[at] for at, size in enumerate(sizes) if ALIKE * size <= min(sizes)]
     alike.sort(key=lambda lag_and_fit: abs(lag_and_fit[0] - applied))
@@ -123,7 +129,7 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
 
 
 def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
-    """Return a finding where the logs need another clock rate, or lag than the applied one."""
+    """Return a finding if the logs need another clock rate, or another lag than the applied one."""
     if lag is not None and lag.rate:
         message = (
             f"the clock of the displacement log runs {abs(lag.rate):.3%} "
@@ -217,9 +223,10 @@ def _on_grid(grid: Floats, time: Floats, values: Floats) -> Floats:
 
 
 class _Fit:
-    """Residuals of the response over the lag, on displacements that all lags have loads for."""
+    """Residuals of the response over the lag, on displacements that have loads at all lags."""
 
     def __init__(self, logs: Logs, lags: tuple[float, float], step: float, width: float) -> None:
+        """Choose the displacements that have loads within `width`, s, of both `lags`, s."""
         low, high = min(lags) - width, max(lags) + width
         inside = (logs.when + low >= logs.time[0]) & (logs.when + high <= logs.time[-1])
         indices = np.flatnonzero(inside)
@@ -235,7 +242,7 @@ class _Fit:
         return np.stack([np.interp(when, time, load) for load in self.logs.wrench.T], axis=1)
 
     def residual(self, lag: float | Floats) -> Floats:
-        """Return the mean square that each output's response leaves, (k,), of its variance."""
+        """Return the unexplained mean square of each output, (k,), over its variance."""
         return self._unexplained(self._terms(lag), self.logs.displacement)
 
     def size(self, lag: float) -> float:
@@ -258,8 +265,8 @@ class _Fit:
     def vertex(self, lag: float) -> tuple[float, float]:
         """Return the lag of the least residual near a lag, and its error, s.
 
-        Of a parabola through lags at the distance of an interval of the loads: between two loads
-        interpolation averages their noise, which bends the residual at smaller steps.
+        The vertex is that of a parabola through lags one interval of the loads apart: between two
+        loads interpolation averages their noise, which bends the residual at smaller steps.
         """
         step = float(np.median(np.diff(self.logs.time)))
         least, curvature = np.empty(0), np.empty(0)
@@ -276,7 +283,7 @@ class _Fit:
         correlation = products / np.maximum((residual**2).sum(axis=0), TINY)
         correlation = correlation.clip(0.0, 1 - 1 / len(y))
         free = max(len(y) - terms.shape[1], 1) * (1 - correlation) / (1 + correlation)
-        # As if all outputs erred together: the noise of the loads is in all of them.
+        # As if all outputs erred together: the noise of the loads is in all outputs.
         error = np.sqrt(2 * np.maximum(least, ROUNDING) * curvature / free).sum() / curvature.sum()
         return lag, step * (DEVIATIONS * float(error) + INTERPOLATION_ERROR)
 
@@ -298,6 +305,9 @@ class _Fit:
         return float(result.x[1]) * unit, residual(result.x)
 
     def _unexplained(self, terms: Floats, y: Floats) -> Floats:
-        """Return the part of each output's variance, (k,), that terms (n, t) leave of y (n, k)."""
+        """Return the unexplained part of each output's variance, (k,).
+
+        `terms` (n, t): terms of the response; `y` (n, k): outputs.
+        """
         residual = y - terms @ np.linalg.lstsq(terms, y, rcond=RANK)[0]
         return np.asarray((residual**2).mean(axis=0) / np.maximum((y**2).mean(axis=0), TINY))

@@ -11,17 +11,17 @@ from ..table.space import OUTPUTS
 from .response import CONFIDENT, REMARKABLE, RigFinding
 
 MIN_COMPARED_ROWS = 4  # rows: a factor, an offset and two that contradict them
-MAX_COMPARED_ROWS = 500  # rows that are compared: a factor is then known to a tenth of their noise
+MAX_COMPARED_ROWS = 500  # rows that are compared: they determine a factor to a tenth of their noise
 
-BLOCKS = 20  # of consecutive rows, whose errors may be common: drift, a loop, a wrong model
+BLOCKS = 20  # blocks of consecutive rows, whose errors may be common: drift, a loop, a wrong model
 
 
 def differences(moved: Floats, expected: Floats, bars: Floats) -> Floats:
     """Return the factor less one and the offset of each output, (2, 6): dimensionless, m and rad.
 
-    They are those of ``moved = factor * expected + offset``; both are 0 where neither is certain
-    and large enough for a finding. Errors of answers are common to all rows, so their error bars
-    count in full, however many rows there are.
+    They are those of ``moved = factor * expected + offset``; both are 0 unless one is certain and
+    large enough for a finding. Errors of answers are common to all rows, so their error bars count
+    in full for any number of rows.
 
     `moved`, `expected`, `bars` (n, 6), m and rad: measured, the answers of another table, and their
     error bars; NaN where unknown.
@@ -37,11 +37,11 @@ def differences(moved: Floats, expected: Floats, bars: Floats) -> Floats:
 
 
 def beyond_noise(moved: Floats, expected: Floats) -> Floats:
-    """Return how far answers are from rows by a factor and an offset, shape (m,), m and rad.
+    """Return the difference of answers and rows by a factor and an offset, shape (m,), m and rad.
 
-    At the ends of each output's range. A factor or offset within its noise, at the confidence of
-    error bars in all outputs, counts as 0; from the square of a larger one that of the noise is
-    subtracted.
+    The difference is that at the ends of each output's range. A factor or offset within its noise,
+    at the confidence of error bars in all outputs, counts as 0; the squared noise is subtracted
+    from the square of a larger one.
 
     `moved`, `expected` (n, m), m and rad: measured, and the answers of a table; NaN where unknown.
     """
@@ -114,9 +114,9 @@ def _fitted(moved: Floats, expected: Floats) -> tuple[Floats, Floats, Floats, Fl
 def comparison_findings(
     moved: Floats, expected: Floats, bars: Floats, *, solves: bool
 ) -> list[RigFinding]:
-    """Return a finding where rows differ from a table; parameters as of `differences`.
+    """Return a finding where rows differ from a table; parameters are those of `differences`.
 
-    `solves`: the table has solved rows alone, and else measured ones.
+    `solves`: whether the table has solved rows alone, or measured ones.
     """
     differ = {
         name: {"factor": 1 + float(factor), "offset": float(offset)}

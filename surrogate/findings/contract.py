@@ -12,15 +12,17 @@ from ..table.space import LOADS, OUTPUTS
 from .origin import Slopes
 from .response import CONFIDENT, REMARKABLE, RigFinding, RobustFit
 
-MIN_ENTRY = 0.05  # of the largest in its 3x3 block, in what its load moves: smaller ones are unsure
-TIE = 0.1  # of a factor's logarithm: two quantities whose factors explain the blocks as well
-CALIBRATION = 1.5  # a factor of a wrong calibration is above it, one of finite elements below
-FAR = 3.0  # a factor between units is above it, one between parts of a kind below
-MAX_SCATTER = 1.6  # factor by which entries may differ that have one wrong unit
-UNIT_MATCH = 1.15  # factor within which a factor is that of two named units
+# Part of the largest entry in its 3x3 block, by the motion of its load: smaller ones are unsure.
+MIN_ENTRY = 0.05
+TIE = 0.1  # difference of two factors' logarithms within which both quantities explain the blocks
+CALIBRATION = 1.5  # a wrong calibration's factor is above it, a finite element error's below
+FAR = 3.0  # a wrong unit's factor is above it, a difference between parts of a kind below
+MAX_SCATTER = 1.6  # factor by which entries with one wrong unit may differ
+UNIT_MATCH = 1.15  # largest ratio of a factor to that of two named units
 MIN_IMPROVEMENT = 3.0  # factor by which a lever must lower the asymmetry
-LEVER_ROUNDS = 3  # of the lever's weights, which depend on it and are settled after them
-MIN_OF_RANGE, MAX_OF_RANGE = 0.02, 5.0  # loads beyond these parts of the range are of another unit
+LEVER_ROUNDS = 3  # rounds of the lever's weights, which depend on the lever and settle in them
+# Parts of the range: loads below or above are of another unit.
+MIN_OF_RANGE, MAX_OF_RANGE = 0.02, 5.0
 MAX_TRANSLATION = 0.1  # m: no part whose rotations are small moves farther without a remark
 UNITS = {
     1000.0: "millimetres for metres, or newtons for kilonewtons",
@@ -36,17 +38,17 @@ UNITS = {
 
 
 class Fit(NamedTuple):
-    """A compliance at no load and what is known of it."""
+    """A compliance at no load and its uncertainty."""
 
-    matrix: Floats  # (6, 6), SI: row output, column load; 0 where it is not known
-    covariance: Floats  # (6, 6, 6), SI: of each output's row
-    # (6, 6): which entries surely are not zero, and are not small beside others of their kind
+    matrix: Floats  # (6, 6), SI: row output, column load; 0 where unknown
+    covariance: Floats  # (6, 6, 6), SI: covariance of each output's row
+    # (6, 6): entries that are certainly nonzero, and not small beside others of their kind
     sure: NDArray[np.bool_]
 
 
 def fit_of(matrix: Floats, covariance: Floats, load_range: LoadRange) -> Fit:
     """Return a compliance (6, 6) with its covariance (6, 6, 6), SI, and which entries are sure."""
-    size = np.abs(matrix * load_range.scale)  # what each load moves
+    size = np.abs(matrix * load_range.scale)  # the motion by each load
     blocks = size.reshape(2, 3, 2, 3).max(axis=(1, 3)) * MIN_ENTRY
     deviation = np.sqrt(np.einsum("ijj->ij", covariance))
     sure = (size > np.kron(blocks, np.ones((3, 3)))) & (np.abs(matrix) > CONFIDENT * deviation)
@@ -74,7 +76,7 @@ def sign_findings(fit: Fit) -> list[RigFinding]:
 
 
 def turned_findings(fit: Fit, solved: Fit | None) -> list[RigFinding]:
-    """Return a finding of the loads, or the displacements, whose sign is not that of the solves."""
+    """Return a finding of loads, or displacements, whose sign is opposite to that of the solves."""
     if solved is None:
         return []
     both = fit.sure & solved.sure
@@ -96,7 +98,7 @@ def turned_findings(fit: Fit, solved: Fit | None) -> list[RigFinding]:
 
 
 def range_findings(rows: Rows, load_range: LoadRange) -> list[RigFinding]:
-    """Return findings of forces and moments of another size than the load range."""
+    """Return findings of forces and moments whose size differs from the load range."""
     findings = []
     for name, part in (("forces", slice(0, 3)), ("moments", slice(3, 6))):
         ends = np.abs(load_range.ends[:, part]).max(axis=0)
@@ -117,7 +119,7 @@ def range_findings(rows: Rows, load_range: LoadRange) -> list[RigFinding]:
 
 
 def size_findings(response: RobustFit) -> list[RigFinding]:
-    """Return a finding where translations are longer than those of a part that bends."""
+    """Return a finding if translations are too long for a part with such small rotations."""
     largest = float(np.nanmax(np.abs(response.expected[:, :3]), initial=0.0))
     if largest <= MAX_TRANSLATION:
         return []
@@ -135,7 +137,8 @@ def unit_findings(fit: Fit, solved: Fit | None, *, linear: bool) -> list[RigFind
     """
     if solved is not None:
         return _against_solves(fit, solved, CALIBRATION if linear else FAR)
-    # Maxwell and Betti: what a moment moves is what that force turns.
+    # Maxwell and Betti: a moment's displacement by a force equals the force's rotation by the
+    # moment.
     moved, turned = fit.matrix[:3, 3:], fit.matrix[3:, :3].T
     sure = fit.sure[:3, 3:] & fit.sure[3:, :3].T
     factor = _common(moved[sure], turned[sure])
@@ -149,6 +152,7 @@ def unit_findings(fit: Fit, solved: Fit | None, *, linear: bool) -> list[RigFind
 
 
 def _against_solves(fit: Fit, solved: Fit, least: float) -> list[RigFinding]:
+    """Return findings of factors of `least` or more between a compliance and that of the solves."""
     blocks = {}
     for name, part in {
         ("translations", "forces"): (slice(0, 3), slice(0, 3)),
@@ -162,7 +166,7 @@ def _against_solves(fit: Fit, solved: Fit, least: float) -> list[RigFinding]:
             blocks[name] = np.log(ratio)
     if not blocks:
         return []
-    # The quantity whose factor explains all blocks best; a larger load makes less compliance.
+    # The quantity whose factor explains all blocks best; a larger load means a smaller compliance.
     quantities = {"translations": 1.0, "rotations": 1.0, "forces": -1.0, "moments": -1.0}
     best = []
     for quantity, power in quantities.items():
@@ -213,11 +217,12 @@ def named_unit(factor: float) -> str:
 
 
 def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
-    """Return a finding where the compliance is unsymmetric, by another point or not.
+    """Return a finding if the compliance is unsymmetric, with the lever that makes it symmetric.
 
-    With the moments about a point at r from the one whose motion was measured, the true compliance
-    is C L(r), L adding r x F to the moment; r is what makes it symmetric, by generalised least
-    squares of energies. Deviations that are not worth a remark count as noise.
+    With the moments about a point at r from the point whose motion was measured, the true
+    compliance is C L(r), where L adds r x F to the moment. The lever r that makes it symmetric
+    follows from generalised least squares of energies. Deviations too small for a remark count as
+    noise.
     """
     by_axis = np.zeros((3, 6, 6))  # F -> e x F
     by_axis[:, 3:, :3] = [np.cross(axis, np.eye(3)).T for axis in np.eye(3)]
@@ -269,13 +274,13 @@ class _Skew(NamedTuple):
 
     @classmethod
     def of(cls, fit: Fit, change: Floats, load_range: LoadRange) -> _Skew:
-        """Return that of the fit times a change (6, 6) of the loads."""
+        """Return the asymmetry of a fit times a change (6, 6) of the loads."""
         scale, measured = load_range.scale, np.asarray(fit.matrix.any(axis=1))
         unit = np.abs(fit.matrix * np.outer(scale, scale)).max()
         covariance = (REMARKABLE / CONFIDENT) ** 2 * np.eye(len(PAIRS[0]))
         for output in range(6):
             rows = np.zeros((6, 6, 6))
-            rows[np.arange(6), output] = change  # of a unit of each entry
+            rows[np.arange(6), output] = change  # the change of a unit of each entry
             by_entry = np.stack([_skew(row, load_range) for row in rows], axis=1) / unit
             covariance += by_entry @ fit.covariance[output] @ by_entry.T
         known = measured[PAIRS[0]] & measured[PAIRS[1]]

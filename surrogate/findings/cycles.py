@@ -14,18 +14,19 @@ from ..calibration import LEVEL
 from ..kriging.effects import sessions_of
 from ..table.rows import Floats, LoadRange, Rows
 
-TURN = 0.1  # of the load's range: smaller reversals are noise, and no turning points
-# Of the load's range: rows behind a turning point that are so near to it, as of a load that is held
-# with noise, have no sure direction.
+TURN = 0.1  # part of the load's range: smaller reversals are noise, and no turning points
+# Part of the load's range: rows this close behind a turning point, as of a held load with noise,
+# have no sure direction.
 NEAR_TURN = 0.01
-ALONG = 0.05  # of half a load's range: where another load varies by more, its effect is in a slope
+# Part of half a load's range: if another load varies by more, its effect is in a slope.
+ALONG = 0.05
 
 
 class Passes(NamedTuple):
-    """The pass of each row, (n,), two a cycle; whether it is loading, and the row's pass is sure.
+    """The pass of each row, (n,), two a cycle; whether it is loading, and whether the pass is sure.
 
-    A turning point is of the pass that led to it. Loading leads away from no load; where the load
-    is as large in both directions it rises.
+    A turning point belongs to the pass that led to it. Loading leads away from no load; if the load
+    is as large in both directions, loading is the rising one.
     """
 
     number: NDArray[np.intp]
@@ -45,7 +46,7 @@ def passes_of(load: Floats) -> Passes:
     peaks, valleys = (find_peaks(way, prominence=TURN * span)[0] for way in (load, -load))
     turns = np.sort(np.concatenate((peaks, valleys)))
     for turn, end in pairwise([*turns.tolist(), len(load) - 1]):
-        # A load that is held keeps the branch that it came by.
+        # A held load keeps its branch.
         leaves = turn + 1 + _leading(load[turn + 1 : end + 1] == load[turn])
         number[leaves:] += 1
         near = np.abs(load[leaves : end + 1] - load[turn]) <= NEAR_TURN * span
@@ -61,7 +62,7 @@ def _leading(mask: NDArray[np.bool_]) -> int:
 
 
 def line_through(displacement: Floats, load: Floats) -> dict[str, float] | None:
-    """Return the line load = slope * displacement + offset of least squares; None of too few rows.
+    """Return the least-squares line load = slope * displacement + offset; None with too few rows.
 
     Displacements, (n,), are in m or rad, loads, (n,), in N or N·m. The displacement is x and the
     load is y, as in ``numpy.polyfit(displacement, load, 1)``: noise of the displacement lowers the

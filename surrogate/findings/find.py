@@ -1,8 +1,8 @@
 """Errors of measurement that rows show: findings of an import, and `without_effects`.
 
-Hysteresis, drift and sessions are hidden by their mean: more rows do not lower them, and a mean of
-both branches lies on neither. So they are taken out of the rows, error bars have a separate part
-for them, and coverage does not depend on it, as for the discretisation error.
+Hysteresis, drift and sessions do not average out: more rows do not lower them, and a mean of both
+branches lies on neither. So their effects are removed from the rows, error bars have a separate
+part for them, and coverage does not depend on it, as for the discretisation error.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from .contract import (
 from .origin import slopes_at_zero
 from .response import REMARKABLE, Cause, RigFinding, response_of, single_row_findings, wrong_rows
 
-MIN_FIT_ROWS = 7  # a linear response needs as many: six loads and a constant
-MAX_ROWS = 5_000  # rows examined, some 0.5 s: every k-th of more
-# What only the order of the rows shows.
+MIN_FIT_ROWS = 7  # rows of a linear response: six loads and a constant
+MAX_ROWS = 5_000  # rows examined, some 0.5 s: of more rows every k-th
+# Effects that show only in the order of the rows.
 EFFECTS: dict[Cause, str] = {
     "hysteresis": "loading and unloading differ by {part:.1%} of the range of {name} (friction, "
     "play, or logs shifted in time). Answers are the middle of both branches; for one branch, "
@@ -55,8 +55,8 @@ def find(
 
     `rows`: measured rows in the order in which they were measured.
     `load_range`, N and N·m.
-    `solved` (6, 6), SI: compliance of the component's solves: size and sign that displacements
-    should have. Columns of zeros are not known.
+    `solved` (6, 6), SI: compliance of the component's solves: expected size and sign of
+    displacements. Columns of zeros are not known.
     """
     if len(rows) < MIN_FIT_ROWS:
         return range_findings(rows, load_range) if len(rows) else []
@@ -98,12 +98,12 @@ def sampled(rows: Rows) -> Rows:
 
 
 def without_effects(rows: Rows, load_range: LoadRange) -> tuple[Rows, Floats]:
-    """Return rows without hysteresis, drift and sessions, and how far the part may be from them.
+    """Return rows without hysteresis, drift and sessions, and the part's distance from them.
 
     `rows`: of one version of a table, in ascending order of `seq`; solved ones stay as they are.
+
     The distance (6,), m and rad, is from the middle of both branches, of the time and of the
-    sessions to the farthest of each. NaN of a dead channel: nothing is known of what it did not
-    read.
+    sessions to the farthest of each. It is NaN for a dead channel, which measured nothing.
     """
     indices, effects = _effects(rows, load_range)
     dead = np.where(dead_channels(rows, load_range), np.nan, 0.0)
@@ -115,10 +115,10 @@ def without_effects(rows: Rows, load_range: LoadRange) -> tuple[Rows, Floats]:
 
 
 def loop_of(rows: Rows, load_range: LoadRange) -> tuple[Floats, Floats]:
-    """Return the loop from unloading to loading, and up to which size rows would not show one.
+    """Return the loop from unloading to loading, and the largest loop that rows would not show.
 
-    Shapes (m,) each, m and rad: 0 where rows show none. Solves have none; the second is infinite
-    where measured rows do not tell.
+    Shapes (m,) each, m and rad: the first is 0 where rows show no loop. Solves have none; the
+    second is infinite where measured rows show nothing of a loop.
     """
     nothing = np.zeros(rows.displacement.shape[1])
     effects = _effects(rows, load_range)[1]
@@ -128,7 +128,7 @@ def loop_of(rows: Rows, load_range: LoadRange) -> tuple[Floats, Floats]:
 
 
 def _effects(rows: Rows, load_range: LoadRange) -> tuple[Indices, Effects | None]:
-    """Return which rows of a table are readings, and the effects in them; None of too few."""
+    """Return which rows of a table are readings, and the effects in them; None if too few are."""
     indices = np.flatnonzero(~rows.is_solved & ~rows.has_tangent & load_range.holds(rows.wrench))
     some = rows.take(indices)
     if len(some) < MIN_FIT_ROWS:

@@ -1,4 +1,4 @@
-"""The compliance at zero load of measured rows, with its uncertainty, however the response bends.
+"""The compliance at zero load of measured rows, with its uncertainty, for any curvature.
 
 The readings y of an output, (n,), are a Gaussian process of the loads with a linear mean, noise,
 and further terms of the mean that could be taken for a slope at zero load: a drift with time, a
@@ -26,26 +26,27 @@ from ..kriging.equations import evenly
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from .response import RobustFit
 
-MAX_ROWS = 300  # slopes are then known to a tenth of the noise of a reading, in half a second
+# Rows used: they determine slopes to a tenth of the noise of a reading, in half a second.
+MAX_ROWS = 300
 # Pairs of theta and the logarithm of the weight of the term of all loads. Lengths are
 # exp(-theta / 2) half ranges: 0.5 to 4.
 KERNELS = tuple((theta, weight) for theta in (1.4, 0.0, -1.4, -2.8) for weight in (-3.0, 1.0))
-RATIOS = np.exp(np.arange(-14.0, 8.0))  # noise over process variance
-USUAL_STEP = 90  # percentile of an output's changes from row to row
-MIN_STEP = 0.05  # of the usual step: smaller steps have no sure direction
+RATIOS = np.exp(np.arange(-14.0, 8.0))  # noise over process variance: from 1e-6 to 1e3
+USUAL_STEP = 90  # percentile of an output's changes from row to row that counts as its usual step
+MIN_STEP = 0.05  # part of the usual step: smaller steps have no sure direction
 # Deviation of the prior of the mean's coefficients, over that of the readings: so wide that the
 # readings decide, and finite, so that a term that they do not vary gives no singular matrix.
 PRIOR = 1e3
-N_SLOPES = 12  # of an output: six slopes, then the jumps of six loads
+N_SLOPES = 12  # numbers of an output: six slopes, then the jumps of six loads
 
 
 class Slopes(NamedTuple):
     """Slopes and jumps of rows at zero load."""
 
-    matrix: Floats  # (6, 6), SI: compliance; row output, column load. 0 where it is not known.
-    # (6, 6, 6), SI: of each output's row of `matrix`; 0 where that is 0, or exact
+    matrix: Floats  # (6, 6), SI: compliance; row output, column load; 0 where unknown
+    # (6, 6, 6), SI: covariance of each output's row of `matrix`; 0 where that is 0, or exact
     covariance: Floats
-    jump: Floats  # (6,), m and rad: how far each output jumps where its own load changes its sign
+    jump: Floats  # (6,), m and rad: jump of each output where its own load changes its sign
     jump_deviation: Floats  # (6,), m and rad: standard deviation of `jump`
 
 
@@ -110,7 +111,7 @@ def _posterior(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Flo
     values, slopes = np.ones((n, 1), dtype=bool), np.ones((1, 7), dtype=bool)
     slopes[:, 0] = False
     zero_load, picked = np.zeros((1, 6)), np.eye(count)[:N_SLOPES]  # picked: E
-    # Of each kernel, noise and output.
+    # One entry for each kernel, noise and output.
     shape = len(KERNELS), len(RATIOS), y.shape[1]
     negative_log_likelihoods, means = np.empty(shape), np.empty((*shape, N_SLOPES))
     second_moments = np.empty((*shape, N_SLOPES, N_SLOPES))

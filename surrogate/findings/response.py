@@ -1,8 +1,8 @@
 """A robust reference response of measured rows, the single rows far from it, and `RigFinding`.
 
 A polynomial of third degree in each load, with products of two loads where the rows are enough for
-them, fitted by iteratively reweighted least squares with Tukey's biweight (Beaton and Tukey 1974),
-which single wrong rows do not bend.
+them, fitted by iteratively reweighted least squares with Tukey's biweight (Beaton and Tukey 1974):
+single wrong rows do not change it.
 """
 
 from __future__ import annotations
@@ -19,22 +19,27 @@ from ..table.polynomial import terms_of
 from ..table.rows import Floats, LoadRange, Rows
 from ..table.space import OUTPUTS
 
-CONFIDENT = 8.0  # deviations of an estimate: a cause is said where its interval leaves none out
-REMARKABLE = 0.01  # of an output's range: smaller effects are within a usual tolerance
+# Standard deviations: a cause is reported if its interval of this half width excludes zero.
+CONFIDENT = 8.0
+REMARKABLE = 0.01  # part of an output's range: smaller effects are within a usual tolerance
 
-ROUNDS = 30  # of reweighting: the weights are settled after 10 to 20
+ROUNDS = 30  # rounds of reweighting: the weights settle after 10 to 20
 BIWEIGHT = 4.685  # deviations: 95 % efficient for normal errors (Holland and Welsch 1977)
 NORMAL = 1.4826  # deviation over median absolute deviation, of normal errors
-EXACT = 1e-4  # of an output's range: residuals below it are no error worth a remark
-RANK = 1e-9  # of the largest: directions that the rows do not separate, and their ridge
+EXACT = 1e-4  # part of an output's range: residuals below it are no error worth a remark
+# Part of the largest singular value: directions that the rows do not separate, and their ridge.
+RANK = 1e-9
 
-NEIGHBOURS = 8  # whose median residual is the local misfit of the response
-MIN_ROWS_TO_JUDGE = 12  # rows: with fewer the others do not show what one of them should be
-DEVIATIONS = 12.0  # of normal errors 1 in 1e32 lies so far out; heavy tails of real rigs reach 6
-TAIL = 14.0  # times what 90 % of the rows keep: a misfit of the response has no single rows
-MIN_OUTLIER = 0.05  # of the output's range: smaller errors do not spoil a table's error bars
-SENTINEL = 3.0  # ranges off: no response jumps so far at one row
-NINES = 3  # digits of a logger's "no value": 999, 9999, -99999
+NEIGHBOURS = 8  # rows whose median residual is the local misfit of the response
+MIN_ROWS_TO_JUDGE = 12  # rows: with fewer the others do not show the expected value of a row
+# Deviations of an outlier: of normal errors 1 in 1e32 lies so far out; heavy tails of real rigs
+# reach 6.
+DEVIATIONS = 12.0
+# Ratio to the residual of 90 % of the rows: beyond it an outlier is a misfit of the response.
+TAIL = 14.0
+MIN_OUTLIER = 0.05  # part of the output's range: smaller errors do not spoil a table's error bars
+SENTINEL = 3.0  # ranges of deviation: no response jumps so far at one row
+NINES = 3  # nines of a logger's "no value": 999, 9999, -99999
 
 Cause = Literal[
     "dead",
@@ -58,7 +63,7 @@ Cause = Literal[
     "zero",
     "twice",
 ]
-MAX_LISTED_ROWS = 500  # of a finding: a page's list; `count` has their number
+MAX_LISTED_ROWS = 500  # rows listed with a finding, for a page's list; `count` has their number
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,7 @@ class RigFinding:
 
     cause: Cause
     message: str  # what is wrong, by how much, and what to do
-    # numbers (`seq`) of the rows to withdraw, worst first; empty where all rows are concerned
+    # numbers (`seq`) of the rows to withdraw, worst first; empty if all rows are concerned
     rows: tuple[int, ...] = ()
     numbers: dict[str, Any] = field(default_factory=dict)  # the figures of the message, SI
 
@@ -113,7 +118,7 @@ def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:
 def fitted(terms: Floats, moved: Floats) -> Floats:
     """Return the robust fit of values (n,), NaN where unknown, at all rows, (n,).
 
-    NaN everywhere where fewer than two are known.
+    The result is NaN everywhere if fewer than two values are known.
     """
     known = np.isfinite(moved)
     if known.sum() < 2:
@@ -124,7 +129,7 @@ def fitted(terms: Floats, moved: Floats) -> Floats:
     x, y = basis[known], moved[known]
     floor = EXACT * max(float(np.ptp(y)), np.finfo(float).tiny)
     coefficients = _solved(x, y, np.ones(len(y)))
-    # Least absolute deviations first: from plain least squares, wrong rows keep their weight.
+    # Start from least absolute deviations: from plain least squares, wrong rows keep their weight.
     for round_ in range(ROUNDS):
         residual = np.abs(y - x @ coefficients)
         scale = max(NORMAL * float(np.median(residual)), floor)
@@ -148,7 +153,7 @@ def _deviation(values: Floats) -> float:
 
 
 def wrong_rows(rows: Rows, load_range: LoadRange, response: RobustFit) -> NDArray[np.bool_]:
-    """Return which rows have an observation far from those around them, per output, (n, 6)."""
+    """Return which outputs of which rows deviate far from the rows around them, (n, 6)."""
     if len(rows) < MIN_ROWS_TO_JUDGE:
         return np.zeros(rows.displacement.shape, dtype=bool)
     local = local_residual(rows.wrench / load_range.scale, response.residual)
@@ -164,7 +169,7 @@ def local_residual(scaled: Floats, residual: Floats) -> Floats:
     neighbours = KDTree(scaled).query(scaled, k=count)[1]
     near: NDArray[np.intp] = np.asarray(neighbours, dtype=np.intp).reshape(len(scaled), count)
     around = np.array(residual[near])
-    around[near == np.arange(len(scaled)).reshape(-1, 1)] = np.nan  # itself
+    around[near == np.arange(len(scaled)).reshape(-1, 1)] = np.nan  # the row itself
     around[~np.isfinite(around).any(axis=1, keepdims=True).repeat(count, axis=1)] = 0.0
     return np.asarray(residual - np.nanmedian(around, axis=1))
 
@@ -186,12 +191,13 @@ def single_row_findings(
 
 
 def is_nines(value: float) -> bool:
-    """Whether the digits of an observation are nines, in whatever unit of length it was written."""
+    """Return whether the digits of an observation are nines, in any unit of length."""
     digits = f"{abs(value):.6e}".split("e")[0].replace(".", "").rstrip("0")
     return len(digits) >= NINES and set(digits) == {"9"}
 
 
 def _sentinels(rows: Rows, flagged: NDArray[np.bool_]) -> list[RigFinding]:
+    """Return the finding of flagged outputs (n, 6) that hold a logger's mark for "no value"."""
     at = np.flatnonzero(flagged.any(axis=1))
     if not len(at):
         return []
@@ -205,6 +211,7 @@ def _sentinels(rows: Rows, flagged: NDArray[np.bool_]) -> list[RigFinding]:
 
 
 def _outliers(rows: Rows, response: RobustFit, flagged: NDArray[np.bool_]) -> list[RigFinding]:
+    """Return the finding of flagged outputs (n, 6) that are outliers, worst first."""
     at = np.flatnonzero(flagged.any(axis=1))
     if not len(at):
         return []

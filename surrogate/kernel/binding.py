@@ -38,11 +38,14 @@ from .replies import (
     mistake,
 )
 
-_WHY = 512  # bytes of the message of a table that cannot be opened; longer ones are cut
+_WHY = 512  # bytes of the message of a table that cannot be opened; the kernel cuts longer ones
 
 
 class Kernel(NamedTuple):
-    """The library: calls keep the interpreter lock by `with_gil`, release it by `without_gil`."""
+    """The library: calls by `with_gil` keep the interpreter lock.
+
+    Calls by `without_gil` release it.
+    """
 
     with_gil: ctypes.PyDLL
     without_gil: ctypes.CDLL
@@ -50,9 +53,9 @@ class Kernel(NamedTuple):
 
 @cache
 def kernel() -> Kernel:
-    """Return the library, compiled first where it is not that of its sources.
+    """Return the library, after compiling it if its sources have changed.
 
-    Raises KernelBuildError if it is not there and cannot be compiled.
+    Raises KernelBuildError if the library is missing and cannot be compiled.
     """
     path = str(ready_library())
     libraries = Kernel(ctypes.PyDLL(path), ctypes.CDLL(path))
@@ -82,6 +85,8 @@ def kernel() -> Kernel:
 
 
 class _Options(ctypes.Structure):
+    """`wb_options` of wrenchbook.h."""
+
     _fields_ = (
         ("method", ctypes.c_int),
         ("tolerance", ctypes.c_void_p),
@@ -96,6 +101,7 @@ class _Work:
     """
 
     def __init__(self, inputs: int, outputs: int, scratch: int) -> None:
+        """Allocate buffers for numbers of inputs and outputs, and `scratch` bytes."""
         self.inputs = (ctypes.c_double * inputs)()
         self.tolerance = (ctypes.c_double * outputs)()
         self.reply = ctypes.create_string_buffer(REPLY_SIZE)
@@ -105,7 +111,7 @@ class _Work:
         self.at = tuple(map(ctypes.addressof, (self.inputs, self.reply, self.scratch)))
 
     def fill(self, wrench: Sequence[float]) -> None:
-        """Take the n loads of a wrench, N and N·m.
+        """Store the n loads of a wrench, N and N·m.
 
         Raises ValueError if they are not n numbers.
         """
@@ -118,7 +124,7 @@ class _Work:
     def options(
         self, tolerance: Sequence[float] | None, method: str | None, without_rows: bool = False
     ) -> int | None:
-        """Take the options of a request and return their address, None for the component's.
+        """Store the options of a request; return their address, None for the component's options.
 
         The tolerance has m numbers, m and rad; with `without_rows` the method alone answers.
 
@@ -145,7 +151,7 @@ class PackedTable:
 
     Made by `open` and `from_bytes`.
 
-    `inputs`, `outputs`: how many there are: n and m.
+    `inputs`, `outputs`: their numbers n and m.
     `size`: bytes of the file.
     `meta`: the table's JSON block: contract, space, interface, groups, sources, provenance.
     `arrays`: read-only views of the mapped file.
@@ -154,7 +160,7 @@ class PackedTable:
     `locked` (n,): whether each load acts on a locked freedom.
     `tolerance`: the component's, of a translation, m, and of a rotation, rad; None without.
     `bars_are_complete`: whether the error bars have all their parts.
-    `method`: the method of queries that name none; the table's default if None.
+    `method`: the method of queries without `method`; the table's default if None.
     """
 
     method: str | None = None
@@ -178,10 +184,10 @@ class PackedTable:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> PackedTable:
-        """Map the file of a packed table, after its checksum.
+        """Map the file of a packed table, after a check of its checksum.
 
-        Raises PackedTableError if it cannot be opened, is no packed table, damaged, or of another
-        format.
+        Raises PackedTableError if the file cannot be opened, is no packed table, damaged, or of
+        another format.
         """
         try:
             packed = map_file(path)
@@ -199,7 +205,8 @@ class PackedTable:
 
         Raises PackedTableError as `open`.
         """
-        buffer = np.zeros(len(content) // 8 + 1, dtype=np.float64)  # which aligns them
+        # Aligns the bytes to words of eight bytes.
+        buffer = np.zeros(len(content) // 8 + 1, dtype=np.float64)
         buffer.view(np.uint8)[: len(content)] = np.frombuffer(content, dtype=np.uint8)
         return cls._from_buffer(buffer, len(content))
 
@@ -254,10 +261,11 @@ class PackedTable:
     ) -> Reply:
         """Answer one wrench of n finite floats, N and N·m.
 
-        `tolerance`: the largest error of each output, m and rad; the component's without.
-        `method`: a name of `METHODS`; the component's default without.
+        `tolerance`: the largest error of each output, m and rad; the component's tolerance if None.
+        `method`: a name of `METHODS`; the component's default if None.
+
         Raises UnknownMethodError if the table does not have the method; ValueError if a number is
-        not finite, or there are not n.
+        not finite, or there are not n numbers.
         """
         work = self._work()
         work.fill(wrench)
@@ -272,7 +280,7 @@ class PackedTable:
         return reply
 
     def answers_by(self, method: str | None = None) -> str:
-        """Return the method that answers a query with this method, or None, where no row does.
+        """Return the method that answers a query with `method`, at wrenches without a row.
 
         In place of a missing kriging the table's default method answers.
         """
@@ -291,11 +299,10 @@ class PackedTable:
         *,
         without_rows: bool = False,
     ) -> Replies:
-        """Answer many wrenches, shape (k, n), N and N·m, with the numbers of `answer`.
+        """Answer many wrenches, shape (k, n), N and N·m, with the same results as `answer`.
 
-        The number of threads changes none of them. With `without_rows` the method answers also
-        where it does not cover the wrench of a row. Other parameters and errors are those of
-        `answer`.
+        The results do not depend on the number of threads. With `without_rows` the method answers
+        also where the wrench has a row. Other parameters and errors are those of `answer`.
         """
         queries = self._many(wrenches)
         out = np.empty((len(queries), self.outputs)), np.empty((len(queries), self.outputs))
@@ -317,7 +324,7 @@ class PackedTable:
         tolerance: Sequence[float] | None = None,
         method: str | None = None,
     ) -> Floats:
-        """Return du/dw (m, n), SI, of the answer to one wrench; NaN where it is not known."""
+        """Return du/dw (m, n), SI, of the answer to one wrench; NaN where unknown."""
         return self.derivatives(np.asarray(wrench, dtype=float)[None], tolerance, method)[0]
 
     def derivatives(
@@ -347,13 +354,13 @@ class PackedTable:
         return derivatives
 
     def tangent_at_zero(self) -> tuple[Floats, str]:
-        """Return the compliance at zero load, and where it comes from.
+        """Return the compliance at zero load, and its origin.
 
-        It is the tangent of the row at zero load, else du/dw of the method there. The fitted
-        compliance (`g0/fit/matrix`) is another one: the mean over the load range.
+        It is the tangent of the row at zero load, else du/dw of the method there. It differs from
+        the fitted compliance (`g0/fit/matrix`), the mean over the load range.
 
-        `matrix` (m, n), m/N, m/(N·m), rad/N, rad/(N·m): NaN where unknown: for a load that no row
-        shows, and an output that no row holds.
+        `matrix` (m, n), m/N, m/(N·m), rad/N, rad/(N·m): NaN where unknown: for a load without
+        effect in the rows, and an output that no row has.
         `origin`: ``row``, a method, or ``none``.
         """
         arrays, locked = self.arrays, self.locked
@@ -385,8 +392,10 @@ class PackedTable:
     ) -> tuple[Floats, Floats]:
         """Return the wrench (n,) of a displacement (m,), m and rad, and the stiffness (n, m) there.
 
-        `start`: where Newton's method starts, shape (n,), SI; no load without. Further inputs stay.
+        `start`: start of Newton's method, shape (n,), SI; no load if None. Further inputs keep
+        these values.
         `near`: the stiffness of a displacement nearby, shape (n, m), which saves time.
+
         Raises InverseError if no wrench has that displacement, or the derivative has no inverse.
         """
         target = np.ascontiguousarray(outputs, dtype=float)
@@ -413,11 +422,11 @@ class PackedTable:
     def joints(
         self, count: int, method: str | None = None, axes: Floats | None = None
     ) -> JointSteps:
-        """Return the steps of joints of this table, with all its k interfaces that move.
+        """Return the steps of joints of this table, for all its k interfaces that move.
 
-        `axes` (k, 3, 3) has the interface frame's axes, columns, in the tip's own axes if
-        quaternions, spins and moments have those. Many joints release the interpreter, a single
-        one keeps it.
+        `axes` (k, 3, 3): the interface frame's axes as columns, in the tip's own axes; needed if
+        quaternions, angular velocities and moments refer to the tip's axes. Many joints release the
+        interpreter lock, a single joint keeps it.
         """
         code, library = method_code(method or self.method), kernel()
         form = library.with_gil if count == 1 else library.without_gil
@@ -430,7 +439,7 @@ class PackedTable:
     def handle(self) -> int:
         """The address of the open table.
 
-        Raises ValueError if it is closed.
+        Raises ValueError if the table is closed.
         """
         return self._handle or _closed()
 
@@ -445,8 +454,8 @@ class PackedTable:
         """Return the change of a joint's wrench with the relative velocity; see ``wb_joint_rate``.
 
         `stiffness`, `inverse_mass`: shape (n, n), n at most 24, contiguous: N/m to N·m/rad, 1/kg to
-        1/(kg·m^2).
-        The result has the same shape, N·s/m to N·m·s/rad.
+        1/(kg·m^2). The result has the same shape, N·s/m to N·m·s/rad.
+
         Raises ValueError if the inverse mass is not symmetric and positive definite, or a number is
         not finite.
         """
@@ -462,7 +471,7 @@ class PackedTable:
     def axis(self, group: int, axis: int, wrench: Sequence[float]) -> AxisPart | None:
         """Return the contribution of axis 0, 1 or 2 to the answer of a group of outputs.
 
-        None where the group has no rows to compose from. The wrench has n loads, N and N·m.
+        None if the group has no triangulated rows. The wrench has n loads, N and N·m.
         """
         reply = ctypes.create_string_buffer(AXIS.size)
         work = self._work()
@@ -487,19 +496,19 @@ class PackedTable:
         )
 
     def close(self) -> None:
-        """Unmap the table; it must not be used after that, nor by another thread meanwhile."""
+        """Unmap the table. No thread may use it during or after this call."""
         handle, self._handle = self._handle, 0
         if handle:
             self._answer = _closed
             self._release(handle)
 
     def __del__(self) -> None:
-        """Unmap the table once nobody uses it."""
+        """Unmap the table when its last reference is gone."""
         if getattr(self, "_handle", 0):
             self.close()
 
     def _work(self) -> _Work:
-        """Return buffers that nobody else uses now; they are appended to `_idle` after that."""
+        """Return buffers that no other thread uses; the caller appends them to `_idle` again."""
         try:
             return self._idle.pop()
         except IndexError:
@@ -510,7 +519,7 @@ class PackedTable:
 
 
 def _why_no_rate(stiffness: Floats, inverse_mass: Floats) -> str:
-    """Return why ``wb_joint_rate`` refuses two matrices (n, n)."""
+    """Return the reason, as a text, for which ``wb_joint_rate`` refuses two matrices (n, n)."""
     for name, matrix in (("stiffness", stiffness), ("inverse effective mass", inverse_mass)):
         if not np.isfinite(matrix).all():
             row, column = np.argwhere(~np.isfinite(matrix))[0].tolist()

@@ -1,6 +1,6 @@
 """Compile the kernel, and FMUs: by the machine's C compiler, else by the `ziglang` wheel.
 
-Only the standard library is needed, since the wheel's build hook runs this file by itself.
+Imports nothing but the standard library, since the wheel's build hook runs this file by itself.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
 COMPILERS = ("cc", "gcc", "clang")
-MAX_OUTPUT = 2000  # characters of a compiler's output in a message: the last errors
-# No contraction of products and sums, and no processor by name: every machine gives the same bits.
-# Without errno and traps roots and comparisons become vectors; `#pragma omp simd` needs no library.
+MAX_OUTPUT = 2000  # characters of a compiler's output in a message: its last errors
+# No contraction of products and sums, and no processor by name: every machine computes the same
+# bits. Without errno and traps the compiler vectorises roots and comparisons; `#pragma omp simd`
+# needs no library.
 FLAGS = (
     *("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
     *("-fopenmp-simd", "-fvisibility=hidden", "-DWB_SHARED"),
 )
-# Platform tags of wheels, and the target that ziglang compiles each for.
+# Platform tags of wheels, and ziglang's target for each.
 PLATFORMS = {
     "manylinux_2_28_x86_64": "x86_64-linux-gnu.2.28",
     "manylinux_2_28_aarch64": "aarch64-linux-gnu.2.28",
@@ -44,11 +45,11 @@ NO_ZIGLANG = (
 
 
 class KernelBuildError(RuntimeError):
-    """A library that could not be compiled; the text says why and what to do."""
+    """A library that could not be compiled; the message has the cause and the remedy."""
 
 
 def library_path(system: str = sys.platform) -> Path:
-    """Return where the library of a system, as `sys.platform` has it, lies."""
+    """Return the path of the library on a system, named as in `sys.platform`."""
     ending = {"win32": ".dll", "darwin": ".dylib"}.get(system, ".so")
     return FOLDER / f"_wrenchbook{ending}"
 
@@ -59,7 +60,7 @@ def sources() -> list[Path]:
 
 
 def sources_hash() -> str:
-    """Return a hash of the sources and the flags, which the library has compiled in."""
+    """Return a hash of the sources and the flags, which is compiled into the library."""
     digest = hashlib.blake2b(repr(FLAGS).encode(), digest_size=16)
     for path in sources():
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
@@ -67,14 +68,14 @@ def sources_hash() -> str:
 
 
 def is_current(library: Path) -> bool:
-    """Return whether a library was compiled from the sources as they are."""
+    """Return whether a library was compiled from the present sources."""
     return library.is_file() and f"wb:{sources_hash()}".encode() in library.read_bytes()
 
 
 def ready_library() -> Path:
-    """Return the library, compiled anew if it is not that of the sources.
+    """Return the library, after compiling it if its sources have changed.
 
-    Raises KernelBuildError if it is not, and cannot be compiled.
+    Raises KernelBuildError if it is not current and cannot be compiled.
     """
     library = library_path()
     if not is_current(library):
@@ -85,8 +86,9 @@ def ready_library() -> Path:
 def compiler_command(target: str | None = None) -> list[str]:
     """Return the command of the C compiler: `CC` of the environment, one of `COMPILERS`, ziglang.
 
-    `target`: what ziglang is to compile for; None for this machine.
-    Raises KernelBuildError if there is none, or not the one of `CC`.
+    `target`: ziglang's target; None for this machine.
+
+    Raises KernelBuildError if there is no compiler, or `CC` does not exist.
     """
     if target is None:
         named = os.environ.get("CC", "").split()
@@ -107,7 +109,10 @@ def compiler_command(target: str | None = None) -> list[str]:
 
 
 def compile_kernel(library: Path, target: str | None = None) -> None:
-    """Compile the kernel to a file that is complete or not there; errors as `compile_library`."""
+    """Compile the kernel to `library`, which is replaced as a whole.
+
+    Raises the errors of `compile_library`.
+    """
     files = [path for path in sources() if path.suffix == ".c"]
     name = f'-DWB_SOURCES="wb:{sources_hash()}"'
     compile_library(library, files, (*FLAGS, name), target)
@@ -116,11 +121,12 @@ def compile_kernel(library: Path, target: str | None = None) -> None:
 def compile_library(
     library: Path, files: Iterable[Path], flags: Iterable[str], target: str | None = None
 ) -> None:
-    """Compile C sources to a shared library, a file that is complete or not there.
+    """Compile C sources to a shared library, which is replaced as a whole.
 
-    `library`: what is written.
+    `library`: path of the result.
     `files`, `flags`: the C files, and the compiler's options.
-    `target`: what ziglang is to compile for, as `PLATFORMS` has it; None for this machine.
+    `target`: ziglang's target, a value of `PLATFORMS`; None for this machine.
+
     Raises KernelBuildError if there is no compiler, it fails, or the library's folder cannot be
     written.
     """
@@ -139,13 +145,14 @@ def compile_library(
     system = target or sys.platform
     apple = "macos" in system or "darwin" in system
     more = ["-fPIC", "-lm", "-lpthread"] if apple or "win" not in system else []
-    if apple:  # else the library holds the path that it is compiled at
+    if apple:  # without this option the library holds the path at which it is compiled
         more.append(f"-Wl,-install_name,@rpath/{name}")
     if target is not None or not apple:  # Apple's linker strips no library
         more.append("-s")  # symbols, lines and paths of the source are most of ziglang's library
     line += more
     try:
-        # 3 s; the first run of ziglang compiles its C library: for Windows 441 files, a minute.
+        # Takes 3 s; the first run of ziglang also compiles its C library: for Windows 441 files, a
+        # minute.
         ran = subprocess.run(line, capture_output=True, text=True, check=False)
         if ran.returncode or not built.is_file():
             raise KernelBuildError(

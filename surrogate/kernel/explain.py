@@ -18,13 +18,13 @@ def explain(
     tolerance: Sequence[float] | None = None,
     method: str | None = None,
 ) -> list[dict[str, Any]]:
-    """Return per group of outputs and axis what its three loads contribute, and from which rows.
+    """Return the contribution of each axis' three loads, and its rows, for each group of outputs.
 
     Parameters are those of `PackedTable.answer`; loads are N and N·m, outputs m and rad.
 
     Each has ``axis``, ``inputs``, ``outputs``, ``error``, ``coverage``, ``reason`` and ``rows``,
-    the numbers of the rows used. The compliance gives them if it answers, else the axes, whose
-    errors are known of complete answers alone: ``error`` is None.
+    the numbers of the rows used. The compliance gives them if it answers, else the axes. The axes
+    know errors of complete answers only, so their ``error`` is None.
     """
     explanations = []
     for number, group in enumerate(table.meta["groups"]):
@@ -40,7 +40,7 @@ def explain(
 def _named(
     table: PackedTable, group: int, axis: int, values: Sequence[float]
 ) -> dict[str, float] | None:
-    """Return an axis' outputs of a group by name; None where one is not known."""
+    """Return an axis' outputs of a group by name; None if one is unknown."""
     outputs = table.meta["groups"][group]["outputs"]
     names = [output["name"] for output in table.meta["space"]["outputs"]]
     by_name = {names[output]: values[output] for output in (axis, 3, 4, 5)}
@@ -58,6 +58,7 @@ def _contribution(
     rows: list[int],
     error: dict[str, float] | None = None,
 ) -> dict[str, Any]:
+    """Return the JSON-able contribution of an axis; `source` has its coverage and reason."""
     names = [entry["name"] for entry in table.meta["space"]["inputs"]]
     return {
         "axis": "xyz"[axis],
@@ -73,6 +74,7 @@ def _contribution(
 def _axis(
     table: PackedTable, group: int, axis: int, wrench: Sequence[float]
 ) -> dict[str, Any] | None:
+    """Return the contribution of an axis by its triangulation; None without rows."""
     part = table.axis(group, axis, wrench)
     if part is None:
         return None
@@ -87,6 +89,7 @@ def _axis(
 def _linear(
     table: PackedTable, group: int, wrench: Sequence[float], tolerance: Sequence[float] | None
 ) -> list[dict[str, Any]]:
+    """Return the contributions of all axes by a linear group's compliance."""
     answer = table.answer(wrench, tolerance, "linear")
     matrix, rows = (table.arrays[f"g{group}/fit/{name}"] for name in ("matrix", "rows"))
     error = answer.interpolation or (math.nan,) * table.outputs

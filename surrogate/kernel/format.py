@@ -21,12 +21,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-MAGIC = b"\x89WBT\r\n\x1a\n"  # as PNG's: a transfer that changes line ends is noticed
-FORMAT = 7  # no other is read: the file is derived, and built again from the rows
+MAGIC = b"\x89WBT\r\n\x1a\n"  # as in PNG: a transfer that changes line ends damages it
+FORMAT = 7  # no other number is read: the file is derived data, and is built again from the rows
 SUFFIX = ".wbt"
 ALIGNED = 64  # bytes: a cache line
-CHECKSUM = slice(16, 24)  # bytes of the header; the checksum is of all others
-BLOCK = 1 << 20  # bytes read at once for the checksum
+CHECKSUM = slice(16, 24)  # place of the checksum in the header; it covers all other bytes
+BLOCK = 1 << 20  # bytes read at once for the checksum: bounded memory for large files
 # Columns of the array ``solver/flags``, and of the array ``flags`` of a group: see `packed.arrays`.
 SOLVER_BY_TANGENT, SOLVER_BARS_COMPLETE = 0, 4
 GROUP_METHOD, GROUP_EXACT, GROUP_CAN_ANSWER = 0, 1, 2
@@ -61,13 +61,13 @@ _ENTRY = np.dtype(
 
 
 class PackedTableError(ValueError):
-    """A file that is no packed table, is damaged, or has another format; the text says which."""
+    """A file that is no packed table, is damaged, or has another format; the message says which."""
 
 
 class Packed(NamedTuple):
     """The contents of a packed table."""
 
-    # read-only views of the file's bytes; `packed.arrays` says what each is
+    # read-only views of the file's bytes; `packed.arrays` describes each
     arrays: dict[str, NDArray[Any]]
     meta: dict[str, Any]  # the JSON block
     content: memoryview  # the file's bytes
@@ -77,7 +77,8 @@ def pieces(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> list[
     """Return the file of a packed table as pieces of bytes.
 
     `arrays`: of float64, int32, int64 or uint8, of at most four dimensions.
-    `meta`: what JSON can hold.
+    `meta`: JSON-able values.
+
     Raises PackedTableError if an array has another type, too many dimensions or too long a name.
     """
     text = json.dumps(meta, sort_keys=True, ensure_ascii=False, allow_nan=False).encode() + b"\0"
@@ -119,11 +120,12 @@ def _checksum(header: bytes, blocks: Iterable[bytes | memoryview]) -> int:
 
 
 def write_file(path: Path, content: list[bytes]) -> None:
-    """Write pieces to a file that is complete or not there.
+    """Write pieces to a file, which is replaced as a whole.
 
-    Raises OSError if it cannot be written.
+    Raises OSError if the file cannot be written.
     """
-    partial = path.with_name(f".{path.name}-{secrets.token_hex(8)}")  # tempfile's are mode 0600
+    # Files of tempfile have mode 0600.
+    partial = path.with_name(f".{path.name}-{secrets.token_hex(8)}")
     try:
         with partial.open("xb") as file:
             file.writelines(content)
@@ -138,7 +140,7 @@ def write_file(path: Path, content: list[bytes]) -> None:
 def read(content: bytes | bytearray | memoryview | mmap.mmap) -> Packed:
     """Return the contents of a packed table's bytes.
 
-    Raises PackedTableError if they are no packed table, damaged, or of another format.
+    Raises PackedTableError if the bytes are no packed table, damaged, or of another format.
     """
     buffer = memoryview(content)
     _check(buffer[: _HEADER.itemsize].tobytes(), len(buffer), (buffer[_HEADER.itemsize :],))
@@ -146,13 +148,13 @@ def read(content: bytes | bytearray | memoryview | mmap.mmap) -> Packed:
 
 
 def map_file(path: str | os.PathLike[str]) -> Packed:
-    """Return the contents of a packed table's file, mapped: pages are read as they are used.
+    """Return the contents of a packed table's file, mapped: the system reads pages on first use.
 
-    Its checksum is computed from blocks of the very file that is mapped.
+    The checksum is computed from the same open file that is mapped.
 
-    Raises OSError if it cannot be read, PackedTableError as `read`.
+    Raises OSError if the file cannot be read, PackedTableError as `read`.
     """
-    with open(path, "rb", opener=_without_waiting) as file:  # mmap takes its number
+    with open(path, "rb", opener=_without_waiting) as file:  # mmap takes the file's descriptor
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise PackedTableError("this is a folder or a device, not a file; name a .wbt file")
         size = file.seek(0, os.SEEK_END)
@@ -163,7 +165,10 @@ def map_file(path: str | os.PathLike[str]) -> Packed:
 
 
 def _without_waiting(path: str, flags: int) -> int:
-    """Open a path; a pipe that nobody writes to is opened too, and refused after that."""
+    """Open a path without blocking on a pipe that no process writes to.
+
+    A later check refuses pipes.
+    """
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
@@ -172,6 +177,10 @@ def _aligned(size: int) -> int:
 
 
 def _check(head: bytes, size: int, following: Iterable[bytes | memoryview]) -> None:
+    """Raise PackedTableError if header, size or checksum are wrong.
+
+    `head`: the header; `following`: blocks of all other bytes.
+    """
     if len(head) < _HEADER.itemsize or head[: len(MAGIC)] != MAGIC:
         raise PackedTableError(
             "this is not a packed table (.wbt); load rows with wrenchbook import, and save a table "
@@ -195,6 +204,7 @@ def _check(head: bytes, size: int, following: Iterable[bytes | memoryview]) -> N
 
 
 def _views(buffer: memoryview) -> Packed:
+    """Return the directory's arrays as views of a checked file's bytes, and its JSON block."""
     try:
         header = np.frombuffer(buffer, dtype=_HEADER, count=1)[0]
         at, count = int(header["directory"]), int(header["arrays"])

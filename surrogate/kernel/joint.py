@@ -13,13 +13,13 @@ from .replies import Floats
 if TYPE_CHECKING:
     from .binding import PackedTable
 
-FREEDOMS = 6  # of an interface: three translations, then three rotations
-MAX_INTERFACES = 4  # as wb_joint.c has it
-OK, NOT_FINITE, SINGULAR, INDEFINITE, NO_MASS = 0, 1, 5, 7, 8  # of the statuses in wrenchbook.h
+FREEDOMS = 6  # degrees of freedom of an interface: three translations, then three rotations
+MAX_INTERFACES = 4  # the largest number of interfaces of a joint, as in wb_joint.c
+OK, NOT_FINITE, SINGULAR, INDEFINITE, NO_MASS = 0, 1, 5, 7, 8  # status codes of wrenchbook.h
 
 
 def shape_of(interfaces: int, *numbers: int) -> tuple[int, ...]:
-    """Return the shape of an array (k, *numbers) of k interfaces: (*numbers,) of a single one."""
+    """Return the shape of an array of k interfaces, (k, *numbers); of one interface (*numbers,)."""
     return numbers if interfaces == 1 else (interfaces, *numbers)
 
 
@@ -48,7 +48,7 @@ def types_of(k: int) -> tuple[np.dtype[np.void], np.dtype[np.void]]:
 
 
 class _Options(ctypes.Structure):
-    """`wb_joint` of wrenchbook.h; its first three are those of `wb_options`."""
+    """`wb_joint` of wrenchbook.h; its first three fields are those of `wb_options`."""
 
     _fields_ = (
         *(("method", ctypes.c_int), ("tolerance", ctypes.c_void_p), ("rows", ctypes.c_int)),
@@ -61,14 +61,14 @@ class _Options(ctypes.Structure):
 class JointSteps:
     """n joints of one table, as ``wb_joint_step`` of wrenchbook.h describes them.
 
-    `interfaces`: the number of interfaces that move, k; arrays of a single one lack this dimension.
+    `interfaces`: the number k of interfaces that move; arrays of one interface lack this dimension.
     `poses` (n, k, 7), m and quaternions; `velocities` (n, k, 6), m/s and rad/s; `inverse_masses`
-    (n, 6 k, 6 k), 1/kg to 1/(kg·m^2); `inputs` (of the table,), SI, for the further inputs: write
-    them, then call `step` or `law`.
+    (n, 6 k, 6 k), 1/kg to 1/(kg·m^2); `inputs` (of the table,), SI, for the further inputs. The
+    caller writes these arrays, then calls `step` or `law`.
     `replies` (n,), structured as ``wb_joint_reply``.
     `memory` (n, s): the state of the joints between steps; zeros reset it.
     `history` (n,), structured as the kernel's ``history``: the end of the memory.
-    `arguments`: those of `PackedTable.joints` that made the joints.
+    `arguments`: the arguments of `PackedTable.joints` that made the joints.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class JointSteps:
         self._at = self._scratch.ctypes.data
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Make a copy by the table, then write its arrays."""
+        """Return for pickle: the table and arguments of the joints, and their arrays."""
         names = "inputs", "poses", "velocities", "inverse_masses", "memory", "replies"
         return self._table.joints, self.arguments, {name: getattr(self, name) for name in names}
 
@@ -122,12 +122,12 @@ class JointSteps:
             getattr(self, name)[:] = array
 
     def step(self, dt: float, damping: float, threads: int = 1) -> None:
-        """Find the wrenches of a step of dt, s; damping is over the critical one."""
+        """Compute the wrenches of a step of `dt`, s; `damping` is a ratio of critical damping."""
         self._options.dt, self._options.damping, self._options.law = dt, damping, 0
         self._done(self._call(self._table.handle, *self._step, threads, self._at))
 
     def law(self, dt: float, damping: float, threads: int = 1) -> None:
-        """Find the force, and its rate by the velocities, before a step of dt, s.
+        """Compute the force, and its rate by the velocities, before a step of `dt`, s.
 
         The simulator then solves for the velocities after the step.
         """
@@ -135,7 +135,7 @@ class JointSteps:
         self._done(self._call(self._table.handle, *self._step, threads, self._at))
 
     def state(self) -> None:
-        """Find the wrenches of the poses alone, without velocities and masses."""
+        """Compute the wrenches of the poses alone, without velocities and masses."""
         self._done(self._call(self._table.handle, *self._state, 1, self._at))
 
     def _done(self, wrong: int) -> None:

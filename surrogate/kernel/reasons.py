@@ -1,6 +1,6 @@
-"""The words of reason codes: why an answer is not covered.
+"""The texts of reason codes: why an answer is not covered.
 
-The kernel gives codes with numbers; other numbers are in the table's arrays.
+The kernel gives a code and its numbers; all other numbers are in the table's arrays.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Reason(NamedTuple):
 
 
 def text_of(reasons: Sequence[Reason], inputs: Sequence[float], packed: Packed) -> str:
-    """Return reasons in words, each once, for one wrench of n inputs, N and N·m."""
+    """Return the text of reasons, without repetitions, for one wrench of n inputs, N and N·m."""
     texts = [FIXED.get(reason.code) or _filled(reason, inputs, packed) for reason in reasons]
     return "; ".join(dict.fromkeys(texts))
 
@@ -71,6 +71,7 @@ def _axis_amounts(reason: Reason, inputs: Sequence[float], packed: Packed) -> st
 
 
 def _filled(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
+    """Return the text of a reason that has numbers."""
     if reason.code == _OFF_HULL:
         return _off_hull(reason, inputs, packed)
     side = "outputs" if reason.code == _OVER_TOLERANCE else "inputs"
@@ -86,13 +87,14 @@ def _filled(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
 
 
 def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    """Return the loads that leave the rows, and the range of the rows."""
+    """Return the loads that lie outside the rows' range, and this range, as a text."""
     name, axes, sentences = "xyz"[reason.axis], f"g{reason.group}/axes/", []
     span = packed.arrays[axes + "span"][reason.axis]
     floats = packed.arrays[axes + "floats"][reason.axis]
     for column, load in enumerate(axis_inputs(reason.axis)):
         low, high = span[column].tolist()
-        slack = ZERO_LOAD * float(floats[column])  # as near counts as on the hull
+        # The kernel counts wrenches within this distance as on the hull.
+        slack = ZERO_LOAD * float(floats[column])
         if low - slack <= inputs[load] <= high + slack:
             continue
         load_name, unit = _name(packed, load)
@@ -121,7 +123,8 @@ FIXED = {
     19: TOO_FAR,
     22: FEW_ROWS,
 }
-# Their fields are those of `Reason`, and name, unit and range (low, high) of its load or output.
+# Fields of the texts: those of `Reason`, and name, unit and range (low, high) of the load or
+# output.
 WITH_NUMBERS = {
     3: "{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}",
     4: "no row shows the influence of {name}; solve or import one",
@@ -139,7 +142,7 @@ _OFF_HULL, _OVER_TOLERANCE = 6, 14
 
 
 def unmeasured_text(missing: int, packed: Packed) -> str:
-    """Return which outputs no row holds, by the bits of a mask; empty if there are none."""
+    """Return the text on outputs that no row has, by the bits of a mask; empty for none."""
     names = [output["name"] for output in packed.meta["space"]["outputs"]]
     read = packed.meta.get("scene", {}).get("outputs", names)
     unmeasured = [name for bit, name in enumerate(names) if missing >> bit & 1 and name in read]

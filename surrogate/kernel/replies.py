@@ -1,4 +1,4 @@
-"""The kernel's replies, as Python reads them from wrenchbook.h's structs."""
+"""Conversion of the kernel's replies, structs of wrenchbook.h, to Python objects."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ Buffer = ctypes.Array[ctypes.c_char]
 Floats = NDArray[np.float64]
 
 MAX_VALUES, MAX_REASONS = 64, 32  # WB_MAX and WB_MAX_REASONS of wrenchbook.h
-FIELDS = 7  # of MAX_VALUES doubles each: inputs, outputs, total error and its four parts
-# Coverage, within, method, exact, reasons, group, unknown, unused; row, index, missing: wb_reply.
+FIELDS = 7  # fields of MAX_VALUES doubles each: inputs, outputs, total error and its four parts
+# Fields of `wb_reply`: coverage, within, method, exact, reasons, group, unknown, unused; row,
+# index, missing.
 HEAD, REASON = struct.Struct("=8i2qQ"), struct.Struct("=4i2d")
 REASONS_AT = HEAD.size + FIELDS * MAX_VALUES * 8
 REPLY_SIZE = REASONS_AT + MAX_REASONS * REASON.size + 8  # `solved`
@@ -32,13 +33,13 @@ NOT_FINITE, NO_METHOD, NO_MEMORY, NOT_SQUARE, SINGULAR = 1, 2, 3, 4, 5
 
 
 class InverseError(ArithmeticError):
-    """No wrench has such a displacement; the text says why."""
+    """No wrench has the given displacement; the message has the cause."""
 
 
 class Reply(NamedTuple):
     """The answer to one wrench; m outputs, m and rad."""
 
-    # None where unknown, all of it or an entry.
+    # None if unknown, as a whole or for an entry
     outputs: tuple[float, ...] | None  # the displacement
     error: tuple[float, ...] | None  # total, 95 %: the sum of the four parts
     interpolation: tuple[float, ...] | None
@@ -46,12 +47,13 @@ class Reply(NamedTuple):
     linearity: tuple[float, ...] | None
     measurement: tuple[float, ...] | None
     coverage: str  # "covered", "thin" or "outside"
-    reason: str  # why not covered, or which outputs no row holds; may be empty
-    # whether the total error is within the tolerance; None where that is not known
+    reason: str  # why the answer is not covered, or which outputs no row has; may be empty
+    # whether the total error is within the tolerance; None if it cannot be decided
     within_tolerance: bool | None
-    method: str  # what answered: a method, "row" or "estimate" (there are no rows)
+    method: str  # the method of the answer, "row", or "estimate" (the table has no rows)
     row: int | None  # the number of the row that answered
-    exact: bool  # whether that row has just this wrench, not a wrench within 1e-6 of the range
+    # Whether that row has exactly this wrench, or a wrench within 1e-6 of the load range.
+    exact: bool
     source: str | None  # the sources of the rows at that wrench
     missing: tuple[str, ...]  # the outputs that no row of the table holds
 
@@ -71,15 +73,15 @@ class AxisPart(NamedTuple):
     outputs: tuple[float, ...]
     coverage: str
     reason: str
-    origin: int  # the axis whose rows answered, -1 without rows
-    corners: tuple[int, ...]  # the points of its triangulation that were read
+    origin: int  # the axis of the rows that answered, -1 without rows
+    corners: tuple[int, ...]  # the points of its triangulation that the answer uses
 
 
 class ReplyReader:
-    """Makes replies of the kernel's bytes.
+    """Converts the kernel's bytes to replies.
 
     `packed`: the table that answers.
-    `inputs`, `outputs`: how many it has.
+    `inputs`, `outputs`: their numbers.
     """
 
     def __init__(self, packed: Packed, inputs: int, outputs: int) -> None:
@@ -100,10 +102,11 @@ class ReplyReader:
             :VALUES
         ]
         fields: list[Any] = [raw[part] for part in self._fields]
-        if not (coverage or unknown or missing) and method < len(METHODS):  # most replies
+        # Most replies take this short path.
+        if not (coverage or unknown or missing) and method < len(METHODS):
             known_by = "covered", "", WITHIN[within], ANSWERED[method]
             return Reply._make((*fields, *known_by, None, False, None, ()))
-        # Any reply: unknown values are None, reasons are texts.
+        # Any other reply: unknown values are None, reasons are texts.
         if unknown:
             fields = [known(field) for field in fields]
         text = self._text(reply, count) if count else ""
@@ -120,7 +123,7 @@ class ReplyReader:
         return Reply._make((*fields, *known_by, row, exact, source, names))
 
     def _text(self, reply: Buffer, count: int) -> str:
-        """Return a reply's reasons in words; those without loads in them are cached."""
+        """Return the text of a reply's reasons; texts without loads are cached."""
         content: bytes = reply[REASONS_AT : REASONS_AT + REASON.size * count]  # pyright: ignore[reportAssignmentType]
         cached = self._texts.get(content)
         if cached is not None:
@@ -160,8 +163,8 @@ def mistake(
 ) -> Exception:
     """Return the exception for a code other than WB_OK, of 1 to 6: see wrenchbook.h.
 
-    `inputs` (k, n), N and N·m: the queries; of an inverse the last wrench of the iteration.
-    `displacement` (m,), m and rad: of an inverse, the displacement whose wrench is wanted.
+    `inputs` (k, n), N and N·m: the queries; for an inverse the last wrench of the iteration.
+    `displacement` (m,), m and rad: for an inverse, the displacement whose wrench is wanted.
     """
     space = packed.meta["space"]
     if code == NOT_FINITE:
@@ -196,7 +199,7 @@ def mistake(
 
 
 def _no_method(method: str | None, packed: Packed) -> UnknownMethodError:
-    """Return why a table does not answer by a method."""
+    """Return the error of a table that does not answer by a method."""
     if "scene" in packed.meta:
         default = packed.meta["summary"]["method"]
         return UnknownMethodError(

@@ -1,16 +1,16 @@
 """The factors by which posterior deviations are multiplied to hold 95 % of the errors.
 
-A left-out row shows the errors of answers at the same distance from their rows, and nothing of
-answers farther away. So a row is left out with its nearest rows (in the metric of the length
+A left-out row shows the errors of answers at the same distance from their rows, but not of answers
+farther away. So a row is left out together with its nearest rows (in the metric of the length
 scales), as many as make its deviation that of random wrenches of the loads that the rows span. Rows
 that were left out with another are not left out again: rows close together, as of a motion, do not
-calibrate answers far from them, and do not keep spread rows from doing so. Where most rows are of
-that kind, each left out by itself shows the errors of answers near rows, which may be larger over
-their deviation (kinks). The larger of the two factors holds.
+calibrate answers far from them, and do not keep spread rows from doing so. Where most rows are
+close together, each left out by itself shows the errors of answers near rows, which may be larger
+over their deviation (kinks). The larger of the two factors holds.
 
-Rows of one axis stand for queries of one axis, and rows of several for queries of several. Errors
-are not known where fewer than six rows are as far from the rest as queries are, nor at deviations
-far beyond those of these rows.
+Rows of one axis stand for queries of one axis, and rows of several axes for queries of several.
+Errors are not known where fewer than six rows are as far from the rest as queries are, nor at
+deviations far beyond those of these rows.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from .equations import DECIMALS, Scaling, evenly, farthest_first
 from .factor import Indices, KrigingFactor, LeftOutRows, Neighbourhoods, left_out
 from .settings import DEFAULTS, KrigingSettings
 
-# Of the distance within which rows merge: what the span leaves on both sides of a load that no
+# Ratio to the distance within which rows merge: the span's margin on both sides of a load that no
 # row varies, and rounding.
 FIXED_WIDTH = 2.5
 
@@ -42,7 +42,8 @@ class Calibration:
 
     # (q,), dimensionless: what a deviation is multiplied by for a 95 % error bar, per output
     factors: Floats
-    max_sigma: float  # process deviations: beyond it errors are not known; 0 if they are nowhere
+    # Process deviations: errors are unknown beyond it; 0 if they are unknown everywhere.
+    max_sigma: float
 
     @classmethod
     def unknown(cls, outputs: int, settings: KrigingSettings = DEFAULTS) -> Calibration:
@@ -55,7 +56,7 @@ class Errors(NamedTuple):
 
     errors: Floats  # (k, q), process deviations
     sizes: Floats  # (k, q), dimensionless: see `LeftOutRows`
-    sigma: Floats  # (k,), process deviations: as an answer at the row would have it
+    sigma: Floats  # process deviations: the deviation of an answer at the row
 
 
 def factors_of(residuals: Errors, n_derivatives: int, outputs: int) -> Floats:
@@ -84,7 +85,7 @@ def errors_of(factor: KrigingFactor, out: LeftOutRows, rows: Indices) -> Errors:
     # variances add up to that of its error.
     squared = np.maximum(variances - noise, factor.min_variance)
     errors = out.errors[rows] * np.sqrt(squared / variances)[:, None]
-    # What the nugget leaves of spreads is in each bar besides.
+    # The nugget's part of spreads is added to each bar separately.
     above = np.sqrt(np.maximum(errors**2 - factor.nugget, 0.0))
     part = np.divide(above, np.abs(errors), out=np.zeros_like(above), where=above > 0)
     above, sigma = above / np.sqrt(factor.variance), np.sqrt(squared)
@@ -101,7 +102,7 @@ def multi_group_rows(x: Floats, scaling: Scaling) -> NDArray[np.bool_]:
 
 
 class Kind(NamedTuple):
-    """Rows whose errors, left out, are those of queries like them."""
+    """Rows whose left-out errors stand for the errors of queries of the same kind."""
 
     rows: NDArray[np.bool_]  # (n,)
     queries: Floats  # (m, 6), half ranges
@@ -109,10 +110,10 @@ class Kind(NamedTuple):
 
 
 def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSettings) -> list[Kind]:
-    """Return the kinds of rows x (n, k): those that load several axes, and others.
+    """Return the kinds of rows x (n, k): rows that load several axes, and others.
 
-    If those of several axes are few, all rows are one kind, for queries of one axis. If they span
-    the loads of all rows, they alone show the errors of all queries.
+    If few rows load several axes, all rows are one kind, for queries of one axis. If the rows of
+    several axes span the loads of all rows, they alone show the errors of all queries.
     """
     full = multi_group_rows(x, scaling)
     if full.sum() < min(settings.full_rows, len(full) / 2):
@@ -134,11 +135,11 @@ def kinds_of(x: Floats, scaling: Scaling, span: Floats, settings: KrigingSetting
 def span_of(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
     """Return the ends of the loads that rows span, shape (2, 6), half ranges.
 
-    Rows that are spread evenly over an interval leave so much of it beyond the outermost ones, at
-    most, at the confidence of the settings: of n uniform numbers the largest is above the part
-    a^(1/n) of their interval with the probability 1 - a. Of rows that are not, n is twice the
-    number in the outer half: those in the middle show nothing of the ends, and take nothing away. A
-    load that takes no part has no ends.
+    The span reaches beyond the outermost rows by the largest gap, at the confidence of the
+    settings, that evenly spread rows leave there: of n uniform numbers the largest is above the
+    part a^(1/n) of their interval with the probability 1 - a. If rows are not evenly spread, n is
+    twice the number of rows in the outer half: rows in the middle show nothing of the ends. A load
+    that takes no part has no ends.
     """
     low, high = x.min(axis=0), x.max(axis=0)
     outer = (np.abs(x - (low + high) / 2) >= (high - low) / 4).sum(axis=0)
@@ -149,9 +150,9 @@ def span_of(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
 
 
 def largest_secondary_loads(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
-    """Return the largest `secondary_loads` of points (n, k), (2,), half ranges.
+    """Return the largest `secondary_loads` of points (n, k), shape (2,), half ranges.
 
-    With the margin that the span of so many rows has.
+    The margin that the span of as many rows has is added.
     """
     return secondary_loads(x, scaling).max(axis=0) * settings.beyond_rows ** (-1 / len(x)) + NEAR
 
@@ -161,12 +162,12 @@ def query_points(
 ) -> Floats:
     """Return `count` points like queries whose errors rows x (n, k) show, (count, k), half ranges.
 
-    They are spread over the span of the rows, (2, k). Each has the loads that are other than zero
-    at one of the rows, and no larger `secondary_loads` than the limits (2,).
+    They are spread over the span of the rows, (2, k). Each point has the nonzero loads of one of
+    the rows, and `secondary_loads` within the limits (2,).
     """
     active = np.isfinite(span[0])
     low, high = np.where(active, np.clip(span, -1.0, 1.0), 0.0)
-    # A load that no row varies stays as the rows have it: off that the mean is not determined.
+    # A load that no row varies keeps the rows' value: at other values the mean is not determined.
     fixed = high - low <= FIXED_WIDTH * NEAR
     low, high = np.where(fixed, (low + high) / 2, [low, high])
     queries = spread_wrenches(LoadRange(low, high, scaling.space), count)
@@ -182,16 +183,17 @@ def query_points(
 
 
 def load_groups(scaling: Scaling) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return each load alone, (k, k), and the load groups, (g, k): axes, or interfaces."""
-    groups = scaling.space.kriging_groups[:-1] > 0  # the last sees all loads
+    """Return the masks of single loads, (k, k), and of load groups, (g, k): axes, or interfaces."""
+    groups = scaling.space.kriging_groups[:-1] > 0  # the last group has all loads
     return np.eye(groups.shape[1], dtype=bool), groups
 
 
 def secondary_loads(x: Floats, scaling: Scaling) -> Floats:
-    """Return how large loads of points (n, k) are besides their main one, and group, (n, 2).
+    """Return the loads of points (n, k) besides the main load, and besides the main group, (n, 2).
 
-    The largest load but one, and the largest that is not of the wrench's main load group (an axis,
-    or an interface of several): 0 at a load, and at a wrench of one axis, alone; half ranges.
+    Half ranges. The first is the second largest load. The second is the largest load outside of the
+    main load group (an axis, or an interface of several). Both are 0 for a single load, and the
+    second is 0 for a wrench of one axis.
     """
     apart = np.abs(x - scaling.loads(np.zeros((1, x.shape[1]))))
     return np.stack(
@@ -212,11 +214,12 @@ def left_out_as_far(
 ) -> tuple[Errors, Errors]:
     """Return the errors of rows (k,) left out at a distance from the rest, and of nearer rows.
 
-    A row is left out with its nearest rows, as many as it takes. Rows are taken in turn, each the
-    farthest from those before: spread rows go before others, and rows left out with another are
-    passed over. No row takes more than one in `min_left_out` of all: so many would not find room.
+    A row is left out together with as many of its nearest rows as the distance takes. Rows are
+    taken in turn, each the farthest from those before: spread rows go before others, and rows left
+    out with another are passed over. No row takes more than one in `min_left_out` of all rows,
+    since then `min_left_out` rows could not be left out.
 
-    `leave_one_out`: of each row by itself.
+    `leave_one_out`: the errors of each row left out by itself.
     `distant`: the distance from the rest, process deviations.
     """
     scaled = factor.equations.x * np.sqrt(factor.hyperparameters.inverse_squares)
@@ -228,7 +231,8 @@ def left_out_as_far(
         if passed[row]:
             continue
         squared = ((scaled - scaled[row]) ** 2).sum(axis=1)
-        squared[row] = -1.0  # before rows that differ in loads of no influence
+        # The row itself is first, before rows that differ only in loads of no influence.
+        squared[row] = -1.0
         order, size, out = np.argsort(np.round(squared, DECIMALS), kind="stable"), 1, leave_one_out
         while out.variances[row] - noise[row] < distant**2 and size < largest:
             size = min(size + (size + 1) // 2, largest)
@@ -268,7 +272,8 @@ def calibrated(
         return Calibration.unknown(outputs, settings)
     factors = np.max([part.factors for part in parts], axis=0)
     if factor.output_group.noise.any():
-        # Noise hides the errors of left-out rows: bars hold the posterior, and what it leaves open.
+        # Noise hides the errors of left-out rows: bars hold the posterior, and the uncertainty of
+        # it.
         freedom = max(len(subset) - (1.0 + scaling.active.sum()), 1.0)
         least = widenings * settings.posterior_width
         factors = np.maximum(factors, least * widening(freedom, subset.data.shape[2]))
@@ -276,7 +281,7 @@ def calibrated(
 
 
 def _of_kind(kind: Kind, neighbours: Neighbourhoods, leave_one_out: LeftOutRows) -> Calibration:
-    """Return the factors that rows of one kind, left out, show; 0 where too few rows show any."""
+    """Return the factors from left-out rows of one kind; 0 where too few rows show errors."""
     factor, settings, equations = neighbours.factor, neighbours.settings, neighbours.equations
     size_of_table = 1 + equations.loads, equations.data.shape[2]
     # Rows are left out of the complete factor; answers have the deviation of a neighbourhood.
@@ -304,10 +309,12 @@ def _of_kind(kind: Kind, neighbours: Neighbourhoods, leave_one_out: LeftOutRows)
 
 
 def of_posterior(factor: KrigingFactor, table: Floats, settings: KrigingSettings) -> Calibration:
-    """Return the factors of a kriging through inducing wrenches: the normal ones.
+    """Return the factors of a kriging through inducing wrenches: those of a normal distribution.
 
-    So many noisy rows tell the deviation itself; left-out ones show little but noise. Errors are
-    known where no more of the prior is left than would be at an inducing wrench without it.
+    The posterior deviation of many noisy rows is itself certain, and left-out rows show little but
+    noise. Errors are known where no more of the prior is left than would be at an inducing wrench
+    without it.
+
     `table` (m, m), dimensionless, is the covariance of the inducing wrenches.
     """
     x, known = factor.equations.x, factor.equations.known

@@ -39,7 +39,7 @@ Index = tuple[int, ...]
 # is best of 15 solves. Responses of solves are smooth: contact and friction are no part of them.
 SLOPES_SMOOTHNESS, SECOND_SMOOTHNESS = 3, 4
 
-MAX_COVARIANCES = 4_000_000  # computed at once: 32 MB
+MAX_COVARIANCES = 4_000_000  # numbers of a covariance block computed at once: 32 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Hyperparameters:
         groups: Floats = DEFAULT.kriging_groups,
         smoothness: int = SLOPES_SMOOTHNESS,
     ) -> Hyperparameters:
-        """Return the hyperparameters whose `logarithms` are given."""
+        """Return the hyperparameters with these `logarithms`."""
         values = np.exp(np.asarray(logarithms, dtype=float))
         loads = groups.shape[1]
         return cls(values[:loads], values[loads:], groups, smoothness)
@@ -105,13 +105,13 @@ def derivative_count(loads: int, order: int) -> int:
 
 
 def order_of(count: int, loads: int) -> int:
-    """Return the highest order of so many derivatives of a row, its value included."""
+    """Return the highest order of a row's derivatives by their number, the value included."""
     return 0 if count == 1 else 1 if count == 1 + loads else 2
 
 
 @cache
 def indices(loads: int, order: int) -> tuple[Index, ...]:
-    """Return the derivatives by some loads up to an order, lower ones first."""
+    """Return the derivatives by `loads` loads up to an order, lower orders first."""
     return tuple(
         index
         for degree in range(order + 1)
@@ -164,13 +164,13 @@ def derivatives_of_term(
 ) -> list[Floats]:
     """Return the derivatives of one term by the loads it sees, up to an order.
 
-    With s_a = t_a d_a, each follows from lower ones of the next derivative by q:
-    D_(K + a) m(q) = 2 s_a D_K m'(q) + 2 t_a k_a D_(K - a) m'(q), k_a how often K has a.
+    With s_a = t_a d_a, each follows from lower ones of the next derivative by q: D_(K + a) m(q) = 2
+    s_a D_K m'(q) + 2 t_a k_a D_(K - a) m'(q), k_a how often K has a.
 
     `delta` (l, p): differences of p pairs in the l loads that the term depends on, half ranges.
     `rates` (l,), dimensionless: t of these loads.
-    `first`: the derivative by q of the Matern function in whose place m stands here; 0 for itself.
-    Each derivative has the shape (p,); their order is that of `indices`.
+    `first`: replaces m by its derivative by q of this order; 0 for m itself. Each derivative has
+    the shape (p,); their order is that of `indices`.
     """
     loads = len(rates)
     radial = matern(rates @ delta**2, first + order, smoothness)[first:]

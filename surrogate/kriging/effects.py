@@ -34,35 +34,43 @@ from .settings import DEFAULTS
 
 Indices = NDArray[np.intp]
 
-MAX_ROWS = 300  # rows show effects to an eighth of the noise of a reading, in a third of a second
-MAX_SESSIONS = 8  # with effects of their own, those of the most rows; all others count as one
+# 300 rows show effects to an eighth of the noise of a reading, in a third of a second.
+MAX_ROWS = 300
+# Sessions with effects of their own, those with the most rows; all others count as one session.
+MAX_SESSIONS = 8
 # Standard deviations of a step of the response beyond which its direction is sure: 1 in 700 errs.
 SURE = 3.0
-ROUNDS = 3  # of estimating directions and response in turn: settled after one or two
+# Rounds of estimating directions and response in turn: the result settles after one or two.
+ROUNDS = 3
 # Probability that an effect of size zero counts: of six outputs with some four effects each, one
 # file in a hundred shows one.
 CHANCE = 3e-4
-# Of an output's range: a misfit that no kernel describes. It counts as far as a polynomial of the
-# loads can take the form of the effect: loads that change slowly are a function of time.
+# Misfit, as a part of an output's range, that every kernel is assumed to leave. It counts as far as
+# a polynomial of the loads can take the form of the effect: loads that change slowly are a function
+# of time.
 MISFIT = 3e-4
-PRIOR = 0.3  # deviation of effects, over the output's spread: a tenth of its range
+PRIOR = 0.3  # prior deviation of effects, over the output's spread: a tenth of its range
 # Deviation of a session's scale: two differ by 5 % at two deviations. Class 3 of ISO 7500-1 allows
 # 3 % of a force, and class 2 of ISO 9513 2 % of a displacement.
 SCALE_DEVIATION = 0.0177
-# Part of a session's squared response that no cubic of each load may explain. With less, its scale
-# may be the part's response, as of tension in one session and compression in another. A straight
-# line explains all of it where an axis is in one session alone: there is no other scale to compare.
+# Part of a session's squared response that no cubic of each load may explain. With a smaller part,
+# the scale may be the part's own response, as of tension in one session and compression in another.
+# A straight line explains the whole response where a single session loads an axis: no other session
+# has a scale to compare.
 MIN_UNEXPLAINED = 0.1
-# Half ranges: a response may have a kink at zero load. Readings nearer than this show the offset;
-# else those on both sides of it, where polynomials fit them far better than it is large.
+# Distance from zero load, half ranges, within which readings show the zero offset, as a response
+# may have a kink at zero load. Without such readings, readings on both sides of zero load show it
+# where polynomials fit them far better than it is large.
 NO_LOAD = 0.01
-# Half ranges: loads that differ by less are at one place, whose readings show no direction. Force
-# sensors scatter by 1e-4 to 5e-3 of their range.
+# Half ranges: loads that differ by less are one place, and readings at one place show no direction.
+# Force sensors scatter by 1e-4 to 5e-3 of their range.
 PLACE = 0.02
-BLOCK = 65_536  # rows at once: some 20 MB
-RANK = 1e-9  # of the largest singular value: a smaller one is a linear dependence, to rounding
-SAME = 1e-6  # of an effect: what rounding may leave outside of the directions that rows determine
-TINY = 1e-24  # spreads squared: rounding of equal values
+BLOCK = 65_536  # rows computed at once: some 20 MB
+# Part of the largest singular value: smaller values are linear dependences, to rounding.
+RANK = 1e-9
+# Part of an effect that rounding may leave outside of the directions that rows determine.
+SAME = 1e-6
+TINY = 1e-24  # spreads squared: the rounding of equal values
 RATIOS = np.exp(np.arange(-20.0, 4.6, 0.75))  # noise over process variance: from none to all
 THETAS = (1.4, 0.0, -1.4, -2.8)  # logarithms of one over the squared length: 0.5 to 4 half ranges
 # Weights, over that of an axis' term, of the term of all loads and of a response with kinks
@@ -90,10 +98,10 @@ class Effects(NamedTuple):
 
 
 class _Readings(NamedTuple):
-    """Measured rows (n), in the order of their measurement, as effects are estimated from them."""
+    """Measured rows (n), in the order of their measurement, prepared to estimate effects."""
 
     rows: Rows  # loads and displacements are the means at the row's place: see `_positions_of`
-    good: Indices  # (k,): the rows that show effects, one a place, `MAX_ROWS` at most
+    good: Indices  # (k,): the rows that show effects, one for each place, `MAX_ROWS` at most
     middle: Floats  # (n, 2 s): time in the session, then session; both about their means
     extent: Floats  # (n, m): see `_extent`
     terms: Floats  # (n, t): terms of a polynomial of the loads
@@ -107,7 +115,7 @@ class _Readings(NamedTuple):
 
     @classmethod
     def of(cls, rows: Rows, load_range: LoadRange, good: Indices) -> _Readings:
-        """Return the readings of rows; `good` are the indices of those that are not wrong."""
+        """Return the readings of rows; `good` are the indices of rows without outliers."""
         session = sessions_of(rows)
         count = int(session.max(initial=0)) + 1
         members = [np.flatnonzero(session == number) for number in range(count)]
@@ -133,7 +141,7 @@ class _Readings(NamedTuple):
             first = np.unique(place[at])
             steps[first[1:]] -= steps[first[:-1]]
             steps[first[:1]] = 0.0
-        steps = steps[place]  # a load that stays at its place keeps the branch that it came by
+        steps = steps[place]  # a load that stays at its place keeps its branch
         rows = replace(rows, wrench=loads * load_range.scale, displacement=moved)
         return cls(rows, good, middle, extent, terms, steps, cubic, straight, scaled, largest)
 
@@ -165,7 +173,7 @@ def _by_kind(effects: Floats) -> _ByKind:
 def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     """Return the effects in measured rows (n), in the order of their measurement.
 
-    `good`, (k,): indices of the rows that show them, within the range and not wrong.
+    `good`, (k,): indices of the rows that show them, within the range and without outliers.
     """
     readings = _Readings.of(rows, load_range, good)
     moved, good = readings.rows.displacement, readings.good
@@ -193,8 +201,8 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     removed = reported.copy()
     _by_kind(removed).scale[:] *= readings.is_identifiable
     bar = _error_bar(removed, estimates, readings)
-    # Where an output shows no drift of its own, the rows stay as they are and the error bar holds
-    # it: the kinks of a response may be taken for a drift.
+    # An output without a significant drift of its own keeps its rows, and its error bar includes
+    # the drift: the kinks of a response may be taken for a drift.
     _by_kind(removed).drift[:] = _by_kind(significant).drift
     of_time_and_session, of_scale = np.split(removed[2:], 2)
     of_rows = signs * kinds.loop + readings.middle @ of_time_and_session
@@ -213,14 +221,15 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
 
 
 def _with_common_kinds(significant: Floats, estimates: _Estimates) -> Floats:
-    """Return the significant effects, and all of a kind that any output shows, (2 + 4 s, m).
+    """Return the significant effects, with all effects of a kind that is significant in any output.
 
-    A rig that drifts in one output, or whose sessions differ in one, does so in all.
+    A rig that drifts in one output, or whose sessions differ in one, does so in all outputs.
 
-    `significant` (2 + 4 s, m), m and rad: the mean where it counts, else 0.
+    `significant` and result (2 + 4 s, m), m and rad: the mean where it is significant, else 0.
     """
     reported, means = significant.copy(), _by_kind(estimates.mean)
-    # Noise of outputs is independent: all of them show a drift of the scale that none does alone.
+    # The noise of the outputs is independent, so together they may show a drift of the scale that
+    # no output shows alone.
     half_width = _by_kind(estimates.half_width).scale_drift
     deviations = ndtri(CHANCE / 2) * means.scale_drift
     squared = (deviations / np.where(half_width > 0, half_width, np.inf)) ** 2
@@ -235,13 +244,13 @@ def _with_common_kinds(significant: Floats, estimates: _Estimates) -> Floats:
 
 
 def _error_bar(counted: Floats, estimates: _Estimates, readings: _Readings) -> Floats:
-    """Return `Effects.bar` of the effects that count, (2 + 4 s, m), m and rad."""
+    """Return `Effects.bar` of the counted effects, (2 + 4 s, m), m and rad."""
     mean, deviation, half_width = map(_by_kind, estimates)
     upper = _by_kind(np.where(counted != 0, np.abs(counted) + estimates.half_width, 0.0))
     drift, session, scale_drift, scale = (kind.max(axis=0) for kind in upper[2:])
     # Half a drift: rows without it are in the middle of the time.
     bar = upper.loop + (0.5 * drift + session + 0.5 * scale_drift + scale)
-    # Answers have the scale of the session at their load, and the part may have that of another.
+    # Answers have the scale of the session at their load, and the part may have another's.
     known = np.where(half_width.scale > 0, deviation.scale, np.inf)
     width = np.minimum(known, SCALE_DEVIATION * readings.largest) * DEFAULTS.half_width
     has_sessions = len(readings.is_shared) > 1
@@ -257,7 +266,7 @@ def _response(terms: Floats, moved: Floats, good: Indices) -> tuple[Floats, Floa
 
     The response is a polynomial of `terms`, (n, t), fitted to the displacements `moved`, (n, m), m
     and rad, of the rows `good`. It has the shape (n, m), dimensionless: over its largest value,
-    (m,), m and rad. Both are 0 of an output that does not move.
+    (m,), m and rad. Both are 0 for an output that does not move.
     """
     response = np.zeros((terms.shape[1], moved.shape[1]))
     for output, known in enumerate(np.isfinite(moved[good]).T):
@@ -320,8 +329,8 @@ def _means_at_positions(
 ) -> tuple[Indices, Floats, Floats]:
     """Return the first good row of each place, loads (n, 6) and displacements (n, m).
 
-    At these rows loads and displacements are the mean over the good rows of the place; elsewhere
-    they are as given. Further readings at a place show the noise alone; counted as rows of their
+    At these rows loads and displacements are the mean over the good rows of the place; all other
+    rows are unchanged. Further readings at a place show the noise alone; counted as rows of their
     own they would make effects seem surer.
 
     `good` (k,): indices of the rows that the means are made of.
@@ -377,7 +386,7 @@ def sure_directions(x: Floats, y: Floats, steps: Floats) -> Floats:
 
 
 def _directions(matrix: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the singular value decomposition of a matrix, without values that are rounding."""
+    """Return the singular value decomposition of a matrix, without singular values of rounding."""
     left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
     is_significant = sizes > RANK * sizes[0]
     return left[:, is_significant], sizes[is_significant], right[is_significant]
@@ -388,14 +397,14 @@ def _estimates(
 ) -> _Estimates:
     """Return the estimates of all outputs.
 
-    `signs` (n, m): of the outputs' motion, times their extent.
+    `signs` (n, m): direction of the outputs' motion, times their extent.
     `measured` (m, k): which outputs the rows `good` have.
     """
     middle, good = readings.middle, readings.good
     results = np.zeros((3, 2 + 2 * middle.shape[1], len(measured)))
     pending = measured.any(axis=1)
-    # A loop is in rows without a sure direction too, on a side that is not known: its size is that
-    # of the others. So outputs with a loop are estimated again, by rows with a sure direction.
+    # A loop is also in rows without a sure direction, on an unknown side: its size is that of the
+    # others. So outputs with a loop are estimated again, from rows with a sure direction.
     for _ in range(2):
         for known in np.unique(measured[pending], axis=0):
             outputs, used = np.flatnonzero(pending & (measured == known).all(axis=1)), good[known]
@@ -418,23 +427,25 @@ def _estimated(
 ) -> _Estimates:
     """Return the estimates of outputs (k,) that all n rows have: (1 + c, k) each.
 
-    `columns` (n, c, k): covariates of the effects but the zero offset: sign of the motion; time and
-    session; the same times the response.
-    `scale` (k,), m and rad: prior deviation of the effects of the last, the scale's.
+    `columns` (n, c, k): covariates of the effects except the zero offset: sign of the motion; time
+    and session; the same times the response.
+    `scale` (k,), m and rad: prior deviation of the effects on the scale, the last columns.
     """
     moved = rows.displacement[:, outputs]
     size, offset = moved.std(axis=0), moved.mean(axis=0)
     n, y = len(rows), (moved - offset) / np.where(size > 0, size, 1.0)
     x = (rows.wrench - load_range.space.zero) / load_range.scale
     linear = x[:, np.ptp(x, axis=0) > ZERO_LOAD]
-    # Coefficients are those of the loads, of the zero offset and of the columns. Effects are the
-    # contrasts of all but the loads' ones.
+    # The coefficients are those of the loads, of the zero offset and of the columns. Effects are
+    # contrasts of the coefficients without those of the loads.
     first, sessions = linear.shape[1], columns.shape[1] // 4
     count = first + 1 + columns.shape[1]
     contrasts = np.eye(count)[first:]
-    for end in (count, count - 2 * sessions):  # a session's offset and scale: off their mean
+    # Offset and scale of a session: relative to the mean over the sessions.
+    for end in (count, count - 2 * sessions):
         contrasts[end - first - sessions : end - first, end - sessions : end] -= 1 / sessions
-    contrasts[0, first + 2 : first + 2 + sessions] = -0.5 / sessions  # zero: as sessions begin
+    # The zero offset is the one at the beginning of sessions.
+    contrasts[0, first + 2 : first + 2 + sessions] = -0.5 / sessions
     free = n - first - 2 - np.count_nonzero(columns[:, 1:].any(axis=(0, 2)))
     if free < 1:
         none = np.zeros((len(contrasts), len(outputs)))
@@ -492,15 +503,15 @@ def _posterior(
     `y` (n,), spreads: its readings.
     `contrasts` (e, c): the effects by the coefficients of the columns.
     `prior` (c,): prior precision of the coefficients.
-    `spectra`: of each kernel the eigenvectors (n, n), and one over eigenvalues with noise (r, n).
-    `free`: degrees of freedom that the columns leave of the readings.
+    `spectra`: for each kernel the eigenvectors (n, n), and one over eigenvalues with noise (r, n).
+    `free`: degrees of freedom of the readings less those of the columns.
     """
     # An orthonormal basis of the columns, and the data along it: normal equations then keep their
     # digits.
     basis, sizes, right = _directions(columns)
     parts = right.T / sizes
     back, along = contrasts @ parts, basis.T @ y
-    pull = parts.T * prior @ parts  # of the prior, towards coefficients of zero
+    pull = parts.T * prior @ parts  # the prior pulls coefficients towards zero
     residual_data = y - basis @ along
     results: list[tuple[Floats, Floats, Floats]] = []
     for vectors, inverse in spectra:
@@ -531,9 +542,10 @@ def _half_widths(
 ) -> tuple[Floats, Floats]:
     """Return half widths of the effects' intervals, (1 + c, k), and misfits, (k,), m and rad.
 
-    A misfit is the root mean square that a polynomial of the loads and the columns leave of an
-    output. An effect that the rows do not identify has an infinite half width. To each `deviation`,
-    (1 + c, k), m and rad, is added in place what a misfit can contribute to the effect.
+    A misfit is the root mean square of an output that a polynomial of the loads and the columns do
+    not explain. An effect that the rows do not identify has an infinite half width. The
+    contribution of a misfit to the effect is added in place to each `deviation`, (1 + c, k), m and
+    rad.
 
     `moved` (n, k), m and rad; `terms` (n, t): the polynomial's terms but 1.
     `contrasts` (1 + c, 1 + c): the effects by the coefficients of 1 and the columns (n, c, k).

@@ -23,14 +23,14 @@ class TooFewRowsError(RowError):
 
 @dataclass(frozen=True)
 class Scaling:
-    """Between SI and the numbers a kriging works in."""
+    """Conversion between SI and the dimensionless numbers of a kriging."""
 
     # centre, half: (6,), N and N·m: middle and half width of each load's range
     centre: Floats
     half: Floats
-    active: Mask  # (6,): loads that can occur and that move something; the others take no part
-    # offset, spread: (6,), m and rad: mean and standard deviation of each output over the rows; a
-    # spread of none is 1
+    active: Mask  # (6,): loads that can occur and that move some output; the others take no part
+    # offset, spread: (6,), m and rad: mean and standard deviation of each output over the rows; the
+    # spread is 1 for an output that does not vary
     offset: Floats
     spread: Floats
     constant: Mask  # (6,): outputs that vary by rounding only
@@ -45,7 +45,7 @@ class Scaling:
         return self.centre + points * self.half
 
 
-DECIMALS = 12  # of scaled loads: a thousandth of the accuracy of error bars
+DECIMALS = 12  # decimals of scaled loads: a thousandth of the accuracy of error bars
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,8 @@ class Equations:
     """Values and derivatives of a table's rows, scaled, row by row: all are dimensionless."""
 
     x: Floats  # (n, 6), half ranges
-    # (n, p): which a row brings: its value, slopes, and second derivatives if any row has them
+    # (n, p): which derivatives a row brings: value, slopes, and second derivatives if any row has
+    # them
     known: Mask
     data: Floats  # (n, p, 6), spreads: of the six outputs; zero where not known
     measured: Mask  # (n, 6): which outputs a row brings
@@ -69,12 +70,12 @@ class Equations:
 
     @property
     def loads(self) -> int:
-        """Loads of a wrench."""
+        """The number of loads of a wrench."""
         return self.x.shape[1]
 
     @property
     def n_derivatives(self) -> int:
-        """Numbers of an output that a row can bring: value, slopes, second derivatives."""
+        """The number of derivatives of an output per row: value, slopes, second derivatives."""
         return self.known.shape[1]
 
     @property
@@ -84,7 +85,10 @@ class Equations:
 
     @property
     def weights(self) -> int:
-        """Weights among the hyperparameters: one per term where rows bring second derivatives."""
+        """The number of weights among the hyperparameters.
+
+        It is one per term if rows bring second derivatives, else 1.
+        """
         return len(self.groups) if self.n_derivatives > 1 + self.loads else 1
 
     @property
@@ -99,15 +103,15 @@ class Equations:
 
     @property
     def typical_noise(self) -> Floats:
-        """Median of the stated variances of each output, (6,), spreads squared; 1 without any."""
+        """Median of each output's stated variances, (6,), spreads squared; 1 if none is stated."""
         stated = [column[column > 0] for column in self.noise.T]
         return np.array([np.median(column) if len(column) else 1.0 for column in stated])
 
     @property
     def unit_noise(self) -> Floats:
-        """What one factor an output makes the variance of values of, (n, 6), spreads squared.
+        """The variance of values for a noise factor of 1, (n, 6), spreads squared.
 
-        The stated variance; of a mean of k readings of unknown noise 1/k of the typical one.
+        The stated variance; for a mean of k readings of unknown noise, 1/k of the typical variance.
         """
         averaged = self.observations > 0
         unknown = self.typical_noise / np.where(averaged, self.observations, 1.0)
@@ -126,8 +130,8 @@ def indices_within(rows: Rows, load_range: LoadRange) -> NDArray[np.intp]:
 def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DEFAULTS) -> Scaling:
     """Return the scaling of rows that lie in the load range.
 
-    Raises TooFewRowsError if fewer rows than `min_rows` lie in it, or an output is measured by
-    fewer.
+    Raises TooFewRowsError if fewer rows than `min_rows` lie in the range, or fewer measure an
+    output.
     """
     counts = np.isfinite(rows.displacement).sum(axis=0)
     if counts.min() < settings.min_rows:
@@ -140,7 +144,8 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
     offset = np.nanmean(rows.displacement, axis=0)
     spread = np.nanstd(rows.displacement, axis=0)
     largest = load_range.space.largest_of_kind(spread)
-    # An output that nothing moves is judged by its size, where no other of its kind moves.
+    # If no output of a kind varies, the limit is the size of the outputs in place of their
+    # variation.
     size = np.maximum(largest, np.abs(offset) * settings.rounding)
     constant = spread <= settings.rounding * size
     # Loads that have a range and, where all rows have slopes, move some output.
@@ -206,7 +211,7 @@ def equations_of(
     )
     if scaling.active.all():
         return equations
-    # Rows that differ in nothing but loads without effect are equal.
+    # Rows that differ only in loads without effect are equal.
     return equations.take(np.unique(close_groups(equations.x), return_index=True)[1])
 
 
@@ -221,17 +226,17 @@ def farthest_first(points: Floats) -> Iterator[int]:
 
 
 def evenly(count: int, most: int) -> NDArray[np.intp]:
-    """Return the indices of at most so many of `count` sorted rows, evenly."""
+    """Return the indices of at most `most` of `count` sorted rows, evenly spaced."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
 
 
-BLOCK = 20_000  # rows whose equations are made at once: 7 MB of values and slopes that few have
+BLOCK = 20_000  # rows whose equations are made at once: 7 MB of values and slopes
 
 
 def values_of(
     rows: Rows, scaling: Scaling, readings: Observations, settings: KrigingSettings = DEFAULTS
 ) -> Equations:
-    """Return the equations of measured rows, values alone: of p = 1, and however many rows."""
+    """Return the equations of measured rows, values alone (p = 1), for any number of rows."""
     parts = []
     for start in range(0, len(rows), BLOCK):
         which = np.arange(start, min(start + BLOCK, len(rows)))

@@ -36,11 +36,12 @@ from .settings import DEFAULTS, KrigingSettings
 
 Indices = NDArray[np.intp]
 
-ROUNDING = float(np.finfo(float).eps) ** 2  # variance, spreads squared, of equal values
+# Variance, spreads squared, of the rounding of equal values.
+ROUNDING = float(np.finfo(float).eps) ** 2
 
 
 class OutputGroup(NamedTuple):
-    """Outputs of the same rows and the same noise, which one factor answers."""
+    """Outputs of the same rows and the same noise, which share one factor."""
 
     outputs: Indices  # (k,)
     rows: Indices  # (r,)
@@ -56,12 +57,12 @@ def output_groups(
     """Return the outputs in groups, each with a factor.
 
     `variance` (6,), dimensionless: process variance of each output, spreads squared: noise counts
-    relative to it. Outputs whose relative noise differs by more than `like_noise` at some row get a
-    factor each.
-    `kernels`: of each output; outputs of different ones get a factor each.
+    relative to it. Outputs whose relative noise differs by more than `like_noise` at some row get
+    separate factors.
+    `kernels`: the kernel of each output; outputs of different kernels get separate factors.
     """
     noise = equations.noise / variance
-    # Below the nugget noise changes nothing.
+    # Noise below the nugget changes nothing.
     size = np.log(np.maximum(noise, settings.nugget))
     groups: list[list[int]] = []
     for output in range(noise.shape[1]):
@@ -92,7 +93,7 @@ class Factor:
     """The inverse factor of some equations' covariance, in dimensionless numbers."""
 
     hyperparameters: Hyperparameters
-    nugget: float  # what the diagonal was raised by, relative
+    nugget: float  # relative increase of the diagonal
     T: Floats  # (e, e): inverse of the lower Cholesky factor of the e equations' covariance
     TF: Floats  # (e, 7): T times the mean's terms
 
@@ -104,13 +105,13 @@ class Factor:
     def explained(self, across: Floats, terms: Floats) -> tuple[Floats, Floats]:
         """Return T times the covariance with points, and the unexplained part of the mean's terms.
 
-        Shapes (m, e) and (m, 7), of `across` (m, e) and `terms` (m, 7) at the points.
+        Shapes (m, e) and (m, 7), from `across` (m, e) and `terms` (m, 7) at the points.
         """
         reduced = across @ self.T.T
         return reduced, terms - reduced @ self.TF
 
     def variance_of(self, reduced: Floats, remainder: Floats, mean_covariance: Floats) -> Floats:
-        """Return sigma squared (m,), over the process variance, of what `explained` returns."""
+        """Return sigma squared (m,), over the process variance, from the results of `explained`."""
         explained = np.einsum("me,me->m", reduced, reduced)
         trend = np.einsum("ma,ab,mb->m", remainder, mean_covariance, remainder)
         return (
@@ -131,11 +132,11 @@ class KrigingFactor(Factor):
     # (7, 7): posterior covariance of the mean's coefficients, over the process variance
     mean_covariance: Floats
     coefficients: Floats  # (7, k): the mean of each output
-    weights: Floats  # (e, k): what covariances are multiplied by
+    weights: Floats  # (e, k): factors on the covariances in a mean
     variance: Floats  # (k,): process variance of each output, spreads squared
 
     def explained_at(self, x: Floats, known: Mask | None = None) -> tuple[Floats, Floats]:
-        """Return `explained` of the derivatives `known` (m, p), or the values, at points (m, 6)."""
+        """Return `explained` of the derivatives `known` (m, p), or of values, at points (m, 6)."""
         v, known_v = self.equations.x, self.equations.known
         if known is None:
             known = np.ones((len(x), 1), dtype=bool)
@@ -147,7 +148,7 @@ class KrigingFactor(Factor):
         Ty = self.T @ data
         coefficients = self.mean_covariance @ (self.TF.T @ Ty)
         remainder = Ty - self.TF @ coefficients
-        # Of a response that is linear nothing remains, and rounding may make that negative.
+        # A linear response leaves no remainder, and rounding may make the variance negative.
         variance = np.maximum(np.einsum("eq,eq->q", remainder, Ty) / len(self.T), ROUNDING)
         weights = self.T.T @ remainder
         return replace(self, coefficients=coefficients, weights=weights, variance=variance)
@@ -156,12 +157,13 @@ class KrigingFactor(Factor):
 def inverse_factor(
     matrix: Floats, nugget: float, nugget_limit: float, prior: Floats
 ) -> tuple[Floats, float]:
-    """Return the inverse of the lower Cholesky factor, and the nugget it took.
+    """Return the inverse of the lower Cholesky factor, and the nugget used.
 
     `matrix` (e, e), dimensionless: with a nugget of `nugget` times `prior` on its diagonal; raised
     by decades on failure.
     `prior` (e,), dimensionless.
-    Raises SingularCovarianceError if it is singular with the largest nugget.
+
+    Raises SingularCovarianceError if the matrix is singular with the largest nugget.
     """
     size = np.sqrt(prior)
     scaled = matrix / size[:, None] / size
@@ -212,7 +214,8 @@ def factorise(
 ) -> KrigingFactor:
     """Return the factor of an output group of a table.
 
-    `table` (a, a), dimensionless, is the covariance of all a equations, where it is at hand.
+    `table` (a, a), dimensionless, is the covariance of all a equations, if the caller has it
+    already.
     """
     subset = equations.take(group.rows)
     if table is None:
@@ -228,7 +231,7 @@ def factorise(
     return blank.of_data(subset.data[subset.known][:, group.outputs])
 
 
-# Added to the diagonal of a group's precision, of its mean: rows at almost the same wrench leave it
+# Added to the diagonal of the precision of a group's mean: rows at almost the same wrench leave it
 # singular to rounding.
 REGULAR = 1e-14
 
@@ -236,12 +239,12 @@ REGULAR = 1e-14
 class LeftOutRows(NamedTuple):
     """Errors of rows that were left out with their group, in dimensionless numbers."""
 
-    # (r, q): of the values of the factor's outputs, spreads; NaN of a row that cannot be left out
+    # (r, q): errors of the values of the factor's outputs, spreads; NaN if a row cannot be left out
     errors: Floats
-    # (r, q): root mean square of a row's value and slopes, each over the deviation it should have
+    # (r, q): root mean square of a row's errors of value and slopes, each over its expected
+    # deviation
     sizes: Floats
-    # (r,), process variances: that the values' errors should have, the noise of the row itself
-    # included
+    # (r,), process variances: expected variance of the values' errors, with the row's own noise
     variances: Floats
 
 
@@ -263,7 +266,7 @@ def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
         if len(rows) == len(equations):
             break
         indices = np.concatenate([np.arange(ends[row] - sizes[row], ends[row]) for row in rows])
-        # T is triangular: what stands above the group is zero.
+        # T is triangular: its entries above the group are zero.
         below = factor.T[indices[0] :, indices]
         block, means = below.T @ below, below.T @ factor.TF[indices[0] :]
         diagonal = np.diag_indices_from(block)
@@ -274,15 +277,15 @@ def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
         for row, size in zip(rows, sizes[rows], strict=True):
             part = slice(start, start + size)
             out.errors[row], out.variances[row] = (residuals[part][0], covariance[start, start])
-            # what the row's errors are by the covariance that they should have
+            # the row's squared errors, by their expected covariance
             squares = residuals[part] * np.linalg.solve(covariance[part, part], residuals[part])
             out.sizes[row] = np.sqrt(np.maximum(squares.sum(axis=0) / size / factor.variance, 0.0))
             start += size
     return out
 
 
-# Of squared scaled distances, which rounding changes by 1e-14: rows that are as near as this are
-# equally near, and the first is taken, whoever computes the distance.
+# Part of squared scaled distances, which rounding changes by 1e-14. Rows within it are equally
+# near, and the first is taken, in Python and in the kernel alike.
 TIE = 1e-10
 
 
@@ -290,9 +293,9 @@ TIE = 1e-10
 class LocalFactor(Factor):
     """The factor over one neighbourhood, in dimensionless numbers."""
 
-    # (e,): its equations among the values and derivatives, known or not, of all rows
+    # (e,): indices of its equations among the values and derivatives, known or not, of all rows
     columns: Indices
-    numbers: Indices  # (e,): the same, among the equations of the table
+    numbers: Indices  # (e,): their indices among the equations of the table
 
 
 class Neighbourhoods:
@@ -300,8 +303,8 @@ class Neighbourhoods:
 
     Rows are indices of the factor's rows.
 
-    `local_factors`: one of all rows, or the neighbourhood of each of the factor's rows.
-    `number` (r,): which of these each row, as an anchor, has.
+    `local_factors`: one factor of all rows, or the neighbourhood of each of the factor's rows.
+    `number` (r,): index in `local_factors` of the neighbourhood of each row as an anchor.
     """
 
     def __init__(
@@ -337,13 +340,13 @@ class Neighbourhoods:
 
     @property
     def is_global(self) -> bool:
-        """Whether deviations are those of all rows."""
+        """Whether deviations are computed from all rows."""
         return len(self.local_factors) == 1
 
     def nearest(self, x: Floats) -> Indices:
         """Return the row nearest to each point (m, 6) over all loads, shape (m,).
 
-        Of rows that are equally near the first.
+        The first of equally near rows counts.
         """
         scaled = x * self.roots[0]
         radius = np.sqrt(np.asarray(self.trees[0].query(scaled)[0], dtype=float) ** 2 + TIE)
@@ -351,7 +354,7 @@ class Neighbourhoods:
         return np.array([rows[0] for rows in near], dtype=np.intp)
 
     def members(self, x: Floats) -> list[Indices]:
-        """Return the neighbours of each point (m, 6), nearest first, that the settings allow."""
+        """Return the neighbours of each point (m, 6), nearest first, up to the settings' number."""
         max_rows, n_curved = self.settings.deviation_rows, self.settings.deviation_curved
         max_equations = self.settings.deviation_solves * (1 + self.factor.equations.loads)
         count = min(max_rows, len(self.size))
@@ -396,7 +399,7 @@ class Neighbourhoods:
         number = np.zeros(len(x), dtype=np.intp) if self.is_global else self.number[self.nearest(x)]
         for anchor in np.unique(number).tolist():
             queries, local = np.flatnonzero(number == anchor), self.local_factors[anchor]
-            # Each point by itself: its digits do not depend on the other points.
+            # Each point separately, so that its digits do not depend on the other points.
             near, mean = across[np.ix_(queries, local.columns)], terms[queries]
             reduced, unexplained = (
                 part[:, 0] for part in local.explained(near[:, None], mean[:, None])

@@ -20,8 +20,11 @@ from .equations import Equations
 def contracted(
     sensitivity: Floats, equations: Equations, hyperparameters: Hyperparameters, nugget: float
 ) -> Floats:
-    """Return the sum of a symmetric matrix (e, e) times the covariance's seven derivatives."""
-    # A symmetric matrix's sums by the derivatives that its entries stand with.
+    """Return the sums of a symmetric matrix (e, e) times the covariance's derivatives, shape (7,).
+
+    The derivatives are by the logarithms of the hyperparameters.
+    """
+    # Sums of the symmetric matrix over the entries of each derivative.
     n, count = len(equations), equations.n_derivatives
     full = np.zeros((n, count, n, count))
     known = np.flatnonzero(equations.known)

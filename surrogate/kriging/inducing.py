@@ -45,10 +45,10 @@ from .factor import (
 from .noise import Estimate
 from .settings import KrigingSettings
 
-ROWS = 128  # at once: with 256 inducing wrenches 256 kB of covariances, in a processor's cache
-DECIMALS = 9  # of a prior variance: nearer ones are a tie, and the first row is taken
-TINY = 1e-13  # of the information of a wrench: above rounding
-STEP = 0.1  # of the logarithm of noise: a twentieth of its deviation
+ROWS = 128  # rows at once: with 256 inducing wrenches 256 kB of covariances, in a processor's cache
+DECIMALS = 9  # decimals of a prior variance: nearer ones are a tie, and the first row is taken
+TINY = 1e-13  # part of the information of a wrench: above rounding
+STEP = 0.1  # step of the logarithm of noise: a twentieth of its deviation
 # Rows among which inducing wrenches are chosen, evenly: four times the most inducing wrenches.
 CANDIDATES = 4000
 
@@ -62,9 +62,9 @@ def spread_points(
 ) -> tuple[Indices, bool]:
     """Return the rows that leave the least of the prior's variance at the others, and if enough.
 
-    By a Cholesky factor with pivots. They are enough when the variance that is left, mean over the
-    rows, is at most that of the answers' own, which is the noise times wrenches over rows: more
-    would not make an answer better than the noise lets it be.
+    The rows are the pivots of a Cholesky factor. They are enough when the remaining variance, mean
+    over the rows, is at most that of the answers themselves, which is the noise times wrenches over
+    rows: more rows would not improve an answer beyond the noise.
 
     `x` (n, 6), half ranges: candidates.
     `kernels`, `signal_to_noise`: covariances of outputs, and their process variances over a row's
@@ -127,8 +127,8 @@ class Sums(NamedTuple):
 
     outputs: Indices  # (k,)
     prior: Factor  # of the inducing wrenches: its T is inv(L)
-    # A, b, G, H, h: (m, m), (m, k), (m, 7), (7, 7) and (7, k): see above, and h = F' D y; D is of
-    # the rows' relative noise
+    # A, b, G, H, h: (m, m), (m, k), (m, 7), (7, 7) and (7, k): see the module, and h = F' D y; D is
+    # of the rows' relative noise
     A: Floats
     b: Floats
     G: Floats
@@ -157,12 +157,13 @@ class Inducing(NamedTuple):
 
 
 def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings) -> Inducing | None:
-    """Return the kriging of all rows, None where one factor is the better one.
+    """Return the kriging of all rows, None where one factor is the better choice.
 
-    That is where it holds the rows, and inducing wrenches leave more than the noise.
+    One factor is better where it has room for all rows, and where inducing wrenches leave more
+    variance than the noise.
 
     `equations`: of the values of all rows, sorted by wrench; without the noise of observations.
-    `estimate`: by some of the rows.
+    `estimate`: hyperparameters and noise from some of the rows.
     """
     unit = equations.unit_noise
     typical = np.nanmean(np.where(equations.measured, unit, np.nan), axis=0)
@@ -178,11 +179,11 @@ def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings)
 
     factors, noise = list[KrigingFactor](), estimate.noise.copy()
     groups = output_groups(relative, typical, settings, estimate.kernels)
-    # Each group in a thread of its own: the same bits on any number of processors.
+    # Each group in a thread of its own, with the same bits on any number of processors.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for sums in pool.map(summed, groups):
             likely, outputs = likely_noise(sums, settings), sums.outputs
-            # An output that does not vary has no noise that informs about the others'.
+            # The noise of an output that does not vary says nothing about the others' noise.
             varying = estimate.noise[outputs] > 0
             if varying.any():
                 likely.ratios[~varying] = np.exp(np.log(likely.ratios[varying]).mean())
@@ -216,7 +217,7 @@ def _inducing_rows(
 def _without_readings(equations: Equations) -> Equations:
     """Return the values' equations of rows with readings of zero and no noise.
 
-    They have room for slopes, as the equations of other krigings.
+    Their arrays have columns for slopes, as the equations of other krigings.
     """
     shape, n_derivatives = equations.measured.shape, 1 + equations.loads
     return replace(
@@ -257,14 +258,17 @@ def sums_of(equations: Equations, group: OutputGroup, z: Floats, prior: Factor) 
     readings = equations.observations[np.ix_(group.rows, outputs)]
     repeats = np.maximum(readings - 1, 0.0).sum(axis=0)
     scatter = equations.scatter[np.ix_(group.rows, outputs)].sum(axis=0)
-    # Of one reading over that of the rows' mean.
+    # Noise of one reading over the mean noise of the rows.
     scatter = scatter / np.mean(group.noise[:, None] * np.maximum(readings, 1.0), axis=0)
     (G, b), (H, h) = (np.split(part, [1 + loads], axis=1) for part in (crossed, moments))
     return Sums(outputs, prior, A, b, G, H, h, square, len(group.rows), repeats, scatter)
 
 
 def likely_noise(sums: Sums, settings: KrigingSettings) -> LikelyNoise:
-    """Return the means by the restricted likelihood of all rows, over a grid of noise."""
+    """Return noise and process variance: their posterior means over a grid of noise.
+
+    The posterior is that of the restricted likelihood of all rows.
+    """
     # The mean's coefficients projected away.
     H = sums.H + np.eye(len(sums.H)) / settings.mean_variance
     solved = np.linalg.solve(H, np.concatenate((sums.G.T, sums.h), axis=1))
@@ -316,7 +320,6 @@ def posterior_factor(
         mean_covariance=mean_covariance,
         coefficients=coefficients,
         weights=prior.T.T @ (inverse @ (b - G @ coefficients)),
-        # One triangle for outputs that are alike: variances of answers are in proportion to the
-        # noise.
+        # Outputs of like noise share one triangle: their variances are in proportion to the noise.
         variance=likely.ratios * likely.variances / ratio,
     )

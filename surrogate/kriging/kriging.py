@@ -40,15 +40,16 @@ from .settings import DEFAULTS, KrigingSettings
 
 try:
     from threadpoolctl import ThreadpoolController
-except ImportError:  # it may be missing in a simulator: slower, and other last digits
+# Numba may be missing in a simulator's environment: slower, and other last digits.
+except ImportError:
     ThreadpoolController = None
 
 _BLAS = ThreadpoolController and ThreadpoolController().select(user_api="blas")
 
 
-# What one covariance times one weight may lose, relative: its squared distance, root, exponential
-# and polynomial some units in the last place each. The errors have either sign: sums of compiled
-# code and of arrays differed by up to 2.1 eps times the sum of magnitudes.
+# Relative rounding error of one covariance times one weight: some units in the last place for each
+# of squared distance, root, exponential and polynomial. The errors have either sign: sums of
+# compiled code and of arrays differed by up to 2.1 eps times the sum of magnitudes.
 ROUNDING_LOSS = 4 * float(np.finfo(float).eps)
 
 
@@ -61,13 +62,14 @@ class Kriging:
 
     settings: KrigingSettings
     scaling: Scaling
-    observation_variance: Floats  # (6,), spreads squared: of an observation of unknown uncertainty
+    # (6,), spreads squared: variance of an observation of unknown uncertainty.
+    observation_variance: Floats
     noise_widening: Floats  # (6,), dimensionless: see `noise.Estimate`
     # (6, 6), SI: mean tangent of the rows: the derivative by loads that take no part; NaN by loads
     # that no row varies where none brings slopes
     tangent: Floats
     equations: Equations
-    # one per factor: outputs with the same rows and noise have one factor
+    # one for each factor: outputs with the same rows and noise share a factor
     neighbourhoods: tuple[Neighbourhoods, ...]
     calibrations: tuple[Calibration, ...]  # one per item of `neighbourhoods`
     weights: Floats  # (n, p, 6), spreads
@@ -76,14 +78,14 @@ class Kriging:
     # (6,), spreads: rounding error of answers. Long length scales leave the covariance nearly
     # singular, with weights up to 1e8 times their sum.
     rounding: Floats
-    # (n, 6), spreads: of rows left out, each by itself; NaN where a row does not bring the output
+    # (n, 6), spreads: errors of rows left out, each by itself; NaN where a row lacks the output
     errors: Floats
     # (2, 6), half ranges: ends of the loads that the rows span: beyond them errors are not known
     span: Floats
     # (2,), half ranges: `largest_secondary_loads` of the rows. Beyond them errors are not known
     # either: no row shows the interaction of so large loads.
     secondary_limits: Floats
-    detail: str  # its rows and equations as a text
+    detail: str  # the number of rows and equations, in words
 
     @classmethod
     def build(
@@ -157,7 +159,7 @@ class Kriging:
 
     @property
     def hyperparameters(self) -> Hyperparameters:
-        """Those of the first outputs: outputs of measured rows have each their own."""
+        """The hyperparameters of the first outputs; with measured rows outputs differ in theirs."""
         return self.neighbourhoods[0].factor.hyperparameters
 
     @property
@@ -170,7 +172,7 @@ class Kriging:
     def floor(self) -> Floats:
         """The part of all error bars that no row takes away, (6,), m and rad.
 
-        What the nugget leaves of each output's spread, and what answers lose to rounding.
+        The nugget's part of each output's spread, and the rounding error of answers.
         """
         nugget = np.empty_like(self.rounding)
         for neighbours in self.neighbourhoods:
@@ -206,7 +208,7 @@ class Kriging:
             if neighbours.factor.hyperparameters is not kernel:
                 kernel = neighbours.factor.hyperparameters
                 across = block(x, self.equations.x, kernel, 1, terms).reshape(len(x), -1)
-            # Each point by itself: weights are up to 1e8 times their sum, and the order of a sum
+            # Each point separately: weights are up to 1e8 times their sum, and the order of a sum
             # depends on the shape of the matrices.
             values[:, outputs] += (across[:, None] @ weights[:, outputs])[:, 0]
             sigma = neighbours.deviations(x, across)
@@ -218,7 +220,7 @@ class Kriging:
         return values, errors, known
 
     def _chunks(self, count: int) -> Iterator[slice]:
-        """Yield the parts of so many wrenches that are answered at once."""
+        """Yield the slices of `count` wrenches that are answered at once."""
         size = self.settings.chunk
         return (slice(start, start + size) for start in range(0, count, size))
 
@@ -261,25 +263,26 @@ class Kriging:
         return np.hypot(bars, self.floor)
 
     def left_out(self) -> Floats:
-        """Return the errors (n, 6), m and rad, at rows left out; NaN where a row has no output."""
+        """Return the errors (n, 6), m and rad, of left-out rows; NaN if a row lacks the output."""
         return self.errors * self.scaling.spread
 
 
 def single_thread() -> AbstractContextManager[object]:
     """Return a context in which linear algebra runs on one thread.
 
-    A product of some hundred rows takes less time than the threads' meeting (0.5 against 37 ms).
+    A product of some hundred rows takes less time than the synchronisation of threads (0.5 against
+    37 ms).
     """
     return _BLAS.limit(limits=1) if _BLAS else nullcontext()
 
 
 class _TrainingData(NamedTuple):
-    """The rows of a kriging, and the equations of them that one factor holds."""
+    """The rows of a kriging, and the equations of them that fit into one factor."""
 
     rows: Rows  # those within the load range, sorted by wrench
     observations: Observations  # behind each row
     scaling: Scaling
-    equations: Equations  # of values alone, evenly chosen, where rows are measured and many
+    equations: Equations  # of values alone, evenly chosen, if there are many measured rows
     total: int  # number of equations of all rows
     kinds: list[Kind]
     span: Floats  # see `Kriging`
@@ -295,7 +298,7 @@ class _TrainingData(NamedTuple):
     ) -> _TrainingData:
         """Choose the rows within the load range, and the equations.
 
-        Raises TooFewRowsError.
+        Raises TooFewRowsError as `scaling_of`.
         """
         indices = indices_within(rows, load_range)
         rows, observations = rows.take(indices), observations.take(indices)
@@ -331,11 +334,12 @@ class _TrainingData(NamedTuple):
 
 
 class _Model(NamedTuple):
-    """The covariances and the noise of the outputs, and the equations that factors are made of."""
+    """The covariances and the noise of the outputs, and the equations of the factors."""
 
     estimate: Estimate
     equations: Equations
-    inducing: list[KrigingFactor]  # the factors through inducing wrenches; empty without these
+    # The factors through inducing wrenches; empty without inducing wrenches.
+    inducing: list[KrigingFactor]
     observation_variance: Floats  # (6,), spreads squared: see `Kriging`
     detail: str  # see `Kriging`
 
@@ -352,7 +356,8 @@ class _Model(NamedTuple):
 
         observed = (equations.observations > 0).any(axis=0)
         readings = np.maximum(equations.observations, equations.measured).sum(axis=0)
-        observed &= readings > 1 + scaling.active.sum()  # or the mean takes all of them
+        # With fewer readings the mean takes all degrees of freedom.
+        observed &= readings > 1 + scaling.active.sum()
         observation_variance = np.where(observed, noise * equations.typical_noise, 0.0)
 
         is_part = equations.count < data.total

@@ -59,8 +59,8 @@ def maximise(
         settings.weight_bounds
     ] * equations.weights
     weights = [0.0] * (equations.weights - 1) + [settings.weight_start]
-    # With second derivatives the first start ended at the higher maximum, or both at one, for
-    # 35 of 35 tables: real solves of `plate_thin` and made-up parts.
+    # With second derivatives the first start ended at the higher maximum, or both starts at the
+    # same, for 35 of 35 tables: real solves of `plate_thin` and synthetic parts.
     thetas = settings.theta_starts[: 1 if equations.weights > 1 else None]
     starts = [np.array([theta] * equations.loads + weights) for theta in thetas]
     runs = [
@@ -75,7 +75,8 @@ def maximise(
         )
         for start in starts
     ]
-    # Rounded so that the rounding of another unit does not change them; the likelihood is flat.
+    # Rounded, so that the rounding of another unit does not change the result; the likelihood is
+    # flat.
     best = np.round(min(runs, key=lambda run: run.fun).x, settings.decimals)
     return _hyperparameters(best, equations)
 
@@ -89,7 +90,7 @@ def estimated(
 ) -> Estimate:
     """Return the covariances of outputs and the noise of rows.
 
-    That of solves is common to all outputs. Noise is estimated where rows have any.
+    Outputs of solves share one covariance. Noise is estimated where rows have any.
 
     `points`: see `estimate_noise`.
     """
@@ -97,7 +98,7 @@ def estimated(
     if (equations.unit_noise[:, ~scaling.constant] > settings.nugget).any():
         return estimate_noise(equations, scaling, points, settings)
     chosen = equations.take(spread_rows(equations, settings.likelihood_equations))
-    # The groups without the outputs that vary by rounding only, and with enough rows.
+    # The groups that have enough rows, without outputs that vary by rounding only.
     varying = [
         group._replace(outputs=group.outputs[~scaling.constant[group.outputs]])
         for group in output_groups(chosen, ones, settings)
@@ -108,11 +109,11 @@ def estimated(
 
 
 def limited_to_factor(equations: Equations, settings: KrigingSettings) -> Equations:
-    """Return the equations that a factor holds: as many rows as fit bring second derivatives.
+    """Return the equations that fit into a factor: second derivatives of as many rows as possible.
 
-    Where slopes alone are too many, only as many rows as fit count, with their slopes: of 1,500
+    Where slopes alone are too many, only as many rows as fit count, with their slopes: with 1,500
     solves errors were 0.6 to 1.0 times those of all values and as many slopes as fit. These rows
-    are spread farthest: between distant rows they count most.
+    are spread farthest: slopes count most between distant rows.
     """
     limit = settings.dense_equations
     if equations.count <= limit:

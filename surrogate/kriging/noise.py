@@ -42,7 +42,7 @@ from .factor import (
 from .gradient import contracted
 from .settings import KrigingSettings
 
-# Half the negative log likelihood of a covariance that has no factor: above any other.
+# Half the negative log likelihood of a covariance without a factor: above any other.
 REFUSED = 1e10
 TINY = 1e-30  # variance, spreads squared, below any rounding
 
@@ -52,12 +52,12 @@ class Estimate(NamedTuple):
 
     kernels: tuple[Hyperparameters, ...]  # the same object for outputs of one covariance
     variance: Floats  # (6,), spreads squared: process variances
-    noise: Floats  # (6,), dimensionless: what `Equations.unit_noise` is multiplied by
-    # (6,), dimensionless: the deviation of what is not known of a response, over that of the one
-    # kernel
+    noise: Floats  # (6,), dimensionless: factor on `Equations.unit_noise`
+    # (6,), dimensionless: deviation of the response with all uncertainty of kernel and noise, over
+    # the deviation with the single kernel
     widening: Floats
-    # (6,), dimensionless: the deviation that noise has at most, at the confidence of error bars,
-    # over its estimate
+    # (6,), dimensionless: largest deviation of the noise, at the confidence of error bars, over its
+    # estimate
     noise_widening: Floats
 
 
@@ -77,7 +77,7 @@ class NoisyRows(NamedTuple):
     squares: Floats
 
     def output(self, index: int) -> NoisyRows:
-        """Return one of the outputs alone."""
+        """Return the rows with a single output."""
         names = "outputs", "scale", "repeats", "scatter"
         return self._replace(**{name: getattr(self, name)[[index]] for name in names})
 
@@ -102,7 +102,7 @@ def noisy_rows(
         if (parts[known] > 0).all():
             terms = mean_terms(rows.x, known)
             left, sizes, _ = np.linalg.svd(terms / np.sqrt(parts[known])[:, None])
-            # What rows vary less by than this the mean's prior holds, not they.
+            # Directions in which the rows vary less than this are determined by the mean's prior.
             basis = left[:, (sizes > sizes[0] / np.sqrt(settings.mean_variance)).sum() :]
         if not known[:, 1:].any():
             first, second = np.triu_indices(len(rows))
@@ -130,7 +130,7 @@ class Spectrum(NamedTuple):
     noisy: Floats  # (m,)
     data: Floats  # (m, k), spreads: T times the readings
     logarithm: float  # of T's determinant, as far as it depends on the covariance
-    # each term's correlation of pairs of rows and its derivative by q; none with slopes
+    # correlation of pairs of rows for each term, and its derivative by q; empty with slopes
     terms: list[list[Floats]]
 
 
@@ -179,7 +179,7 @@ class Posterior(NamedTuple):
 
     values: Floats  # (g, k): half the negative logarithm
     variance: Floats  # (g, k), spreads squared: of the process
-    noise: Floats  # (g, k), spreads squared: of a row where D is 1
+    noise: Floats  # (g, k), spreads squared: noise of a row where D is 1
     inverse: Floats  # (g, m): 1 / (l + r d), d 1 of rows with noise and 0 of others
     # (g, k): half the derivative of `values` by the sum of squares, times the process variance
     by_square: Floats
@@ -189,7 +189,7 @@ def posterior(rows: NoisyRows, eigen: Spectrum, settings: KrigingSettings) -> Po
     """Return the posterior of the ratios of the settings, the process variance integrated out."""
     ratios = np.exp(np.arange(*settings.ratio_bounds, settings.ratio_step))[:, None]
     inverse = 1 / (eigen.values + ratios * eigen.noisy)
-    # 0 where the rows determine the mean alone.
+    # 0 where the rows determine nothing but the mean.
     freedom = np.maximum(len(eigen.values) + rows.repeats, 1.0)
     variance = np.maximum((inverse @ eigen.data**2 + rows.scatter / ratios) / freedom, TINY)
     values = 0.5 * (freedom * np.log(variance) + rows.repeats * np.log(ratios)) + eigen.logarithm
@@ -247,7 +247,7 @@ def _contracted_values(
     kernel: Hyperparameters,
     nugget: float,
 ) -> Floats:
-    """Return the result of `contracted` for values alone."""
+    """Return the result of `contracted` for equations of values alone."""
     first, second = np.triu_indices(len(sensitivity))
     pairs = sensitivity[first, second] * np.where(first == second, 1 + nugget, 2.0)
     rates, weights = kernel.terms
@@ -260,7 +260,7 @@ def _contracted_values(
 
 
 def _evenly(equations: Equations, rows: Indices, limit: int) -> Indices:
-    """Return an even choice of some rows, of about so many equations, at least one."""
+    """Return an even choice of `rows` with about `limit` equations, at least one row."""
     count = int(np.searchsorted(np.cumsum(equations.known[rows].sum(axis=1)), limit))
     positions = np.linspace(0, len(rows) - 1, max(min(count, len(rows)), 1))
     return rows[np.unique(positions.round().astype(np.intp))]
@@ -271,7 +271,7 @@ def estimate_noise(
 ) -> Estimate:
     """Return the noise and the kernels of outputs.
 
-    Of rows as they lie, near each other too: rows spread widely do not show little noise.
+    All rows count, near each other or not: widely spread rows alone would hide small noise.
 
     `points` (m, 6), half ranges: where answers' variance is averaged: see `Estimate.widening`.
     """
@@ -279,7 +279,7 @@ def estimate_noise(
     noisy, every = _with_noise(equations, scaling), np.arange(len(equations))
     for limit in (settings.search_equations, settings.likelihood_equations):
         chosen = _evenly(equations, every, limit)
-        # Of few readings among many solves an even choice may have none.
+        # An even choice may miss a few readings among many solves.
         missed = noisy.any(axis=0) & ~noisy[chosen].any(axis=0)
         if missed.any():
             readings = np.flatnonzero(noisy[:, missed].any(axis=1))
@@ -316,7 +316,8 @@ def _fitted_kernel(
 ) -> Hyperparameters:
     """Return the kernel of some outputs; fill in process variance, noise and both widenings.
 
-    `few` rows are those that the kernel is searched with.
+    `few`: the rows used in the search for the kernel.
+    `many`: the rows used for everything else.
     """
     example = few[0].equations
     possible, kernels, posteriors, singular = [], [], [], SingularCovarianceError()
@@ -371,7 +372,7 @@ def _fitted_kernel(
 
 
 def _likely_logarithms(rows: list[NoisyRows], settings: KrigingSettings) -> Floats:
-    """Return the logarithms of the likeliest kernel, and of others with all lengths shifted."""
+    """Return the logarithms of the likeliest kernel, and of kernels with all lengths shifted."""
     loads, weights = rows[0].equations.loads, rows[0].equations.weights
     low, high = np.array([settings.theta_bounds] * loads + [settings.weight_bounds] * weights).T
     start = np.full(loads + weights, settings.length_prior[0])
@@ -385,17 +386,18 @@ def _likely_logarithms(rows: list[NoisyRows], settings: KrigingSettings) -> Floa
         bounds=list(zip(low, high, strict=True)),
         options={"maxiter": settings.likelihood_steps, "ftol": settings.likelihood_accuracy},
     )
-    # Rounded so that the rounding of another unit does not change them; the likelihood is flat.
+    # Rounded, so that the rounding of another unit does not change the result; the likelihood is
+    # flat.
     best = np.round(run.x, settings.decimals)
     shifts = np.array(settings.length_shifts)
     return np.clip(best + shifts[:, None] * (np.arange(loads + weights) < loads), low, high)
 
 
 def _noise_quantile(each: Sequence[Posterior], weight: Floats, index: int, level: float) -> float:
-    """Return the quantile of an output's noise of D over all kernels and ratios.
+    """Return the quantile of an output's noise, where D is 1, over all kernels and ratios.
 
-    Few rows leave open how much of what they differ by is noise: the mean of a wide posterior,
-    itself uncertain, was a third of the noise of 30 to 60 rows.
+    With few rows it is unclear how much of their differences is noise: the mean of a wide
+    posterior, itself uncertain, was a third of the noise of 30 to 60 rows.
     """
     noises = np.concatenate([item.noise[:, index] for item in each])
     order, weights = np.argsort(noises), weight[:, :, index].ravel()
@@ -404,8 +406,8 @@ def _noise_quantile(each: Sequence[Posterior], weight: Floats, index: int, level
 
 
 def variance_of(result: Posterior, index: int, noise: float) -> float:
-    """Return the process variance of an output, spreads squared, at a noise of D."""
-    rising = np.maximum.accumulate(np.log(result.noise[:, index]))  # but for rounding
+    """Return the process variance of an output, spreads squared, at a noise where D is 1."""
+    rising = np.maximum.accumulate(np.log(result.noise[:, index]))  # ascending except for rounding
     return float(np.exp(np.interp(np.log(noise), rising, np.log(result.variance[:, index]))))
 
 

@@ -25,8 +25,8 @@ class KrigingSettings:
     # The mean's coefficients have this variance: so wide that rows decide, but finite, so that
     # a load that no row varies gives a wide bar in place of a singular matrix.
     mean_variance: float = 1e6
-    # An output that varies less than this of the largest of its kind (translations, rotations) is
-    # a solver's rounding: it is answered, but does not count in the likelihood.
+    # An output whose variation is below this part of the largest of its kind (translations,
+    # rotations) is a solver's rounding: it is answered, but does not count in the likelihood.
     rounding: float = 1e-9
     # Logarithms of the six inverse squared lengths: lengths of 33 to 0.14 half ranges. Longer is a
     # straight line, shorter than the distance of rows that anyone can pay for.
@@ -53,49 +53,49 @@ class KrigingSettings:
     # half of it times. Those of less than a fiftieth of the posterior change nothing.
     length_shifts: tuple[float, ...] = (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0)
     min_probability: float = 0.02
-    # Lengths of an output are searched for with so many equations, noise with the number below.
+    # Number of equations of the search for lengths of an output; the noise uses the number below.
     search_equations: int = 210
     # The likelihood costs the cube of its equations some fifty times over, and is flat: 420
     # equations of six outputs (60 solved rows, or as many measured ones) determine seven numbers,
-    # in half a second; with 210 errors were up to twice as large, measured over made-up responses.
-    # Of measured rows 100 are too few: the noise of observations and short lengths are alike in
-    # them.
+    # in half a second; with 210 errors were up to twice as large, measured over synthetic
+    # responses. 100 measured rows are too few: there noise and short lengths look alike.
     likelihood_equations: int = 420
     likelihood_steps: int = 60
-    # Steps end where the likelihood's relative change is below this: the bars do not see more.
+    # The search ends where the likelihood's relative change is below this: bars do not change.
     likelihood_accuracy: float = 1e-6
-    # One dense factor up to here: 400 solved rows of seven equations, or 2,500 measured ones, take
-    # about a second and 60 MB.
+    # Largest dense factor: 400 solved rows of seven equations, or 2,500 measured ones, take about a
+    # second and 60 MB.
     dense_equations: int = 2800
-    # sigma is taken from the nearest rows alone, up to so many rows and equations: 20 solved ones
-    # are nearly as sharp as all (correlation 0.93 to 0.998, measured on a plate), and cost a fixed
-    # 140 x 140 triangle; 40 measured ones keep the triangles of 2,500 rows within 32 MB.
+    # Largest number of nearest rows, and of nearest solved rows, for sigma: 20 solved rows are
+    # nearly as sharp as all (correlation 0.93 to 0.998, measured on a plate), and cost a fixed 140
+    # x 140 triangle; 40 measured ones keep the triangles of 2,500 rows within 32 MB.
     deviation_rows: int = 40
     deviation_solves: int = 20
-    # Up to so many measured rows sigma is that of all of them: a triangle of 4 MB an output. By the
-    # 40 nearest of 800 rows with 1 % noise bars were 7 to 9 times the errors, by all 3 to 4 times.
+    # Up to this number of measured rows sigma is computed from all rows: a triangle of 4 MB an
+    # output. By the 40 nearest of 800 rows with 1 % noise bars were 7 to 9 times the errors, by all
+    # 3 to 4 times.
     global_rows: int = 1000
-    # More measured rows than this go through inducing wrenches, if so many or fewer leave little of
-    # the response beside the noise: of 900 and 100,000 rows with 0.3 % noise 75 and 252.
+    # More measured rows than `many_rows` use inducing wrenches, if at most `inducing` of them leave
+    # little variance beside the noise: 75 of 900 and 252 of 100,000 rows with 0.3 % noise.
     many_rows: int = 400
     inducing: int = 1000
-    # Of more measured rows so many are taken evenly: a tenth of a millisecond each, and they tell
-    # the mean to a fortieth of their noise.
+    # Of more measured rows this number is chosen evenly: a tenth of a millisecond each, and they
+    # determine the mean to a fortieth of their noise.
     most_rows: int = 100_000
-    # So many of these bring their second derivatives too: 2 of 12 rows (126 equations) give bars of
-    # 60 solves that are 1.1 times as wide as those of 20 rows with all (560 equations); 5 of 5
-    # (140) are 1.6 times as wide.
+    # Number of nearest solved rows whose second derivatives count too: 2 of 12 rows (126 equations)
+    # give bars of 60 solves that are 1.1 times as wide as those of 20 rows with all (560
+    # equations); 5 of 5 (140) are 1.6 times as wide.
     deviation_curved: int = 2
-    # Answers at once, so that their covariances with 400 solved rows stay within 25 MB.
+    # Answers computed at once: their covariances with 400 solved rows stay within 25 MB.
     chunk: int = 1000
-    # Decimals of the logarithms that the estimate ends at: a length to 0.05 %, and the same one
-    # whatever the units, whose rounding moves it by some 1e-8.
+    # Decimals of the logarithms of the estimate: a length to 0.05 %, independent of the units,
+    # whose rounding moves it by some 1e-8.
     decimals: int = 3
     # Outputs whose noise over process variance is within this factor share one factorisation.
     like_noise: float = 2.0
-    # Rows left out: enough for a 95 % quantile of six outputs, whose tail they share.
+    # Number of rows left out: enough for a 95 % quantile of six outputs, which share their tail.
     left_out_rows: int = 200
-    # Random wrenches in place of queries: their median is known to a tenth of its size.
+    # Random wrenches that stand for queries: their median is known to a tenth of its size.
     queries: int = 256
     # A left-out row is as far from the rest as queries are if its deviation is 0.6 of the median at
     # random wrenches: it lies a row distance from the others, they lie between rows. With 0.5 and
@@ -103,21 +103,23 @@ class KrigingSettings:
     comparable: float = 0.6
     # With fewer left-out rows errors are not known: with four a fifth more tables cover too much.
     min_left_out: int = 6
-    # The quantile of neighbourhoods' deviations over those of the full factor that stands for all:
-    # by their median 4 of 59 tables of 30 to 120 rows held below 90 % in one output, by this 2.
+    # Quantile of neighbourhoods' deviations over those of the full factor that stands for all: with
+    # the median 4 of 59 tables of 30 to 120 rows held below 90 % in one output, with this 2.
     neighbourhood_quantile: float = 0.4
-    # With so many rows that load several axes these show the errors of wrenches like them; fewer
-    # show no tail (of 4 to 10, 32 to 43 % of the covered are outside in one output; of 15, 11 %).
+    # From this number of rows that load several axes, these alone show the errors of wrenches of
+    # several axes; fewer show no tail (with 4 to 10 rows 32 to 43 % of the covered are outside in
+    # one output; with 15, 11 %).
     full_rows: int = 15
-    # Probability that evenly spread rows leave more beyond the outermost rows than is counted as
-    # theirs: of six loads with two ends each one end in nine tables.
+    # Probability that evenly spread rows leave a larger gap beyond the outermost rows than the
+    # assumed one: with six loads of two ends each, one end in nine tables.
     beyond_rows: float = 0.01
-    # Of an output's mean: what a solver's own arithmetic leaves of one that does not vary.
+    # Part of an output's mean: a solver's own rounding in an output that does not vary.
     error_floor: float = 1e-11
     # Half width of 95 % over the deviation of a normal distribution.
     half_width: float = 1.96
-    # The same of the posterior of noisy rows, whose covariance is of one kind: with 1.96 the worst
-    # output of 7 in 19 tables had 10 to 11 % outside, and bars were 3.6 times the errors.
+    # Half width of 95 % over the posterior deviation of noisy rows, whose covariance is of one
+    # kind: with 1.96 the worst output of 7 in 19 tables had 10 to 11 % outside, and bars were 3.6
+    # times the errors.
     posterior_width: float = 2.1
 
 

@@ -1,1 +1,1 @@
-"""The packed table: one version of a table as one immutable file that answers come from."""
+"""The packed table: one version of a table as one immutable file from which the kernel answers."""

@@ -1,8 +1,8 @@
-"""The arrays of a packed table: name, type, shape and meaning of each, described here alone.
+"""The arrays of a packed table: name, type, shape and meaning, stated only in this module.
 
-`check` compares what is written with it. `python -m wrenchbook.surrogate.packed.arrays` writes
-surrogate/kernel/wb_arrays.h from it, by which wb_open.c checks what it opens. Numbers are SI: N,
-N·m, m and rad; scaled loads, flags and indices have no unit. n inputs and m outputs are data.
+`check` compares written arrays with it. `python -m wrenchbook.surrogate.packed.arrays` writes
+surrogate/kernel/wb_arrays.h from it, by which wb_open.c checks a file. Numbers are SI: N, N·m, m
+and rad; scaled loads, flags and indices have no unit. n inputs and m outputs are data.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ TYPES = {"f8": np.float64, "i4": np.int32, "i8": np.int64, "u1": np.uint8}
 
 
 class Array(NamedTuple):
-    """One array: the last part of its name, its type, its shape in symbols, what it is.
+    """One array: the last part of its name, its type, its shape in symbols, its meaning.
 
-    `optional` arrays may be missing. `member` is where the kernel keeps it: the name itself if
-    empty; `-` for what Python alone reads.
+    `optional` arrays may be missing. `member` is the kernel's name of the array: the same name if
+    empty; `-` for arrays that only Python reads.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Array(NamedTuple):
 class Block(NamedTuple):
     """Arrays whose names begin alike.
 
-    `names` is a pattern of that beginning, `struct` what the kernel keeps the block in.
+    `names` is the pattern of the names' beginning, `struct` the kernel's struct of the block.
     """
 
     names: str
@@ -70,8 +70,8 @@ SYMBOLS = {
     "u": "stations of a cut: k + 1, or none",
     "x": "any number",
 }
-OUTER = 3  # the first symbols are those of the table; the others are those of a block
-SHARED = 4  # and `s`, which the factors of a kriging share with it
+OUTER = 3  # number of symbols that belong to the whole table; the others belong to a block
+SHARED = 4  # the same with `s`, which the factors of a kriging share with the kriging
 
 _BOUNDS = (
     Array("bucket", "f8", "2", "frame of buckets over ascending numbers: `buckets_of`"),
@@ -212,10 +212,10 @@ def named(start: str, block: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[An
 
 
 def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
-    """Return the arrays of a packed table as they are.
+    """Return the arrays of a packed table unchanged.
 
     Raises PackedTableError if one is missing or unknown, or has another type or shape than stated
-    here.
+    in this module.
     """
     if "space/sizes" not in arrays:
         raise PackedTableError("the array space/sizes is missing; build the table again")
@@ -237,7 +237,8 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
             listed = ", ".join(sorted(wrong))
             raise PackedTableError(f"{start} {what} {listed}; build the table again")
         sizes = dict(table)
-        for name in sorted(names):  # the same array is named each time
+        # In the order of names, so that the same array is named each time.
+        for name in sorted(names):
             array, values = described[name], arrays[start + name]
             dimensions = array.shape.split()
             same = values.dtype == TYPES[array.type] and values.ndim == len(dimensions)
@@ -249,7 +250,7 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
                     f"array {start}{name} is {values.dtype} of shape {values.shape}, not "
                     f"{array.type} of shape ({array.shape}); build the table again"
                 )
-        # Factors have the rows of their kriging.
+        # Factors have as many rows as their kriging.
         kriging = re.sub(r"factor\d+/$", "", start)
         if "s" in sizes and rows.setdefault(kriging, sizes["s"]) != sizes["s"]:
             raise PackedTableError(
@@ -260,7 +261,7 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
 
 
 def header() -> str:
-    """Return wb_arrays.h: what the kernel reads of each block, as tables that wb_open.c walks."""
+    """Return wb_arrays.h: the kernel's members of each block, as tables for wb_open.c."""
     names = [f"WB_OF_{symbol.upper()}" for symbol in SYMBOLS if symbol != "x"]
     lines = [
         "/* The arrays of a packed table. Made by `python -m wrenchbook.surrogate.packed.arrays`;",

@@ -31,19 +31,19 @@ Array = NDArray[np.generic]
 Indices = NDArray[np.intp]
 
 # Numbers of a simplex' map: the slopes of all barycentric coordinates but the last (3 x 3), and the
-# position of the last vertex, where those are zero.
+# position of the last vertex, where these coordinates are zero.
 MAP = 12
 # Integers of an axis: dimensions (-1 without a table), first cell of its grid, cells a side.
 DIMENSION, FIRST_CELL, CELLS, INTS = 0, 1, 2, 5
-# Numbers of an axis: load scale (3), origin (3), basis (3 x 3), how far off its plane or line a
-# point may lie, corner of the grid (3), cells per length (3).
+# Numbers of an axis: load scale (3), origin (3), basis (3 x 3), largest distance of a point from
+# its plane or line, corner of the grid (3), cells per length (3).
 SCALE, ORIGIN, BASIS, SLACK, CORNER, DENSITY, FLOATS = 0, 3, 6, 15, 16, 19, 22
 
-# Of the grid that starts walks: with four cells a simplex most walks take one step; a large grid
-# takes longer to make (a microsecond a cell) than it saves.
+# Grid of the walks' starts: with four cells a simplex most walks take one step; a larger grid takes
+# longer to make (a microsecond a cell) than it saves.
 CELLS_PER_SIMPLEX, MAX_CELLS, MIN_CELLS_PER_SIMPLEX = 4.0, 300_000, 0.5
 
-PER_NUMBER = 1.0  # buckets: a search then takes one or two steps
+PER_NUMBER = 1.0  # buckets per number: a search then takes one or two steps
 
 
 class AxesArrays(NamedTuple):
@@ -69,7 +69,7 @@ class AxesArrays(NamedTuple):
 def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> dict[str, Array]:
     """Return the arrays of the axes, of the default space, by their names.
 
-    `members`: numbers of the rows behind each row that the axes are made of.
+    `members`: the numbers (`seq`) of the rows merged into each row of the axes.
     """
     tables = axes.tables
     simplices = [0 if table is None else len(table.triangulation.simplices) for table in tables]
@@ -148,7 +148,7 @@ def _first(counts: list[int]) -> list[int]:
 
 
 def _joined(parts: Sequence[Array | None], shape: tuple[int, ...]) -> NDArray:
-    """Return the parts that there are as one array; an empty one of a shape without any."""
+    """Return the parts that are not None as one array; an empty one of `shape` if all are None."""
     return np.concatenate([np.empty(shape), *(part for part in parts if part is not None)])
 
 
@@ -159,6 +159,10 @@ def _order(table: AxisTable) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _simplices(table: AxisTable | None, point: int, simplex: int) -> Floats | None:
+    """Return the numbers (m, SIMPLEX) of a table's simplices.
+
+    `point`, `simplex`: the index of the table's first point and simplex among those of all axes.
+    """
     if table is None:
         return None
     numbered = numbered_of(table.triangulation)
@@ -226,11 +230,11 @@ class Numbered(NamedTuple):
 
 
 _KNOWN: WeakKeyDictionary[Triangulation, Numbered] = WeakKeyDictionary()
-"""Of triangulations in use: versions of a table have those of unchanged axes in common."""
+"""Numberings of triangulations in use: versions of a table share those of unchanged axes."""
 
 
 def numbered_of(shape: Triangulation) -> Numbered:
-    """Return a triangulation laid out for walks."""
+    """Return a triangulation numbered for walks."""
     numbered = _KNOWN.get(shape)
     if numbered is None:
         local, dimension = shape.local_coordinates(shape.points), shape.dimension
@@ -290,8 +294,8 @@ def buckets_of(numbers: Floats) -> tuple[Floats, NDArray[np.int32]]:
     """Return the frame and the bounds of buckets over ascending numbers, shape (k,).
 
     A number's bucket is (number - frame[0]) frame[1], as `wb_bucket` of surrogate/kernel computes
-    it; those of bucket b have the indices start[b] to start[b + 1]. Shapes (2,) and (b + 1,); the
-    frame has the numbers' unit and its inverse.
+    it; the numbers of bucket b have the indices start[b] to start[b + 1]. Shapes (2,) and (b + 1,);
+    the frame has the numbers' unit and its inverse.
     """
     count = max(int(len(numbers) * PER_NUMBER), 1)
     low, high = (float(numbers[0]), float(numbers[-1])) if len(numbers) else (0.0, 0.0)

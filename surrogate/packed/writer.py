@@ -1,4 +1,4 @@
-"""From what was built of a table to its packed file: everything that an answer needs.
+"""Convert a built table into its packed file, with everything that an answer needs.
 
 `arrays` describes each array; those of group k of outputs are named ``gK/...``. `check` refuses a
 name, type or shape that is not described there.
@@ -43,15 +43,15 @@ def pack(
 ) -> list[bytes]:
     """Return the packed file of a table as pieces of bytes.
 
-    `component`, `fingerprint`: where the rows come from.
+    `component`, `fingerprint`: the component and setup of the rows.
     `contract`, `interface`: meaning of loads and displacements, in words; stored as they are.
-    `origin`: digests of what the table is built from; stored as they are.
+    `origin`: digests of the table's sources; stored as they are.
     """
     arrays = dict(_space_arrays(table, len(table.groups))) | dict(_solver_arrays(table))
     sources = _Sources(table)
     for number, group in enumerate(table.groups):
         arrays |= named(f"g{number}/", dict(_group_arrays(group, sources)))
-    # The gaps of each axis; None where the compliance answers, which needs no axes.
+    # The gaps of each axis; None if the compliance answers, which needs no axes.
     first = table.groups[0]
     no_axes = not first.has_axes or (table.linear and first.fit.complete)
     meta = {
@@ -77,7 +77,7 @@ def pack(
 
 
 def packed_of(table: Table) -> PackedTable:
-    """Return the packed form of a built table; cached."""
+    """Return the packed form of a built table; cached in the table."""
     if table.packed is None:
         table.packed = PackedTable.from_bytes(b"".join(pack(table)))
     return table.packed
@@ -95,7 +95,7 @@ def _plain(value: Any) -> Any:
 
 
 def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
-    """Yield what is the same for all outputs."""
+    """Yield the arrays that are the same for all outputs."""
     span, space = table.load_range, table.load_range.space
     inputs, outputs = len(space.inputs), len(space.outputs)
     yield "space/sizes", np.array([inputs, outputs, groups], dtype=np.int32)
@@ -116,7 +116,7 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
 
 
 def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
-    """Yield the solver's part of errors."""
+    """Yield the arrays of the solver's error."""
     error, n = table.solver_error, len(table.load_range.low)
     by_tangent, known, linear, linearity_known = False, table.bars_are_complete, False, True
     arrays = SolverError({"loads": [0.0] * n}).packed
@@ -130,7 +130,7 @@ def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
 
 
 class _Sources:
-    """The sources of the rows at each wrench, as numbers of lists of words."""
+    """The sources of the rows at each wrench, as indices into a list of lists of words."""
 
     def __init__(self, table: Table) -> None:
         self._numbers: dict[tuple[str, ...], int] = {}
@@ -147,11 +147,11 @@ class _Sources:
 
     @property
     def lists(self) -> list[list[str]]:
-        """The lists, by number."""
+        """The lists of sources, by index."""
         return [list(sources) for sources in self._numbers]
 
     def numbers(self, wrenches: Floats) -> NDArray[np.int32]:
-        """Return the number of the sources of the rows at each of the inputs (r, n), SI: (r,)."""
+        """Return the index of the sources of the rows at each of the inputs (r, n), SI: (r,)."""
         if self._single:
             self._numbers[self._single] = 0
             return np.zeros(len(wrenches), dtype=np.int32)
@@ -161,7 +161,7 @@ class _Sources:
 
 
 def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]]:
-    """Yield what answers one group of outputs."""
+    """Yield the arrays of one group of outputs."""
     used, exact = group.can_answer, group.is_exact
     flags = [METHODS.index(group.default), exact, used, len(group.used) > 0]
     yield "flags", np.array(flags, dtype=np.int32)
@@ -172,12 +172,12 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
     if group.fit.offset.any():
         yield "fit/offset", group.fit.offset
     yield "fit/known", group.fit.known.astype(np.int32)
-    # The numbers of the rows that the compliance comes from.
+    # The numbers (`seq`) of the rows from which the compliance is computed.
     members = group.members
     if group.fit.origin == "stored":
         members = tuple(members[row] for row in np.flatnonzero(group.used.has_tangent))
     yield "fit/rows", np.array(sorted(chain.from_iterable(members)), dtype=np.int64)
-    # The rows that answer at their wrenches, in the order of a key.
+    # The rows that answer at their own wrenches, in the order of their keys.
     index, merged = group.row_index, group.merged.rows
     order = index.order
     owner = group.merged.owner[order]
@@ -205,6 +205,7 @@ def _group_arrays(group: Group, sources: _Sources) -> Iterator[tuple[str, Array]
 
 
 def _group_meta(group: Group) -> dict[str, Any]:
+    """Return the JSON entry of one group of outputs: names, method and its reason, coverage."""
     kriging = group.kriging
     return {
         "outputs": [group.rows.space.output_names[output] for output in group.outputs],
@@ -218,9 +219,9 @@ def _group_meta(group: Group) -> dict[str, Any]:
 def _kriging_arrays(kriging: Kriging) -> Iterator[tuple[str, Array]]:
     """Yield the names and arrays of a kriging, with a factor for each output group.
 
-    Rows are innermost and padded to a multiple of `LANES`; rows of the padding weigh nothing and
-    have no neighbourhood. The inverse factor T of each neighbourhood is stored in panels of `PANEL`
-    rows, column after column, which a processor's vectors multiply as they lie.
+    Rows are innermost and padded to a multiple of `LANES`; padding rows have zero weight and no
+    neighbourhood. The inverse factor T of each neighbourhood is stored in panels of `PANEL` rows,
+    column after column, so that vector instructions read it in order.
     """
     scaling = kriging.scaling
     rows = len(kriging.equations)
@@ -261,7 +262,7 @@ def _factor_arrays(
     outputs: int,
     derivatives: int,
 ) -> Iterator[tuple[str, Array]]:
-    """Yield what gives sigma and its calibration for the outputs of one factor."""
+    """Yield the arrays of sigma and its calibration for the outputs of one factor."""
     factor, local_factors = neighbourhoods.factor, neighbourhoods.local_factors
     count = len(local_factors)
     most = max(len(local.columns) for local in local_factors)

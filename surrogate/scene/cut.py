@@ -23,20 +23,21 @@ Arrays = dict[str, NDArray[Any]]
 def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -> list[bytes]:
     """Return the packed file of a table cut to a scene, as pieces of bytes.
 
-    It answers by the table's default method. Left out are groups whose outputs the scene does not
-    read, and rows and axes whose loads cannot occur.
+    It answers by the table's default method. Groups whose outputs the scene does not read are left
+    out, and rows and axes whose loads cannot occur.
 
     `plan`: the scene plan that the file carries, JSON-able.
     """
     arrays = {name: array for name, array in table.arrays.items() if name[0] != "g"}
     outputs = list(need.outputs)
-    # The solver's error needs all outputs, and their derivative by all loads.
+    # The solver's error needs all outputs, and their derivatives by all loads.
     needs_all = bool(table.arrays["solver/flags"][SOLVER_BY_TANGENT])
     read = [
         needs_all or bool(table.arrays[f"g{group}/outputs"][outputs].any())
         for group in range(len(table.meta["groups"]))
     ]
-    groups = np.flatnonzero(read).tolist() or [0]  # the first one says that nothing is measured
+    # An empty choice keeps the first group, which states that nothing is measured.
+    groups = np.flatnonzero(read).tolist() or [0]
     slopes = np.ones(table.inputs, dtype=bool)
     for number, group in enumerate(groups):
         uncut = block_of(table.arrays, f"g{group}/")
@@ -51,6 +52,7 @@ def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
 
 
 def _scene_arrays(table: PackedTable, need: Need, groups: int, slopes: Mask) -> Arrays:
+    """Return the arrays that all groups share, cut to a scene of `groups` groups."""
     ends = np.stack((need.span.low, need.span.high))
     sizes = table.arrays["space/sizes"].copy()
     sizes[2] = groups
@@ -70,7 +72,7 @@ def _scene_arrays(table: PackedTable, need: Need, groups: int, slopes: Mask) -> 
 
 
 def _cut_group(group: Arrays, need: Need, needs_all: bool, slopes: Mask) -> Arrays:
-    """Return a group's arrays; in `slopes` (n,) the loads without derivatives are crossed out."""
+    """Return a group's arrays; `slopes` (n,): the loads whose derivatives are removed."""
     flags = group["flags"]
     method = METHODS[flags[GROUP_METHOD]]
     needs_axes = not (method == "kriging" or (method == "linear" and flags[GROUP_EXACT]))
@@ -108,7 +110,7 @@ def _cut_rows(rows: Arrays, need: Need) -> Arrays:
 
 
 def _cut_kriging(kriging: Arrays, need: Need, needs_all: bool) -> Arrays:
-    """Return a kriging; unless all are needed, without factors of outputs that are not read."""
+    """Return a kriging, without factors of outputs that are not read unless all are needed."""
     count, outputs = int(kriging["factor_count"][0]), list(need.outputs)
     factors = [block_of(kriging, f"factor{number}/") for number in range(count)]
     stay = [
@@ -131,7 +133,7 @@ class _Selected(NamedTuple):
     Part k has the entries first[k] to first[k + 1] of the array.
     """
 
-    entries: Mask  # (n,): which are selected
+    entries: Mask  # (n,): which entries are selected
     part: NDArray[np.intp]  # (s,): the part of each selected entry
     removed: NDArray[np.intp]  # (p,): number of entries before each part that are not selected
     first: NDArray[np.intp]  # (p + 1,): `first` of the selected entries; other parts are empty

@@ -1,6 +1,6 @@
-"""The scene plan: the requirements of one simulation on a component, and the way to meet them.
+"""The scene plan: one simulation's requirements on a component, and the way to meet them.
 
-Filling and downloading a table and the reply of the server follow the decision made here.
+Fills, downloads of a table and the server's replies follow the plan.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Mask = NDArray[np.bool_]
 Decision = Literal["rigid", "linear", "table"]
 AxisNeed = Literal["inputs", "dimensions"]
 
-SAMPLE = 64  # wrenches of the scene, with its corners: as many as six loads have corners
+SAMPLE = 64  # wrenches of the scene besides its corners: as many as six loads have corners
 NO_ROWS = (
     "there is no row yet; solve one wrench for the tangent compliance, and fill the table for a "
     "bound of the displacement"
@@ -44,21 +44,22 @@ NO_LOAD = "no load can occur in the scene, so the component stays undeformed"
 class Need:
     """The requirements of a scene on one component."""
 
-    span: LoadRange  # the loads that can occur, N and N·m; a load on a locked freedom is held at 0
-    outputs: tuple[int, ...]  # the outputs it reads, ascending
+    span: LoadRange  # the possible loads, N and N·m; a load on a locked freedom is held at 0
+    outputs: tuple[int, ...]  # the outputs that the scene reads, ascending
     tolerance: Tolerance | None  # m and rad: the scene's, else the component's
-    idle: tuple[int, ...]  # loads on locked freedoms: whatever they are, nothing depends on them
-    slack: Floats  # (n,), N and N·m: what rounding may add to an end: 1e-9 of the component's range
+    idle: tuple[int, ...]  # loads on locked freedoms, on which nothing depends
+    # (n,), N and N·m: rounding that may be added to an end: 1e-9 of the component's range.
+    slack: Floats
 
     @property
     def occurring(self) -> Mask:
-        """Which inputs can have an effect, shape (n,): other than 0, or a reference temperature."""
+        """Which inputs can have an effect, shape (n,): not fixed at 0, or a temperature."""
         zero = self.span.space.zero
         return (self.span.low != zero) | (self.span.high != zero)
 
     @property
     def varying(self) -> Mask:
-        """Which loads, N and N·m, can have more than one value: the dimensions, shape (n,)."""
+        """Which loads, N and N·m, can have more than one value, shape (n,): the dimensions."""
         return self.span.high > self.span.low
 
     @property
@@ -67,14 +68,14 @@ class Need:
         return [self.span.space.input_names[load] for load in np.flatnonzero(self.occurring)]
 
     def beyond(self, wrenches: Floats) -> Mask:
-        """Return which loads of wrenches (k, n), N and N·m, the scene has not, shape (k, n)."""
+        """Return which loads of wrenches (k, n), N and N·m, are outside the scene, shape (k, n)."""
         return (wrenches < self.span.low - self.slack) | (wrenches > self.span.high + self.slack)
 
     def axes(self) -> dict[str, dict[AxisNeed, Any]]:
-        """Return the axes that are composed: their inputs that can occur, and their dimensions.
+        """Return the combined axes: their inputs that can occur, and their dimensions.
 
-        An axis is composed if some of its loads can occur and one of its outputs is read. Tables
-        of several interfaces or further inputs compose none.
+        An axis is combined if some of its loads can occur and one of its outputs is read. Tables of
+        several interfaces or further inputs combine no axes.
         """
         axes: dict[str, dict[AxisNeed, Any]] = {}
         for axis in AXES if self.span.space.is_default else ():
@@ -91,9 +92,9 @@ class Need:
 
 
 class NeedError(ValueError):
-    """A scene's loads that cannot be: each mistake by the index of its load.
+    """Impossible loads of a scene: each mistake by the index of its load.
 
-    `mistakes`: index of the load among the inputs, and what is wrong with its ends.
+    `mistakes`: index of the load among the inputs, and the mistake in its ends.
     """
 
     def __init__(self, mistakes: list[tuple[int, str]]) -> None:
@@ -110,12 +111,13 @@ def need_of(
 ) -> Need:
     """Return the requirements of a scene on a component.
 
-    `limits`: the component's load range, N and N·m; it is stretched to hold zero.
+    `limits`: the component's load range, N and N·m; it is extended to zero.
     `bounds` (n, 2), N and N·m: low and high end of each load; the component's by default.
-    `outputs`: those that are read; all by default.
+    `outputs`: those that the scene reads; all by default.
     `idle`: loads on locked freedoms.
-    Raises NeedError if an end lies outside the component's load range, or the ends are the wrong
-    way round.
+
+    Raises NeedError if an end lies outside the component's load range, or the low end is above the
+    high one.
     """
     ends = np.column_stack((limits.low, limits.high)) if bounds is None else np.array(bounds, float)
     slack = ZERO_LOAD * limits.scale
@@ -142,15 +144,16 @@ def need_of(
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """How a component takes part in a scene, and why."""
+    """The part that a component plays in a scene, and the reason."""
 
     need: Need
-    decision: Decision  # "rigid": left out; "linear": one compliance answers; "table": its table
+    # "rigid": left out; "linear": one compliance answers; "table": its table answers.
+    decision: Decision
     reason: str
-    # (m,), m and rad: largest size of each output within the scene; NaN where nothing determines it
+    # (m,), m and rad: largest size of each output within the scene; NaN where unknown
     bound: Floats
-    # (m, n), SI: of a "linear" decision, if known: the displacement is it times the wrench. Columns
-    # of loads that cannot occur are 0.
+    # (m, n), SI: of a "linear" decision, if known: the displacement is this matrix times the
+    # wrench. Columns of loads that cannot occur are 0.
     compliance: Floats | None
     # numbers of solves of the first design, from an empty table: for the load range, for the scene
     solves: tuple[int, int]
@@ -159,7 +162,7 @@ class ScenePlan:
 def plan_of(table: Table, need: Need, *, solved: bool = True) -> ScenePlan:
     """Return the plan that meets a scene's need of a component, by the rows of its table, if any.
 
-    `solved`: whether the rows are solves, which are not displaced at zero load.
+    `solved`: whether the rows are solves, whose displacement at zero load is 0.
     """
     solves = first_solves(table, table.load_range), first_solves(table, need.span)
     need, space = replace(need, tolerance=need.tolerance or table.tolerance), need.span.space
@@ -183,7 +186,7 @@ def plan_of(table: Table, need: Need, *, solved: bool = True) -> ScenePlan:
         is_known = "it is known" if table.groups[0].fit.complete else "one solve gives it"
         reason = f"the component is linear: one compliance answers, and {is_known}"
         compliance = None
-        # A displacement at zero load is missing in the compliance times the wrench.
+        # The compliance times the wrench lacks a displacement at zero load.
         if table.groups[0].fit.known[need.occurring].all() and not moves_unloaded:
             compliance = np.where(need.occurring, table.groups[0].fit.matrix, 0.0)
         return ScenePlan(need, "linear", reason, bound, compliance, solves)
@@ -197,7 +200,7 @@ def plan_of(table: Table, need: Need, *, solved: bool = True) -> ScenePlan:
 def design_of(
     table: Table, plan: ScenePlan, budget: int, pending: ArrayLike | None = None
 ) -> Design:
-    """Return at most `budget` wrenches to solve next for a scene, none where it needs none.
+    """Return at most `budget` wrenches to solve next for a scene, none if its plan needs none.
 
     Parameters are those of `next_wrenches`: `pending` has shape (m, 6), N and N·m.
     """
@@ -215,7 +218,7 @@ def design_of(
 
 
 def first_solves(table: Table, span: LoadRange) -> int:
-    """Return how many solves the first design of a span has, from an empty table.
+    """Return the number of solves in the first design of a span, from an empty table.
 
     A solve of a linear component brings all of its compliance.
     """
@@ -229,16 +232,16 @@ def first_solves(table: Table, span: LoadRange) -> int:
 def _bound(table: Table, need: Need) -> tuple[Floats, str]:
     """Return upper bounds of the displacement, (m,), m and rad, and the reason of unknown ones.
 
-    A bound is the larger of the answers with their error bars at wrenches of the scene, and of the
-    compliance's sum over the loads with its error, or what the slopes allow if that is less: see
-    `_by_answers`. NaN where it is unknown.
+    One bound is the answers with their error bars at wrenches of the scene, another the
+    compliance's sum over the loads with its error: the larger counts. It is limited by the bound of
+    the slopes: see `_by_answers`. NaN where it is unknown.
     """
     space, largest_loads = need.span.space, need.span.largest
     bound, why = np.full(len(space.outputs), np.nan), NO_ROWS
     if not table.linear and not space.is_default:
-        return bound, LOOKED_UP  # many inputs have too many corners
+        return bound, LOOKED_UP  # with many inputs there are too many corners
     solver = np.zeros(len(bound))
-    if table.solver_error is not None:  # it is largest where the loads are
+    if table.solver_error is not None:  # the solver's error is largest at the largest loads
         parts = table.solver_error.parts(largest_loads).values()
         solver = solver + sum(np.array(part) for part in parts if part is not None)
     answered, by_slopes = np.zeros_like(bound), np.full_like(bound, np.nan)
@@ -262,10 +265,10 @@ def _bound(table: Table, need: Need) -> tuple[Floats, str]:
 def _by_answers(table: Table, need: Need) -> tuple[Floats, Floats]:
     """Return two bounds of a nonlinear table's displacement in the scene, (m,) each, m and rad.
 
-    The largest answer with its error bar at `_sample`. And the answer in the scene's middle plus
-    the steepest slopes of the sample up to the ends (mean value theorem): where loads are small the
-    component moves little, however far it bends from one compliance at its largest. Slopes of a
-    table that does not cover the sample prove nothing: NaN.
+    The first is the largest answer with its error bar at `_sample`. The second is the answer in the
+    scene's middle plus the steepest slopes of the sample up to the ends (mean value theorem): under
+    small loads the component moves little, even if it is far from linear at its largest loads.
+    Slopes of a table that does not cover the sample prove nothing: NaN.
     """
     packed, sample = packed_of(table), _sample(need)
     answers = packed.batch(sample)
@@ -288,7 +291,7 @@ def _sample(need: Need) -> Floats:
 
 
 def _single_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
-    """Return the compliance (6, 6), SI, that answers within the tolerance, if one does, and why.
+    """Return the compliance (6, 6), SI, that answers within the tolerance, if any, and the reason.
 
     It is fitted by least squares to the answers at `_sample`. Its error at each of them plus the
     answer's error bar must be within the tolerance.

@@ -14,18 +14,18 @@ from ..table.rows import Floats
 from .cut import cut
 from .plan import ScenePlan
 
-ANSWERS = 32  # single answers timed in a run
-RUNS = 5  # of which the best counts: what interrupts a run only ever makes it longer
+ANSWERS = 32  # single answers timed in a run, enough for the clock's resolution
+RUNS = 5  # runs of which the best counts: interruptions only make a run longer
 
 
 @dataclass(frozen=True)
 class Savings:
     """The savings of the scene's table against the component's."""
 
-    build_s: float | None  # processor time of building; None where there is no table yet
-    memory_bytes: int | None  # of the packed table
-    us_per_answer: float | None  # of one answer to a wrench of the scene
-    origin: dict[str, str]  # where each number comes from
+    build_s: float | None  # s: processor time of building; None without a table
+    memory_bytes: int | None  # size of the packed table
+    us_per_answer: float | None  # time of one answer to a wrench of the scene
+    origin: dict[str, str]  # the source of each number
 
 
 def not_measured(why: str) -> Savings:
@@ -37,7 +37,7 @@ def not_measured(why: str) -> Savings:
 def measured(table: Table, plan: ScenePlan) -> Savings:
     """Return the savings of the scene's table against the component's.
 
-    A component that is rigid in the scene needs no table: all is saved.
+    A component that is rigid in the scene needs no table, so everything is saved.
     """
     if not any(len(surrogate.used) for surrogate in table.groups):
         return not_measured("there are no rows yet")
@@ -60,7 +60,8 @@ def measured(table: Table, plan: ScenePlan) -> Savings:
         "us_per_answer": f"measured now, best of {RUNS} runs of {ANSWERS} wrenches of the scene: "
         f"{before[2]:.3g} µs by the whole table, {after[2]:.3g} µs by the scene's",
     }
-    # Small tables can cost as much after the cut: nothing is saved then. `origin` has both figures.
+    # The cut of a small table can cost as much as it saves: the savings are then zero. `origin` has
+    # both figures.
     build_s, memory, answer_us = (
         max(whole - part, 0) for whole, part in zip(before, after, strict=True)
     )

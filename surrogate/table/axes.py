@@ -1,4 +1,4 @@
-"""The three axes of straight direction influence, and which rows each of them uses.
+"""The three axes of straight direction influence, and the rows that each of them uses.
 
 Axis i of a cyclic order (i, j, k) has the inputs (F_i, M_j, M_k) and the outputs (u_i, rx, ry, rz).
 """
@@ -17,12 +17,13 @@ from .rows import ZERO_LOAD, Floats, LoadRange, Rows
 
 OffAxis = Literal["correct", "ignore", "exclude"]
 
-# Values of a load that show its curvature. An odd response, as most are, is straight through
-# three, such as -1, 0 and 1: left-out rows have no error there, and answers between them have a
-# quarter of the range.
+# Number of values of a load that show its curvature. An odd response, as most are, is straight
+# through three, such as -1, 0 and 1: left-out rows have no error there, and the error between them
+# is a quarter of the range.
 LEVELS = 4
-# Of the range: the scatter of a load cell is no value of its own. Loads of a composite design that
-# scattered by 1e-6 to 1e-3 of the range made everything covered, 97 % of it outside the bars.
+# Part of the range: smaller differences are a load cell's scatter, not separate values. Loads of a
+# composite design that scattered by 1e-6 to 1e-3 of the range counted everything as covered, with
+# 97 % of it outside the bars.
 MIN_STEP = 0.05
 
 
@@ -32,7 +33,7 @@ def has_levels(points: Floats) -> bool:
 
 
 def _levels(values: Floats) -> int:
-    """Return how many groups of values, `MIN_STEP` of their span from each other, there are."""
+    """Return the number of groups of values that are `MIN_STEP` of their span apart."""
     count, last = 0, -np.inf
     step = MIN_STEP * min(float(np.ptp(values)) / 2, 1.0)
     for value in np.sort(values).tolist():
@@ -65,10 +66,10 @@ class AxisRows:
 
     axis: LoadAxis
     points: Floats  # (n, 3), dimensionless: inputs over the load range's half widths
-    # (n, 6), m and rad: all six, off-axis part removed where the row is multi-axis; the mean of
-    # merged rows
+    # (n, 6), m and rad: all six outputs, without the off-axis part where the row is multi-axis; the
+    # mean of merged rows
     displacement: Floats
-    # the indices, in the table's rows, of the rows behind each point
+    # the indices, in the table's rows, of the rows merged into each point
     members: tuple[tuple[int, ...], ...]
     single_axis: NDArray[np.bool_]  # (n,)
     # (n, 6, 3), m and rad: derivative of the displacement by the scaled inputs; NaN where unknown
@@ -76,7 +77,7 @@ class AxisRows:
     tangent: Floats
 
     def equals(self, other: AxisRows) -> bool:
-        """Return whether all numbers are another's to the bit, wherever the rows behind are."""
+        """Return whether all numbers equal another's to the bit; the rows' indices may differ."""
         columns = ("points", "displacement", "single_axis", "tangent")
         return self.axis == other.axis and all(
             getattr(self, name).tobytes() == getattr(other, name).tobytes() for name in columns
@@ -94,7 +95,8 @@ class AxisRows:
         )
 
 
-# Which loads (6) are not an axis' inputs (3): a product with it shows whether any of them acts.
+# Mask of the loads (6) that are not an axis' inputs (3): a product with it shows whether any of
+# them acts.
 _FOREIGN = np.array([[load in axis.others for axis in AXES] for load in range(6)])
 
 
@@ -103,27 +105,27 @@ def single_axis_rows(
 ) -> NDArray[np.bool_]:
     """Return which rows load which axis alone, by its inputs, shape (n, 3).
 
-    `min_load`: part of the range below which a load counts as none.
+    `min_load`: part of the range below which a load counts as zero.
     """
     loaded = np.abs(rows.wrench) > min_load * load_range.scale
     return ~(loaded @ _FOREIGN)
 
 
 def count_multi_axis(rows: Rows, load_range: LoadRange) -> int:
-    """Return how many rows load more than one axis, by more than a load cell scatters."""
+    """Return the number of rows that load more than one axis by more than a load cell's scatter."""
     return int((~single_axis_rows(rows, load_range, MIN_STEP).any(axis=1)).sum())
 
 
 def axis_rows(
     rows: Rows, load_range: LoadRange, axis: LoadAxis, fit: ComplianceFit, off_axis: OffAxis
 ) -> AxisRows:
-    """Choose the rows of one axis, take the off-axis part out of them, and merge equal points.
+    """Choose the rows of one axis, subtract their off-axis part, and merge equal points.
 
-    Of many rows an even choice stands for all: of those of this axis alone, and of the others.
-    A row that loads this axis alone is used as it is; that of another axis never is. A row
-    of several axes follows `off_axis`: "correct" subtracts the fitted compliance times its off-axis
-    loads (and leaves the row out if the fit does not know those loads), "ignore" uses it as it
-    is, "exclude" leaves it out.
+    A large number of rows is represented by an even choice of the rows of this axis alone, and one
+    of the others. A row that loads this axis alone is used as it is; a row of another axis alone
+    never is. A row of several axes follows `off_axis`: "correct" subtracts the fitted compliance
+    times its off-axis loads (and leaves the row out if the fit does not know those loads), "ignore"
+    uses the row as it is, "exclude" leaves it out.
     """
     single_axis = single_axis_rows(rows, load_range)
     of_axis = single_axis[:, AXES.index(axis)]
@@ -138,7 +140,7 @@ def axis_rows(
     indices.sort()
     displacement = rows.displacement[indices]
     if multi_axis.any():
-        # At the points of single-axis rows these alone count.
+        # At points of single-axis rows only these rows count.
         group = close_groups(scaled[indices])
         chosen = of_axis[indices] | ~np.isin(group, group[of_axis[indices]])
         indices, displacement = indices[chosen], displacement[chosen]
@@ -147,7 +149,7 @@ def axis_rows(
         displacement = np.where(
             of_axis[indices][:, None], displacement, displacement - loads @ fit.matrix.T
         )
-    # Multi-axis rows may have one point; `seq` is a row's index, so that these are the members.
+    # Multi-axis rows may share a point; `seq` is a row's index here, so `members` are indices.
     merged = merge(
         replace(
             rows.take(indices),
@@ -158,12 +160,12 @@ def axis_rows(
         ),
         load_range,
     )
-    # In an order that the rows' order cannot change.
+    # Sorted, so that the rows' order does not change the result.
     points = merged.rows.wrench[:, inputs] / load_range.scale[inputs] + 0.0
     order = np.lexsort(points.T[::-1])
     ordered = merged.rows.take(order)
     tangent = ordered.compliance[:, :, inputs] * load_range.scale[inputs]
-    # That of a multi-axis row is not by the axis' loads alone.
+    # The tangent of a multi-axis row is not by the axis' loads alone.
     tangent[~of_axis[ordered.seq]] = np.nan
     return AxisRows(
         axis=axis,
@@ -175,29 +177,28 @@ def axis_rows(
     )
 
 
-# A triangulation of n points in three dimensions has some 6.7 n tetrahedra: with what answers need
-# of each, 1.5 kB a point, and 45 µs a point to make. A table of a million rows would take gigabytes
-# and minutes, for neighbours that are closer than any response bends. So beyond a bound a half, a
-# quarter, ... of the points is triangulated, and the others show whether its bars hold.
-#
-# Of one axis: three triangulations of as many stay below 300 MB and take some 10 s, and neighbours
+# Largest number of triangulated points of one axis. A triangulation of n points in three dimensions
+# has some 6.7 n tetrahedra: with their arrays 1.5 kB a point, and 45 µs a point to build. A table
+# of a million rows would take gigabytes and minutes, for neighbours closer than any response bends.
+# So beyond this number a half, a quarter, ... of the points is triangulated, and the others test
+# the bars. Three triangulations of this size stay below 300 MB and take some 10 s, and neighbours
 # have a distance of a fortieth of the range.
 MAX_POINTS = 60_000
-# In each of these directions the outermost point stays, so that the hull does: 400 directions are
-# at 10 degrees, and what a rounded hull loses between them is a part in 250.
+# Number of directions whose outermost point is kept, so that the hull is kept: 400 directions are
+# 10 degrees apart, and a rounded hull loses a part in 250 between them.
 DIRECTIONS = 400
-CHUNK = 5000  # points at once: their coordinates along all directions fit 20 MB
-# Odd factors of Knuth's multiplicative hashing (The Art of Computer Programming 3, 6.4), one a
-# coordinate.
+CHUNK = 5000  # points at once: their coordinates along all directions take 20 MB
+# Odd factors of Knuth's multiplicative hashing (The Art of Computer Programming 3, 6.4), one for
+# each coordinate.
 _FACTORS = np.uint64(0x9E3779B97F4A7C15) * np.arange(1, 13, 2, dtype=np.uint64)
 _HALF = np.uint64(32)
 
 
 def evenly_chosen(points: Floats) -> NDArray[np.bool_]:
-    """Return which points (n, 3), dimensionless, stand for all, shape (n,).
+    """Return which points (n, 3), dimensionless, represent all points, shape (n,).
 
-    By a hash of each point alone, so that a new row moves no other in or out until their number
-    passes the next double of `MAX_POINTS`.
+    The choice is by a hash of each point alone, so that a new row changes no other row's choice
+    until their number passes the next double of `MAX_POINTS`.
     """
     halvings = 0
     while len(points) > MAX_POINTS << halvings:
@@ -227,9 +228,9 @@ def evenly_chosen(points: Floats) -> NDArray[np.bool_]:
 
 
 def hashes(numbers: Floats) -> NDArray[np.uint64]:
-    """Return a hash of each line of (k, d), d at most 6, shape (k,); -0.0 counts as 0.0.
+    """Return a hash of each row of a matrix (k, d), d at most 6, shape (k,); -0.0 counts as 0.0.
 
-    Lines are of any unit; hashes are dimensionless.
+    Numbers may have any unit; hashes are dimensionless.
     """
     bits = np.ascontiguousarray(numbers + 0.0).view(np.uint64)
     mixed = (bits ^ (bits >> _HALF)) * _FACTORS[: bits.shape[1]]

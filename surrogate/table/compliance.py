@@ -11,15 +11,20 @@ from ..calibration import conformal_factor
 from .rows import SMALLEST, Floats, LoadRange, Rows
 
 RANK = 1e-9  # relative singular value below which the rows do not determine a direction
-# Squared length that a load's unit vector may lack in the span of the rows' wrenches: rounding.
+# Squared length of a load's unit vector outside the span of the rows' wrenches: rounding.
 OFF_SPAN = 1e-6
 MIN_FREE = 1e-6  # one less a row's leverage: below it the other rows do not determine the row
-ROUNDING = 1e-15  # of the largest displacement of its kind: the smallest error bar of any answer
-SAME_LINE = 1e-5  # a linear deck's gap to its compliance: fea/deck/solving.py refuses more
-UNCHECKED = 0.1  # of the largest displacement: error of measured rows as many as the unknowns
+# Part of the largest displacement of its kind: the smallest error bar of any answer.
+ROUNDING = 1e-15
+# Largest gap of a linear deck's solves to its compliance: fea/deck/solving.py refuses larger ones.
+SAME_LINE = 1e-5
+# Part of the largest displacement: assumed error of measured rows without a residual.
+UNCHECKED = 0.1
 
 
 @dataclass(frozen=True)
+# (6, 6), m/N, m/(N·m), rad/N, rad/(N·m): a column is zero where the rows do not determine the
+# load's influence.
 class ComplianceFit:
     """A linear map from wrench to displacement."""
 
@@ -29,11 +34,12 @@ class ComplianceFit:
     known: NDArray[np.bool_]  # (6,): which loads' columns the rows determine
     error: Floats  # (6,), m and rad: 95 % error bar of `matrix @ wrench` on the rows
     # "stored": mean of the rows' compliances. "fitted": least squares of their displacements.
-    # "none": no row is loaded. In the last two, columns of loads that no row determines are those
-    # of the mean of the stored tangents, if there are any.
+    # "none": no row is loaded. In the last two, columns of loads that no row determines come from
+    # the mean of the stored tangents, if there are any.
     origin: str
-    # (6,), m and rad, or () for none: the displacement where all inputs are 0: that of the
-    # component's weight, if a linear solve stored it, and of a reference temperature that is not 0
+    # (6,), m and rad, or () for none: the displacement where all inputs are 0. It is the
+    # displacement by the component's weight, if a linear solve stored it, and by a reference
+    # temperature that is not 0.
     offset: Floats = field(default_factory=lambda: np.zeros(()))
 
     @property
@@ -52,7 +58,7 @@ def fit_compliance(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compli
     fit = _fit(rows, load_range, linear=linear)
     if not len(rows):
         return fit
-    # Rounding errs too: no bar is 0.
+    # Rounding has an error too: no bar is 0.
     by_fit = np.abs(fit.matrix) @ load_range.largest
     moved = np.maximum(np.abs(rows.displacement).max(axis=0), by_fit)
     kinds = load_range.space.largest_of_kind(moved)
@@ -74,9 +80,12 @@ def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
 
 
 def _stored(rows: Rows, load_range: LoadRange) -> ComplianceFit:
-    """Return the mean of the rows' compliances; half their spread, at full loads, is the bar."""
-    # The displacement at zero load, (6,), is that of the row whose loads move it least. What is
-    # within `SAME_LINE` of the row's motion is its rounding.
+    """Return the mean of the rows' compliances.
+
+    The error bar is half their spread, at full loads.
+    """
+    # The displacement at zero load, (6,), is taken from the row whose loads move it least. Values
+    # within `SAME_LINE` of the row's motion are its rounding.
     moved = (rows.compliance @ rows.wrench[:, :, None])[:, :, 0]
     sizes = (np.abs(rows.compliance) @ np.abs(rows.wrench)[:, :, None])[:, :, 0]
     row = int(sizes.max(axis=1).argmin())
@@ -109,11 +118,11 @@ def _from_displacements(rows: Rows, load_range: LoadRange, *, linear: bool) -> C
     columns, *_ = np.linalg.lstsq(scaled, rows.displacement, rcond=RANK)
     residual = rows.displacement - scaled @ columns
     matrix = np.where(known, columns.T / load_range.scale, 0.0)
-    offset = 0.0 - matrix @ zero  # and not -0.0
+    offset = 0.0 - matrix @ zero  # no -0.0
     stored = np.nan_to_num(rows.uncertainty).max(axis=0)
     spare = len(rows) - len(spanned)
-    # With as many rows as unknowns there is no residual to learn from. An FEA solve is repeatable
-    # and then needs no bar; for anything else a tenth of the largest displacement is assumed.
+    # With as many rows as unknowns there is no residual. An FEA solve is repeatable and then needs
+    # no bar; for measured rows a tenth of the largest displacement is assumed.
     if linear and spare > 0:
         error = 2 * np.sqrt((residual**2).sum(axis=0) / spare) + stored
     elif linear and (rows.is_solved.all() or stored.any()):
@@ -122,8 +131,8 @@ def _from_displacements(rows: Rows, load_range: LoadRange, *, linear: bool) -> C
         error = UNCHECKED * np.abs(rows.displacement).max(axis=0)
     else:
         # The error bar of the secant of a nonlinear table, (6,), m and rad. It holds 95 % of the
-        # rows, each predicted from the others (PRESS residuals: Allen 1974). A row that the
-        # others do not span shows nothing: there the bar is what the row moved.
+        # rows, each predicted from the others (PRESS residuals: Allen 1974). A row outside the span
+        # of the others has no such residual: its bar is its displacement.
         free = 1.0 - (basis**2).sum(axis=1)[:, None]
         alone = free < MIN_FREE
         deleted = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, free))

@@ -1,11 +1,11 @@
-"""Tables on disk: one HDF5 file each, replaced as one file.
+"""Table files in HDF5, always replaced as a whole.
 
-A file is never changed in place. A new one is written next to it, synced, and put in its place by
-one rename, so that a reader finds the old table or the new one and nothing between.
+A file is never changed in place. A new file is written beside it, synced, and renamed over it, so
+that a reader opens the old table or the new one and no mixture.
 
-The first 512 bytes, which HDF5 leaves to others as its user block, hold a digest of all the rest.
-It is checked before HDF5 sees the file: one flipped bit would otherwise be read as another number,
-or lead the library's parser astray.
+The first 512 bytes, the user block that HDF5 leaves to applications, hold a digest of the rest. It
+is checked before HDF5 reads the file: one flipped bit would otherwise be read as another number, or
+crash the library's parser.
 """
 
 from __future__ import annotations
@@ -39,21 +39,22 @@ T = TypeVar("T")
 M = TypeVar("M", h5py.Group, h5py.Dataset)
 
 FORMAT = "wrenchbook table"
-# What an upload may unpack to. A row takes 450 bytes, so that this is two million rows; a
-# compressed file of a few bytes can declare any size.
+# Limit of an upload's unpacked size, in the constants below. A row takes 450 bytes, so that this is
+# two million rows; a compressed file of a few bytes can declare any size.
 MIB = 1024 * 1024
 MAX_FOREIGN_BYTES = 1024 * MIB
-MAX_DEPTH = 8  # groups above the columns; a file may link a group to itself
-MAX_CHUNK_BYTES = 64 * MIB  # a chunk is unpacked in full, however little is read of it
-MAX_STRING_BYTES = 1024  # of a source or a fingerprint; each takes as much as the longest
-FOREIGN_PIECE = 20_000  # rows read at once
-MAX_LISTED = 8  # names in a message: more hide its remedy
-MAX_SHOWN = 100  # characters of a value in a message
+MAX_DEPTH = 8  # levels of groups above the columns: a file may link a group to itself
+MAX_CHUNK_BYTES = 64 * MIB  # a chunk is unpacked in full for any part of it
+# Bytes of a source or a fingerprint; each text takes as much as the longest.
+MAX_STRING_BYTES = 1024
+FOREIGN_PIECE = 20_000  # rows read at once: bounded memory
+MAX_LISTED = 8  # names in a message: more would hide its remedy
+MAX_SHOWN = 100  # characters of a value in a message: longer ones are cut
 
-KEY_DIGITS = 32  # of a row's content key, 16 bytes
+KEY_DIGITS = 32  # hexadecimal digits of a row's content key, 16 bytes
 
 _ATTRIBUTES = ("schema_version", "component", "title", "fingerprint", "last_seq", "contract")
-_ATTRIBUTES += ("ledger", "linear", "off_axis")  # which files of 0.1 lack
+_ATTRIBUTES += ("ledger", "linear", "off_axis")  # files of version 0.1 lack these
 _UNITS = {
     "wrench": ", ".join(LOAD_UNITS),
     "displacement": ", ".join(OUTPUT_UNITS),
@@ -64,27 +65,27 @@ _UNITS = {
 
 
 class TableFileError(ValueError):
-    """A file that is no table this version can read; the text says what to do."""
+    """A file that is no table of a known version; the message has the remedy."""
 
 
 def write_table(
     path: str | os.PathLike[str], rows: Rows, meta: TableMeta, notes: Sequence[str] = ()
 ) -> None:
-    """Write a table and replace the file before, all or nothing.
+    """Write a table file, which is replaced as a whole.
 
     `notes`, one text a row, are for an export; the store's files have none.
 
-    It is made in memory, 0.5 kB a row: libhdf5 ends the process by a segmentation fault after a
-    write that a full disk refuses.
+    The file is made in memory, 0.5 kB a row: libhdf5 ends the process by a segmentation fault after
+    a write that a full disk refuses.
 
-    Raises OSError if the folder cannot be written; the file that was there is untouched.
+    Raises OSError if the folder cannot be written; the earlier file is then unchanged.
     """
     target, content = Path(path), BytesIO()
     with h5py.File(content, "w", userblock_size=USER_BLOCK) as file:
         _write_meta(file, meta)
         _write_rows(file, rows)
         if any(notes):
-            # Each of its length: a long note must not make every other as long.
+            # Variable lengths: one long note must not make all notes as long.
             kind = h5py.string_dtype("utf-8")
             file.create_dataset("rows/note", data=list(notes), dtype=kind)
     write_digest(content)
@@ -93,7 +94,7 @@ def write_table(
     try:
         with open(handle, "wb") as file:  # noqa: PTH123 (a descriptor)
             file.write(content.getbuffer())
-        draft.chmod(0o644)  # a temporary file is private, a table is for other programs too
+        draft.chmod(0o644)  # a temporary file is private, but other programs may read tables
         sync(draft)
         draft.replace(target)
     except BaseException:
@@ -112,12 +113,15 @@ def read_table(path: str | os.PathLike[str]) -> tuple[Rows, TableMeta]:
 
 
 def read_meta(path: str | os.PathLike[str]) -> TableMeta:
-    """Read all of a table but its rows, whose bytes are checked; raises as `read_table` does."""
+    """Read the metadata of a table, after a check of all its bytes.
+
+    Raises the errors of `read_table`.
+    """
     return _read(Path(path), _read_meta)
 
 
 def _read(source: Path, part: Callable[[h5py.File], T]) -> T:
-    """Return a part of a table whose bytes are those that were written."""
+    """Return a part of a table file after a check of its digest."""
     if not source.exists():
         raise FileNotFoundError(source)
     try:
@@ -128,7 +132,7 @@ def _read(source: Path, part: Callable[[h5py.File], T]) -> T:
             return part(file)
     except TableFileError:
         raise
-    except Exception as error:  # h5py has no base of what it raises on a file that is not sound
+    except Exception as error:  # h5py's errors on a damaged file have no common base
         raise _unreadable(source, str(error) or repr(error)) from error
 
 
@@ -140,6 +144,7 @@ def _unreadable(source: Path, why: str) -> TableFileError:
 
 
 def _write_meta(file: h5py.File, meta: TableMeta) -> None:
+    """Write the attributes of a table file."""
     file.attrs["format"] = FORMAT
     for name in _ATTRIBUTES:
         file.attrs[name] = getattr(meta, name)
@@ -163,28 +168,34 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
 
 
 def _write_rows(file: h5py.File, rows: Rows) -> None:
+    """Write the columns of a table file."""
     group = file.create_group("rows")
     _write_column(group, "seq", rows.seq)
     if rows.session.any():  # files of other programs and of older versions have none
         _write_column(group, "session", rows.session)
     for name, units in _UNITS.items():
         column = getattr(rows, name)
-        if name != "curvature" or column.size:  # as in files of versions without it
+        # A table without curvature has no such column, as in older versions.
+        if name != "curvature" or column.size:
             _write_column(group, name, column).attrs["units"] = units
     for name in ("source", "fingerprint"):
-        # Of one length, so that the checksum is over the words and not over where they are.
+        # Fixed lengths, so that the checksum covers the words and not their addresses.
         encoded = np.char.encode(getattr(rows, name).astype(str), "utf-8")
         kind = h5py.string_dtype("utf-8", max(encoded.dtype.itemsize, 1))
         _write_column(group, name, encoded.astype(kind))
 
 
 def _write_column(group: h5py.Group, name: str, column: np.ndarray) -> h5py.Dataset:
-    """Write a column of n rows, with a checksum a chunk for readers that know no digest."""
+    """Write a column of n rows, with a checksum of each chunk.
+
+    The checksum is for other programs, which ignore the digest.
+    """
     checked = {"fletcher32": True, "chunks": True} if len(column) else {}
     return group.create_dataset(name, data=column, **checked)
 
 
 def _check_schema(file: h5py.File, source: Path) -> None:
+    """Raise TableFileError unless the file is a table of a known schema version."""
     if file.attrs.get("format") != FORMAT:
         raise TableFileError(
             f"{source.name} is an HDF5 file, but not a wrenchbook table. To bring rows in from "
@@ -200,13 +211,14 @@ def _check_schema(file: h5py.File, source: Path) -> None:
 
 
 def _read_meta(file: h5py.File) -> TableMeta:
+    """Return the metadata from the attributes of a table file."""
     low, high = (_numbers(file, f"load_range/{name}") for name in ("low", "high"))
     space, attributes = _read_space(file), cast("Any", file.attrs)
     off_axis = str(attributes.get("off_axis", "correct"))
     if off_axis not in get_args(OffAxis):
         choices = ", ".join(get_args(OffAxis))
         raise ValueError(f"its attribute off_axis is {off_axis!r}, not one of {choices}")
-    tolerance = attributes.get("tolerance")  # files of 0.1 say nothing of these three
+    tolerance = attributes.get("tolerance")  # files of version 0.1 lack these three attributes
     return TableMeta(
         component=str(attributes["component"]),
         last_seq=int(attributes["last_seq"]),
@@ -226,7 +238,8 @@ def _read_meta(file: h5py.File) -> TableMeta:
 
 
 def _read_space(file: h5py.File) -> Space:
-    text = file.attrs.get("space")  # files of one interface without further inputs have none
+    # Tables of one interface without further inputs have no such attribute.
+    text = file.attrs.get("space")
     return DEFAULT if text is None else Space.read(json.loads(str(text)))
 
 
@@ -257,6 +270,7 @@ def _strings(file: h5py.File, name: str, some: slice = _ALL) -> np.ndarray:
 
 
 def _read_rows(file: h5py.File, some: slice = _ALL) -> Rows:
+    """Return the rows of a slice of a table file."""
     strings = {name: _strings(file, f"rows/{name}", some) for name in ("source", "fingerprint")}
     optional = {"curvature", "session"}
     names = [
@@ -271,10 +285,10 @@ def _read_rows(file: h5py.File, some: slice = _ALL) -> Rows:
 
 
 def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[str]]]:
-    """Yield the rows of a table file that somebody else has sent, some at a time, with their notes.
+    """Yield the rows of an uploaded table file in pieces, with their notes.
 
-    Raises TableFileError if it is damaged, foreign, of a newer schema, points to other files, or is
-    larger when read than `MAX_FOREIGN_BYTES`.
+    Raises TableFileError if the file is damaged, foreign, of a newer schema, points to other files,
+    or is larger when read than `MAX_FOREIGN_BYTES`.
     """
     source = Path(path)
     try:
@@ -294,16 +308,16 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
                 yield rows, [""] * len(rows) if notes is None else notes.tolist()
     except TableFileError:
         raise
-    except Exception as error:  # h5py has no base of what it raises on a file that is not sound
+    except Exception as error:  # h5py's errors on a damaged file have no common base
         raise TableFileError(
             f"cannot be read as a wrenchbook table ({error}); export the table again"
         ) from error
 
 
 def _check_contained(file: h5py.File) -> None:
-    """Refuse data outside of the file, and datasets that unpack to more than memory should hold."""
+    """Refuse data outside of the file, and datasets that unpack to too much memory."""
     room = MAX_FOREIGN_BYTES
-    present = list(file)  # the names: `in file` would follow a link out of the file
+    present = list(file)  # the names: `in file` would follow a link to another file
     for folder in ("rows", "load_range", *(("edits",) if "edits" in present else ())):
         if folder not in present:
             raise TableFileError(f"has no group {folder}; send a file that wrenchbook wrote")
@@ -351,7 +365,10 @@ def _check_chunks(name: str, dataset: h5py.Dataset) -> None:
 
 
 def _check_room(room: int) -> None:
-    """Refuse a file that unpacks to more than `MAX_FOREIGN_BYTES`, of which `room` are left."""
+    """Refuse a file that unpacks to more than `MAX_FOREIGN_BYTES`.
+
+    `room`: the unused part of it.
+    """
     if room < 0:
         raise TableFileError(
             f"unpacks to {(MAX_FOREIGN_BYTES - room) / MIB:.0f} MiB, the limit is "
@@ -360,13 +377,13 @@ def _check_room(room: int) -> None:
 
 
 def is_table(path: Path) -> bool:
-    """Return whether an HDF5 file says that it is a table of wrenchbook."""
+    """Return whether an HDF5 file is marked as a table of wrenchbook."""
     if not may_be_foreign(path):
         return True
     try:
         with h5py.File(path, "r") as file:
             return file.attrs.get("format") == FORMAT
-    except Exception:  # a damaged file: `foreign_tables` says so
+    except Exception:  # a damaged file: `foreign_tables` reports it
         return True
 
 
@@ -401,12 +418,12 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
                 yield names, [read(dataset[some]) for _, dataset, read in columns]
     except TableFileError:
         raise
-    except Exception as error:  # h5py has no base of what it raises on a file that is not sound
+    except Exception as error:  # h5py's errors on a damaged file have no common base
         raise TableFileError(f"cannot be read as HDF5 ({error}); write it again") from error
 
 
 NamedColumn = tuple[str, Any, Callable[[np.ndarray], np.ndarray]]
-"""A label, the dataset, and the function that returns the column of a slice of the dataset."""
+"""A label, the dataset, and the function that returns the column for a slice of the dataset."""
 
 
 class _Vector:
@@ -423,7 +440,7 @@ class _Vector:
 
 
 def matlab_object(name: str, kind: str) -> str:
-    """Return why a variable of MATLAB cannot be read, and the commands that save it otherwise."""
+    """Return the message on a variable of MATLAB that cannot be read, with the remedy."""
     only = f"has {name}, a {kind} object, which only MATLAB reads"
     if kind not in ("table", "timetable"):
         return f"{only}; save it as double, or leave it out"
@@ -432,11 +449,11 @@ def matlab_object(name: str, kind: str) -> str:
 
 
 def _other_form(name: str, thing: h5py.Group | h5py.Dataset) -> str | None:
-    """Return the remedy for a table of pandas or MATLAB that is no datasets of columns."""
+    """Return the remedy for a table of pandas or MATLAB that is not stored as columns."""
     if "pandas_type" in thing.attrs:
         file = f"'table.h5', '{name}'"
         return f"is of pandas' to_hdf; send pandas.read_hdf({file}).to_parquet('table.parquet')"
-    if name.startswith("#"):  # MATLAB's own
+    if name.startswith("#"):  # MATLAB's own groups
         return None
     if "MATLAB_object_decode" in thing.attrs:
         return matlab_object(name, "".join(_texts(thing, "MATLAB_class")))
@@ -450,10 +467,14 @@ def _other_form(name: str, thing: h5py.Group | h5py.Dataset) -> str | None:
 
 
 def _named_columns(file: h5py.File) -> list[NamedColumn]:
+    """Return the columns of a file.
+
+    They are those of the root, of the only group, or of a dataset with named columns.
+    """
     if problem := file.visititems(_other_form):
         raise TableFileError(problem)
     group: h5py.Group = file
-    # MATLAB's references begin with #.
+    # Names of MATLAB's references begin with #.
     inside = [dataset for name, dataset in file.items() if not name.startswith("#")]
     for _ in range(MAX_DEPTH):
         if len(inside) == 1 and isinstance(inside[0], h5py.Group):
@@ -476,6 +497,7 @@ def _named_columns(file: h5py.File) -> list[NamedColumn]:
 
 
 def _columns_of(name: str, dataset: h5py.Dataset) -> list[NamedColumn]:
+    """Return the columns of one dataset: itself, its named fields, or the columns of its matrix."""
     fields = dataset.dtype.names
     if fields and dataset.ndim == 1:
         labels = _labels(dataset, list(fields))
@@ -529,11 +551,11 @@ def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndar
     """Return the function that reads a field or a column `part` of a dataset's piece, unpacked.
 
     CF conventions 1.11, 2.5.1 and 8.1: a stored value that is ``_FillValue`` or ``missing_value``,
-    or is beyond ``valid_range``, is missing (NaN); any other is times ``scale_factor`` plus
-    ``add_offset``.
+    or is beyond ``valid_range``, is missing (NaN); any other is multiplied by ``scale_factor``, and
+    ``add_offset`` is added.
 
-    Raises TableFileError if an attribute of these is no number, there are several of one, or
-    integers are packed and their valid range is no integers.
+    Raises TableFileError if such an attribute is no number or has several values, or if integers
+    are packed and their valid range has no integers.
     """
     stored_type = dataset.dtype[part] if isinstance(part, str) else dataset.dtype
     keys = [key for key in (*_SCALING, *_BLANK, *_VALID, "_Unsigned") if key in dataset.attrs]
@@ -550,7 +572,8 @@ def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndar
                 f"{'two numbers' if count == 2 else 'one number'}; unpack the values and remove "
                 f"{key}"
             )
-        # The netCDF guide reads such limits as unpacked values, netCDF4 for Python as packed ones.
+        # The netCDF guide defines such limits on unpacked values, netCDF4 for Python on packed
+        # values.
         if key in _VALID and packed and values.dtype.kind == "f":
             raise TableFileError(
                 f"has packed integers {name} with {key} = {str(values.tolist())[:MAX_SHOWN]}, "
@@ -564,12 +587,12 @@ def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndar
     valid_low, valid_high = attributes.get("valid_range", [-np.inf, np.inf])
     low = attributes.get("valid_min", [valid_low])[0]
     high = attributes.get("valid_max", [valid_high])[0]
-    if stored_type.kind == "f":  # 0.1 of 32 bits is larger than 0.1 of 64 bits
+    if stored_type.kind == "f":  # 0.1 in 32 bits is larger than 0.1 in 64 bits
         low, high = stored_type.type(low), stored_type.type(high)
 
     def unpacked(piece: np.ndarray) -> np.ndarray:
         stored = piece[part]
-        # A float of 32 bits is not equal to its fill value in 64 bits.
+        # A fill value of 32 bits does not equal the same number in 64 bits.
         fills = np.asarray(blanks, stored.dtype if stored.dtype.kind == "f" else None)
         missing = np.isin(stored, fills) | (stored < low) | (stored > high)
         return np.where(missing, np.nan, stored * factor + offset)
@@ -580,9 +603,9 @@ def _unpacking(dataset: h5py.Dataset, name: str, part: Any) -> Callable[[np.ndar
 def leads_out(path: Path) -> list[str]:
     """Return the names in an HDF5 file of any kind that refer to data in another file.
 
-    A mesh is such a file too; one of a stranger must not have this machine's files read.
+    An uploaded mesh is such a file too, and must not read this machine's files.
 
-    Raises TableFileError if not all of it can be looked through.
+    Raises TableFileError if a part of the file cannot be inspected.
     """
     if not h5py.is_hdf5(path):
         return []

@@ -1,9 +1,8 @@
-"""Rows at the same wrench: which they are, their mean, and whether they contradict each other.
+"""Rows at the same wrench: their groups, their mean, and their contradictions.
 
-A row beyond the load range answers its wrench and nothing else: one row at 25 times the range
-makes simplices that take most of it, and bends every fit. Two rows that are almost one show, by the
-little they differ, slopes and curvatures that are nothing but noise: they are one row, and what
-they differ by is its uncertainty.
+A row beyond the load range answers at its own wrench only: one row at 25 times the range makes
+simplices that take most of it, and bends every fit. The slopes and curvatures between two rows at
+almost one wrench are noise: such rows are merged, and their difference is the uncertainty.
 """
 
 from __future__ import annotations
@@ -19,19 +18,21 @@ from scipy.spatial import KDTree
 
 from .rows import NEAR, SOLVED, ZERO_LOAD, Floats, LoadRange, Rows
 
-DIRECTIONS = 3  # along each, nine tenths of 30,000 rows have no other row near
+# Directions: with three, nine tenths of 30,000 rows have no neighbour along one of them.
+DIRECTIONS = 3
 ALONG = 1 + 1e-6  # factor on a distance along a direction: rounding, 2e-16 over a distance of 1e-6
-EQUAL = 12  # decimals of scaled loads: rows that are equal to them are one, without a distance
-MAX_PAIRS = 10_000_000  # of rows near each other, each counted twice: 80 MB
-# The key of a wrench is its position along a direction. Wrenches that are near each other are near
-# along any direction; of others few are. The direction's parts are roots of primes, so that the
-# steps of no two loads cancel; their sum is 1, so that wrenches within `NEAR` in each load are
-# within it along the direction.
+# Decimals of scaled loads: rows that agree to these decimals are one, without a distance.
+EQUAL = 12
+MAX_PAIRS = 10_000_000  # pairs of near rows, each counted twice: 80 MB
+# The key of a wrench is its position along a direction. Wrenches near each other have near keys
+# along any direction; few others do. The direction's components are roots of primes, so that the
+# steps of no two loads cancel; their sum is 1, so that wrenches within `NEAR` in each load have
+# keys within `NEAR`.
 _PRIMES = [k for k in range(2, 90) if all(k % part for part in range(2, k))]
 WINDOW = NEAR * ALONG
 
-AGREE = 1e-6  # of an output's range: what rounding in a file may do
-MAX_LISTED = 50  # conflicts in a summary, which counts all of them
+AGREE = 1e-6  # part of an output's range: rounding in a file stays below it
+MAX_LISTED = 50  # conflicts listed in a summary, which counts all of them
 
 
 class Observations(NamedTuple):
@@ -40,9 +41,9 @@ class Observations(NamedTuple):
     Their scatter and the likelihood of a kriging show their noise.
     """
 
-    # dimensionless: how many there are; 0 where an uncertainty is stated, or a value is solved
+    # dimensionless: their number; 0 where an uncertainty is stated, or a value is solved
     number: Floats
-    scatter: Floats  # squares of m and rad: sum of their squared differences from their mean
+    scatter: Floats  # m^2 and rad^2: sum of their squared differences from their mean
 
     def take(self, which: NDArray[np.intp]) -> Observations:
         """Return those of some rows, whose indices have shape (k,)."""
@@ -52,14 +53,15 @@ class Observations(NamedTuple):
 class Merged(NamedTuple):
     """Rows of distinct wrenches."""
 
-    # displacement, tangent and curvature are the mean of the merged rows, the uncertainty is their
-    # largest or half the spread of their displacements; the number, the wrench and the source are
-    # those of one of them
+    # Displacement, tangent and curvature are the mean of the merged rows. The uncertainty is their
+    # largest, or half the spread of their displacements if that is larger. The number, the wrench
+    # and the source come from one of them.
     rows: Rows
-    members: tuple[tuple[int, ...], ...]  # the numbers (`seq`) of the rows behind each
-    within: NDArray[np.bool_]  # (n,): which lie within the load range
-    owner: NDArray[np.intp]  # (given rows,): the index, in these rows, of each row that was given
-    observations: Observations  # behind each of these rows
+    members: tuple[tuple[int, ...], ...]  # the numbers (`seq`) of the rows merged into each row
+    within: NDArray[np.bool_]  # (n,): which rows lie within the load range
+    # (rows before merging,): index, in `rows`, of the row into which each was merged.
+    owner: NDArray[np.intp]
+    observations: Observations  # the observations merged into each row
 
     def usable(self) -> tuple[Rows, tuple[tuple[int, ...], ...], Observations]:
         """Return the rows within the load range, their members and observations."""
@@ -85,8 +87,9 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     observations = Observations(number, np.zeros_like(number))
     if not len(several):
         return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner, observations)
-    # The wrench is that of the row with the fewest loads: a single-axis row stays so, and the
-    # row at no load at no load; then of the outermost, so that the hull does not shrink.
+    # The wrench is that of the row with the fewest loads, so that a single-axis row stays
+    # single-axis, and zero load stays zero load. Of equal rows the outermost counts, so that the
+    # hull does not shrink.
     loaded = (np.abs(scaled) > ZERO_LOAD).sum(axis=1)
     order = np.lexsort((rows.seq, -(scaled**2).sum(axis=1), loaded, owner))
     first = order[np.cumsum(sizes) - sizes]
@@ -96,7 +99,7 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     high = np.maximum.reduceat(np.where(present, part.displacement, -np.inf), starts)
     low = np.minimum.reduceat(np.where(present, part.displacement, np.inf), starts)
     largest = np.maximum.reduceat(np.nan_to_num(part.uncertainty), starts)
-    # Solves repeat exactly; a merged row does only if all do.
+    # Solves repeat exactly; a merged row does so only if all its rows do.
     measured = np.where(part.is_solved, len(part), np.arange(len(part)))
     columns = {
         "displacement": mean,
@@ -124,14 +127,14 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
 class RowIndex:
     """The nearest row of each wrench, if that is within 1e-6 of the range in each load.
 
-    Rows as near as that are one (`merging`): a rounding error beside a row is the row.
+    Rows that near are merged (`merging`), and a wrench with a rounding error is the row's wrench.
     Of several rows of one wrench the first counts.
 
     `wrenches` (n, 6), N and N·m.
-    `scale` (6,), N and N·m: of the load range.
-    `keys` (m,): each distinct wrench along the direction, ascending, dimensionless.
-    `order` (m,): its row.
-    `rates` (6,), 1/N and 1/(N·m): what a wrench's loads add to its key.
+    `scale` (6,), N and N·m: scale of the load range.
+    `keys` (m,): position of each distinct wrench along the direction, ascending, dimensionless.
+    `order` (m,): the row of each key.
+    `rates` (6,), 1/N and 1/(N·m): slope of the key by each load.
     """
 
     def __init__(self, wrenches: Floats, scale: Floats) -> None:
@@ -147,7 +150,7 @@ class RowIndex:
         self.keys: Floats = keys[self.order]
 
     def indices(self, wrenches: Floats) -> NDArray[np.intp]:
-        """Return the row of each wrench (k, 6), N and N·m, shape (k,); -1 where none is near."""
+        """Return the row of each wrench (k, 6), N and N·m, shape (k,); -1 without a near row."""
         indices = np.full(len(wrenches), -1, dtype=np.intp)
         with np.errstate(over="ignore", invalid="ignore"):  # a load may be 1e300
             keys = wrenches @ self.rates
@@ -163,23 +166,24 @@ class RowIndex:
 
 
 def repeated(rows: Rows, load_range: LoadRange) -> list[NDArray[np.intp]]:
-    """Return the rows of each wrench that several have, as indices, shape (k,), ascending."""
+    """Return the rows of each wrench that several rows have: indices, shape (k,), ascending."""
     order, starts = _several(_groups(rows, load_range)[1])
     return np.split(order, starts[1:]) if len(starts) else []
 
 
 def row_conflicts(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
-    """Return repeated wrenches for a coverage summary: their count, and those that disagree.
+    """Return repeated wrenches for a coverage summary: their count, and the contradictory ones.
 
     Rows of a wrench disagree if an output's spread is over twice the largest stored uncertainty
-    plus a millionth of the output's range: no two of such rows can both be right.
+    plus a millionth of the output's range: two such rows cannot both be right.
     """
     groups = repeated(rows, load_range)
     size = AGREE * np.abs(np.nan_to_num(rows.displacement)).max(axis=0, initial=0.0)
     names, conflicts = rows.space.output_names, []
     for indices in groups:
         moved = rows.displacement[indices]
-        spread = np.fmax.reduce(moved) - np.fmin.reduce(moved)  # NaN where none is measured
+        # NaN where no row measured the output.
+        spread = np.fmax.reduce(moved) - np.fmin.reduce(moved)
         allowed = 2 * np.nan_to_num(rows.uncertainty[indices]).max(axis=0) + size
         over = np.flatnonzero(spread > allowed)
         if len(over):
@@ -199,7 +203,7 @@ def row_conflicts(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
 
 
 def _groups(rows: Rows, load_range: LoadRange) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
-    """Return which rows lie within the range, and the group of rows at one wrench of each."""
+    """Return which rows lie within the range, and each row's group of rows at one wrench."""
     within = load_range.holds(rows.wrench)
     scaled = rows.wrench / load_range.scale
     return within, close_groups(np.column_stack((scaled, np.where(within, 0.0, 1.0))))
@@ -213,10 +217,10 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     """
     if not len(points):
         return np.empty(0, dtype=np.intp)
-    # + 0.0 turns -0.0 into 0.0, which a byte-wise comparison would separate
+    # + 0.0 turns -0.0 into 0.0, as the comparison of bytes would separate them
     keys = np.round(points, EQUAL) + 0.0
-    # The distinct points in lexical order, and the index of each given point in them. As
-    # `numpy.unique` along an axis does, which compares bytes and keeps all other threads waiting.
+    # The distinct points in lexical order, and the index of each given point in them.
+    # `numpy.unique` along an axis does the same, but compares bytes and blocks all other threads.
     order = np.lexsort(keys.T[::-1])
     ordered = keys[order]
     new = np.ones(len(keys), dtype=bool)
@@ -225,8 +229,8 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     group[order] = np.cumsum(new) - 1
     distinct = ordered[new]
     near, most = _maybe_near(distinct)
-    # Readings of a load that is held crowd: those of a cell are one, and the first of each stands
-    # for it, in ever larger cells until the pairs that are left fit into memory.
+    # Readings of a held load are dense. Readings of one cell are one group, represented by its
+    # first reading; cells grow until the remaining pairs fit into memory.
     shown, cell, edge = np.arange(len(near)), np.arange(len(near)), NEAR
     tree = KDTree(distinct[near])
     while most > MAX_PAIRS and tree.count_neighbors(tree, NEAR, p=np.inf) > MAX_PAIRS:
@@ -244,10 +248,10 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
 
 
 def _maybe_near(points: Floats) -> tuple[NDArray[np.intp], int]:
-    """Return the points, (n, d), that another one may be near to, and the most pairs of such.
+    """Return the points, (n, d), that may have a near point, and the largest number of near pairs.
 
-    Points that are near each other are so along any direction; along a few directions of others few
-    are.
+    Points that are near each other are near along any direction; few others are near along several
+    directions.
     """
     remaining, most = np.arange(len(points)), 0
     directions = np.random.default_rng(0).uniform(0.5, 1.0, (DIRECTIONS, points.shape[1]))
@@ -266,7 +270,7 @@ def _maybe_near(points: Floats) -> tuple[NDArray[np.intp], int]:
 
 
 def _several(owner: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the rows of all groups of several, group by group, and where each group begins."""
+    """Return the rows of all groups of several rows, group by group, and each group's start."""
     sizes = np.bincount(owner)
     order = np.argsort(owner, kind="stable")
     several = sizes[sizes > 1]

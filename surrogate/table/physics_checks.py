@@ -1,9 +1,9 @@
-"""Checks of a table against physics, for any component: rows that break it are named.
+"""Checks of a table against laws of physics that hold for any component; they name violating rows.
 
-Zero at zero load. A compliance that is symmetric (Maxwell and Betti) and positive. Work done by a
-load on its displacement that is positive, and grows from row to row along a ray and between
-neighbours. Tangents that lead from a row to its neighbour. Of several interfaces these hold for all
-their loads together; the laws of work are for tables without further inputs, since heat works too.
+Zero at zero load. A compliance that is symmetric (Maxwell and Betti) and positive. Work of a load
+on its displacement that is positive, and grows from row to row along a ray and between neighbours.
+Tangents that lead from a row to its neighbour. For several interfaces these hold for all their
+loads together; the laws of work are for tables without further inputs, since heat works too.
 """
 
 from __future__ import annotations
@@ -18,36 +18,37 @@ from .rows import ZERO_LOAD, Floats, LoadRange, Rows, Tolerance
 from .second_derivatives import symmetric_tangents
 from .space import Space
 
-# Of an output's largest value: what passes for zero, for equal, for linear.
+# Parts of an output's largest value that count as zero and equal, and as linear.
 ZERO, LINEAR = 1e-3, 1e-2
-ASYMMETRY = 5e-2  # turning loads make tangents unsymmetric by as much as the rotation
-# Of a solve's tangent by (F, mu): at the ends of their ranges the shipped components' are symmetric
-# to 2e-11, but a linear deck's compliance may be off its solves by this much (fea/deck/solving.py).
+ASYMMETRY = 5e-2  # largest asymmetry of tangents: turning loads cause as much as the rotation
+# Largest asymmetry of a solve's tangent by (F, mu): at the ends of their ranges the shipped
+# components' are symmetric to 2e-11, but a linear deck's compliance may be off its solves by this
+# much (fea/deck/solving.py).
 SOLVED_ASYMMETRY = 1e-5
-NEGATIVE = 1e-6  # of the largest eigenvalue, or of an output: rounding of solvers
-# What the mean tangent of two neighbours may miss: a part of the step between them, and a part of
-# an output's largest value, so that small steps are not judged by rounding.
+NEGATIVE = 1e-6  # part of the largest eigenvalue, or of an output: rounding of solvers
+# Largest error of the step that the mean tangent of two neighbours predicts: a part of the step,
+# and a part of an output's largest value, so that rounding does not decide on small steps.
 TANGENT, SMALL_STEP = 0.5, 0.05
-NEIGHBOURS = 3  # of each row, with which it is compared
-MAX_FARTHEST = 5  # rows that deviate most from one matrix, as examples
+NEIGHBOURS = 3  # neighbours of each row with which it is compared
+MAX_FARTHEST = 5  # examples of rows that deviate most from one matrix
 NEAR = 1.0  # half load ranges: over longer steps a tangent changes by more than `TANGENT`
-NEGLIGIBLE = 1e-2  # of the largest translation or rotation: outputs below it are not judged
-MAX_LISTED = 50  # rows that a check names
+NEGLIGIBLE = 1e-2  # part of the largest translation or rotation: smaller outputs are not checked
+MAX_LISTED = 50  # rows that a check lists
 
 
 def check_physics(
     rows: Rows, load_range: LoadRange, fit: ComplianceFit, tolerance: Tolerance | None = None
 ) -> dict[str, Any]:
-    """Return all checks of the rows that hold every output, as JSON-able values.
+    """Return all checks of the rows that have every output, as JSON-able values.
 
-    Deviations below the uncertainty of a row, and below the tolerance, break no law: by default
+    Deviations below the uncertainty of a row, and below the tolerance, violate no law: by default
     the tolerance is `ZERO` of the largest translation or rotation.
     """
     complete = rows.take(np.isfinite(rows.displacement).all(axis=1))
     if not len(complete):
         return {"rows_checked": 0, "ok": None, "checks": {}}
     space = load_range.space
-    # Deviations that are no evidence, (m,), m and rad.
+    # Deviations that are within uncertainty, (m,), m and rad.
     if tolerance is None:
         noise = ZERO * space.largest_of_kind(np.abs(complete.displacement).max(axis=0))
     else:
@@ -61,13 +62,13 @@ def check_physics(
         "work": _work(complete, load_range, uncertain),
         "tangents": _tangents(complete, load_range, uncertain),
     }
-    # Being nonlinear breaks no law.
+    # Nonlinearity violates no law.
     broken = [check for name, check in checks.items() if name != "linear" and check["ok"] is False]
     return {"rows_checked": len(complete), "ok": not broken, "checks": checks}
 
 
 def _sizes(rows: Rows, space: Space) -> Floats:
-    """Return the largest value of each output, (m,), at least a part of its kind's largest."""
+    """Return each output's largest value, (m,), at least `NEGLIGIBLE` of its kind's largest."""
     largest = np.abs(rows.displacement).max(axis=0)
     kinds = space.largest_of_kind(largest)
     return np.maximum(largest, np.maximum(NEGLIGIBLE * kinds, np.finfo(float).tiny))
@@ -78,6 +79,7 @@ def _listed(rows: Rows, wrong: np.ndarray) -> list[int]:
 
 
 def _zero(rows: Rows, load_range: LoadRange, uncertain: Floats) -> dict[str, Any]:
+    """Check that rows at zero load are not displaced."""
     space = load_range.space
     unloaded = (np.abs(rows.wrench - space.zero) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if not unloaded.any():
@@ -93,7 +95,7 @@ def _zero(rows: Rows, load_range: LoadRange, uncertain: Floats) -> dict[str, Any
 
 
 def _energies(matrices: Floats, load_range: LoadRange) -> Floats:
-    """Return compliances (..., m, n) in units of energy: what each pair of loads does.
+    """Return compliances (..., m, n) in units of energy: load i times its displacement by load j.
 
     Shape (..., m, m): loads, of which there are as many as outputs, stand before other inputs.
     """
@@ -108,10 +110,10 @@ def _asymmetry(energies: Floats) -> Floats:
 
 
 def _solved_asymmetry(rows: Rows, load_range: LoadRange) -> Floats:
-    """Return the asymmetry of solves' tangents by the loads that are an energy's, (n,).
+    """Return the asymmetry of solves' tangents by work-conjugate loads, (n,).
 
-    Those are (F, mu) of a nonlinear solve and (F, M) of a linear one, in which rotations are small
-    and mu is M. A row does not say which it is; a wrong tangent is symmetric in neither.
+    These loads are (F, mu) for a nonlinear solve and (F, M) for a linear one, in which rotations
+    are small and mu is M. A row does not state its kind; a wrong tangent is symmetric in neither.
     """
     turned = symmetric_tangents(rows.wrench, rows.displacement, rows.compliance, load_range.space)
     energies = (_energies(tangent, load_range) for tangent in (rows.compliance, turned))
@@ -119,6 +121,7 @@ def _solved_asymmetry(rows: Rows, load_range: LoadRange) -> Floats:
 
 
 def _symmetric(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str, Any]:
+    """Check the symmetry of tangents and of the fitted compliance."""
     energies = _energies(fit.matrix, load_range)
     loads = fit.known[: len(energies)]
     asymmetry = float(_asymmetry(np.where(np.outer(loads, loads), energies, 0.0)))
@@ -145,11 +148,12 @@ def _extreme_eigenvalues(energies: Floats) -> tuple[Floats, Floats]:
 
 
 def _positive(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str, Any]:
+    """Check that tangents and the fitted compliance are positive definite."""
     energies = _energies(fit.matrix, load_range)
     known = np.flatnonzero(fit.known[: len(energies)])
     energies = energies[np.ix_(known, known)]
     least, most = _extreme_eigenvalues(energies) if len(known) else (np.float64(0), np.float64(1))
-    # The fit's asymmetry is an error of the fit; an eigenvalue can be negative by as much.
+    # An eigenvalue may be negative by as much as the fit's asymmetry, an error of the fit.
     fitted = min(ASYMMETRY, float(_asymmetry(energies))) if len(known) else 0.0
     with_tangent = rows.has_tangent
     wrong = np.zeros(len(rows), dtype=bool)
@@ -206,7 +210,7 @@ def _work(rows: Rows, load_range: LoadRange, uncertain: Floats) -> dict[str, Any
         gain = (step * (rows.displacement[second] - rows.displacement[first])).sum(axis=1)
         back = gain < -(np.abs(step) * (uncertainty[first] + uncertainty[second])).sum(axis=1)
         backward = int(back.sum())
-        # The row that several pairs blame is wrong.
+        # Of a pair that violates the law, the row in more such pairs is the wrong one.
         blamed = np.bincount(pairs[back].reshape(-1), minlength=len(rows))
         wrong |= blamed > 1
         lone = back & (blamed[first] < 2) & (blamed[second] < 2)
@@ -235,7 +239,7 @@ def _tangents(rows: Rows, load_range: LoadRange, uncertain: Floats) -> dict[str,
     moved = some.displacement[second] - some.displacement[first]
     residual = np.abs(moved - np.einsum("pij,pj->pi", mean, step))
     sizes = _sizes(some, load_range.space)
-    # What the uncertainties explain is no evidence.
+    # Deviations within the uncertainties are no evidence.
     residual -= uncertain[with_tangent][first] + uncertain[with_tangent][second]
     over = (residual > TANGENT * np.abs(moved) + SMALL_STEP * sizes).any(axis=1)
     blamed = np.bincount(pairs[near][over].reshape(-1), minlength=len(some))
@@ -248,7 +252,7 @@ def _tangents(rows: Rows, load_range: LoadRange, uncertain: Floats) -> dict[str,
 
 
 def _neighbours(rows: Rows, load_range: LoadRange) -> np.ndarray:
-    """Return pairs of indices (p, 2): each row with the nearest ones of another wrench."""
+    """Return pairs of indices (p, 2): each row with the nearest rows of other wrenches."""
     if len(rows) < 2:
         return np.empty((0, 2), dtype=int)
     scaled = rows.wrench / load_range.scale

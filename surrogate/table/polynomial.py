@@ -8,7 +8,7 @@ import numpy as np
 
 from .rows import ZERO_LOAD, Floats
 
-ROWS_A_TERM = 5  # with fewer rows a term, the fit follows the noise of single rows
+ROWS_A_TERM = 5  # rows of each term: with fewer the fit follows the noise of single rows
 
 
 def terms_of(scaled: Floats, distinct_rows: int | None = None) -> Floats:

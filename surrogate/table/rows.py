@@ -17,16 +17,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from .space import DEFAULT, Floats, Space
 
-# Of the range, in each load. The C kernel has the same numbers in wb_internal.h.
-ZERO_LOAD = 1e-9  # a smaller load counts as none, and as little beyond an end as on it (rounding)
-NEAR = 1e-6  # wrenches closer than this are the same
-ROUNDING = 1e-12  # of a number's size: what its computation loses; no error bar is smaller
-SOLVED = "fea"  # the source of a row that a solver gave
-SMALLEST = 1e-30  # m and rad: an error bar where nothing moves at all; its square is a number
+# Parts of the range, for each load. The C kernel has the same numbers in wb_internal.h.
+# A smaller load counts as zero; a load this little beyond an end counts as on it (rounding).
+ZERO_LOAD = 1e-9
+NEAR = 1e-6  # wrenches within this distance are the same wrench
+ROUNDING = 1e-12  # part of a number's size: rounding of its computation; no error bar is smaller
+SOLVED = "fea"  # the source of a row from a solver
+# Error bar of an output that is always zero, m and rad: its square is a normal number.
+SMALLEST = 1e-30
 
-# Limits of every displacement: what no row of a table may exceed, and no estimate is given beyond.
-# An estimate off the rows goes on linearly, so it may be any number; beyond these limits the
-# small-deformation contract has ended.
+# Limits of every displacement of a row and of an estimate. An estimate beyond the rows is
+# extrapolated linearly, so it may be any number; beyond these limits the small-deformation contract
+# does not hold.
 
 ROTATION_LIMIT = math.radians(20.0)
 """Longest rotation vector a table may hold, rad: beyond it the small-deformation contract ends."""
@@ -34,22 +36,22 @@ ROTATION_LIMIT = math.radians(20.0)
 TRANSLATION_LIMIT = 10.0
 """Largest translation a table may hold, m.
 
-A cantilever's tip moves by 2/3 of its length times its rotation (u = P L^3 / 3EI, r = P L^2 /
-2EI), so within 20 degrees a part has to be 43 m long to move by 10 m: no part of a machine is
-refused. A millimetre taken for a metre is noticed from 10 mm on, a micrometre from 10 um on.
+A cantilever's tip moves by 2/3 of its length times its rotation (u = P L^3 / 3EI, r = P L^2 / 2EI),
+so within 20 degrees a part has to be 43 m long to move by 10 m: no part of a machine is refused. A
+wrong unit is noticed: millimetres read as metres from 10 mm on, micrometres from 10 um on.
 """
 
 LONGEST = ROTATION_LIMIT * (1.0 + ROUNDING)
-"""rad: the last bits of a conversion from degrees must not refuse exactly 20 degrees."""
+"""rad: rounding of a conversion from degrees must not refuse exactly 20 degrees."""
 
 
 class RowError(ValueError):
-    """A row, a load range or a tolerance that cannot be used; the text names where and why."""
+    """A row, a load range or a tolerance that cannot be used; the message has place and cause."""
 
 
 @dataclass(frozen=True)
 class LoadRange:
-    """The loads a component is expected to see.
+    """The expected loads of a component.
 
     Raises RowError if a bound is not finite or `low` exceeds `high`.
     """
@@ -92,22 +94,22 @@ class LoadRange:
         zero.
         """
         half = (self.high - self.low) / 2
-        # Read-only, since it is cached and returned again.
+        # read-only, since the cached array is shared
         array = np.where(half > 0, half, np.where(self.largest > 0, self.largest, 1.0))
         array.flags.writeable = False
         return array
 
     @cached_property
     def ends(self) -> Floats:
-        """The range stretched to hold no load, and by what rounding may add, (2, n)."""
+        """The ends of the range, extended to zero load and by rounding, (2, n)."""
         slack, zero = ZERO_LOAD * self.scale, self.space.zero
         return np.stack((np.minimum(self.low, zero) - slack, np.maximum(self.high, zero) + slack))
 
     def exceeded(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
         """Return which loads of wrenches, shape (n, 6), N and N·m, are out of range, (n, 6).
 
-        It is stretched to hold no load, from where every answer is counted. A load within 1e-9 of
-        the range beyond an end counts as on it.
+        The range is extended to zero load, the origin of every answer. A load beyond an end by up
+        to 1e-9 of the range counts as on it.
         """
         loads, (low, high) = np.asarray(wrenches, dtype=float), self.ends
         return (loads < low) | (loads > high)
@@ -120,7 +122,7 @@ class LoadRange:
 def acting(wrenches: ArrayLike, locked: Sequence[int]) -> Floats:
     """Return wrenches, shape (..., 6), N and N·m, with the loads on locked freedoms set to zero.
 
-    A guide carries these loads: no displacement depends on them.
+    A guide carries these loads, so no displacement depends on them.
 
     `locked`: indices, in `LOADS`, of the loads on locked freedoms.
     """
@@ -132,7 +134,7 @@ def acting(wrenches: ArrayLike, locked: Sequence[int]) -> Floats:
 
 
 def acting_wrench(wrench: Sequence[float], locked: Sequence[int]) -> Sequence[float]:
-    """Return `acting` of one wrench (6,), N and N·m; without an array, for single answers."""
+    """Return `acting` for one wrench (6,), N and N·m, without an array, which is faster."""
     if not locked:
         return wrench
     return [0.0 if load in locked else amount for load, amount in enumerate(wrench)]
@@ -140,7 +142,7 @@ def acting_wrench(wrench: Sequence[float], locked: Sequence[int]) -> Sequence[fl
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The largest error bar an answer may have and still be `covered`."""
+    """The largest error bar of a `covered` answer."""
 
     translation: float  # m
     rotation: float  # rad
@@ -162,24 +164,24 @@ class Rows:
     or all NaN, or a curvature partly known or infinite.
     """
 
-    seq: NDArray[np.int64]  # (n,): the ledger's number of each row, its id everywhere
+    seq: NDArray[np.int64]  # (n,): the ledger's number of each row, its id in all modules
     wrench: Floats  # (n, 6), N and N·m
     # (n, 6), m and rad: NaN where an output was not measured; each row holds at least one
     displacement: Floats
     # (n, 6, 6), m/N, m/(N·m), rad/N, rad/(N·m): tangent d(displacement)/d(wrench) at the row; NaN
     # where unknown
     compliance: Floats
-    # (n, p), or (n, 0) where no row brings one: third derivatives of the complementary energy by
-    # the loads (F, mu), m or rad over two of their units: those of
-    # `combinations_with_replacement(range(inputs), 3)` in this order, `Space.curvatures` of them;
-    # NaN in rows without
+    # (n, p), or (n, 0) where no row brings any: third derivatives of the complementary energy by
+    # the loads (F, mu), m or rad over two of their units. They are in the order of
+    # `combinations_with_replacement(range(inputs), 3)`, `Space.curvatures` of them; NaN in rows
+    # without them.
     curvature: Floats
-    # (n, 6), m and rad: 95 % half width of the row itself; NaN or 0 where unknown
+    # (n, 6), m and rad: 95 % half width of the row's own values; NaN or 0 where unknown
     uncertainty: Floats
     source: NDArray[np.str_]  # (n,)
     fingerprint: NDArray[np.str_]  # (n,)
     space: Space = DEFAULT
-    # (n,): when the rows came, s since the epoch: those of one import have the same; 0 where
+    # (n,): when the rows arrived, s since the epoch, the same for all rows of an import; 0 where
     # unknown
     session: Floats = field(default_factory=lambda: np.empty(0))
 
@@ -221,6 +223,10 @@ class Rows:
             raise RowError(f"row {self.seq[row]}: no displacement is finite; leave the row out")
 
     def _refuse(self, wrong: NDArray[np.bool_], values: Floats, names: tuple[str, ...]) -> None:
+        """Raise RowError for the first wrong entry.
+
+        `values` and `wrong` have shape (n, k), `names` (k,).
+        """
         if wrong.any():
             row, column = np.argwhere(wrong)[0]
             value = values[row, column]
@@ -257,7 +263,8 @@ class Rows:
         count = int(index.sum()) if index.dtype == bool else len(index)
         columns = {name: getattr(self, name) for name in _COLUMNS}
         for name, column in columns.items():
-            unknown = is_unknown(column)  # of which another takes no memory either
+            # A column of NaN takes no memory, so its part must not either.
+            unknown = is_unknown(column)
             columns[name] = unknown_column(count, *column.shape[1:]) if unknown else column[index]
         return Rows(**columns, space=self.space)
 
@@ -270,7 +277,7 @@ class Rows:
     def of(
         cls, wrench: ArrayLike, displacement: ArrayLike, space: Space = DEFAULT, **columns: Any
     ) -> Rows:
-        """Return rows of wrenches (n, 6) and displacements (n, 6); other columns may be left out.
+        """Return rows of wrenches (n, 6) and displacements (n, 6); other columns are optional.
 
         Wrenches are in N and N·m, displacements in m and rad.
 
@@ -318,9 +325,9 @@ _COLUMNS = (
 
 
 def unknown_column(count: int, *shape: int) -> Floats:
-    """Return a column of NaN, read-only, that takes no memory however many rows there are.
+    """Return a column of NaN, read-only, that takes no memory for any number of rows.
 
-    Shape (count, *shape), to stand for SI values.
+    Shape (count, *shape); it stands for values in SI.
     """
     return np.broadcast_to(np.nan, (count, *shape))
 
@@ -338,7 +345,7 @@ def joined(parts: Sequence[Rows]) -> Rows:
     merged: dict[str, NDArray[Any]] = {}
     for name in _COLUMNS:
         columns = [getattr(part, name) for part in some]
-        # NaN stands for a curvature, (n, p), that some have and others, (n, 0), have not.
+        # NaN fills the curvature, (n, p), of tables without one, (n, 0).
         width = max(column.shape[1:] for column in columns)
         if all(map(is_unknown, columns)):
             merged[name] = unknown_column(sum(map(len, columns)), *width)
@@ -352,7 +359,7 @@ def joined(parts: Sequence[Rows]) -> Rows:
 
 
 def why_beyond(load_range: LoadRange, wrench: Floats) -> str:
-    """Return which loads of a wrench (6,), N and N·m, lie outside the load range, if any do."""
+    """Return a text on the loads of a wrench (6,), N and N·m, that lie outside the load range."""
     sentences = []
     for load in np.flatnonzero(load_range.exceeded(wrench)).tolist():
         low, high = load_range.low[load], load_range.high[load]

@@ -1,4 +1,4 @@
-"""Derivatives of rows by q = (F, mu), the loads by which displacements are an energy's gradient.
+"""Derivatives of rows by q = (F, mu), the loads that are work-conjugate to the displacements.
 
 mu = J(r)^T M is the moment that works on the rotation vector r; J is the left Jacobian of the
 rotation vector, M the spatial moment. Derivatives by (F, M), which rows store, are unsymmetric by
@@ -15,7 +15,8 @@ import numpy as np
 
 from .space import PER_INTERFACE, Floats, Space
 
-TERMS = 14  # of the series of J: at 20 degrees the next one adds 5e-16 to the second derivative
+# Terms of the series of J: at 20 degrees the next term adds 5e-16 to the second derivative.
+TERMS = 14
 
 _CROSS = np.zeros((3, 3, 3))  # (a x b)_i = _CROSS[i, j, k] a_j b_k
 _CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
@@ -59,7 +60,7 @@ def moment_map(rotation: Floats, moment: Floats) -> MomentMap:
 
 
 class LoadChange(NamedTuple):
-    """How q changes along the equilibria of n rows, SI: with y = (u, r), q(w, y)."""
+    """The change of q along the equilibria of n rows, SI: with y = (u, r), q(w, y)."""
 
     along: Floats  # (n, I, I): [q, w]: dq/dw = B + S C, C = dy/dw
     by_motion: Floats  # (n, I, O): S = dq/dy at fixed w = diag(0, d(J^T M)/dr)
@@ -69,13 +70,13 @@ class LoadChange(NamedTuple):
 def load_change(
     wrench: Floats, displacement: Floats, compliance: Floats, space: Space
 ) -> LoadChange:
-    """Return how q changes along the equilibria of n rows.
+    """Return the change of q along the equilibria of n rows.
 
     B = dq/dw at fixed r = diag(1, J^T). Further inputs are entries of q as they are. A locked
     freedom, whose load moves nothing, takes no part: the solver leaves out what acts on it.
 
-    `wrench` is (n, I), SI, `displacement` (n, O), m and rad; `compliance`, (n, O, I), SI, has the
-    rows' tangents by (F, M), and the result is NaN where they are.
+    `wrench` (n, I), SI; `displacement` (n, O), m and rad.
+    `compliance` (n, O, I), SI: the rows' tangents by (F, M); the result is NaN where they are NaN.
     """
     free, inputs = np.any(compliance != 0, axis=1), len(space.inputs)
     acting = np.where(free, wrench, 0.0)
@@ -131,7 +132,7 @@ def second_derivatives(
     """
     inputs, outputs = len(space.inputs), len(space.outputs)
     change = load_change(wrench, displacement, compliance, space)
-    # Where T[a, b, c] stands among the numbers of a row.
+    # Index of T[a, b, c] in the numbers of a row.
     positions = np.zeros((inputs,) * 3, dtype=np.intp)
     for position, index in enumerate(combinations_with_replacement(range(inputs), 3)):
         for order in permutations(index):
@@ -140,6 +141,6 @@ def second_derivatives(
     by_loads = symmetric_tangents(wrench, displacement, compliance, space)
     second = np.einsum("noab,nav,nbw->novw", third, change.along, change.along, optimize=True)
     second += np.einsum("noa,navw->novw", by_loads, change.bend)
-    # Solved for d2y/dw2, which S gives a part of.
+    # Solved for d2y/dw2, which occurs on both sides through S.
     matrix = np.eye(outputs) - by_loads @ change.by_motion
     return np.linalg.solve(matrix, second.reshape(len(second), outputs, -1)).reshape(second.shape)

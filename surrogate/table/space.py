@@ -1,8 +1,8 @@
 """The inputs and outputs of a table: names, units and kinds.
 
 A component with one interface has the default space: a wrench of six loads, a displacement of six
-outputs. Several interfaces have six of each an interface; temperature and acceleration are further
-inputs.
+outputs. With several interfaces each has six loads and six outputs; temperature and acceleration
+are further inputs.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 InputKind = Literal["force", "moment", "scalar"]
 
-# As the contract spells them: keys and lists. Sentences for people say F_x and u_x.
+# Spelling of the contract, for keys and lists. Messages and texts say F_x and u_x.
 LOADS = ("fx", "fy", "fz", "mx", "my", "mz")
 LOAD_UNITS = ("N", "N", "N", "N·m", "N·m", "N·m")
 OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
@@ -33,7 +33,7 @@ _UNNAMED = "the component has one interface, without a name: give its wrench as 
 
 
 class SpaceError(ValueError):
-    """Inputs that are not those of a space; `mistakes` has the field and the text of each."""
+    """Inputs that do not fit a space; `mistakes` has the field and the text of each."""
 
     def __init__(self, mistakes: Sequence[tuple[str, str]]) -> None:
         super().__init__("; ".join(f"{place}: {text}" for place, text in mistakes))
@@ -48,7 +48,7 @@ class Input:
     unit: str  # SI
     kind: InputKind
     interface: str = ""  # where a load acts; empty for scalars, and where there is one interface
-    zero: float = 0.0  # value without an effect, in its unit: of a temperature the reference
+    zero: float = 0.0  # value without an effect, in its unit; for a temperature the reference
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Space:
 
     @property
     def is_default(self) -> bool:
-        """Whether it is that of one interface without further inputs."""
+        """Whether the space is that of one interface without further inputs."""
         return self == DEFAULT
 
     @cached_property
@@ -84,27 +84,27 @@ class Space:
 
     @cached_property
     def interfaces(self) -> tuple[str, ...]:
-        """The names of the interfaces in their order; an empty one where there is one."""
+        """The names of the interfaces in their order; one empty name for a single interface."""
         return tuple(dict.fromkeys(output.interface for output in self.outputs))
 
     @cached_property
     def scalars(self) -> tuple[Input, ...]:
-        """The inputs that are no loads, which stand behind the loads."""
+        """The further inputs, which are no loads and come after the loads."""
         return tuple(entry for entry in self.inputs if entry.kind == "scalar")
 
     @cached_property
     def several(self) -> tuple[str, ...]:
-        """The names of the interfaces; none where there is one."""
+        """The names of the interfaces if there are several, else none."""
         return self.interfaces if len(self.interfaces) > 1 else ()
 
     @property
     def curvatures(self) -> int:
-        """How many third derivatives by k inputs differ, k (k + 1) (k + 2) / 6: 56 of six."""
+        """The number of third derivatives by k inputs, k (k + 1) (k + 2) / 6: 56 for six."""
         return comb(len(self.inputs) + 2, 3)
 
     @cached_property
     def zero(self) -> Floats:
-        """The inputs that have no effect, shape (n,), in their units: no load."""
+        """The values of inputs without an effect, shape (n,), in their units; zero for loads."""
         return np.array([entry.zero for entry in self.inputs])
 
     @cached_property
@@ -114,11 +114,11 @@ class Space:
 
     @cached_property
     def kriging_groups(self) -> Floats:
-        """Which inputs each additive term of the kriging sees, shape (g, n): 1 or 0.
+        """Which inputs each additive term of the kriging depends on, shape (g, n): 1 or 0.
 
-        The last term sees all. One interface has a term each of its three axes (straight direction
-        influence); several have one an interface and one a pair. Scalars are in every term: what a
-        load does depends on the temperature.
+        The last term depends on all. One interface has a term for each of its three axes (straight
+        direction influence); several have one for each interface and each pair. Scalars are in
+        every term: a load's effect depends on the temperature.
         """
         scalars = {index for index, entry in enumerate(self.inputs) if entry.kind == "scalar"}
         by_interface = [
@@ -138,8 +138,9 @@ class Space:
     ) -> tuple[float, ...]:
         """Return inputs in their order, shape (n,), SI; loads that are not given are zero.
 
-        `loads`: six numbers an interface by its name, N and N·m.
-        `further`: the inputs that are no loads by name, all of them.
+        `loads`: six numbers for each interface, by its name, N and N·m.
+        `further`: all further inputs, by name.
+
         Raises SpaceError if a name is unknown, or a further input is missing.
         """
         known = ", ".join(filter(None, self.interfaces))
@@ -162,10 +163,10 @@ class Space:
         return (*chain.from_iterable(wrenches), *(further[name] for name in names))
 
     def by_name(self, inputs: Sequence[float]) -> dict[str, Any]:
-        """Return inputs in their order, shape (n,), SI, as `vector` takes them.
+        """Return the named inputs of a vector, shape (n,), SI: the inverse of `vector`.
 
-        The entry ``loads`` has ``{"force": three, "moment": three}`` by interface, these themselves
-        where there is one; ``inputs`` the further ones by name, where there are any.
+        The entry ``loads`` has ``{"force": three, "moment": three}`` by interface, or without a
+        name for a single interface; ``inputs`` has the further inputs by name, if there are any.
         """
         loads = {
             name: {"force": inputs[k : k + 3], "moment": inputs[k + 3 : k + PER_INTERFACE]}
@@ -187,7 +188,7 @@ class Space:
         return largest
 
     def as_json(self) -> dict[str, Any]:
-        """Return the space as JSON, which `read` takes."""
+        """Return the space as JSON-able values for `read`."""
         return {
             "inputs": [_filled(asdict(entry)) for entry in self.inputs],
             "outputs": [_filled(asdict(output)) for output in self.outputs],
@@ -195,7 +196,7 @@ class Space:
 
     @classmethod
     def read(cls, description: Mapping[str, Any]) -> Space:
-        """Return the space of its JSON."""
+        """Return the space of `as_json`'s values."""
         inputs = tuple(Input(**entry) for entry in description["inputs"])
         return cls(inputs, tuple(Output(**entry) for entry in description["outputs"]))
 
@@ -207,7 +208,7 @@ def _filled(entries: dict[str, Any]) -> dict[str, Any]:
 def space_of(interfaces: Sequence[str] = ("",), scalars: Sequence[Input] = ()) -> Space:
     """Return the space of interfaces and further inputs.
 
-    `interfaces`: their names, which stand before the names of their loads: ``left.fx``.
+    `interfaces`: their names, the prefixes of the names of their loads: ``left.fx``.
     """
     inputs: list[Input] = []
     outputs: list[Output] = []

@@ -1,6 +1,6 @@
 """Evenly spread wrenches (an additive recurrence: Roberts 2018, the R sequence).
 
-And where among them a joint can invert a part's compliance: where it is positive definite.
+The module also finds where a part's compliance is positive definite, so that a joint can invert it.
 """
 
 from __future__ import annotations
@@ -13,16 +13,19 @@ from numpy.typing import NDArray
 from .rows import Floats, LoadRange
 
 INSIDE = 448  # wrenches inside the range: with its 64 corners they are answered in 5 ms
-ALL_CORNERS = 12  # inputs: 4,096 corners; of more inputs so many corners, evenly spread
-# Of each load's half range: the error of a joint's wrench, stiffness times error bars, that a fill
-# for a joint allows. A stiff freedom asks more of its bar than the tolerance does.
+# Inputs whose 4,096 corners are all used; with more inputs so many corners, evenly spread.
+ALL_CORNERS = 12
+# Part of each load's half range: the error of a joint's wrench, stiffness times error bars, that a
+# fill for a joint allows. A stiff freedom needs a smaller error bar than the tolerance.
 FORCE_ERROR = 0.05
-_ROOT_STEPS = 60  # 30 reach the last bit: each leaves at most 0.31 of the error (one dimension)
-SLOPE_ROUNDING = 1e-10  # of the largest eigenvalue: a kriging's slopes are right to some 1e-11
+# Newton steps: 30 reach the last bit, as each leaves at most 0.31 of the error (one dimension).
+_ROOT_STEPS = 60
+# Part of the largest eigenvalue: a kriging's slopes are accurate to some 1e-11.
+SLOPE_ROUNDING = 1e-10
 
 
 def _spread(count: int, dimensions: int, start: int = 0) -> Floats:
-    """Return points of the unit cube, shape (count, dimensions), from number `start` on."""
+    """Return points of the unit cube, shape (count, dimensions), from point `start` on."""
     root = 2.0  # the root of x^(d + 1) = x + 1, by which the recurrence steps
     for _ in range(_ROOT_STEPS):
         root = (1 + root) ** (1 / (dimensions + 1))
@@ -42,7 +45,8 @@ def spread_wrenches(span: LoadRange, count: int, start: int = 1) -> Floats:
 def sample_of(ends: Floats, centre: Floats, indices: NDArray[np.intp]) -> Floats:
     """Return corners of a load range and `INSIDE` wrenches within it, shape (count, n), SI.
 
-    `ends`, (2, n), are low and high loads; inputs at other indices are those of `centre`, (n,).
+    `ends`, (2, n), are low and high loads; inputs at indices other than `indices` have the values
+    of `centre`, (n,).
     """
     low, high = ends
     count = len(indices)
@@ -59,7 +63,7 @@ def weakest(compliances: Floats, scale: Floats) -> tuple[Floats, Floats]:
     """Return the least eigenvalue (k,), J, of compliances (k, n, n), SI, and its loads (k, n).
 
     Compliances are scaled by `scale`, (n,), SI; the loads are over it, the largest 1. Below zero
-    the part moves against them; NaN where a compliance is not known.
+    the part moves against the loads; NaN where a compliance is not known.
     """
     least, loads = np.full(len(compliances), np.nan), np.full(compliances.shape[:2], np.nan)
     known = np.isfinite(compliances).all(axis=(1, 2))

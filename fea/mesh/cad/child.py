@@ -1,7 +1,7 @@
 """The child process in which gmsh lists and meshes a geometry file; run as a program.
 
 It reads a request from standard input, writes plain arrays and JSON, and ends with its parent. It
-resolves which bodies a bundle's regions name.
+finds the bodies of a bundle's regions.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ _LIBRARIES = "libgl1 libglu1-mesa libxrender1 libxcursor1 libxft2 libxinerama1 l
 
 _SETTINGS = {
     "General.Terminal": 0,
-    "General.NumThreads": 1,  # several threads number the mesh by who comes first
+    # With several threads the numbering of the mesh depends on their timing.
+    "General.NumThreads": 1,
     "Mesh.MaxNumThreads1D": 1,
     "Mesh.MaxNumThreads2D": 1,
     "Mesh.MaxNumThreads3D": 1,
@@ -40,28 +41,29 @@ _SETTINGS = {
     "Mesh.Algorithm3D": 1,  # Delaunay
     "Mesh.Optimize": 1,
     "Mesh.ElementOrder": 2,
-    "Mesh.HighOrderOptimize": 1,  # turns back cells that curved edges turn inside out
+    "Mesh.HighOrderOptimize": 1,  # repairs cells that curved edges turn inside out
     "Mesh.MeshSizeFromPoints": 0,
 }
 
 _TET10, _TRI6 = 11, 9
-# gmsh has the last two midside nodes of a tetrahedron the other way round than VTK.
+# gmsh has the last two midside nodes of a tetrahedron in the opposite order to VTK.
 _TO_VTK = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
 _REGULAR = 6 * 2**0.5
 """Volume of a cube over that of the regular tetrahedron with the same edge."""
 _FINEST = 0.05
-"""Least edge that curvature asks for, as a fraction of the cell size."""
+"""Least edge on curved surfaces, as a fraction of the cell size."""
 
 
 def main() -> None:
-    """Answer a request: a path, how to mesh it (None lists it), with optimisation or not.
+    """Answer a request: a path, meshing options (None lists the file), with optimisation or not.
 
-    The request is a pickle of the parent's; the answer, which a file can forge, is none.
+    The request is a trusted pickle of the parent; the answer is no pickle, because a file could
+    forge it.
     """
     path, geometry, optimise = pickle.load(sys.stdin.buffer)
     threading.Thread(target=lambda: os.read(0, 1) or os._exit(1), daemon=True).start()
     output = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # the geometry kernel prints
+    os.dup2(2, 1)  # the geometry kernel prints to standard output
     arrays: dict[str, Any] = {}
     try:
         with opened(path) as gmsh:
@@ -82,7 +84,7 @@ def main() -> None:
 def _meshed(
     gmsh: Any, geometry: GeometryMeshing, optimise: bool
 ) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Mesh the geometry; each body's cells, and then each face's facets, are one block."""
+    """Mesh the geometry; each body's cells, then each face's facets, are one block."""
     problems: list[BundleProblem] = []
     size = geometry.size
     faces = faces_of(gmsh)
@@ -123,8 +125,8 @@ def _cells(gmsh: Any, kind: int, entity: int, row: Array) -> Array:
 def opened(path: Path) -> Iterator[Any]:
     """Open a geometry file, bodies that touch glued to each other; yields the module gmsh.
 
-    Raises BundleError if gmsh is not there, the file cannot be read or holds no solid body, or gmsh
-    fails.
+    Raises BundleError if gmsh is not installed, the file cannot be read or has no solid body, or
+    gmsh fails.
     """
     try:
         import gmsh
@@ -144,7 +146,7 @@ def opened(path: Path) -> Iterator[Any]:
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
         gmsh.model.add("part")
         try:
-            # Named, because gmsh knows the ending in lower case only.
+            # With the format's name, because gmsh knows the ending in lower case only.
             shapes = gmsh.model.occ.importShapes(str(path), format="step")
             bodies = [shape for shape in shapes if shape[0] == 3]
             if len(bodies) > 1:
@@ -174,9 +176,9 @@ def choose_bodies(
     size: float,
     problems: list[BundleProblem],
 ) -> dict[str, list[int]]:
-    """Return the numbers of the bodies of each region, of the open file; notes mistakes.
+    """Return the numbers of the bodies of each region in the open file; add mistakes to `problems`.
 
-    size: Cell size, m: the scale of what counts as near.
+    size: cell size, m: the scale of nearness.
     """
     chosen = {}
     there = [body.number for body in bodies]

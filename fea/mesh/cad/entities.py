@@ -47,7 +47,8 @@ def faces_of(gmsh: Any) -> tuple[Face, ...]:
 
 
 def _face(gmsh: Any, number: int) -> Face:
-    # Older versions of gmsh have getType only.
+    """Return a face of the open file by gmsh's number."""
+    # Older versions of gmsh only have getType.
     type_of = getattr(gmsh.model, "getEntityType", None) or gmsh.model.getType
     kind = type_of(2, number)
     return Face(
@@ -83,7 +84,8 @@ def _outward(gmsh: Any, number: int) -> tuple[float, float, float]:
     normal = np.array(gmsh.model.getNormal(number, _middle(gmsh, number)))
     inside = _point_on(gmsh, number)
     body = int(gmsh.model.getAdjacencies(2, number)[0][0])
-    step = 1e-4 * np.sqrt(gmsh.model.occ.getMass(2, number))  # small against the body behind it
+    # Small against the body behind the face.
+    step = 1e-4 * np.sqrt(gmsh.model.occ.getMass(2, number))
     if gmsh.model.isInside(3, body, (inside + step * normal).tolist()):
         normal = -normal
     x, y, z = (round(float(component), 12) + 0.0 for component in normal)  # + 0.0: no -0.0

@@ -1,4 +1,4 @@
-"""From a geometry file to its faces, and to a mesh of ten-node tetrahedra, the same every time."""
+"""Faces of a geometry file, and its reproducible mesh of ten-node tetrahedra."""
 
 from __future__ import annotations
 
@@ -28,10 +28,12 @@ from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 Array = np.ndarray
 
 _ATTEMPTS: Final = ((True, 1.0), (False, 1.0), (True, 0.97), (True, 1.03))
-"""Optimisation of curved cells, and times the cell size. The optimiser aborts where it cannot turn
-a single cell back; another size puts the cells elsewhere."""
+"""Attempts: whether curved cells are optimised, and a factor on the cell size.
 
-_SURFACE = " of the geometry"  # the group of all its facets, on the way from the child
+The optimiser aborts if it cannot repair a single cell; another size puts the cells elsewhere.
+"""
+
+_SURFACE = " of the geometry"  # name of the group of all its facets in the child's answer
 
 
 class _GmshError(BundleError):
@@ -49,13 +51,12 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
 def surface_of_geometry(path: Path, geometry: GeometryMeshing) -> Surface:
     """Mesh the bodies of a geometry file; the surface has the mesh, without groups.
 
-    The same file and keys give the same nodes, in whatever process, with the same version of gmsh
-    and its geometry kernel; another version may put them elsewhere, within what a mesh of that
-    size leaves open anyway. Cells that gmsh turns back are taken in the order of their addresses,
-    so nodes there differ from run to run. Where gmsh fails, or leaves cells inside out, `_ATTEMPTS`
-    follow.
+    The same file and keys give the same nodes in every process, with the same version of gmsh and
+    its geometry kernel; another version may move them, within the freedom of a mesh of that size.
+    gmsh repairs cells in the order of their addresses, so nodes there differ from run to run. If
+    gmsh fails, or leaves cells inside out, `_ATTEMPTS` follow.
 
-    Raises BundleError as `mesh_geometry`, but of no group.
+    Raises BundleError as `mesh_geometry`, except for groups.
     """
     folded = failure = None
     for optimise, times in _ATTEMPTS:
@@ -81,7 +82,7 @@ def surface_of_geometry(path: Path, geometry: GeometryMeshing) -> Surface:
 
 
 def _surface(fields: dict[str, Any], arrays: dict[str, Array]) -> Surface:
-    """Return the mesh, and the number of the face of each facet, of the answer of `child`."""
+    """Return the mesh, and the number of each facet's face, from the answer of `child`."""
     points = arrays.pop("points")
     nodes = [arrays[str(i)] for i in range(len(arrays))]
     blocks = [("tet10" if rows.shape[1] == 10 else "tri6", rows) for rows in nodes]
@@ -92,7 +93,7 @@ def _surface(fields: dict[str, Any], arrays: dict[str, Array]) -> Surface:
     faces = [Face(**face) for face in fields["faces"]]
     facets = [block for block in blocks if block[0] == "tri6"]
     mesh = to_mesh(RawMesh(points, blocks, sets, facet_sets={_SURFACE: facets}), METRES)
-    # The faces of cells in the place of gmsh's facets, in the order of the cells.
+    # The cells' own faces replace gmsh's facets, in the order of the cells.
     group = mesh.facet_groups[_SURFACE]
     owners = np.repeat([face.number for face in faces], [len(rows) for _, rows in facets])
     used = np.unique(np.concatenate([rows for kind, rows in blocks if kind == "tet10"]))
@@ -103,7 +104,7 @@ def _surface(fields: dict[str, Any], arrays: dict[str, Array]) -> Surface:
 
 
 def _order(facets: Array) -> Array:
-    """Return the order of facets (f, k) by their corners, which start at any of them, (f,)."""
+    """Return the order of facets (f, k) by their corners, in any rotation, (f,)."""
     return np.lexsort(np.sort(facets[:, :3], axis=1).T)
 
 
@@ -126,17 +127,18 @@ def _in_child(
     command = [sys.executable, "-P", "-m", "wrenchbook.fea.mesh.cad.child"]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0) as process:
-        request, process.stdin = process.stdin, None  # open until the child has answered
+        request, process.stdin = process.stdin, None  # stays open until the child has answered
         assert request is not None
         with request:
-            with contextlib.suppress(BrokenPipeError):  # its exit status says why
+            with contextlib.suppress(BrokenPipeError):  # its exit status has the cause
                 request.write(pickle.dumps((path, geometry, optimise)))
             output, errors = process.communicate()
     if process.returncode:
         lines = errors.decode(errors="replace").split("\n")
         why = next((line.strip() for line in reversed(lines) if line.strip()), "no message")
         limit = -process.returncode in (signal.SIGKILL, signal.SIGXCPU)
-        if limit or re.search("bad_alloc|MemoryError", why):  # another attempt reaches it too
+        # Another attempt would reach the limit too.
+        if limit or re.search("bad_alloc|MemoryError", why):
             of = "time" if -process.returncode == signal.SIGXCPU else "memory"
             why = f'gmsh exceeds its limit of {of} on "{path.name}"'
             if geometry is None:

@@ -1,1 +1,1 @@
-"""Mesh files: gmsh, Abaqus and CalculiX, VTK."""
+"""Mesh files: gmsh, Abaqus and CalculiX, Nastran, Ansys, VTK."""

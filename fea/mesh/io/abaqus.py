@@ -33,7 +33,8 @@ from wrenchbook.fea.spec.problems import MeshFileError, point_text, suggest
 
 Array = np.ndarray
 
-_ON_AXIS = 1e-9  # of the size of a cylinder or the distance along it: roundoff of coordinates
+# Part of the size of a cylinder or of the distance along it: roundoff of coordinates.
+_ON_AXIS = 1e-9
 
 _SOLIDS = {"4": "tet4", "6": "wedge6", "8": "hex8", "10": "tet10", "15": "wedge15", "20": "hex20"}
 _SOLIDS |= {"5": "pyramid5", "13": "pyramid13"}
@@ -61,7 +62,7 @@ _REFUSED = {
 """Keywords that generate nodes or elements, and the keyword that lists these instead."""
 
 
-# Of all sets together, counted with repetition: several for each node of the largest mesh solved.
+# Members of all sets together, with repetitions: several for each node of the largest solved mesh.
 _MAX_MEMBERS = 20_000_000
 
 
@@ -70,28 +71,30 @@ class Deck:
     """The mesh read so far; sets are keyed by their name in capitals, as solvers do."""
 
     nodes: dict[int, list[float]] = field(default_factory=dict)  # points by label
-    kinds: list[str] = field(default_factory=list)  # of each *ELEMENT
+    kinds: list[str] = field(default_factory=list)  # kind of cells of each *ELEMENT
     cells: list[list[list[int]]] = field(default_factory=list)  # labels of its elements' nodes
-    # By element, the numbers of its *ELEMENT and of its row there
+    # By element, the indices of its *ELEMENT and of its row there
     where: dict[int, tuple[int, int]] = field(default_factory=dict)
     node_sets: dict[str, list[int]] = field(default_factory=dict)
     element_sets: dict[str, list[int]] = field(default_factory=dict)
     surfaces: dict[str, list[tuple[int, str]]] = field(default_factory=dict)  # element and face
-    names: dict[str, str] = field(default_factory=dict)  # of sets, as the deck spells them
+    names: dict[str, str] = field(default_factory=dict)  # names of sets, as the deck spells them
     frames: dict[str, Frame] = field(default_factory=dict)  # instances by their names in capitals
-    # Of each *NODE, the number of nodes before it and its line; of each *ELEMENT, its line
+    # For each *NODE, the number of nodes before it and its line; for each *ELEMENT, its line
     node_lines: list[tuple[int, str]] = field(default_factory=list)
     element_lines: list[str] = field(default_factory=list)
     systems: dict[int, tuple[Array, Array]] = field(default_factory=dict)  # axes in rows, origin
-    # Of couplings, by node set and label; those that come twice add up
+    # Weights of couplings, by node set and label; repeated ones add up
     weights: dict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
-    entries: int = 0  # members of all sets
+    entries: int = 0  # number of members of all sets
 
 
 def axes_through(origin: Array, first: Array, second: Array) -> Array:
     """Return right-handed axes in rows: 1 from `origin` to `first`, 2 towards `second`.
 
-    All shapes (3,); raises MeshFileError if the three points lie on one line.
+    All shapes are (3,).
+
+    Raises MeshFileError if the three points lie on one line.
     """
     x = first - origin
     z = np.cross(x, second - origin)
@@ -107,6 +110,7 @@ def radial_axes(axis: Array, out: Array) -> Array:
     """Return the radial, circumferential and axial directions at a point off an axis, in rows.
 
     axis: its direction, of any length; out: from a point of it to the point; both of shape (3,).
+
     Raises MeshFileError if the point lies on the axis.
     """
     around, size = np.cross(axis, out), np.linalg.norm(axis)
@@ -126,10 +130,10 @@ def cartesian(kind: str, point: Array) -> Array:
 
 
 def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
-    """Return the mesh of a deck; `take` gets each keyword after it.
+    """Return the mesh of a deck; `take` is called with each keyword after the mesh has read it.
 
-    Raises MeshFileError if a line cannot be understood, or nodes and elements come by a keyword
-    that is not read.
+    Raises MeshFileError if a line cannot be understood, or unsupported keywords define nodes or
+    elements.
     """
     deck = Deck()
     for keyword in read_keywords(deck_text(path)):
@@ -195,10 +199,11 @@ def _take_system(deck: Deck, keyword: Keyword) -> None:
 
 def _take_elements(deck: Deck, keyword: Keyword) -> None:
     kind = kind_of(keyword.option("TYPE").upper())
-    if kind is None:  # masses, springs, gaps: nothing of the mesh
+    if kind is None:  # masses, springs, gaps: no part of the mesh
         return
     columns = 1 + {**NODES_PER_CELL, **NODES_PER_FACET, **NODES_PER_LINE}[kind]
-    numbers, ends = list[int](), set[int]()  # `ends`: numbers up to the end of each data line
+    # `ends`: number of labels up to the end of each data line.
+    numbers, ends = list[int](), set[int]()
     for row in keyword.rows:
         numbers += [keyword.frame.label(each) for each in row if each]
         ends.add(len(numbers))
@@ -284,14 +289,14 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
 
 
 def _few(entries: Sequence[int]) -> Sequence[int]:
-    """Return a set's members if a mesh can have so many: a line of text may name any number."""
+    """Return a set's members, at most as many as a mesh can have: a line may define any range."""
     if len(entries) > _MAX_MEMBERS:
         raise MeshFileError(f"names {len(entries)} members; name at most {_MAX_MEMBERS}")
     return entries
 
 
 def named(deck: Deck, sets: dict[str, list[int]], name: str, frame: Frame) -> list[int]:
-    """Return the members that a field names: a number or a set, also as INSTANCE.NAME."""
+    """Return the members of a field: a number or a set, also as INSTANCE.NAME."""
     instance, _, last = name.rpartition(".")
     frame = deck.frames.get(instance.upper(), frame)
     if last.lstrip("+-").isdigit() and (not instance or instance.upper() in deck.frames):
@@ -300,7 +305,7 @@ def named(deck: Deck, sets: dict[str, list[int]], name: str, frame: Frame) -> li
 
 
 def set_key(deck: Deck, sets: Mapping[str, object], name: str, frame: Frame) -> str:
-    """Return the key of a set that a field names, in the frame, else in the assembly.
+    """Return the key of a set named in a field, of the frame, else of the assembly.
 
     Raises MeshFileError if there is none.
     """
@@ -333,7 +338,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
 
 
 def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str = "") -> None:
-    """Add a node or the nodes of a set to another set, with the weight of each if it has one."""
+    """Add a node or the nodes of a set to another set, with their weight if given."""
     labels = named(deck, deck.node_sets, target, frame)
     add(deck, deck.node_sets, frame, name, list(labels))
     if weight and labels:
@@ -368,7 +373,7 @@ def _key(deck: Deck, frame: Frame, name: str) -> str:
 def add(
     deck: Deck, sets: dict[str, list[int]], frame: Frame, name: str, entries: list[int]
 ) -> None:
-    """Add members to a set, a new one or that of its name."""
+    """Add members to a new or existing set."""
     deck.entries += len(entries)
     if deck.entries > _MAX_MEMBERS:
         raise MeshFileError(
@@ -379,7 +384,7 @@ def add(
 
 
 def set_names(deck: Deck, sets: Iterable[str]) -> dict[str, str]:
-    """Return each set's name by its key: without the instance where no other has that name."""
+    """Return each set's name by its key, without the instance if the name is unique."""
     short = {key: key for key in sets}
     for start in (f"{instance}." for instance in deck.frames):
         short |= {key: key.removeprefix(start) for key in short if key.startswith(start)}
@@ -429,7 +434,10 @@ def raw_mesh(deck: Deck) -> RawMesh:
 
 
 def _by_block(deck: Deck, ids: list[int]) -> list[Array]:
-    """Return for each block the rows of the elements `ids`; solvers skip those not there."""
+    """Return for each block the rows of the elements `ids`.
+
+    Unknown elements are skipped, as in solvers.
+    """
     chosen: list[list[int]] = [[] for _ in deck.kinds]
     for element in ids:
         if element in deck.where:

@@ -62,7 +62,7 @@ _BOUNDARY_TYPES = {
     "YASYMM": {0, 2, 4},
     "ZASYMM": {0, 1, 5},
 }
-"""Freedoms from 0 that a type of *BOUNDARY holds."""
+"""Freedoms from 0 that each type of *BOUNDARY holds."""
 _MISSING = {
     "CONNECTOR SECTION": "is not supported; write [[supports.bushing]] or [[spring]]",
     "CONTACT": "is not supported; solve the parts bonded and separate for two bounds",
@@ -104,13 +104,13 @@ _MEAN_HELD = (
 
 _QUIET = {"", "HEADING", "PREPRINT", "ASSEMBLY", "END ASSEMBLY", "PART", "END PART", "END STEP"}
 _QUIET |= {"END LOAD CASE"}
-"""Keywords without content: no listing of a deck names them."""
+"""Keywords without content, which no listing of a deck names."""
 _PROPOSED = {"CLOAD", "STEP", "LOAD CASE"}
-"""Keywords that propose load range and analysis of a new component; they are not compared."""
+"""Keywords that only propose load range and analysis of a new component; they are not compared."""
 
 
 def _take(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    """Take one keyword, after the deck has taken what is of the mesh."""
+    """Read one keyword, after the deck has read its part of the mesh."""
     taker = _TAKERS.get(keyword.word)
     if "INPUT" in keyword.options and (taker is not None or keyword.word in TAKERS):
         raise MeshFileError(
@@ -132,16 +132,16 @@ def _take(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
-    """Read the mesh of a deck and what else is in it.
+    """Read the mesh of a deck and its other contents.
 
-    Raises MeshFileError as `fea.mesh.io.abaqus.parsed` does, or if a keyword has its rows in
-    another file.
+    Raises MeshFileError as `fea.mesh.io.abaqus.parsed`, or if a keyword has its rows in another
+    file.
     """
     reader = Reader()
     deck = parsed(path, lambda deck, keyword: _take(reader, deck, keyword))
     content = reader.content
     content.cases = _cases(reader, deck)
-    # All sets are there: give groups their final names.
+    # All sets are known now: give groups their final names.
     regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
     faces = set_names(deck, deck.surfaces)
     for where, key, material, orientation in reader.sections:
@@ -160,14 +160,17 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
 
 
 def _cases(reader: Reader, deck: Deck) -> list[LoadCase]:
-    """Return a case of each step: what it holds and loads, groups by keys of the deck's sets."""
-    # Of sets of the same nodes the first gives its name.
+    """Return a case of each step, with its supports and loads.
+
+    Groups are keys of the deck's sets.
+    """
+    # Of sets with the same nodes the first gives the name.
     reader.sets = {frozenset(labels): key for key, labels in reversed(deck.node_sets.items())}
     couplings = couplings_of(reader, deck)
     held: dict[Motions, tuple[list[HeldGroup], list[set[int]]]] = {}
     cases = []
     steps = [step for step in reader.steps if step.name] or reader.steps
-    for step in reversed(steps):  # from the last: its groups get the plain names
+    for step in reversed(steps):  # from the last: its groups get the names without a suffix
         if step.motions not in held:
             held[step.motions] = supports_of(reader, deck, step.motions, len(couplings))
         supports, freedoms_of_couplings = held[step.motions]
@@ -193,7 +196,7 @@ def _take_loads(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
             loads = case.loads.setdefault(key or single_key, [0.0] * 6)
         else:
             loads = case.couplings[number].loads
-        # A force is a moment (half 1) on a coupling's node for rotations, whose first freedom is 3.
+        # A force is a moment (half 1) on a coupling's node of rotations, whose first freedom is 3.
         half, axis = divmod((freedom + first) % 6, 3)
         direction = reader.turned.get(label, np.eye(3).ravel())[3 * axis : 3 * axis + 3]
         for i, part in enumerate(direction):
@@ -205,7 +208,7 @@ def _finish(
 ) -> None:
     """Give groups their final names, and make supports of couplings whose points are held.
 
-    The couplings that remain move freely: they are not fixed, and no spring holds them.
+    The remaining couplings move freely: they are not fixed, and no spring holds them.
     """
     case.supports = [replace(support, group=groups[support.group]) for support in case.supports]
     case.loads = {groups[key]: loads for key, loads in case.loads.items()}
@@ -286,7 +289,7 @@ def _take_section(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
-    """Take axes through points, by an angle about one of them; or about the axis of a cylinder."""
+    """Read axes through points, by an angle about one of them, or about the axis of a cylinder."""
     system = keyword.options.get("SYSTEM", "RECTANGULAR").upper()
     kind = keyword.options.get("DEFINITION", "COORDINATES").upper()
     first, second, origin = numbers(keyword, 0, 9).reshape(3, 3)
@@ -307,7 +310,7 @@ def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
         axes = np.array([*points[0], *(axis / np.linalg.norm(axis))])
     else:
         axes = axes_through(origin, first, second)
-        if angle:  # turns the two axes after that of the number, from 1
+        if angle:  # rotates the two axes after the axis of the angle, from 1
             i, j = int(number) % 3, (int(number) + 1) % 3
             cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
             axes[[i, j]] = cos * axes[i] + sin * axes[j], cos * axes[j] - sin * axes[i]
@@ -318,7 +321,7 @@ def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
 
 
 def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    """Take the axes of nodes, around a cylinder's axis those of each."""
+    """Read the axes of nodes; about a cylinder's axis each node has its own."""
     if (kind := keyword.options.get("TYPE", "R").upper()) not in ("R", "C"):
         raise MeshFileError(f"has TYPE={kind}; write R (rectangular) or C (cylindrical)")
     frame, (first, second) = keyword.frame, numbers(keyword, 0, 6).reshape(2, 3)
@@ -337,7 +340,7 @@ def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
                 )
             try:
                 axes.append(radial_axes(axial, deck.nodes[label] - start))
-            except MeshFileError:  # any direction across it will do, as in CalculiX
+            except MeshFileError:  # on the axis any direction across it is right, as in CalculiX
                 axes.append(radial_axes(axial, np.eye(3)[np.abs(axial).argmin()]))
                 reader.lack(keyword, _ON_AXIS)
     for label, matrix in zip(labels, axes, strict=True):
@@ -354,7 +357,7 @@ def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         if word in _BOUNDARY_TYPES:
             held = set(_BOUNDARY_TYPES[word])
         else:
-            first, last, value = (*fields, "", "", "")[:3]  # a field that is not there is empty
+            first, last, value = (*fields, "", "", "")[:3]  # a missing field is empty
             if not first.isdigit():
                 types = ", ".join(_BOUNDARY_TYPES)
                 raise MeshFileError(
@@ -401,7 +404,7 @@ def _take_coupling_kind(reader: Reader, _: Deck, keyword: Keyword) -> None:
 
 
 def _take_weighted(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    """Take the mean of nodes with weights that the point of a DCOUP3D follows."""
+    """Read the mean of weighted nodes that the point of a DCOUP3D follows."""
     name = f"{keyword.option('ELSET')}_nodes"
     for target, *weights in keyword.rows:
         if len(weights) != 1:
@@ -433,7 +436,7 @@ def _node(deck: Deck, keyword: Keyword, option: str) -> int | None:
 
 
 def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    """Take a tie of surfaces of faces."""
+    """Read a tie of surfaces of faces."""
     if "CYCLIC SYMMETRY" in keyword.options:
         raise MeshFileError("has CYCLIC SYMMETRY, which is not supported; model the whole part")
     distance = real(keyword.options.get("POSITION TOLERANCE", "0")) or None
@@ -461,14 +464,16 @@ def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
             raise MeshFileError(f"acts on freedom {freedom} of {target}; write a freedom 1 to 6")
         for label in labels:
             entry = label, whole(freedom) - 1
-            before = step.forces[entry][1] if entry in step.begun else 0.0  # a step's forces add up
+            # The forces of one step add up.
+            before = step.forces[entry][1] if entry in step.begun else 0.0
             step.forces[entry] = key, before + real(value)
             step.begun.add(entry)
 
 
 def _take_step(reader: Reader, _: Deck, keyword: Keyword) -> None:
-    """Begin a step where the last general step ends, or a load case where its step stands."""
-    kind, bases = "general", {"general"}  # the kind of this step, and of that where it begins
+    """Begin a step at the end of the last general step, or a load case at the state of its step."""
+    # The kind of this step, and the kinds at whose end it begins.
+    kind, bases = "general", {"general"}
     if keyword.word == "LOAD CASE":
         kind, bases = "load case", {"general", "perturbation"}
     elif "PERTURBATION" in keyword.options:

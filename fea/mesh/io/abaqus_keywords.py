@@ -1,7 +1,7 @@
 """Keyword blocks of an Abaqus or CalculiX input deck (.inp), and numbers in their fields.
 
-Nodes and elements are numbered by instance, as the parts of an assembly have them, and keywords of
-a part come once for each.
+Nodes and elements are numbered by instance, as in the parts of an assembly, and keywords of a part
+are read once for each instance.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from wrenchbook.fea.tensors import rotation as turned
 Array = np.ndarray
 
 STRIDE = 10**12
-"""Labels of one instance; Abaqus has at most 9 digits, a label above is refused."""
+"""Number of labels of one instance; Abaqus has at most 9 digits, a larger label is refused."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Frame:
     shift: tuple[float, ...] = ()
 
     def label(self, text: str) -> int:
-        """Return the number of a node or element of this instance, unlike all others'."""
+        """Return the number of a node or element of this instance, unique among all instances."""
         number = whole(text)
         if not 0 <= number < STRIDE:
             raise MeshFileError(f"has a node or element {number}; write 1 to {STRIDE - 1}")
@@ -47,7 +47,7 @@ class Frame:
         return (f"{self.name}.{name}" if self.name else name).upper()
 
     def transformed(self, point: list[float]) -> list[float]:
-        """Return where a point of the part is in the assembly, shape (3,), the deck's unit."""
+        """Return the position of a part's point in the assembly, shape (3,), in the deck's unit."""
         if not self.shift:
             return point
         r = np.array(self.rotation).reshape(3, 3)
@@ -74,27 +74,30 @@ class Keyword:
         return f"line {self.at}: *{self.word}"
 
     def option(self, name: str) -> str:
-        """Return the value of an option; raises MeshFileError if the keyword has none."""
+        """Return the value of an option.
+
+        Raises MeshFileError if the keyword does not have it.
+        """
         if not (value := self.options.get(name)):
             raise MeshFileError(f"has no {name}; write *{self.word}, {name}=...")
         return value
 
     def wrong(self, message: object) -> MeshFileError:
-        """Return the error that names the line."""
+        """Return the error with the keyword's line."""
         return MeshFileError(f"{self.where} {message}")
 
 
 def read_keywords(text: DeckText) -> Iterator[Keyword]:
-    """Yield the blocks of a deck in the assembly, those of a part where an instance puts it.
+    """Yield the blocks of a deck, those of a part in the place of each of its instances.
 
-    Raises MeshFileError if an instance is of no part, a part comes twice, or parts have no
+    Raises MeshFileError if an instance has no part, a part occurs twice, or parts have no
     instances.
     """
     if not re.search(r"^\s*\*INSTANCE\b", text, re.I | re.M):
         yield from _without_instances(text)
         return
     parts: dict[str, list[Keyword]] = {}
-    lines: dict[str, str] = {}  # of each part
+    lines: dict[str, str] = {}  # lines of each part
     frame, part, count = Frame(), None, 0
     for keyword in _blocks(text):
         if keyword.word == "PART":
@@ -128,7 +131,7 @@ def read_keywords(text: DeckText) -> Iterator[Keyword]:
 
 
 def _without_instances(text: DeckText) -> Iterator[Keyword]:
-    """Yield the blocks of a deck of one part at most."""
+    """Yield the blocks of a deck with at most one part."""
     first = None
     for keyword in _blocks(text):
         if keyword.word == "PART":
@@ -142,7 +145,7 @@ def _without_instances(text: DeckText) -> Iterator[Keyword]:
 
 
 def _blocks(text: DeckText) -> Iterator[Keyword]:
-    """Yield the keywords with their data lines; a line that ends with a comma goes on."""
+    """Yield the keywords with their data lines; a line that ends with a comma continues."""
     head: Keyword | None = None
     open_head = ""
     for number, line in enumerate(text.splitlines(), start=1):
@@ -166,7 +169,7 @@ def _blocks(text: DeckText) -> Iterator[Keyword]:
 
 
 def _frame(keyword: Keyword, number: int) -> Frame:
-    """Return where an instance is: moved by its first line, then turned by its second."""
+    """Return the position of an instance: moved by its first line, then rotated by its second."""
     try:
         name = keyword.option("NAME")
         if not keyword.rows:
@@ -191,13 +194,16 @@ def _frame(keyword: Keyword, number: int) -> Frame:
 
 
 def numbers(keyword: Keyword, row: int, count: int) -> Array:
-    """Return numbers of a row, those that are not there 0, shape (count,)."""
+    """Return numbers of a row, shape (count,); missing ones are 0."""
     fields = keyword.rows[row] if row < len(keyword.rows) else []
     return np.array([real(each or "0") for each in (*fields, *["0"] * count)[:count]])
 
 
 def real(text: str) -> float:
-    """Return the number of a field; raises MeshFileError."""
+    """Return the number of a field.
+
+    Raises MeshFileError if it is no number.
+    """
     try:
         return float(text)
     except ValueError:
@@ -205,7 +211,10 @@ def real(text: str) -> float:
 
 
 def whole(text: str) -> int:
-    """Return the whole number of a field; raises MeshFileError."""
+    """Return the whole number of a field.
+
+    Raises MeshFileError if it is no whole number.
+    """
     try:
         return int(text)
     except ValueError:
@@ -214,4 +223,4 @@ def whole(text: str) -> int:
 
 
 UNREADABLE = "has a data line with too few or too large fields; complete its lines"
-"""Of a keyword whose lines do not have its form, where no message names the field."""
+"""Message on a keyword whose lines have another form, if no message names the field."""

@@ -1,4 +1,4 @@
-"""Which nodes of an Abaqus or CalculiX deck are held, and which couplings can be used."""
+"""Held nodes of an Abaqus or CalculiX deck, and its usable couplings."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from wrenchbook.fea.mesh.io.abaqus import SOLID_FACES, Deck
 from wrenchbook.fea.mesh.io.abaqus_keywords import STRIDE
 from wrenchbook.fea.mesh.io.reader import Motions, Reader
 
-GLOBAL: tuple[float, ...] = ()  # axes
+GLOBAL: tuple[float, ...] = ()  # the global axes
 
 
 def supports_of(
     reader: Reader, deck: Deck, motions: Motions, count: int
 ) -> tuple[list[HeldGroup], list[set[int]]]:
-    """Return the groups that `motions` hold, by their keys, and the freedoms of each coupling."""
+    """Return the groups that `motions` hold, by their keys, and each coupling's held freedoms."""
     freedoms_of_couplings = _held_freedoms_of_couplings(reader, motions, count)
     by_set: dict[tuple[str, tuple[float, ...]], tuple[str, set[int]]] = {}
     by_node: dict[int, tuple[str, set[int]]] = {}
@@ -33,7 +33,7 @@ def supports_of(
         HeldGroup(where, key, directions_of(freedoms), axes)
         for (key, axes), (where, freedoms) in by_set.items()
     ]
-    # Single nodes that are held alike are one group.
+    # Single nodes with the same held freedoms are one group.
     nodes: dict[tuple[str, tuple[float, ...]], list[int]] = defaultdict(list)
     for label, (_, freedoms) in by_node.items():
         directions = directions_of(freedoms)
@@ -46,14 +46,14 @@ def supports_of(
 
 
 def _held_freedoms_of_couplings(reader: Reader, motions: Motions, count: int) -> list[set[int]]:
-    """Return the freedoms 0 to 5 that are held of each of `count` couplings' points."""
+    """Return the freedoms 0 to 5 of each of `count` couplings' points that are held."""
     held: list[set[int]] = [set() for _ in range(count)]
     for where, _, labels, freedoms in motions.rows:
         for label in reader.points.keys() & labels:
             usable = freedoms
             if label in reader.turned:
-                # Along turned axes translations, and rotations, are taken over by three only:
-                # `locked` would hold one or two of them along other axes.
+                # Along rotated axes translations, or rotations, are used only if all three are
+                # held: `locked` would hold one or two of them along other axes.
                 of_all = [row.freedoms for row in motions.rows if label in row.labels]
                 together = set[int]().union(*of_all)
                 threes = [three for three in ({0, 1, 2}, {3, 4, 5}) if three <= together]
@@ -74,7 +74,7 @@ def directions_of(freedoms: set[int]) -> str:
 
 
 def set_of(reader: Reader, deck: Deck, labels: list[int], name: str) -> str:
-    """Return the key of the set of these nodes, a new key if the deck has none."""
+    """Return the key of the set of these nodes, a new key if the deck has no such set."""
     nodes = frozenset(labels)
     if nodes not in reader.sets:
         while name.upper() in deck.node_sets:
@@ -85,7 +85,7 @@ def set_of(reader: Reader, deck: Deck, labels: list[int], name: str) -> str:
 
 
 def couplings_of(reader: Reader, deck: Deck) -> list[CoupledGroup]:
-    """Return the couplings whose reference nodes can be used, and note these in the reader."""
+    """Return the couplings with usable reference nodes, and store these nodes in the reader."""
     couplings: list[CoupledGroup] = []
     for coupled in reader.couplings:
         label = (coupled.ref or 0) % STRIDE
@@ -117,7 +117,7 @@ def couplings_of(reader: Reader, deck: Deck) -> list[CoupledGroup]:
         if coupled.directions != "xyz":
             is_turned = not reader.turned.keys().isdisjoint(_nodes_of(deck, key))
             if is_turned or "ORIENTATION" in coupled.keyword.options:
-                group.directions = ""  # of other axes than the mesh's
+                group.directions = ""  # along other axes than the mesh's
         number, first_freedoms = len(couplings), ((coupled.ref, 0), (coupled.rot, 3))
         reader.points |= {n: (number, first) for n, first in first_freedoms if n is not None}
         couplings.append(group)

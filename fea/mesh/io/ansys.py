@@ -1,4 +1,4 @@
-"""An Ansys archive (.cdb, of CDWRITE) as an Abaqus deck."""
+"""Conversion of an Ansys archive (.cdb, of CDWRITE) to an Abaqus deck."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ _FREEDOMS = {"UX": "1", "UY": "2", "UZ": "3", "ROTX": "4", "ROTY": "5", "ROTZ": 
 _FREEDOMS |= {"ALL": "123456", "FX": "1", "FY": "2", "FZ": "3", "MX": "4", "MY": "5", "MZ": "6"}
 _MATERIAL, _TYPE, _NODE_COUNT, _ELEMENT, _FIRST_NODE = 0, 1, 8, 10, 11  # fields of EBLOCK's rows
 
-# Indices of a collapsed hexahedron's nodes, by which of its corners are one node.
+# Indices of a collapsed hexahedron's nodes, by which of its corners coincide.
 _WEDGE = [0, 1, 2, 4, 5, 6, 8, 9, 11, 12, 13, 15, 16, 17, 18]
 _PYRAMID = [*range(5), *range(8, 12), *range(16, 20)]
 _TETRAHEDRON = [0, 1, 2, 4, 8, 9, 11, 16, 17, 18]
 
 
 class _Type(NamedTuple):
-    name: str  # such as 186
-    is_full: bool  # by its option 2: full integration
+    name: str  # element number such as 186
+    is_full: bool  # whether its option 2 is full integration
 
 
 @dataclass
 class _Archive(Translated):
-    """A deck in the making, and the state of an archive that is read."""
+    """A deck under construction, and the state of the archive."""
 
-    types: dict[str, _Type] = field(default_factory=dict)  # by number
+    types: dict[str, _Type] = field(default_factory=dict)  # element types by number
     # By name, constants by the words of the deck ("E" and "NU" make *ELASTIC)
     materials: dict[str, dict[str, str]] = field(default_factory=dict)
     parameters: dict[str, str] = field(default_factory=dict)
@@ -51,7 +51,10 @@ class _Archive(Translated):
     branches: int = 0  # number of open *IF
 
     def type_of(self, number: str) -> _Type:
-        """Return the element type of a number; raises MeshFileError if no ET defines it."""
+        """Return the element type of a number.
+
+        Raises MeshFileError if no ET defines it.
+        """
         if number not in self.types:
             known = ", ".join(self.types) or "none"
             raise MeshFileError(f"needs type {number}, but ET above defines {known}; add its ET")
@@ -66,13 +69,14 @@ class _Archive(Translated):
 def read_ansys(text: str) -> Translated:
     """Return the content of an archive: regions MAT_1, node components, D and F on nodes.
 
-    Each LSWRITE and SOLVE ends a load case; without any, the archive is of one.
+    Each LSWRITE and SOLVE ends a load case; without any, the archive is one load case.
 
     Raises MeshFileError if a block cannot be read.
     """
     archive = _Archive(nonlinear=bool(re.search(r"^\s*NLGEOM\s*,\s*(ON|1)", text, re.I | re.M)))
     lines = enumerate(text.splitlines(), start=1)
-    rows = (row for _, row in lines)  # the loop's iterator: it goes on behind the rows of a block
+    # The iterator of the loop, which continues after the rows of a block.
+    rows = (row for _, row in lines)
     for number, line in lines:
         for command in line.split("!")[0].split("$"):
             word, *fields = (each.strip().upper() for each in command.split(","))
@@ -95,7 +99,7 @@ def read_ansys(text: str) -> Translated:
 
 
 def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
-    """Take a command of one line; parameters stand for their values."""
+    """Read a command of one line, with parameters replaced by their values."""
     if assigned := re.fullmatch(r"(\w+)\s*=\s*(.+)", word):
         word, fields = "*SET", [assigned[1], assigned[2]]
     values = [archive.parameters.get(each, each) for each in fields]
@@ -114,7 +118,7 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
 
 
 def _take_control(archive: _Archive, word: str, fields: list[str]) -> None:
-    """Take a command of load steps, conditions or selections; count commands that are skipped."""
+    """Read a command of load steps, conditions or selections; count skipped commands."""
     if word == "LSCLEAR" and fields[:1] in (["FE"], ["ALL"]):  # LSCLEAR,Lab
         archive.held, archive.forces = {}, {}
     elif word in ("*IF", "*ENDIF"):  # *IF,VAL1,Oper1,VAL2,THEN; without THEN no *ENDIF follows
@@ -144,7 +148,7 @@ def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
 
 # ETBLOCK,NUM,MAX; a format such as (2i9,19a9); rows of ITYPE, Ename, KOP1, KOP2, ...; -1
 def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
-    """Take element types with their options, of newer archives."""
+    """Read element types with their options, in newer archives."""
     widths = re.findall(r"i(\d+),\d+a(\d+)", next(rows).lower())[0]
     for row in rows:
         number, *fields = _fixed(row, int(widths[0]))
@@ -177,7 +181,7 @@ def _fixed(row: str, width: int) -> list[str]:
 
 
 def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: list[str]) -> None:
-    """Take a cell; a hexahedron with nodes of the same number is a cell with fewer nodes."""
+    """Read a cell; a hexahedron with repeated nodes is a cell with fewer nodes."""
     if kind.name not in (*_HEX, *_TET):
         archive.skipped[f"elements of type {kind.name}"] += 1
         return
@@ -218,7 +222,7 @@ def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
     label, number, value, *more = fields
     constants = archive.materials.setdefault(f"MAT_{whole(number)}", {})
     if label in _CONSTANTS:
-        if int(position[0]) == 1:  # else a table's later rows
+        if int(position[0]) == 1:  # otherwise later rows of a table
             constants[_CONSTANTS[label]] = value
         first = constants.get(_CONSTANTS[label], "")
         if any(each != first for each in (value, *more) if each):
@@ -230,7 +234,7 @@ def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
 # D,NODE,Lab,VALUE,VALUE2,NEND,NINC,Lab2,...,Lab6 and F,NODE,Lab,VALUE,VALUE2,NEND,NINC
 # DDELE,NODE,Lab,NEND,NINC and FDELE,NODE,Lab,NEND,NINC
 def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
-    """Set or remove (DDELE, FDELE) what acts on a node, on each from it to NEND, or on a group."""
+    """Set or remove (DDELE, FDELE) a support or load of a node, of a range, or of a group."""
     if archive.branches:
         raise MeshFileError("is inside *IF; write the lines that apply, without the condition")
     node, label, *values = (*fields, *[""] * 9)

@@ -1,4 +1,4 @@
-"""Equations of an Abaqus or CalculiX deck: nodes that follow others."""
+"""Equations of an Abaqus or CalculiX deck: nodes that depend on others."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LOOSE = (
 
 
 def take_equations(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    """Take equations: the number of terms, then node, freedom and factor of each."""
+    """Read equations: the number of terms, then node, freedom and factor of each."""
     fields = [each for row in keyword.rows for each in row if each]
     while fields and "REMOVE" not in keyword.options:
         count = whole(fields[0])
@@ -38,16 +38,17 @@ def take_equations(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def take_constraints(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    """Take pairs of nodes that move alike."""
+    """Read pairs of nodes that move alike."""
     for kind, *names in keyword.rows:
         labels = [named(deck, deck.node_sets, name, keyword.frame) for name in names]
         alike = kind.upper() in ("TIE", "PIN") and [len(each) for each in labels] == [1, 1]
-        for axis in "123" if alike else "0":  # no node follows along 0: the reader notes it
+        # Freedom 0 does not exist: the reader notes the mistake.
+        for axis in "123" if alike else "0":
             _equate(reader, keyword, [(labels[0][0], axis, -1.0), (labels[-1][0], axis, 1.0)])
 
 
 def _equate(reader: Reader, keyword: Keyword, terms: list[tuple[int, str, float]]) -> None:
-    """Note that a node follows others by terms of nodes, freedoms from "1", and factors."""
+    """Store that a node depends on others by terms of nodes, freedoms from "1", and factors."""
     (node, freedom, factor), *others = terms
     weights: dict[int, float] = defaultdict(float)
     for label, _, other in others:
@@ -61,9 +62,9 @@ def _equate(reader: Reader, keyword: Keyword, terms: list[tuple[int, str, float]
 
 
 def following(reader: Reader, deck: Deck) -> list[tuple[int, int, float]]:
-    """Return nodes that follow others, these, and weights, by the rows of nodes.
+    """Return dependent nodes, their masters, and weights, by the rows of nodes.
 
-    All are of second-order cells, and have the same weights and axes in all three directions.
+    All belong to second-order cells, and have the same weights and axes in all three directions.
     """
     row, entries = {label: i for i, label in enumerate(deck.nodes)}, []
     blocks = zip(deck.kinds, deck.cells, strict=True)

@@ -1,7 +1,7 @@
-"""A Nastran bulk data file (.bdf, .dat, .nas) as an Abaqus deck.
+"""Conversion of a Nastran bulk data file (.bdf, .dat, .nas) to an Abaqus deck.
 
 meshio reads such meshes too, but leaves out large-field elements and coordinate systems without a
-word, and knows no materials, constraints and rigid elements.
+message, and knows no materials, constraints and rigid elements.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ _ORDER = {
     "C3D20R": [*range(12), *range(16, 20), *range(12, 16)],
     "C3D15": [*range(9), *range(12, 15), *range(9, 12)],
 }
-_QUIET = {"PARAM", "END BULK", "MPCADD"}  # without content, so not named as left out
+_QUIET = {"PARAM", "END BULK", "MPCADD"}  # cards without content, which no message lists
 _SYSTEMS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
 _EXPONENT = re.compile(r"(?<=[\d.])([+-]\d+)$")
 _MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
-_ALONG = 1e-6  # of a length: decks write coordinates to 7 digits
+_ALONG = 1e-6  # part of a length: decks write coordinates with 7 digits
 _FIRST_SPRING = 10**9  # number of the first element of springs: Nastran's own end at 1e8
 _NONLINEAR = re.compile(r"^\s*SOL\s+(106|NLSTATIC|400|60[01])\b", re.I | re.M)
 _CASE = re.compile(r"(SUBCASE|SUBC|SYM|SUBCOM|SYMCOM|REPCASE)\b\s*=?\s*(\d+)")
@@ -46,16 +46,16 @@ _SELECTION = re.compile(r"(SPC|LOAD)\b\s*(?:\([^)]*\))?\s*=?\s*(\w+)")
 
 @dataclass
 class _Bulk(Translated):
-    """A deck in the making, and the content of the file that later cards refer to."""
+    """A deck under construction, and the content of the file that later cards refer to."""
 
-    # By kind ("SPC", "LOAD") and number: rows of node, freedom and value; the set ("GRID", "") is
-    # what GRID cards hold themselves.
+    # By kind ("SPC", "LOAD") and number: rows of node, freedom and value; the set ("GRID", "") has
+    # the supports of GRID cards themselves.
     sets: dict[tuple[str, str], list[tuple[str, str, float]]] = field(
         default_factory=lambda: defaultdict(list)
     )
     # By kind and number of an SPCADD or LOAD: factors and numbers of sets
     sums: dict[tuple[str, str], list[tuple[float, str]]] = field(default_factory=dict)
-    mass_factor: float = 1.0  # of all densities: PARAM,WTMASS
+    mass_factor: float = 1.0  # factor on all densities: PARAM,WTMASS
     # Fields of coordinate systems and of nodes by number; systems by number: kind, axes, origin
     cards: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
     grids: dict[str, list[str]] = field(default_factory=dict)
@@ -64,7 +64,7 @@ class _Bulk(Translated):
     springs: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
 
     def index(self, name: str, fields: list[str]) -> None:
-        """Note a GRID or coordinate systems by number."""
+        """Store a GRID or coordinate systems by number."""
         if name == "GRID":
             self.grids[fields[0]] = fields
         elif name in _SYSTEMS:
@@ -83,7 +83,8 @@ class _Bulk(Translated):
             name, fields = self.cards[number]
             if not fields:
                 raise MeshFileError(f"needs {name} {number}, which needs itself; correct its RID")
-            self.cards[number] = name, []  # none while it is read: a system may not need itself
+            # No fields during its own evaluation: a system must not refer to itself.
+            self.cards[number] = name, []
             try:
                 if name[4] == "1":
                     points = np.array([self.point(self.grid(node)) for node in fields[1:4]])
@@ -91,7 +92,7 @@ class _Bulk(Translated):
                     numbers = np.array([_real(each) for each in fields[2:11]]).reshape(3, 3)
                     points = np.array([self.in_basic_axes(fields[1], each) for each in numbers])
                 z, x, y = axes_through(*points)  # its second point is on z, its third in xz
-            except MeshFileError as error:  # the card that is read names the system
+            except MeshFileError as error:  # the current card names the system
                 raise MeshFileError(f"needs {name} {number}, which {error}") from None
             finally:
                 self.cards[number] = name, fields
@@ -106,19 +107,25 @@ class _Bulk(Translated):
         return origin + cartesian(kind, point) @ axes
 
     def point(self, fields: list[str]) -> Array:
-        """Return where the node of a GRID is, in basic axes, shape (3,)."""
+        """Return the position of the node of a GRID, in basic axes, shape (3,)."""
         return self.in_basic_axes(fields[1], np.array([_real(each) for each in fields[2:5]]))
 
     def grid(self, node: str) -> list[str]:
-        """Return the fields of a node's GRID; raises MeshFileError if there is none."""
+        """Return the fields of a node's GRID.
+
+        Raises MeshFileError if there is none.
+        """
         if node not in self.grids:
             raise MeshFileError(f"names node {node}, which no GRID defines; add it")
         return self.grids[node]
 
     def stiffnesses(self, name: str, number: str) -> list[float]:
-        """Return the stiffnesses of a spring; raises MeshFileError if its property is missing."""
+        """Return the stiffnesses of a spring.
+
+        Raises MeshFileError if its property is missing.
+        """
         _, fields = self.springs[number]
-        if name == "CELAS2":  # has its stiffness itself
+        if name == "CELAS2":  # has its own stiffness
             return [_real(fields[1])]
         kind, key = "PBUSH" if name == "CBUSH" else "PELAS", fields[1] or number
         if kind + key not in self.springs:
@@ -163,7 +170,7 @@ def read_nastran(text: DeckText) -> Translated:
         data.mass_factor = _real(factor[1])
     lines_before = text.count("\n") - bulk.count("\n")
     cards = list(_cards(bulk.splitlines(), text, lines_before))
-    for _, name, fields in cards:  # nodes may stand after what needs them
+    for _, name, fields in cards:  # nodes may come after cards that refer to them
         data.index(name, fields)
     for number, name, fields in cards:
         taker = _TAKERS.get(name)
@@ -183,7 +190,7 @@ def read_nastran(text: DeckText) -> Translated:
 
 
 def _take_cases(data: _Bulk, control: str) -> None:
-    """Make a case of each subcase from the sets that it selects."""
+    """Make a case of each subcase from its selected sets."""
     used, turned = set(), _turn(data)
     held: dict[str, list[str]] = {}
 
@@ -228,7 +235,8 @@ def _turn(data: _Bulk) -> dict[str, Array]:
         number = data.grids[node][5] if node in data.grids else ""
         if number not in ("", "0", "-1"):
             kind, axes, _ = data.system(number)
-            # Held both radially and around, or neither, is the same along the axes of the system.
+            # If both the radial and the circumferential freedom are held, or neither, the system's
+            # own axes give the same.
             alike = kind == "C" and ("1" in ways) == ("2" in ways)
             turned[node] = axes if alike else data.axes_at(number, node)
             row = ", ".join(f"{each:.15g}" for each in turned[node][:2].ravel().tolist())
@@ -237,7 +245,10 @@ def _turn(data: _Bulk) -> dict[str, Array]:
 
 
 def _selections(data: _Bulk, control: str) -> dict[str, dict[str, str]]:
-    """Return by subcase the number of its set of each kind; each set is a case if none selects."""
+    """Return by subcase the number of its set of each kind.
+
+    Each set is a case if none is selected.
+    """
     common: dict[str, str] = {}
     current, cases = common, dict[str, dict[str, str]]()
     for line in control.upper().splitlines():
@@ -307,7 +318,7 @@ def _real(field: str) -> float:
 
 def _grid(data: _Bulk, _: str, fields: list[str]) -> None:
     coordinates = ", ".join(f"{x:.12g}" for x in data.point(fields).tolist())
-    whole(fields[0])  # raises if the number is none
+    whole(fields[0])  # raises if it is no number
     data.nodes.append(f"{fields[0]}, {coordinates}")
     _hold(data, ("GRID", ""), fields[0], fields[6])
 
@@ -319,7 +330,7 @@ def _hold(data: _Bulk, key: tuple[str, str], node: str, freedoms: str, value: st
 
 
 def _solid(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Take a cell; a midside node that it lacks is "0"."""
+    """Read a cell; a missing midside node is "0"."""
     corners, most = _SOLIDS[name]
     count = max((i for i, each in enumerate(fields[2:], 1) if each), default=0)
     if count > corners:
@@ -334,7 +345,7 @@ def _solid(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _material(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Take a MAT1, whose third of E, G and nu follows from the other two."""
+    """Read a MAT1; the third of E, G and nu follows from the other two."""
     young, shear, ratio = (_real(each) for each in fields[1:4])
     if not fields[1]:
         young = 2 * shear * (1 + ratio)
@@ -347,7 +358,7 @@ def _material(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _orthotropic(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Take a MAT9 of nine constants; its shears are xy, yz, zx."""
+    """Read a MAT9 of nine constants; its shears are xy, yz, zx."""
     values = [_real(each) for each in (*fields, *[""] * 29)[:29]]
     _, constants, density, expansion = values[0], values[1:22], values[22], values[23:]
     stiffness = np.zeros((6, 6))
@@ -404,7 +415,7 @@ def _constraint(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _sum(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Take SPCADD, and LOAD with a factor of all and of each."""
+    """Read SPCADD, and LOAD with a common factor and a factor of each set."""
     if name == "SPCADD":
         fields = [fields[0], "1.", *(each for part in fields[1:] for each in ("1.", part))]
     pairs = zip(fields[2::2], fields[3::2], strict=False)
@@ -413,7 +424,8 @@ def _sum(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _rigid(data: _Bulk, name: str, fields: list[str]) -> None:
-    nodes = _listed([each for each in fields[3:] if "." not in each])  # less its expansion
+    # Without its thermal expansion.
+    nodes = _listed([each for each in fields[3:] if "." not in each])
     ways = sorted(set("123") & set(fields[2]))
     turned = (data.grids[node][5] for node in nodes if node in data.grids)
     if not ways or (len(ways) < 3 and not {*turned} <= {"", "0"}):
@@ -424,7 +436,7 @@ def _rigid(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Take weights of nodes; with UM the list ends, and the element is another."""
+    """Read weights of nodes; with UM the list ends, and the element is another one."""
     if "ALPHA" in fields:
         data.skipped[f"expansion of {name}"] += 1
         fields = fields[: fields.index("ALPHA")]
@@ -444,7 +456,7 @@ def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _spring(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Keep a spring, or a property: the stiffness of one direction or of six."""
+    """Store a spring, or a property: the stiffness of one direction or of six."""
     if name == "PELAS":  # two properties a card, of four fields each
         springs = {f"{name}{fields[i]}": (name, [fields[i + 1]]) for i in (0, 4) if fields[i]}
     elif name == "PBUSH":  # stiffnesses follow the word K at the start of a line of eight fields
@@ -459,14 +471,14 @@ def _spring(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _take_springs(data: _Bulk) -> None:
-    """Take each freedom of a spring as an element; the reader of the deck checks them."""
+    """Convert each freedom of a spring to an element; the reader of the deck checks them."""
     numbers = itertools.count(_FIRST_SPRING)
-    refused = defaultdict[tuple[str, str], list[str]](list)  # numbers by card and reason
+    refused = defaultdict[tuple[str, str], list[str]](list)  # element numbers by card and reason
     for number, (name, fields) in data.springs.items():
         if name[0] == "P":
             continue
         is_bush = name == "CBUSH"
-        # Both ends by node and first freedom, less a grounded end: its node is empty or 0.
+        # Both ends by node and first freedom, without a grounded end, whose node is empty or 0.
         ends = [(fields[2], "1"), (fields[3], "1")] if is_bush else [fields[2:4], fields[4:6]]
         try:
             ends = [(node, whole(freedom or "0")) for node, freedom in ends if node.strip("0")]
@@ -492,7 +504,7 @@ def _take_springs(data: _Bulk) -> None:
 
 
 def _spring_axes(data: _Bulk, bush: list[str], nodes: list[str], sizes: list[float]) -> Array:
-    """Return the axes of a spring, those of its nodes unless its fields are a CBUSH's, in rows."""
+    """Return the axes of a spring in rows: those of its nodes unless a CBUSH defines its own."""
     grids = [data.grid(node) for node in nodes]
     if not bush:
         axes, *others = [
@@ -516,7 +528,7 @@ def _spring_axes(data: _Bulk, bush: list[str], nodes: list[str], sizes: list[flo
 
 
 def _load(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Take a FORCE on the freedoms 1 to 3 of a node, or a MOMENT on 4 to 6, in basic axes."""
+    """Read a FORCE on the freedoms 1 to 3 of a node, or a MOMENT on 4 to 6, in basic axes."""
     number, node, system, size = fields[0], fields[1], fields[2], _real(fields[3])
     load = np.array([size * _real(each) for each in fields[4:7]]) @ data.axes_at(system, node)
     for freedom, value in enumerate(load.tolist(), 1 if name == "FORCE" else 4):

@@ -1,4 +1,4 @@
-"""Content of a mesh file before it is a `fea.mesh.mesh.Mesh` or, translated, an Abaqus deck."""
+"""Content of a mesh file before its conversion to a `fea.mesh.mesh.Mesh`, or to an Abaqus deck."""
 
 from __future__ import annotations
 
@@ -27,38 +27,39 @@ Array = np.ndarray
 Block = tuple[str, Array]
 
 NODES_PER_LINE = {"point1": 1, "line2": 2, "line3": 3}
-"""Kinds that give node groups only: a group on an edge or a point of the part."""
+"""Kinds of cells that only give node groups: a group on an edge or a point of the part."""
 
-_LARGEST = 1e50  # of coordinates: volumes of larger cells overflow
+_LARGEST = 1e50  # largest coordinate: volumes of larger cells overflow
 
 
 @dataclass(frozen=True, eq=False)
 class RawMesh:
-    """Everything in a mesh file, in the file's length unit."""
+    """All contents of a mesh file, in the file's length unit."""
 
     points: Array  # shape (n, 3); some may belong to no cell
     # (kind, nodes) of cells, facets and lines, in the order of the file; nodes of shape (m, k),
     # int64.
     blocks: list[Block]
-    # For each name, one array of element numbers per block, shape (m,), int64
+    # For each name, one array of element indices per block, shape (m,), int64
     element_sets: Mapping[str, list[Array]] = field(default_factory=dict)
-    # For each name, the nodes' numbers, shape (k,), int64
+    # For each name, the nodes' indices, shape (k,), int64
     node_sets: Mapping[str, Array] = field(default_factory=dict)
     # Facet groups that the file defines as faces of cells
     facet_sets: Mapping[str, list[Block]] = field(default_factory=dict)
-    # Nodes of cells that follow others of cells, these, and weights
+    # Dependent nodes of cells, their masters, and weights
     follow: list[tuple[int, int, float]] = field(default_factory=list)
-    # Weights of nodes by the name of their set, as `fea.mesh.mesh.Mesh` has them
+    # Weights of nodes by the name of their set, in the form of `fea.mesh.mesh.Mesh`
     node_weights: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
 
 def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     """Return the mesh: scaled, one block for each kind, without points that no cell uses.
 
-    raw: as read.
+    raw: content of the file.
     metres: the file's length unit in metres.
-    Raises MeshFileError if there are no solid cells, some of a kind that cannot be solved, points
-    that there are not, or facets in a group that are not faces of a cell.
+
+    Raises MeshFileError if there are no solid cells, some of an unsupported kind, references to
+    missing points, or facets in a group that are not faces of a cell.
     """
     kinds = [kind for kind, nodes in raw.blocks if len(nodes)]
     known = {*NODES_PER_CELL, *NODES_PER_FACET, *NODES_PER_LINE}
@@ -71,7 +72,7 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     if not any(kind in NODES_PER_CELL for kind in kinds):
         there = ", ".join(dict.fromkeys(kinds)) or "no cells at all"
         raise MeshFileError(f"has no solid cells (it has {there}); export the volume mesh too")
-    # Refuse cells and sets of points that there are not: -1 would else be taken for the last.
+    # Refuse references to missing points: -1 would otherwise mean the last.
     users = [(f"{kind} cells", nodes) for kind, nodes in raw.blocks]
     users += [(f'the group "{name}"', nodes) for name, nodes in raw.node_sets.items()]
     for user, numbers in users:
@@ -98,7 +99,7 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
         right_way_round(points, CellBlock(kind, cells[kind][chosen_rows]))
         for kind, (chosen_rows, _) in once.items()
     )
-    # Each element set as numbers of cells within the joined block of their kind.
+    # Each element set as indices of cells within the joined block of their kind.
     renumbered = {kind: new for kind, (_, new) in once.items()}
     regions = {}
     for name, numbers in raw.element_sets.items():
@@ -113,7 +114,7 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
             regions[name] = region
     groups = _facet_groups(raw, number, blocks)
     dependents = _dependents(raw, number, points) if raw.follow else None
-    node_groups, number = _node_groups(raw, number), np.append(number, -1)  # of none
+    node_groups, number = _node_groups(raw, number), np.append(number, -1)  # no node
     weights = {name: (number[nodes], sizes) for name, (nodes, sizes) in raw.node_weights.items()}
     return Mesh(
         points, blocks, regions, groups, node_groups, dependents=dependents, node_weights=weights
@@ -131,7 +132,7 @@ def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
 
 
 def _without_twins(nodes: Array) -> tuple[Array, Array]:
-    """Return the rows to keep of cells that may come twice, and each row's number among these.
+    """Return the rows to keep of cells that may occur twice, and each row's index among these.
 
     gmsh's 2.2 format writes a cell once for each group it is in; kept twice, it would be twice as
     stiff.
@@ -195,35 +196,36 @@ class Case:
 
 @dataclass
 class Translated:
-    """A deck in the making; all entries are text as it goes into the deck."""
+    """A deck under construction; all entries are text of the deck."""
 
     nodes: list[str] = field(default_factory=list)  # rows of *NODE
     # By type and region, numbers of element and nodes; a midside node may be "0".
     elements: dict[tuple[str, str], list[list[str]]] = field(
         default_factory=lambda: defaultdict(list)
     )
-    # By material, the row of each keyword
+    # Row of each keyword, by material
     constants: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
     sections: dict[str, str] = field(default_factory=dict)  # material by region
-    groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))  # of nodes
+    # Groups of nodes.
+    groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     # Nodes by the row of their *TRANSFORM
     transforms: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     couplings: list[str] = field(default_factory=list)  # lines of couplings and springs
     cases: list[Case] = field(default_factory=list)  # each a step
     skipped: Counter[str] = field(default_factory=Counter)  # contents that are not in the deck
-    decide: list[str] = field(default_factory=list)  # what the file leaves open
+    decide: list[str] = field(default_factory=list)  # values that the file leaves undecided
     nonlinear: bool = False
 
     def _set_middles(self) -> None:
-        """Give each midside node "0" that of another cell, else one in the middle of its edge.
+        """Replace each midside node "0" by another cell's, or by a new one in its edge's middle.
 
-        A new node is held, grouped and turned as both ends of its edge are.
+        A new node is grouped, rotated and held as both ends of its edge are.
         """
         rows = [row for rows in self.elements.values() for row in rows]
         if not any("0" in row for row in rows):
             return
         kinds = {count: kind for kind, count in NODES_PER_CELL.items()}
-        # The midside node of each edge by its ends, and places in rows without one.
+        # The midside node of each edge by its ends, and the positions in rows without a node.
         middles, blank = dict[frozenset[str], str](), []
         for row in rows:
             edges = EDGES[kinds[len(row) - 1]]
@@ -234,7 +236,7 @@ class Translated:
                     middles[ends] = row[i]
                 else:
                     blank.append((row, i, ends))
-        # New nodes, for edges that no cell has one of.
+        # New nodes, for edges without a midside node.
         points = dict(row.split(", ", 1) for row in self.nodes)
         numbers = itertools.count(max(map(int, points)) + 1)
         lacking = dict.fromkeys(ends for _, _, ends in blank if ends not in middles)
@@ -248,7 +250,7 @@ class Translated:
         for node, ends in new.items():
             at = np.mean([[float(x) for x in points[end].split(",")] for end in ends], axis=0)
             self.nodes.append(f"{node}, {', '.join(f'{x:.12g}' for x in at.tolist())}")
-        # They are grouped, turned and held as both their ends are.
+        # They are grouped, rotated and held as both their ends are.
         for nodes in (*self.groups.values(), *self.transforms.values()):
             members = {*nodes}
             nodes += [node for node, ends in new.items() if ends <= members]
@@ -268,7 +270,7 @@ class Translated:
         )
 
     def lines(self) -> list[str]:
-        """Return the deck."""
+        """Return the lines of the deck."""
         self._set_middles()
         lines = ["*NODE", *self.nodes]
         for (kind, region), rows in self.elements.items():
@@ -289,7 +291,7 @@ class Translated:
         before = Case()
         for case in self.cases or [before]:
             lines.append(f"*STEP, NAME={case.name}{', NLGEOM' if self.nonlinear else ''}")
-            if case.held != before.held:  # a step keeps what it does not change
+            if case.held != before.held:  # a step keeps earlier supports that it does not change
                 lines += ["*BOUNDARY, OP=NEW", *case.held]
             if case.loads != before.loads:
                 lines += ["*CLOAD, OP=NEW", *case.loads]
@@ -300,7 +302,7 @@ class Translated:
     def tie(
         self, name: str, nodes: list[str], reference: str, kind: str, weights: Iterable[float] = ()
     ) -> None:
-        """Let nodes follow a reference node ("KINEMATIC"), or it their mean ("DISTRIBUTING")."""
+        """Tie nodes to a reference node ("KINEMATIC"), or it to their mean ("DISTRIBUTING")."""
         self.groups[name] = nodes
         self.couplings += [f"*SURFACE, TYPE=NODE, NAME={name}", *([] if weights else [name])]
         pairs = zip(nodes, weights, strict=False)
@@ -312,6 +314,6 @@ class Translated:
 
 
 def rows_of(texts: Iterable[str]) -> list[str]:
-    """Return texts, ten a line."""
+    """Return rows of ten texts each."""
     texts = list(texts)
     return [", ".join(texts[i : i + 10]) for i in range(0, len(texts), 10)]

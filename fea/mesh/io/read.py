@@ -1,4 +1,4 @@
-"""Reading mesh files: gmsh, VTK and what else meshio knows, and Abaqus/CalculiX decks."""
+"""Reading mesh files: gmsh, VTK and other formats of meshio, and Abaqus/CalculiX decks."""
 
 from __future__ import annotations
 
@@ -40,25 +40,26 @@ MESHIO_KINDS = {
     "line3": "line3",
 }
 
-# meshio has these kinds in every table but that of dimensions, without which it fails on them.
+# meshio's table of dimensions lacks these kinds, and it fails on them.
 _mesh.topological_dimension.update({"wedge15": 3, "pyramid13": 3})
 
-# An integer array with more values than this numbers things instead of grouping them.
+# An integer array with more values than this is a numbering, not groups.
 _MAX_GROUPS = 1000
 
 
 def read_mesh(path: Path, unit: str) -> Mesh:
     """Read the mesh file of a bundle.
 
-    Groups are gmsh's physical groups (by their number where they have no name), the sets and
-    surfaces of a deck, and the integer arrays of a VTK file: an array of 0 and 1 is a group
-    of its name, another array makes the group ``<array>_<value>`` for each of its values.
-    Groups of surface cells become facet groups, groups of lines and points node groups.
+    Groups are gmsh's physical groups (by their number if they have no name), the sets and surfaces
+    of a deck, and the integer arrays of a VTK file: an array of 0 and 1 is a group of its name,
+    another array makes the group ``<array>_<value>`` for each of its values. Groups of surface
+    cells become facet groups, groups of lines and points node groups.
 
-    path: the file; its ending says what it is.
+    path: the file; its ending determines the format.
     unit: its length unit, a key of `fea.spec.mesh_source.UNITS`.
-    Raises BundleError if it cannot be read, has no solid cells, or some that the solver does not
-    know.
+
+    Raises BundleError if the file cannot be read, has no solid cells, or cells that the solver does
+    not support.
     """
     try:
         if path.suffix.lower() != ".inp":
@@ -70,6 +71,7 @@ def read_mesh(path: Path, unit: str) -> Mesh:
 
 
 def _read_meshio(path: Path) -> RawMesh:
+    """Return the content of a file in a format of meshio."""
     if path.suffix.lower() in _XDMF_ENDINGS:
         _refuse_outside(path)
     read = _read_silently(path)
@@ -77,7 +79,7 @@ def _read_meshio(path: Path) -> RawMesh:
         (MESHIO_KINDS.get(str(block.type), str(block.type)), np.asarray(block.data, dtype=np.int64))
         for block in read.cells
     ]
-    # Gmsh's physical groups; the 2.2 format has them only as numbers of cells.
+    # gmsh's physical groups; the 2.2 format has them only as numbers of cells.
     tags = read.cell_data.get("gmsh:physical", [])
     names = {(int(tag), int(dim)): name for name, (tag, dim) in read.field_data.items()}
     groups: dict[str, list[Array]] = {}
@@ -90,7 +92,7 @@ def _read_meshio(path: Path) -> RawMesh:
     sets = {**groups, **_array_groups(read)}
     sets |= {name: s for name, s in read.cell_sets.items() if not name.startswith("gmsh:")}
     element_sets = {name: [_as_numbers(part) for part in parts] for name, parts in sets.items()}
-    # The groups that integer point arrays make.
+    # Groups by integer point arrays.
     point_groups = {}
     for array, values in read.point_data.items():
         if array.startswith("gmsh:"):
@@ -106,7 +108,7 @@ def _read_meshio(path: Path) -> RawMesh:
 
 
 def _read_silently(path: Path) -> meshio.Mesh:
-    """Read by meshio, which prints its complaints and may end the interpreter."""
+    """Read a file by meshio, without its output and its ending of the interpreter."""
     if not path.name.lower().endswith(tuple(meshio.extension_to_filetypes)):
         raise MeshFileError(
             f'has the ending "{path.suffix}" of no known mesh format; export the mesh as .msh '
@@ -117,7 +119,8 @@ def _read_silently(path: Path) -> meshio.Mesh:
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
             return meshio.read(path)
     except (Exception, SystemExit) as error:
-        plain = isinstance(error, (meshio.ReadError, OSError))  # others quote Python, no cause
+        # Other errors are Python's, without a cause.
+        plain = isinstance(error, (meshio.ReadError, OSError))
         details = " ".join(f"{output.getvalue()} {error if plain else ''}".split())[:200]
         why = f" ({details})" if details else ": it is damaged, or of another format"
         raise MeshFileError(f"cannot be read as {path.suffix}{why}; export it again") from None
@@ -128,7 +131,7 @@ def _as_numbers(part: object) -> Array:
 
 
 def _array_groups(read: meshio.Mesh) -> dict[str, list[Array]]:
-    """Return the groups that integer cell arrays make."""
+    """Return the groups by integer cell arrays."""
     groups = {}
     for array, parts in read.cell_data.items():
         if array.startswith("gmsh:"):
@@ -155,11 +158,11 @@ _XDMF_ENDINGS = (".xdmf", ".xmf")
 def _refuse_outside(path: Path) -> None:
     """Refuse an XDMF file whose numbers lie in a file outside its folder.
 
-    A stranger's bundle could else have whatever this machine holds read as a mesh, and look at it
-    as a deformed shape.
+    Otherwise an uploaded bundle could read any file of this machine as a mesh, and return it as a
+    deformed shape.
 
-    Raises MeshFileError if it names a file elsewhere, one of plain bytes (which is looked for where
-    the program runs), or is no XML.
+    Raises MeshFileError if the file refers to a file elsewhere, to one of plain bytes (which is
+    searched in the program's working folder), or is no XML.
     """
     try:
         items = list(ET.parse(path).iter("DataItem"))

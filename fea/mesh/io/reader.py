@@ -1,4 +1,4 @@
-"""The contents of an Abaqus or CalculiX deck besides its mesh, before groups have their names."""
+"""The contents of an Abaqus or CalculiX deck besides its mesh, before groups have final names."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Motion(NamedTuple):
     """A row of *BOUNDARY."""
 
     where: str
-    key: str  # of a node set; empty for a single node
+    key: str  # key of a node set; empty for a single node
     labels: list[int]
-    freedoms: set[int]  # held, in numbers from 0
+    freedoms: set[int]  # held freedoms, as indices from 0
 
 
 @dataclass(eq=False)
@@ -41,9 +41,9 @@ class Motions:
 
 @dataclass
 class Step:
-    """Supports and forces at the end of a step; freedoms are numbers from 0.
+    """Supports and forces at the end of a step; freedoms are indices from 0.
 
-    `name` is empty of what is no case, as of a step with load cases. `kind` is "general",
+    `name` is empty if the step is no case, as for a step with load cases. `kind` is "general",
     "perturbation" or "load case". `forces` are the key and the load by label and freedom. `begun`
     has the words of the step's keywords and the keys of its forces.
     """
@@ -56,7 +56,7 @@ class Step:
     begun: set[str | tuple[int, int]] = field(default_factory=set)
 
     def begin(self, keyword: Keyword) -> None:
-        """Go on, at a word's first keyword, from what earlier steps set, by OP=NEW from nothing."""
+        """At a word's first keyword, start from earlier steps' state, with OP=NEW from nothing."""
         if keyword.word not in self.begun:
             self.begun.add(keyword.word)
             new = keyword.options.get("OP", "").upper() == "NEW"
@@ -68,26 +68,27 @@ class Step:
 
 @dataclass
 class Reader:
-    """Content read besides the mesh; groups are keys of the deck's sets until the end."""
+    """Content besides the mesh; groups are keys of the deck's sets until the end."""
 
     content: DeckContent = field(default_factory=DeckContent)
-    # Of each *SOLID SECTION: line and keyword, key of its element set, material, orientation
+    # For each *SOLID SECTION: line and keyword, key of its element set, material, orientation
     sections: list[tuple[str, str, str, str]] = field(default_factory=list)
     orientations: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    # Axes of nodes, nine numbers, that are not the global ones
+    # Axes of nodes, nine numbers, if they differ from the global axes
     turned: dict[int, tuple[float, ...]] = field(default_factory=dict)
     couplings: list[Coupling] = field(default_factory=list)
     # Keyword and nodes of each element by label, and *SPRING
     springs: dict[int, tuple[Keyword, list[int]]] = field(default_factory=dict)
     spring_sections: list[Keyword] = field(default_factory=list)
-    # Where, keys of both surfaces, and distance
+    # Line and keyword, keys of both surfaces, and distance
     ties: list[tuple[str, str, str, float | None]] = field(default_factory=list)
-    # By node and freedom from 0 (None: of several freedoms, or a second one of a freedom), what the
-    # node follows by an equation: weights by label
+    # By node and freedom from 0 (None: of several freedoms, or a second equation of a freedom):
+    # keyword, and weights of the masters by label
     equations: dict[int, dict[int | None, tuple[Keyword, dict[int, float]]]] = field(
         default_factory=dict
     )
-    steps: list[Step] = field(default_factory=lambda: [Step()])  # first: what precedes all steps
+    # The first: contents before all steps.
+    steps: list[Step] = field(default_factory=lambda: [Step()])
     sets: dict[frozenset[int], str] = field(default_factory=dict)  # keys of node sets by members
     # By reference node, the number of its coupling and the freedom that is its first, 0 or 3
     points: dict[int, tuple[int, int]] = field(default_factory=dict)
@@ -101,5 +102,5 @@ class Reader:
 
     @property
     def constants(self) -> dict[str, Constant]:
-        """The material that the keywords are of."""
+        """The constants of the current material."""
         return self.content.materials.setdefault(self.material, {})

@@ -17,14 +17,17 @@ from wrenchbook.fea.spec.problems import MeshFileError
 Array = np.ndarray
 
 NODES = {"SPRING1": 1, "SPRING2": 2}
-"""Of an element of each type."""
+"""Number of nodes of an element of each type."""
 
 _UPRIGHT = tuple(np.eye(3).ravel().tolist())
-_ALONG = 1e-6  # of coordinates, which decks write to 7 digits
+_ALONG = 1e-6  # relative accuracy of coordinates, which decks write with 7 digits
 
 
 def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
-    """Take elements of springs; raises MeshFileError if one comes twice or lacks a node."""
+    """Read elements of springs.
+
+    Raises MeshFileError if one occurs twice or lacks a node.
+    """
     labels, kind = list[int](), keyword.option("TYPE").upper()
     for row in keyword.rows:
         label, *nodes = (keyword.frame.label(each) for each in row if each)
@@ -39,9 +42,9 @@ def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
-    """Add springs that join the same couplings as one; the reader notes those that cannot be."""
+    """Add springs, joined if they connect the same couplings; note unusable ones in the reader."""
     remaining, joined = dict(reader.springs), dict[tuple[int, ...], tuple[Keyword, Array]]()
-    # The freedoms that the step holds of each node of a spring.
+    # The held freedoms of each node of a spring in this step.
     held = {node: set[int]() for _, nodes in remaining.values() for node in nodes}
     for motion in step.motions.rows if held else ():
         for node in held.keys() & motion.labels:
@@ -74,7 +77,10 @@ def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None
 def _labels(
     reader: Reader, deck: Deck, keyword: Keyword, remaining: Mapping[int, object]
 ) -> list[int]:
-    """Return the elements of a *SPRING; raises MeshFileError unless all are among `remaining`."""
+    """Return the elements of a *SPRING.
+
+    Raises MeshFileError unless all are among `remaining`.
+    """
     members = named(deck, deck.element_sets, keyword.option("ELSET"), keyword.frame)
     for label in (labels := sorted({*members})):
         if label not in reader.springs or label in deck.where:
@@ -92,12 +98,12 @@ def _spring(
     keyword: Keyword,
     nodes: list[int],
 ) -> tuple[tuple[int, ...], Array]:
-    """Return the numbers of the couplings that a spring moves, none to two, and its stiffness.
+    """Return the indices of the couplings that a spring connects, none to two, and its stiffness.
 
-    Shape (6, 6): of the motion of one from the other, along the global axes.
+    Shape (6, 6): of the motion of one relative to the other, along the global axes.
     """
     freedoms, axes, size = _constants(reader, keyword, nodes)
-    free, ways = list[int](), set[int]()  # numbers of couplings, and the freedoms of their points
+    free, ways = list[int](), set[int]()  # indices of couplings, and the freedoms of their points
     for node, freedom in zip(nodes, freedoms, strict=True):
         number, first = reader.points.get(node, (None, 0))
         if number is None:
@@ -156,7 +162,7 @@ def _constants(
 
 
 def _check_between(case: LoadCase, ends: list[CoupledGroup], shift: Array) -> None:
-    """Refuse a spring between two points that ``[[spring]]`` is not.
+    """Refuse a spring between two points that ``[[spring]]`` cannot represent.
 
     shift: the direction that it resists, shape (3,); zero for a spring of rotations.
     """

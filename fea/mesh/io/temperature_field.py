@@ -16,7 +16,7 @@ from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 Array = np.ndarray
 
 _COLUMNS = 4  # x, y, z, m, and the temperature
-_SAME = 1e-6  # of the mesh's size: a node so near to a point of the file has its temperature
+_SAME = 1e-6  # part of the mesh's size: a node this near to a point of the file has its temperature
 _KEY = "inputs.temperature.field"
 
 
@@ -30,6 +30,7 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     field: a CSV file with one line of names, then x, y, z (m, in the mesh's axes) and the
     temperature.
     reference: the temperature without strain, in the unit of the file's.
+
     Raises BundleError if the file has not four finite numbers a line below a line of names, gives a
     point two temperatures or lies far from the part, or if nothing is heated.
     """
@@ -62,7 +63,8 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
             order = np.argsort(here[:, 0])
             inside = np.interp(there[:, 0], here[order, 0], values[order], np.nan, np.nan)
         else:
-            from scipy.interpolate import LinearNDInterpolator  # here: 20 ms of a solve's imports
+            # Imported here, as it takes 20 ms of a solve's start.
+            from scipy.interpolate import LinearNDInterpolator
 
             inside = np.asarray(LinearNDInterpolator(here, values)(there))
         shape[between] = np.where(np.isnan(inside), shape[between], inside)
@@ -70,7 +72,10 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
 
 
 def _table(field: Path) -> Array:
-    """Return x, y, z and temperature of each point of a file, (p, 4); raises BundleError."""
+    """Return x, y, z and temperature of each point of a file, (p, 4).
+
+    Raises BundleError if the file cannot be used.
+    """
     with field.open(encoding="utf-8", errors="replace") as file:
         head = file.readline().strip()
     names = [name.strip().strip('"').lower()[:1] for name in head.split(",")]

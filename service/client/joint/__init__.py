@@ -1,4 +1,4 @@
-"""The joint: a part that bends as a force element between two rigid bodies that move."""
+"""The joint: a flexible part as a force element between two moving rigid bodies."""
 
 from ..errors import JointError, JointRangeError, JointWarning
 from .joint import Joint

@@ -42,14 +42,15 @@ from .report import JointReport, report_of
 if TYPE_CHECKING:
     from ..table import Table
 
-NOT_YET = -2  # beside the kernel's coverages: no step so far
-# By those codes, from the end too: -2 is NOT_YET, -1 a step without a wrench.
+NOT_YET = -2  # coverage before the first step, beside the kernel's codes
+# Coverage by these codes, also from the end: -2 is NOT_YET, -1 a step without a wrench.
 COVERED_AS = np.array([*COVERAGE, None, COVERAGE[-1]], dtype=object)
-LARGEST_TURN = 20.0  # degrees, of the rows of a table
-MAX_RANGES = 2.0  # of the range or of LARGEST_TURN: further out the pose is not that of the part
-ROUNDING = 1e-9  # relative: two ways to compute how far out a pose is differ by less
+LARGEST_TURN = 20.0  # degrees: largest rotation of a table's rows
+# Ratio to the load range or to LARGEST_TURN: beyond it the pose is not that of the part.
+MAX_RANGES = 2.0
+ROUNDING = 1e-9  # relative: the difference of two ways to compute a pose's distance from the range
 SYMBOLS = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
-SHOWN = 0.05  # of the largest: messages leave out smaller loads of a direction
+SHOWN = 0.05  # part of the largest load: messages leave out smaller loads of a direction
 
 
 class Joint:
@@ -127,7 +128,10 @@ class Joint:
             raise InvalidArgument(f"{self._name}: {error}") from error
 
     def _require_stiffness(self) -> None:
-        """Refuse a table without stiffness; warn where in its range no joint can invert it."""
+        """Refuse a table without stiffness.
+
+        Warn of wrenches in its range at which it cannot be inverted.
+        """
         packed, at, method = self._packed, self._at, self._method
         free = at[self.free]  # indices of the table's loads and outputs
         sample = packed.sample(self._inputs(np.zeros(self._size)), free)
@@ -176,7 +180,7 @@ class Joint:
         self._steps.inputs[:] = self._inputs(np.zeros(self._size))
 
     def restart(self) -> None:
-        """Forget the state of the last step."""
+        """Delete the state of the last step."""
         self._memory[:] = 0.0
         for name in ("wrench", "displacement"):
             self._reply[name] = 0.0
@@ -188,7 +192,7 @@ class Joint:
     def wrench(self) -> Vector:
         """The wrench on the part in the last step, shape (6,), N and N·m.
 
-        In the undeformed interface frame, its moment about the interface point where it is now.
+        It is in the undeformed interface frame, its moment about the displaced interface point.
         """
         return self._last_wrench()
 
@@ -197,12 +201,15 @@ class Joint:
 
     @property
     def displacement(self) -> Vector:
-        """Shape (6,), m and rad, at the beginning of the last step."""
+        """The displacement at the beginning of the last step, shape (6,), m and rad."""
         return np.array(self._reply["displacement"])
 
     @property
     def error(self) -> Vector:
-        """Error bar of the last step's wrench at its pose, shape (6,), N and N·m; NaN: unknown."""
+        """Error bar of the last step's wrench at its pose, shape (6,), N and N·m.
+
+        NaN if unknown.
+        """
         return np.array(self._reply["wrench_error"])
 
     @property
@@ -215,15 +222,15 @@ class Joint:
         return report_of(self)
 
     def _begin(self, axes: Vector | None) -> None:
-        """Make the kernel's arrays, with `axes` as in `new_steps`, and forget the last step."""
+        """Make the kernel's arrays, with `axes` as in `new_steps`, and delete the last step."""
         self._use(self.new_steps(1, axes), 0)
         self.restart()
 
     def new_steps(self, count: int, axes: Vector | None) -> JointSteps:
         """Make the kernel's arrays for `count` joints of these options.
 
-        `axes` (3, 3) are the interface frame's axes, as columns, in the axes in which the kernel
-        reads rotations and spins, those of the tip's body; None where these are the frame's.
+        `axes` (3, 3): the interface frame's axes, as columns, in the axes of the tip's body, in
+        which the kernel reads rotations and angular velocities; None where these are the frame's.
         """
         steps = self._packed.joints(count, self._method, axes)
         steps.inputs[:] = self._inputs(np.zeros(self._size))
@@ -235,7 +242,7 @@ class Joint:
         self._use(copy.copy(self._steps), self._entry)
 
     def _use(self, steps: JointSteps, at: int) -> None:
-        """Point this joint at its entry `at` of the kernel's arrays; its attributes are views."""
+        """Set this joint to the entry `at` of the kernel's arrays; its attributes are views."""
         self._entry, self._steps = at, steps
         self._reply, self._memory = steps.replies[at], steps.memory[at]
         self._history = steps.history[at]
@@ -245,10 +252,10 @@ class Joint:
 
     @property
     def coverage(self) -> str | dict[str, str | None]:
-        """How the table covers the wrench: ``covered``, ``thin`` or ``outside``.
+        """The table's coverage of the wrench: ``covered``, ``thin`` or ``outside``.
 
-        Of several interfaces, by their names: how it covers the wrenches of the last step's pose;
-        None before a step. Loads beyond the range are outside for all of them.
+        With several interfaces, by their names: the coverage of the wrenches of the last step's
+        pose; None before a step. Loads beyond the range are outside for all interfaces.
         """
         if self._several:
             return dict(zip(self.interfaces, COVERED_AS[self._coverage].tolist(), strict=True))
@@ -260,7 +267,7 @@ class Joint:
         return f"solve more rows (wrenchbook fill {self._table.name} --for-joint){other}"
 
     def _indefinite(self, wrench: Vector, direction: Vector) -> str:
-        """Return the text of a compliance that is not positive definite at a wrench (6 k,).
+        """Return the text on a compliance that is not positive definite at a wrench (6 k,).
 
         `direction` (f,), in half widths of the load range, is the load against which the part
         moves.
@@ -357,7 +364,7 @@ class Joint:
             self._use(*last_step)
 
     def _check_status(self) -> None:
-        """Raise and warn as the kernel's reply says."""
+        """Raise or warn according to the kernel's reply."""
         ranges = self._ranges[0]
         if self._status[0] or ranges > 1.0:
             self._refuse(int(self._status[0]), float(ranges))
@@ -365,7 +372,7 @@ class Joint:
             self._warn_uncovered(self._static_wrench)
 
     def _warn_uncovered(self, wrench: Vector) -> None:
-        """Warn once that the table does not cover a wrench."""
+        """Warn once of a wrench that the table does not cover."""
         if not self._warned_uncovered:
             self._warned_uncovered, packed = True, self._packed
             answer = packed.answer(self._inputs(wrench).tolist(), None, self._method)
@@ -379,7 +386,7 @@ class Joint:
     def _refuse(self, status: int, ranges: float) -> None:
         """Raise the error of a status of the kernel, or of a pose `ranges` load ranges out.
 
-        Up to MAX_RANGES a pose is warned of only.
+        Up to MAX_RANGES a pose only causes a warning.
         """
         if status == INDEFINITE:
             least, loads = self._weakest(self._stiffness[None])
@@ -417,7 +424,7 @@ class Joint:
             self._warn_beyond(self._excess(ranges))
 
     def _excess(self, ranges: float) -> str:
-        """Return which part of the last step's pose is `ranges` times the range out."""
+        """Return a text on the load or displacement that is `ranges` times the range out."""
         rotations = self.displacement.reshape(-1, FREEDOMS)[:, 3:]
         turn = math.degrees(float(np.linalg.norm(rotations, axis=1).max()))
         if turn >= LARGEST_TURN * ranges * (1.0 - ROUNDING):
@@ -433,7 +440,7 @@ class Joint:
         )
 
     def _warn_beyond(self, excess: str) -> None:
-        """Warn once that a pose is beyond the range."""
+        """Warn once of a pose beyond the range."""
         if not self._warned_beyond:
             self._warned_beyond = True
             warn(
@@ -443,7 +450,10 @@ class Joint:
             )
 
     def _weakest(self, stiffness: Vector) -> tuple[Vector, Vector]:
-        """Return `PackedTable.weakest` of stiffnesses (k, 6, 6): below zero a part gives energy."""
+        """Return `PackedTable.weakest` of stiffnesses (k, 6, 6).
+
+        A part with a negative value gives energy.
+        """
         packed, free = self._packed, self.free
         compliance = np.asarray(np.linalg.inv(stiffness[:, free][:, :, free]), dtype=float)
         return packed.weakest(compliance, packed.load_scale[self._at][free])
@@ -456,7 +466,10 @@ class Joint:
 
 
 def rotation_vector(R: ArrayLike) -> Vector:
-    """Return the rotation vector (3,), rad, of a matrix; InvalidArgument from half a turn on."""
+    """Return the rotation vector (3,), rad, of a matrix.
+
+    Raises InvalidArgument for half a turn or more.
+    """
     matrix = checked_rotation("R", R)
     sine = 0.5 * np.array(
         [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
@@ -469,9 +482,9 @@ def rotation_vector(R: ArrayLike) -> Vector:
 
 
 def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, ...]:
-    """Return a table's inputs that are no loads, by their names, in its order.
+    """Return a table's further inputs, by their names, in its order.
 
-    InvalidArgument if an input is unknown, missing or beyond its range.
+    Raises InvalidArgument if an input is unknown, missing or beyond its range.
     """
     space, count = table.space, len(table.space.scalars)
     if not isinstance(by_name, Mapping):
@@ -494,16 +507,17 @@ def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, .
 class MovingFreedoms(NamedTuple):
     """The freedoms of the k interfaces of a part that move."""
 
-    indices: NDArray[np.intp]  # (6 k,): of the table's loads and outputs
-    free: NDArray[np.intp]  # (f,): of these 6 k, those that the part does not lock
-    interfaces: tuple[str, ...]  # k names; ("",) of a single interface
+    indices: NDArray[np.intp]  # (6 k,): indices of the table's loads and outputs
+    # (f,): indices, among these 6 k, of the freedoms that the part does not lock.
+    free: NDArray[np.intp]
+    interfaces: tuple[str, ...]  # k names; ("",) for a single interface
 
 
 def moving(table: Table, interface: str | None, several: bool = True) -> MovingFreedoms:
     """Return the freedoms of the interfaces of a table's part that move.
 
-    InvalidArgument if none moves; with an `interface`, or unless `several` are allowed, if others
-    than that one move.
+    Raises InvalidArgument if no interface moves, or if interfaces other than `interface` move;
+    without `interface` more than one must not move, unless `several` are allowed.
     """
     if not hasattr(table, "packed"):
         raise InvalidArgument(

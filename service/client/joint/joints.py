@@ -20,15 +20,16 @@ from .joint import COVERED_AS, LARGEST_TURN, MAX_RANGES, NOT_YET, Joint
 if TYPE_CHECKING:
     from ..table import Table
 
-Array: TypeAlias = Any  # of numpy or PyTorch
-BEYOND = -1  # beside the kernel's codes: a pose beyond MAX_RANGES
-_STATUS = np.full(NO_MASS + 2, "no wrench at this pose", dtype=object)  # the last is BEYOND
+Array: TypeAlias = Any  # an array of numpy or PyTorch
+BEYOND = -1  # status beside the kernel's codes: a pose beyond MAX_RANGES
+# Text of each status; the last is that of BEYOND.
+_STATUS = np.full(NO_MASS + 2, "no wrench at this pose", dtype=object)
 _STATUS[[OK, BEYOND, NOT_FINITE]] = "ok", "beyond twice the range", "not finite"
 _STATUS[[NO_MASS, INDEFINITE]] = "no inverse mass", "not positive definite"
 
 
 def status_of(joint: Joint, steps: JointSteps) -> NDArray[np.int32]:
-    """Return the codes (n,) of a call's joints; wrench and force of each not OK become NaN."""
+    """Return the codes (n,) of a call's joints; wrenches and forces without OK become NaN."""
     replies, codes = steps.replies, np.array(steps.replies["status"])
     doubtful = np.flatnonzero(codes == INDEFINITE)
     if len(doubtful):
@@ -43,12 +44,12 @@ class Joints:
     """Many parts of one table, each between two bodies of its own, in one call a step.
 
     Each has the numbers of a `Joint`, bit by bit; those of k > 1 interfaces are (n, k, 6) for the
-    (n, 6) below. A joint without a wrench does not stop the others: its wrench is NaN, `status`
-    says why, and one `JointWarning` counts them. `count` is the number of joints, n; the other
+    (n, 6) below. A joint without a wrench does not stop the others: its wrench is NaN, `status` has
+    the cause, and one `JointWarning` counts them. `count` is the number of joints, n; the other
     parameters and the errors are those of `Joint`.
     """
 
-    joints: Sequence[Any] = ()  # of `MujocoJoints`
+    joints: Sequence[Any] = ()  # those of `MujocoJoints`
 
     def __init__(
         self,
@@ -66,7 +67,7 @@ class Joints:
         self._hold(joint, int(count), None)
 
     def _hold(self, joint: Joint, count: int, axes: Vector | None) -> None:
-        """Keep the options of a joint, and make the arrays; `axes` as in `Joint.new_steps`."""
+        """Store the options of a joint, and make the arrays; `axes` as in `Joint.new_steps`."""
         self._joint, self._steps, self._warned = joint, joint.new_steps(count, axes), False
         self._codes = np.zeros(count, dtype=np.int32)
         Joints.restart(self)
@@ -75,7 +76,7 @@ class Joints:
         return len(self._codes)
 
     def __copy__(self) -> Joints:
-        """Refuse: it would share arrays."""
+        """Refuse a copy, which would share arrays."""
         raise InvalidArgument("Joints cannot be copied, since copies share states; create new ones")
 
     @property
@@ -92,17 +93,20 @@ class Joints:
 
     @property
     def memory(self) -> Vector:
-        """Shape (n, k), to read and to write: what the joints keep from step to step."""
+        """The state of the joints between steps, shape (n, k), to read and to write."""
         return self._steps.memory
 
     @property
     def wrenches(self) -> Vector:
-        """Shape (n, 6), N and N·m, of the last step; see `Joint.wrench`. NaN where none."""
+        """Wrenches of the last step, shape (n, 6), N and N·m.
+
+        See `Joint.wrench`. NaN if there is none.
+        """
         return np.array(self._steps.replies["wrench"])
 
     @property
     def displacements(self) -> Vector:
-        """Shape (n, 6), m and rad, at the beginning of the last step."""
+        """Displacements at the beginning of the last step, shape (n, 6), m and rad."""
         return np.array(self._steps.replies["displacement"])
 
     @property
@@ -113,24 +117,24 @@ class Joints:
 
     @property
     def coverage(self) -> NDArray[Any]:
-        """How the table covers the wrench of each pose, (n,), of several interfaces (n, k).
+        """The table's coverage of the wrench of each pose, (n,), with several interfaces (n, k).
 
-        Outside too where there is none; None before a step.
+        A joint without a wrench is outside; all are None before a step.
         """
         return COVERED_AS[self._steps.replies["coverage"]]
 
     @property
     def failed(self) -> NDArray[np.bool_]:
-        """Which joints had no wrench in the last step, (n,)."""
+        """Whether each joint had no wrench in the last step, (n,)."""
         return self._codes != OK
 
     @property
     def status(self) -> NDArray[Any]:
-        """Of each joint, (n,): ``ok``, or why it has no wrench."""
+        """The status of each joint, (n,): ``ok``, or the cause of a missing wrench."""
         return _STATUS[self._codes]
 
     def restart(self, which: Any = slice(None)) -> None:
-        """Forget the last step of some joints, by a mask or indices; of all if none are given."""
+        """Delete the last step of some joints, by a mask or indices; of all by default."""
         for array in (self._steps.memory, self._codes, self._steps.replies):
             array[which] = 0
         for name in ("pose_error", "wrench_error"):
@@ -144,10 +148,11 @@ class Joints:
 
         `poses` (n, 7) are translations, m, and quaternions, w first, of the tips' interface frames
         in their undeformed frames; `velocities` (n, 6); `inverse_masses` (n, 6, 6), or (6, 6) for
-        all; of several interfaces (n, k, 7), (n, k, 6) and (n, 6 k, 6 k). `threads` 0 is one a
-        processor. Tensors of PyTorch give a tensor of the poses' type and device, without
-        gradients: those of a GPU are copied to the host and back. InvalidArgument if a shape is
-        wrong or the step not above zero.
+        all; with several interfaces (n, k, 7), (n, k, 6) and (n, 6 k, 6 k). `threads` 0 means one
+        for each processor. Tensors of PyTorch give a tensor of the poses' type and device, without
+        gradients; those of a GPU are copied to the host and back.
+
+        Raises InvalidArgument if a shape is wrong or the step not above zero.
         """
         steps, n = self._steps, len(self)
         arrays = poses, velocities, inverse_masses
@@ -168,7 +173,7 @@ class Joints:
         return poses.new_tensor(wrenches) if hasattr(poses, "new_tensor") else np.array(wrenches)
 
     def _check_status(self) -> None:
-        """Keep the joints' status, and warn once of each kind."""
+        """Store the joints' status, and warn once of each kind."""
         self._codes, replies = status_of(self._joint, self._steps), self._steps.replies
         failed, within = self.status[self.failed].tolist(), replies["ranges"] <= 1.0
         if failed and not self._warned:

@@ -1,4 +1,4 @@
-"""A part as springs about one wrench, for simulators that read no table."""
+"""A part as springs, linear about one wrench, for simulators that cannot read a table."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class LinearPart:
 
     @property
     def unloaded(self) -> Vector:
-        """Where the springs carry nothing, shape (n,), m and rad."""
+        """The displacement at which the springs carry nothing, shape (n,), m and rad."""
         strain = np.linalg.solve(np.array(self.stiffness), np.array(self.wrench))
         return np.asarray(np.array(self.displacement) - strain, dtype=float)
 

@@ -1,4 +1,4 @@
-"""Joints in plain ``mj_step``: MuJoCo's callbacks, which are of the whole process."""
+"""Joints in plain ``mj_step``, through MuJoCo's callbacks of the whole process."""
 
 from __future__ import annotations
 
@@ -45,16 +45,17 @@ def joints_in_mj_step() -> Iterator[None]:
                 bare.add(data)
                 warn_bare(model)
                 return
-            if passive:  # it comes before the bias
+            if passive:  # it comes before the bias forces
                 engine.mj_rne(model, data, False, data.qfrc_bias)
             pull(joints)
         except Exception as error:
             if sys._getframe().f_back is not None:  # a frame of Python called `mj_step`
                 raise
-            errors.append(error)  # raised in a thread of C++ it would end the process
+            errors.append(error)  # an exception in a thread of C++ would end the process
             data.qfrc_applied[:] = np.nan
 
-    # MuJoCo calls the control callback only with actuation; the passive callback stands in for it.
+    # MuJoCo calls the control callback only with actuation; without it the passive callback does
+    # its work.
     callbacks = pull_scene, partial(pull_scene, passive=True)
     present = [kind for kind in ("control", "passive") if getattr(engine, f"get_mjcb_{kind}")()]
     if present:

@@ -28,8 +28,9 @@ if TYPE_CHECKING:
 
     from ..table import Table
 
-_PGS = int(engine.mjtSolver.mjSOL_PGS)  # to compare with an enumeration takes 0.8 us
-# The joints of each MjData by the first freedom of each tip and their id: a step is of all tips.
+_PGS = int(engine.mjtSolver.mjSOL_PGS)  # a plain int: a comparison with an enumeration takes 0.8 us
+# The joints of each MjData by the first freedom of each tip and their id, since a step is one of
+# all tips.
 _Registered: TypeAlias = "WeakValueDictionary[tuple[int, int], MujocoJoint]"
 _JOINTS: WeakKeyDictionary[Data, _Registered] = WeakKeyDictionary()
 
@@ -38,8 +39,8 @@ class _Law(NamedTuple):
     """The wrench of f free freedoms in a step, as force + slope @ velocity."""
 
     force: Vector  # (f,), N and N·m
-    slope: Vector  # (f, f), these per m/s and rad/s
-    velocity: Vector  # (f,), m/s and rad/s: after the step
+    slope: Vector  # (f, f): N and N·m per m/s and rad/s
+    velocity: Vector  # (f,), m and rad/s: velocity after the step
 
 
 class MujocoJoint(Joint):
@@ -84,7 +85,8 @@ class MujocoJoint(Joint):
     """
 
     _mass_remedy = f"{Joint._mass_remedy}, and call mj_step1 before pull_joints"
-    _others_copied: Mapping[int, Sequence[str]] = {}  # of the scene of which this is a copy: tips
+    # Tips of the scene of which this object is a copy.
+    _others_copied: Mapping[int, Sequence[str]] = {}
 
     def __init__(
         self,
@@ -155,10 +157,10 @@ class MujocoJoint(Joint):
 
     def _find(self) -> None:
         """Find the tips' freedoms in the scene, and their pairs in its mass matrix."""
-        self._runs: list[tuple[int, int, int, int]] = []  # number of a tip, then as `Tip.runs`
-        self._hinges: list[tuple[int, Vector, int]] = []  # number of a tip, then as `Tip.hinge`
+        self._runs: list[tuple[int, int, int, int]] = []  # index of a tip, then as `Tip.runs`
+        self._hinges: list[tuple[int, Vector, int]] = []  # index of a tip, then as `Tip.hinge`
         self._starts: list[int] = []  # each tip's first freedom in MuJoCo's arrays
-        self._blocks: list[slice] = []  # freedoms of tips whose pairs the mass matrix has
+        self._blocks: list[slice] = []  # freedoms of tips whose pairs are in the mass matrix
         pairs, dofs, ball_axes = [], [], []
         for k, name in enumerate(self._tips):
             free, first = self.free[self.free // FREEDOMS == k] % FREEDOMS, len(dofs)
@@ -192,7 +194,7 @@ class MujocoJoint(Joint):
     def _watch(self, data: Data, steps: JointSteps, at: int) -> None:
         """Take a joint of the kernel's arrays, and views of the data of its scene.
 
-        They stay: a scene's arrays are where they were made, and so are the kernel's.
+        The views stay valid: a scene's arrays and the kernel's never move.
         """
         if data.signature != self._model.signature:
             raise InvalidArgument("data belongs to another model; give a MjData of this model")
@@ -216,7 +218,10 @@ class MujocoJoint(Joint):
             _JOINTS.setdefault(data, WeakValueDictionary())[start, id(self)] = self
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but MuJoCo's options, which it does not pickle: the model has them."""
+        """Return the state without MuJoCo's options, which MuJoCo does not pickle.
+
+        The model has them.
+        """
         others = {at: joint._tips for at, joint in _by_tip(self._data).items() if joint is not self}
         state = {name: value for name, value in self.__dict__.items() if name != "_scene"}
         return state | {"_others_copied": others}
@@ -237,24 +242,27 @@ class MujocoJoint(Joint):
         if self._unmoved:
             self._watch_base()
         now = float(self._data.time)
-        if now not in self._times:  # put elsewhere: its energy there is unknown
+        if now not in self._times:  # the scene was set to another state, whose energy is unknown
             self._began = self._began and (self._began[0], np.nan)
-            self._memory[0] = 0.0  # else the inverse's last bits depend on the place before
+            # Otherwise the inverse's last bits would depend on the earlier state.
+            self._memory[0] = 0.0
         self._times = now, now + self._scene.timestep
         self._read_pose()
-        if not self.damping:  # modes that keep their energy bear no constraint forces of a step ago
+        # For modes that keep their energy, constraint forces of the last step are too old.
+        if not self.damping:
             lags = (self._several or not self._blocks) and self._data.nefc
             self._before[self._moving] = np.nan if lags else self._velocities[self._dofs]
         engine.mj_solveM(self._model, self._data, self._solved, self._units)
         self._inverse_mass[self._square] = self._solved[:, self._dofs]  # by unit loads
 
     def _push(self) -> None:
-        """Apply the wrench of this step, as far as the motion before it determines it.
+        """Apply the part of this step's wrench that the motion before it determines.
 
-        The rest depends on the velocity after the step, and enters the mass matrix.
+        The rest depends on the velocity after the step, and is added to the mass matrix.
         """
         dt, (force, slope) = self._scene.timestep, self._law_of_free()
-        if not self._blocks:  # nothing can be added to it: the last step's constraint forces stand
+        # The mass matrix cannot be changed: use the last step's constraint forces.
+        if not self._blocks:
             force, slope = _with_last_contacts([self], self._solved)[0], np.zeros_like(slope)
         self._pull(force, slope, dt)
 
@@ -263,7 +271,7 @@ class MujocoJoint(Joint):
         velocity = self._velocities[self._dofs]
         self._law = _Law(force.copy(), slope.copy(), velocity)
         self._applied[self._dofs] = -force - slope.dot(velocity)  # faster than @
-        # What the velocity after the step changes.
+        # The change by the velocity after the step.
         self._own_mass = self._mass.take(self._at_pairs)
         self._with_part = self._own_mass + dt * slope.take(self._pairs)
         self._mass[self._at_pairs] = self._with_part
@@ -281,11 +289,12 @@ class MujocoJoint(Joint):
         return report_of(self, time)
 
     def restart(self) -> None:
-        """Forget the state of the last step."""
+        """Delete the state of the last step."""
         count = len(self.free)
         self._law = _Law(np.zeros(count), np.zeros((count, count)), np.zeros(count))
-        self._began: tuple[float, float] | None = None  # time, s, and energy, J, of the scene
-        self._times = (0.0, 0.0)  # of the scene before and after the last step, s
+        # Time, s, and energy, J, of the scene at the start.
+        self._began: tuple[float, float] | None = None
+        self._times = (0.0, 0.0)  # times of the scene before and after the last step, s
         self._with_part = None
         super().restart()
 
@@ -303,7 +312,7 @@ class MujocoJoint(Joint):
         return each if self._several else pulled
 
     def _watch_base(self) -> None:
-        """Warn once that the base has been put elsewhere by a body without velocity."""
+        """Warn once if the base was moved by a body without velocity."""
         data, body = self._data, self._unmoved
         position, turned = self._base_pose
         pose = data.time, position.tobytes(), turned.tobytes()  # faster than lists
@@ -339,7 +348,7 @@ def step_joints(*joints: MujocoJoint) -> None:
     model, data = joints[0]._model, joints[0]._data
     joints[0]._with_part = None
     engine.mj_step1(model, data)
-    if joints[0]._with_part is None:  # joints_in_mj_step has not
+    if joints[0]._with_part is None:  # joints_in_mj_step has not set it
         pull(joints)
     advance(joints)
 
@@ -354,17 +363,21 @@ def advance(joints: Sequence[MujocoJoint]) -> None:
 
 
 def pull_joints(*joints: MujocoJoint) -> None:
-    """Let a scene's joints pull in a step: call it between ``mj_step1`` and ``mj_step2``.
+    """Apply a scene's joints in a step: call it between ``mj_step1`` and ``mj_step2``.
 
-    Until the next ``mj_step1`` or ``mj_forward`` ``data.M`` has the parts' implicit terms too. It
-    raises as `step_joints` does.
+    Until the next ``mj_step1`` or ``mj_forward`` ``data.M`` has the parts' implicit terms too.
+
+    Raises the errors of `step_joints`.
     """
     require_scene(joints)
     pull(joints)
 
 
 def require_scene(joints: Sequence[MujocoJoint]) -> None:
-    """Raise JointError if joints are not all those of one scene, or its step is not above zero."""
+    """Check that joints are all those of one scene, and its time step is above zero.
+
+    Raises JointError otherwise.
+    """
     scenes = len({joint._data for joint in joints})
     if scenes != 1:
         raise JointError(
@@ -373,7 +386,7 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
             if joints
             else "no joint was given; pass the joints of the scene: step_joints(a, b)"
         )
-    refuse_rk4(joints[0]._model)  # it may have been chosen since
+    refuse_rk4(joints[0]._model)  # the user may have chosen it since
     stepped = [start for joint in joints for start in joint._starts]
     of_scene = _by_tip(joints[0]._data)
     if len(set(stepped)) < len(stepped):
@@ -412,7 +425,7 @@ def pull(joints: Collection[MujocoJoint]) -> None:
     refuse_rk4(model)
     if any(len(joint._steps.replies) > 1 for joint in joints):
         raise JointError("a joint of MujocoJoints cannot step alone; call their step instead")
-    for joint in joints:  # of a second call, unless MuJoCo has computed the matrix anew
+    for joint in joints:  # after a second call, unless MuJoCo has computed the matrix again
         if joint._with_part is not None:
             if (data.M[joint._at_pairs] == joint._with_part).all():
                 data.M[joint._at_pairs] = joint._own_mass
@@ -431,7 +444,7 @@ def pull(joints: Collection[MujocoJoint]) -> None:
 
 
 def push(joints: Collection[MujocoJoint]) -> None:
-    """Add wrenches and rates that the kernel has found to the equation of motion of a scene."""
+    """Add the kernel's wrenches and rates to the equation of motion of a scene."""
     first, several = next(iter(joints)), []
     for joint in joints:
         if joint._several:
@@ -446,11 +459,11 @@ def push(joints: Collection[MujocoJoint]) -> None:
 
 
 def _push_together(joints: Sequence[MujocoJoint]) -> None:
-    """Apply the wrenches of joints with several tips, of which the mass matrix has no pairs.
+    """Apply the wrenches of joints with several tips, whose pairs are not in the mass matrix.
 
-    By the last step's constraint forces the wrench is w', and the velocity after it v'. To those
-    of this step a tip answers by its block of A' = (A^-1 + dt C)^-1: D = (A'^-1 - A^-1) / dt enters
-    the mass matrix, and the wrench is w' + D (v - v').
+    With the last step's constraint forces the wrench is w', and the velocity after it v'. A tip
+    reacts to this step's constraint forces by its block of A' = (A^-1 + dt C)^-1: D = (A'^-1 -
+    A^-1) / dt is added to the mass matrix, and the wrench is w' + D (v - v').
     """
     dt = joints[0]._scene.timestep
     wrench, velocity, mobility, implicit = _with_last_contacts(joints)
@@ -504,7 +517,7 @@ def joints_of(data: Data) -> list[MujocoJoint]:
 
 
 def warn_bare(model: Model) -> None:
-    """Warn of a scene without joints whose model has some in another scene."""
+    """Warn of a scene without joints whose model has joints in another scene."""
     if model.signature in {data.signature for data in [*_JOINTS] if _by_tip(data)}:
         warn(
             "an MjData steps without a joint, and others of its model have joints: nothing holds "
@@ -514,9 +527,10 @@ def warn_bare(model: Model) -> None:
 
 
 def _energy(joints: Collection[MujocoJoint]) -> float:
-    """Return the energy of a scene and what its parts have taken up, J, half a step ago.
+    """Return the energy of a scene and the energy stored in its parts, J, half a step ago.
 
-    MuJoCo's velocities belong between two positions: there the energy of a swing does not ripple.
+    MuJoCo's velocities belong between two positions: at that time the energy of an oscillation has
+    no ripple.
     """
     first = next(iter(joints))
     model, data, fields = first._model, first._data, engine.mjtState.mjSTATE_INTEGRATION

@@ -1,4 +1,4 @@
-"""The joint in many MuJoCo environments of one scene: one call of the kernel a step for all."""
+"""The joint in many MuJoCo environments of one scene: one call of the kernel a step."""
 
 from __future__ import annotations
 
@@ -60,11 +60,14 @@ class MujocoJoints(Joints):
 
     @property
     def wrenches(self) -> np.ndarray:
-        """Shape (n, 6), N and N·m, of the last step; see `Joint.wrench`. NaN where none."""
+        """Wrenches of the last step, shape (n, 6), N and N·m.
+
+        See `Joint.wrench`. NaN if there is none.
+        """
         return np.array([joint.wrench for joint in self.joints])
 
     def restart(self, which: Any = slice(None)) -> None:
-        """Forget the last step of some environments, by a mask or indices; of all without."""
+        """Delete the last step of some environments, by a mask or indices; of all by default."""
         super().restart(which)
         for at in np.atleast_1d(np.arange(len(self))[which]).tolist():
             self.joints[at].restart()
@@ -72,8 +75,8 @@ class MujocoJoints(Joints):
     def step(self, *others: MujocoJoints, threads: int = 0) -> None:  # type: ignore[override]
         """Advance each environment by one time step, in the place of ``mj_step``.
 
-        `others` are the joints at other tips of the same environments; with no `threads` there is
-        one a processor. Errors are those of `step_joints`.
+        `others` are the joints at other tips of the same environments; `threads` 0 means one for
+        each processor. Errors are those of `step_joints`.
         """
         batches, threads = (self, *others), max(threads, 0) or os.cpu_count() or 1
         for batch in others:
@@ -106,6 +109,6 @@ class MujocoJoints(Joints):
         advance(joints)
 
     def _in_threads(self, work: Callable[[Any], None], scenes: Sequence[Any], threads: int) -> None:
-        """Do work on all scenes; MuJoCo leaves the interpreter to other threads."""
+        """Run `work` on all scenes; MuJoCo releases the interpreter lock."""
         parts = [scenes[k::threads] for k in range(threads)]
         list(self._pool.map(lambda part: [work(joints) for joints in part], parts))

@@ -1,4 +1,4 @@
-"""A MuJoCo scene with the joints of a part, its own mass, and springs where it is linear."""
+"""A MuJoCo scene with a part's joints, its mass, or springs for a linear part."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ from .mujoco_scene import engine, refuse_one_locked_rotation
 
 Spec: TypeAlias = Any  # mujoco.MjSpec, and its bodies
 
-ROUNDING = 1e-9  # of a freedom's largest coefficient: MuJoCo's XML has six digits
-DIGITS = 2e-5  # by which three such numbers may miss the inertia's triangle inequality
-_LEAST = 1e-9  # of the largest moment of inertia: MuJoCo takes no body without one
-_LEAST_GYRATION = 1e-6  # m^2, that is a radius of 1 mm: a mass without inertia counts as this one
+ROUNDING = 1e-9  # part of a freedom's largest coefficient: MuJoCo's XML has six digits
+# Relative error by which three such numbers may violate the inertia's triangle inequality.
+DIGITS = 2e-5
+_LEAST = 1e-9  # part of the largest moment of inertia: MuJoCo refuses a body without inertia
+_LEAST_GYRATION = 1e-6  # m^2, a radius of 1 mm: inertia of a mass without inertia
 
 
 def scene_with_joint(
@@ -38,13 +39,13 @@ def scene_with_joint(
     """Return the XML of a scene in which a part can bend between two bodies, for `MujocoJoint`.
 
     The scene is an MJCF file. The tip, the interface's side, is a child of the base, the support's
-    side, without joints: where the part is undeformed. Locked freedoms, of ``ux`` to ``rz``, get no
+    side, without joints, at the undeformed position. Locked freedoms, of ``ux`` to ``rz``, get no
     joint. `site` of the tip is the interface point and frame; the body's own frame otherwise.
     `mass` (6, 6), kg to kg·m^2, is the part's, condensed to the interface: it is added to the tip
     as a body of that mass, centre and inertia.
 
-    JointError if the scene cannot be read, has no such bodies or site, the tip is no child of the
-    base or has joints.
+    Raises JointError if the scene cannot be read, has no such bodies or site, the tip is no child
+    of the base or has joints.
     """
     free = [name for name in OUTPUTS if name not in locked]
     refuse_one_locked_rotation("the part", free)
@@ -64,9 +65,9 @@ def scene_with_springs(
     """Return the XML of a scene in which MuJoCo bends a part between two bodies, linearly.
 
     Parameters are those of `scene_with_joint`. Rotations are three hinges. A tendon is a mode of
-    the part between the two bodies, with the mode's stiffness, and with `damping` as its share of
-    critical damping in the scene's first pose. The damping has also what makes a stiff mode stable
-    at the scene's step, as the joint's law has it: keep the step and the integrator, which is
+    the part between the two bodies, with the mode's stiffness, and with `damping` as its ratio of
+    critical damping in the scene's first pose. The damping also has the term of the joint's law
+    that makes a stiff mode stable at the scene's step: keep the step and the integrator, which is
     ``implicitfast`` if the scene names Euler.
     """
     spec = _with_freedoms(scene, base, tip, springs.freedoms, site, mass, ball=False)
@@ -133,7 +134,7 @@ def _with_freedoms(
         engine.mju_quat2Mat(matrix, model.site_quat[number])
         at, axes = model.site_pos[number].copy(), matrix.reshape(3, 3)
     kinds, before = engine.mjtJoint, spec.compile()
-    joints = [  # a slide a free translation, then a ball or a hinge a free rotation
+    joints = [  # a slide for each free translation, then a ball or hinges for free rotations
         (name, kinds.mjJNT_SLIDE if place < 3 else kinds.mjJNT_HINGE, axes[:, place % 3].tolist())
         for place, name in enumerate(OUTPUTS)
         if name in free
@@ -142,7 +143,7 @@ def _with_freedoms(
         joints[-3:] = [("r", kinds.mjJNT_BALL, [0, 0, 1])]
     for name, kind, axis in joints:
         joint = body.add_joint(name=f"{tip}_{name}", type=kind, pos=at, axis=axis)
-        # Without what a default class of the scene may set.
+        # A default class of the scene may set these.
         for word in ("stiffness", "damping", "frictionloss", "armature", "limited", "ref"):
             setattr(joint, word, np.zeros_like(getattr(joint, word)))
     inner = body.add_body(name=f"{tip}_part", pos=at, quat=_quaternion(axes))
@@ -152,7 +153,7 @@ def _with_freedoms(
 
 
 def _with_keyframes(spec: Spec, tip: str, before: Any) -> Spec:
-    """Put a tip's new freedoms at their place in keyframes; MuJoCo appends them at the end."""
+    """Insert a tip's new freedoms at their place in keyframes; MuJoCo appends them at the end."""
     after = spec.compile()
     first = after.body_jntadr[after.body(tip).id]
     q, v = int(after.jnt_qposadr[first]), int(after.jnt_dofadr[first])
@@ -163,6 +164,10 @@ def _with_keyframes(spec: Spec, tip: str, before: Any) -> Spec:
 
 
 def _compiled(read: Callable[[], Spec], scene: str | Path) -> Spec:
+    """Return a scene's spec after a trial compilation.
+
+    Raises JointError if the scene cannot be read or compiled.
+    """
     try:
         spec = read()
         spec.compile()
@@ -175,7 +180,7 @@ def _add_mass(body: Spec, mass: Vector) -> None:
     """Give a body the mass, kg, the centre and the inertia of a mass matrix (6, 6), kg to kg·m^2.
 
     The mass of a rigid body is the same in all directions: the mean of the three. Its inertia about
-    the centre is principal moments, kg·m^2, about principal axes. Nothing without a mass.
+    the centre is given as principal moments, kg·m^2, and principal axes. A zero mass is left out.
     """
     if mass.shape != (FREEDOMS, FREEDOMS) or not np.isfinite(mass).all():
         raise JointError(

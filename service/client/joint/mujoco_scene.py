@@ -1,4 +1,4 @@
-"""The engine MuJoCo, and facts of its models: bodies by name, the joints of a joint's tip."""
+"""The engine MuJoCo, and queries of its models: bodies by name, the joints of a tip."""
 
 from __future__ import annotations
 
@@ -19,12 +19,17 @@ engine: Any = required("mujoco", "MujocoJoint", "'wrenchbook[mujoco]'")
 OBJECT = engine.mjtObj
 REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
 _JOINT = engine.mjtJoint
-_SQUARE = 1e-5  # the axes of the slides are unit and orthogonal to the six digits of MuJoCo's XML
-_RK4 = int(engine.mjtIntegrator.mjINT_RK4)  # to compare with an enumeration takes 0.8 us
+# Largest deviation of the slides' axes from unit and orthogonal: six digits in MuJoCo's XML.
+_SQUARE = 1e-5
+# A plain int: a comparison with an enumeration takes 0.8 us.
+_RK4 = int(engine.mjtIntegrator.mjINT_RK4)
 
 
 def refuse_rk4(model: Model) -> None:
-    """Raise JointError if a model is integrated by RK4."""
+    """Check that a model is not integrated by RK4.
+
+    Raises JointError if it is.
+    """
     if model.opt.integrator == _RK4:
         raise JointError(
             "the integrator RK4 evaluates forces four times a step, but the joint only once; use "
@@ -33,7 +38,12 @@ def refuse_rk4(model: Model) -> None:
 
 
 def refuse_one_locked_rotation(part: str, free: Collection[str]) -> None:
-    """Raise JointError if a part locks one rotation; `free` names the displacements it does not."""
+    """Check that a part does not lock a single rotation.
+
+    `free`: its displacements that are not locked.
+
+    Raises JointError if it does.
+    """
     locked = [name for name in OUTPUTS[3:] if name not in free]
     if len(locked) == 1:
         raise JointError(
@@ -43,9 +53,9 @@ def refuse_one_locked_rotation(part: str, free: Collection[str]) -> None:
 
 
 def block_positions(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Return rows, columns and places in MuJoCo's mass matrix of pairs of some freedoms."""
+    """Return rows, columns and positions in MuJoCo's mass matrix of pairs of some freedoms."""
     if [int(number) for number in engine.__version__.split(".")[:2]] < [3, 17]:
-        # Constraints of 3.3.7 do not feel what is added to the matrix.
+        # Constraints in 3.3.7 ignore additions to the matrix.
         raise JointError(
             f"MujocoJoint needs MuJoCo 3.17 or newer, but {engine.__version__} is installed; run: "
             "pip install 'mujoco>=3.17'"
@@ -59,8 +69,11 @@ def block_positions(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.int
 
 
 def body_number(model: Model, name: str) -> int:
-    """Return the number of a named body; JointError if there is none."""
-    # MuJoCo ends the process at a name that is None.
+    """Return the number of a named body.
+
+    Raises JointError if there is none.
+    """
+    # MuJoCo ends the process if a name is None.
     number = engine.mj_name2id(model, OBJECT.mjOBJ_BODY, name) if isinstance(name, str) else -1
     if number < 0:
         names = [engine.mj_id2name(model, OBJECT.mjOBJ_BODY, k) for k in range(1, model.nbody)]
@@ -78,15 +91,16 @@ class Tip(NamedTuple):
     """The joints of a tip's body in MuJoCo's arrays."""
 
     dof: int  # the first freedom
-    runs: list[tuple[int, int, int]]  # of numbers: place in the pose, (7,), place in qpos, count
-    hinge: tuple[Vector, int] | None  # of a single free rotation: axis (3,), place in qpos
+    # Runs of numbers: index in the pose, (7,), index in qpos, count.
+    runs: list[tuple[int, int, int]]
+    hinge: tuple[Vector, int] | None  # a single free rotation: its axis (3,), index in qpos
     ball_axes: Vector | None  # (3, 3), columns: the interface frame's axes in the tip's body
 
 
 def find_tip(model: Model, body: str, free: NDArray[np.intp], part: str) -> Tip:
-    """Return the joints of a tip's body, of a part whose displacements `free`, of 0 to 5, are free.
+    """Return the joints of a tip's body; `free`: the part's free displacements, of 0 to 5.
 
-    JointError if the body has other joints, or joints with forces or axes of their own.
+    Raises JointError if the body has other joints, or joints with forces or axes of their own.
     """
     number = body_number(model, body)
     first = int(model.body_jntadr[number])
@@ -109,7 +123,7 @@ def find_tip(model: Model, body: str, free: NDArray[np.intp], part: str) -> Tip:
     axes = _interface_axes(model.jnt_axis[joints], body, free)
     places = model.jnt_qposadr[joints].tolist()
     runs = [(slide, place, 1) for slide, place in zip(slides.tolist(), places, strict=False)]
-    if len(slides) == 3:  # one behind the other
+    if len(slides) == 3:  # all three in the order x, y, z
         runs = [(0, places[0], 3)]
     if has_ball:
         runs.append((3, places[-1], 4))
@@ -118,7 +132,10 @@ def find_tip(model: Model, body: str, free: NDArray[np.intp], part: str) -> Tip:
 
 
 def _refuse_forces(model: Model, body: str, joint: int) -> None:
-    """Raise JointError if a joint has a force of its own, or a reference beside zero."""
+    """Check that a joint has no force of its own, and no reference other than zero.
+
+    Raises JointError otherwise.
+    """
     dof = int(model.jnt_dofadr[joint])
     forces = {
         "stiffness": model.jnt_stiffness[joint],
@@ -139,11 +156,14 @@ def _refuse_forces(model: Model, body: str, joint: int) -> None:
 
 
 def _interface_axes(joint_axes: Vector, body: str, free: NDArray[np.intp]) -> Vector:
-    """Return the interface frame's axes in the tip's body, (3, 3); JointError of other axes.
+    """Return the interface frame's axes in the tip's body, (3, 3).
 
-    They are those of three slides, else the body's. `joint_axes` are (joints, 3).
+    They are the axes of three slides, else the body's. `joint_axes` has the shape (joints, 3).
+
+    Raises JointError if the slides have other axes.
     """
-    axis_of = dict(zip(free.tolist(), joint_axes, strict=False))  # a ball is one of three rotations
+    # A ball is one joint for three rotations.
+    axis_of = dict(zip(free.tolist(), joint_axes, strict=False))
     slides = [axis for place, axis in axis_of.items() if place < 3]
     # The nearest orthogonal matrix, by the polar decomposition.
     left, _, right = np.linalg.svd(np.array(slides).T if len(slides) == 3 else np.eye(3))

@@ -1,4 +1,4 @@
-"""A joint's steps in review: coverage, largest error bars, energy, and axes that need more rows."""
+"""A summary of a joint's steps: coverage, error bars, energy, and axes that need more rows."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ class LargestError(NamedTuple):
 class StiffAxis(NamedTuple):
     """A load whose error bar is more than 5 % of its half load range, `allowed`.
 
-    `output` is the displacement that adds most to it; its bar should be `needed`, not `tolerance`.
+    `output` is the displacement that contributes most to it; its bar should be `needed`, not
+    `tolerance`.
     """
 
     load: str
@@ -73,9 +74,9 @@ class JointReport:
 
 
 def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) -> JointReport:
-    """Return the review of a joint's steps, of which the first began at the time `began`, s.
+    """Return the summary of a joint's steps, of which the first began at the time `began`, s.
 
-    `energy_drift`, J, is NaN where it is not known.
+    `energy_drift`, J, is NaN if unknown.
     """
     history, count = joint._history, int(joint._history["steps"])
     outputs, loads, covered_at = OUTPUTS, LOADS, {}
@@ -88,6 +89,7 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
             covered_at = dict(zip(joint.interfaces, fractions, strict=True))
 
     def largest(kind: str, names: tuple[str, ...]) -> dict[str, LargestError | None]:
+        """Return the largest error bars by name; None where unknown."""
         values, steps, times = (history[kind][of].ravel() for of in ("value", "step", "time"))
         return {
             names[k]: LargestError(float(values[k]), int(steps[k]), began + float(times[k]))
@@ -127,9 +129,10 @@ def _stiff_axes(
     allowed = FORCE_ERROR * packed.load_scale[joint._at]
     tolerance = packed.arrays["space/tolerance"][joint._at]
     moved, pulled = (history[kind]["value"].ravel() for kind in ("pose_error", "wrench_error"))
-    # By the stiffness of the last step: what each displacement adds to a load's error bar.
+    # Contribution of each displacement to a load's error bar, by the stiffness of the last step.
     added = np.nan_to_num(np.abs(joint._stiffness) * moved)
-    added += np.finfo(float).tiny * np.eye(len(moved))  # if nothing is known, the load's own
+    # If nothing is known, the load's own displacement.
+    added += np.finfo(float).tiny * np.eye(len(moved))
     axes = []
     for load in joint.free.tolist():
         if pulled[load] > allowed[load]:

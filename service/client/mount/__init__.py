@@ -1,6 +1,6 @@
-"""Where a rigid-body simulation stands on a component that bends.
+"""The mount: a rigid-body simulation that stands on a flexible component.
 
-The MuJoCo mount is in `mujoco_mount`, which alone imports mujoco.
+The MuJoCo mount is in `mujoco_mount`, the only file that imports mujoco.
 """
 
 from ..errors import CouplingDiverged, DisplacementUnknown, MountError, MountWarning, SensorError

@@ -1,9 +1,9 @@
-"""How far a pose follows its answer, so that scene and component come to rest.
+"""Relaxation of the pose towards its answer, so that scene and component reach an equilibrium.
 
-With the displacement u set, a scene answers with a wrench W(u) and the component with U(W(u)). One
-wants u = U(W(u)). Going all the way to the answer multiplies the distance from there by -C K, the
-component's compliance times the scene's stiffness: it grows where their spectral radius G is over
-1. Going only the fraction 2/(1 + G) or less does not.
+With the displacement u set, a scene answers with a wrench W(u) and the component with U(W(u)). The
+equilibrium is u = U(W(u)). A step by the whole residual multiplies the distance from it by -C K,
+the component's compliance times the scene's stiffness: the distance grows if their spectral radius
+G is over 1. A step by the fraction 2/(1 + G) or less does not let it grow.
 """
 
 from __future__ import annotations
@@ -21,38 +21,43 @@ from ..replies import Displacement
 from ..wrenches import Vector
 
 RELAXATIONS = ("aitken", "newton", "off")
-SMALLEST, LARGEST = 0.02, 1.0  # of the factor: 0.02 still holds G = 99, 1 takes the answer itself
-# Where the pose has not overshot, the factor may grow again, slowly: it took an overshoot to learn.
+# Limits of the factor: 0.02 is stable for G = 99, 1 takes the answer itself.
+SMALLEST, LARGEST = 0.02, 1.0
+# Growth of the factor while the pose does not overshoot: slow, since only an overshoot shows a too
+# large factor.
 GROWTH = 1.3
-# A row of residuals, each opposite to the one before, is the coupling's doing; loads that change by
+# Signs of divergence: a row of residuals, each opposite to the one before. Loads that change by
 # themselves make such rows too, but short ones and of all sizes. White noise is opposite and as
 # large with a chance of 0.4: once in two million syncs over sixteen.
-OPPOSITE = -0.9  # the cosine between them
-CYCLE, STEADY = 16, 0.8  # so many in a row, none below this part of the one before, no decay in all
+OPPOSITE = -0.9  # the largest cosine between opposite residuals
+# So many in a row, none smaller than this part of the one before, and no decay over all.
+CYCLE, STEADY = 16, 0.8
 BURST, RECORD = 4, 1.5  # so many in a row, each this many times the largest of the run so far
-# The other way to diverge turns nothing round: a scene that tips, or a Newton step by a stiffness
-# of the wrong sign. Loads may grow, but not by half each sync, `CYCLE` times in a row: 650 x.
-ONWARD = 0.9  # the cosine between such residuals
-ABSURD = 1e100  # tolerances: beyond, squares overflow, and no watch can decide
-# Tolerances: smaller residuals of a running simulation say nothing, as with what `settle` takes for
-# rest. A load that rests on a row of the table meets the row's own answer or, a rounding error
-# beside it, the interpolated one: that jump has either sign. As overshoots, such jumps reduced the
-# factor to its smallest, and the next load was followed with a lag of 12 %. A loop that diverges
-# grows beyond this, and is detected then.
+# Signs of monotonic divergence: a scene that tips, or a Newton step by a stiffness of the wrong
+# sign. Loads may grow, but not by half each sync, `CYCLE` times in a row: 650 x.
+ONWARD = 0.9  # the smallest cosine between such residuals
+ABSURD = 1e100  # tolerances: beyond this squares overflow, and no test can decide
+# Tolerances: smaller residuals of a running simulation mean nothing; `settle` takes them for an
+# equilibrium. A load that rests on a row of the table meets the row's own answer or, a rounding
+# error beside it, the interpolated one: that jump has either sign. As overshoots, such jumps
+# reduced the factor to its smallest value, and the next load was followed with a lag of 12 %. A
+# loop that diverges grows beyond this, and is detected then.
 RESTS = 1e-3
-DERIVED = 1e-3  # of the largest answer so far: the tolerance where there is none
+DERIVED = 1e-3  # part of the largest answer so far: the tolerance if none is given
 
-# A limit cycle: a span of so many syncs in which answers turn at least once in half the longest
-# period, which is this many syncs, and swing by more than so many tolerances; so many spans in a
-# row that do not become smaller. A scene that comes to rest has long done so.
+# A limit cycle: in a span of 64 syncs answers have a period of 12 syncs or less, that is two turns,
+# and swing by more than 2 tolerances; more than 3 spans in a row do not become smaller. A scene
+# that converges has done so long before.
 SPAN, SHORTEST, SWING, SPANS = 64, 12, 2.0, 3
-UNEXPLAINED = 0.5  # of the variance of answers; noise leaves 0.7 and more
-LARGEST_TURN = math.radians(20.0)  # of the wrench contract
-BEYOND = 16  # syncs in a row with an answer beyond it: no overshoot, but the load
-HALVINGS = 6  # of a Newton step that leads further away: 1/64 of it still counts as a direction
-RUNAWAY = 6  # residuals in a row that grow the same way: no overshoot, and no rest ahead
-STEP = 1.0  # tolerances: how far a scene is moved to see its stiffness,
-STEP_WITHOUT_TOLERANCE = 1e-9  # m or rad: and how far before an answer has given one
+# Unexplained part of the variance of answers in a cycle; noise leaves 0.7 and more.
+UNEXPLAINED = 0.5
+LARGEST_TURN = math.radians(20.0)  # limit of the wrench contract
+BEYOND = 16  # syncs in a row with an answer beyond the limit: the load causes it, and no overshoot
+HALVINGS = 6  # halvings of a Newton step that leads further away: 1/64 of it is still a direction
+# Residuals in a row that grow in the same direction: no overshoot, and no equilibrium ahead.
+RUNAWAY = 6
+STEP = 1.0  # tolerances: motion of a scene for its stiffness by differences
+STEP_WITHOUT_TOLERANCE = 1e-9  # m or rad: the same before an answer has given a tolerance
 LAGS = 4  # earlier answers in the autoregression of a cycle: enough for two oscillations
 
 REMEDY = (
@@ -89,7 +94,7 @@ def stable_factor(compliance: ArrayLike, stiffness: ArrayLike) -> float:
 
 
 class Scale:
-    """The tolerance of each output, against which m and rad are measured.
+    """The tolerance of each output, the unit of measured m and rad.
 
     Without a tolerance, ``translation``, m, and ``rotation``, rad, it is a thousandth of the
     largest answers.
@@ -101,14 +106,14 @@ class Scale:
         self._set((tolerance["translation"], tolerance["rotation"]) if tolerance else (0.0, 0.0))
 
     def _set(self, pair: ArrayLike) -> None:
-        """Set a tolerance, m and rad; where it is 0, nothing is measured."""
+        """Set a tolerance, m and rad; outputs with 0 are not measured."""
         self.tolerance: Vector = np.repeat(np.asarray(pair, dtype=float), 3)  # (6,), m and rad
         per = np.zeros(6)
         np.divide(1.0, self.tolerance, out=per, where=self.tolerance > 0.0)
         self._per_unit = per
 
     def see(self, answer: Vector) -> None:
-        """Take note of an answer (6,), m and rad."""
+        """Update the scale by an answer (6,), m and rad."""
         if not self._fixed:
             self._largest = np.maximum(self._largest, np.abs(answer).reshape(2, 3).max(axis=1))
             self._set(DERIVED * self._largest)
@@ -119,12 +124,12 @@ class Scale:
 
 
 class Relaxation:
-    """Aitken's factor from one residual to the next, or a fixed one; and a watch over both.
+    """Aitken's factor from one residual to the next, or a fixed one, with detection of divergence.
 
-    Aitken's secant (Irons and Tuck 1969; for interfaces Kuettler and Wall 2008) is taken where the
-    residual has turned round, which only overshooting does, clipped to [0.02, 1]. Where it has
-    not, the factor grows by `GROWTH`: so a running simulation, whose loads change by themselves,
-    is followed without lag, and a contact that opens does not throw it back to 1.
+    Aitken's secant (Irons and Tuck 1969; for interfaces Kuettler and Wall 2008) is used if the
+    residual has changed its sign, which only an overshoot causes, clipped to [0.02, 1]. Otherwise
+    the factor grows by `GROWTH`: so a running simulation, whose loads change by themselves, is
+    followed without lag, and a contact that opens does not reset it to 1.
     """
 
     def __init__(self, relaxation: str | float) -> None:
@@ -144,23 +149,24 @@ class Relaxation:
         self.restart()
 
     def begin_at(self, factor: float) -> None:
-        """Begin anew with another first factor; a fixed one stays."""
+        """Restart with another first factor; a fixed one stays."""
         self.start = min(max(factor, SMALLEST), LARGEST)
         self.restart()
 
     def restart(self) -> None:
-        """Forget all residuals, for another scene or another time."""
+        """Delete all residuals, for another scene or another time."""
         self.factor = self.start if self._fixed is None else self._fixed
         self._before: Vector | None = None
         self._watch, self._turned = ContractionWatch(), False
 
     def follow(self, residual: Vector, *, driven: bool) -> float:
-        """Return the fraction of a residual (6,), in tolerances, that the pose shall go.
+        """Return the fraction of a residual (6,), in tolerances, by which the pose moves.
 
-        `driven` loads change by themselves, as they do in time. A smooth load turns round once at
-        each of its peaks: only the second turn in a row is then an overshoot. CouplingDiverged,
-        and nothing changes, if the residual turns round again and again and does not become
-        smaller.
+        `driven` loads change by themselves, as they do in time. A smooth load changes its sign once
+        at each of its peaks: only the second change in a row is then an overshoot.
+
+        Raises CouplingDiverged, without changing anything, if the residual changes its sign again
+        and again and does not become smaller.
         """
         before, size = self._before, math.hypot(*residual.tolist())
         if not size < ABSURD:
@@ -181,26 +187,26 @@ class Relaxation:
 
 @dataclass(frozen=True)
 class ContractionWatch:
-    """Distinguishes a loop that drives itself from one that is driven."""
+    """Distinguishes a loop that drives itself from one that external loads drive."""
 
-    size: float = 0.0  # of the last residual, in tolerances
-    largest: float = 0.0  # of all of the run
-    steady: int = 0  # residuals in a row that were opposite and hardly smaller,
-    records: int = 0  # opposite and far larger than all before,
+    size: float = 0.0  # size of the last residual, in tolerances
+    largest: float = 0.0  # largest size of the run
+    steady: int = 0  # residuals in a row that were opposite and hardly smaller
+    records: int = 0  # residuals in a row that were opposite and far larger than all before
     first: float = 0.0  # size of the residual before the steady row
-    onward: int = 0  # and in one direction and far larger than all before
+    onward: int = 0  # residuals in a row in one direction and far larger than all before
 
     def updated(self, size: float, along: float) -> ContractionWatch:
-        """Return the watch after another residual of a size, times the last one `along`.
+        """Return the watch after another residual of a size; `along`: its product with the last.
 
-        CouplingDiverged if it is one too many.
+        Raises CouplingDiverged if the row of such residuals is too long.
         """
         opposite = along < OPPOSITE * size * self.size
         steady = self.steady + 1 if opposite and size >= STEADY * self.size else 0
         records = self.records + 1 if opposite and size >= RECORD * self.largest else 0
         further = along > ONWARD * size * self.size and size >= RECORD * self.largest
         onward = self.onward + 1 if further else 0
-        # Within the tolerance nothing matters.
+        # Residuals within the tolerance do not count.
         first = self.first if steady > 1 else self.size
         if size > 1.0 and (records >= BURST or (steady >= CYCLE and size >= first)):
             growth = "grows" if records >= BURST else "does not decay"
@@ -215,7 +221,7 @@ class ContractionWatch:
 
 
 class CycleWatch:
-    """Detection of a limit cycle: answers that swing, from sync to sync, and do not come to rest.
+    """Detection of a limit cycle: answers that swing from sync to sync and do not converge.
 
     A cycle of a scene in contact has a period of some syncs. Loads of such a period are not
     resolved by the syncs either.
@@ -227,9 +233,10 @@ class CycleWatch:
         self._spread = 0.0
 
     def see(self, answer: Vector) -> None:
-        """Take note of an answer (6,), in tolerances.
+        """Record an answer (6,), in tolerances.
 
-        CouplingDiverged if those of `SPANS` spans in a row swing as far as those of the one before.
+        Raises CouplingDiverged if the answers of more than `SPANS` spans in a row swing as far
+        as those before.
         """
         self._answers[self._count] = answer
         self._count += 1
@@ -244,7 +251,7 @@ class CycleWatch:
         turns = int((slopes[1:] * slopes[:-1] < 0.0).sum())
         swings = self._spread > SWING and SHORTEST * turns >= 2 * SPAN
         if swings:
-            # Each answer follows from those before it, as noise does not: by an autoregression.
+            # Answers of a cycle follow from earlier ones, unlike noise: by an autoregression.
             earlier = [answers[k : k - LAGS] for k in range(LAGS)]
             model = np.stack([*earlier, np.ones(len(answers) - LAGS)], axis=1)
             factors, *_ = np.linalg.lstsq(model, answers[LAGS:], rcond=None)
@@ -260,13 +267,16 @@ class CycleWatch:
 
 
 def within_limit(displacement: Vector) -> Vector:
-    """Return a displacement (6,), m and rad, scaled down to the largest turn of a table."""
+    """Return a displacement (6,), m and rad, scaled down to the largest rotation of a table."""
     turned = math.sqrt(float(displacement[3:] @ displacement[3:]))
     return displacement if turned <= LARGEST_TURN else displacement * (LARGEST_TURN / turned)
 
 
 def require_within_limit(displacement: Vector, component: str) -> None:
-    """Refuse an equilibrium (6,), m and rad, that turns further: CouplingDiverged."""
+    """Check that an equilibrium (6,), m and rad, is within the largest rotation of a table.
+
+    Raises CouplingDiverged if it is not.
+    """
     turned = math.degrees(math.sqrt(float(displacement[3:] @ displacement[3:])))
     if turned > math.degrees(LARGEST_TURN):
         raise CouplingDiverged(
@@ -277,7 +287,7 @@ def require_within_limit(displacement: Vector, component: str) -> None:
 
 
 def _run_away(before: float, size: float) -> CouplingDiverged:
-    """Return the error to raise where the distance, in tolerances, grows without turning round."""
+    """Return the error of a distance, in tolerances, that grows without a change of sign."""
     return CouplingDiverged(
         f"the coupling diverges: the answer moves away from the pose, by {size:.3g} "
         "tolerances. The scene tips or buckles: use a stiffer component, or correct the sign of "
@@ -316,20 +326,20 @@ class Settled:
 
     @property
     def iterations(self) -> int:
-        """The number of answers of the component."""
+        """The number of the component's answers."""
         return len(self.residuals)
 
 
 @dataclass
 class CouplingIteration:
-    """Where an iteration stands, and its residual: answer less displacement (6,), m and rad."""
+    """The state of an iteration, with its residual: answer less displacement (6,), m and rad."""
 
     displacement: Vector  # (6,), m and rad
     wrench: Vector  # (6,), N and N·m
     answer: Displacement
     residual: Vector
     scaled: Vector  # the residual in tolerances
-    size: float  # its largest
+    size: float  # the largest of the scaled residual
 
 
 @dataclass
@@ -339,12 +349,15 @@ class Loop:
     read: Callable[[Vector], Vector]  # the scene: displacement (6,), m and rad, to wrench
     ask: Callable[[Vector], tuple[Displacement, Vector]]  # the component: wrench to answer (6,)
     scale: Scale
-    accuracy: float  # tolerances that each output may still be off
-    most: int  # answers
+    accuracy: float  # tolerances by which each output may still be off
+    most: int  # largest number of answers
     residuals: list[float] = field(default_factory=list)  # in tolerances
 
     def evaluate(self, displacement: Vector) -> CouplingIteration:
-        """Set a displacement, read the scene, and ask; CouplingDiverged after the last answer."""
+        """Set a displacement, read the scene's wrench, and get the component's answer.
+
+        Raises CouplingDiverged after the last allowed answer.
+        """
         if len(self.residuals) >= self.most:
             raise CouplingDiverged(
                 f"the coupling has not settled after {self.most} answers: pose and answer are "
@@ -362,9 +375,9 @@ class Loop:
 
 
 def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> CouplingIteration:
-    """Settle by following the answers, from a displacement (6,), m and rad.
+    """Find the equilibrium by relaxation, from a displacement (6,), m and rad.
 
-    CouplingDiverged if scene and component drive each other apart, or do not come to rest.
+    Raises CouplingDiverged if scene and component drive each other apart, or do not converge.
     """
     relaxation.restart()
     state, runaway = loop.evaluate(start), 0
@@ -374,7 +387,7 @@ def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> Coupling
         except CouplingDiverged as error:
             raise CouplingDiverged(str(error), loop.residuals) from None
         before, state = state, loop.evaluate(state.displacement + factor * state.residual)
-        # Both in the tolerances of now: those derived from answers grow.
+        # Both in the present tolerances, as those derived from answers grow.
         same_way = float(loop.scale.measure(before.residual) @ state.scaled) > 0
         runaway = runaway + 1 if same_way and state.size > before.size else 0
         if runaway == RUNAWAY:
@@ -390,16 +403,17 @@ def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> Coupling
 def by_newton(
     loop: Loop, start: Vector, stiffness: Vector | None
 ) -> tuple[CouplingIteration, float | None]:
-    """Settle by Newton, from a displacement (6,), m and rad; return also G.
+    """Find the equilibrium by Newton's method, from a displacement (6,), m and rad; return also G.
 
     The residual U(W(u)) - u has the slope C K - I: C the answer's derivative, K the scene's dw/du
-    (6, 6), N/m, N/rad, N·m/m, N·m/rad, given or by differences. CouplingDiverged if no part of a
-    step leads nearer, or there is no rest.
+    (6, 6), N/m, N/rad, N·m/m, N·m/rad, given or by differences.
+
+    Raises CouplingDiverged if no part of a step leads nearer, or there is no equilibrium.
     """
     state, radius = loop.evaluate(start), None
     while state.size > loop.accuracy:
         slope = stiffness
-        if slope is None:  # by small moves of the scene
+        if slope is None:  # by small motions of the scene
             slope = np.empty((6, 6))
             sizes = np.where(
                 loop.scale.tolerance > 0.0, STEP * loop.scale.tolerance, STEP_WITHOUT_TOLERANCE
@@ -408,14 +422,14 @@ def by_newton(
                 displacement = state.displacement.copy()
                 displacement[column] += size
                 slope[:, column] = (loop.read(displacement) - state.wrench) / size
-            loop.read(state.displacement)  # the scene stands again where it stood
+            loop.read(state.displacement)  # restores the scene's position
         compliance = state.answer.derivative
         if compliance is None:
             raise MountError(
                 f"{state.answer.component} has no derivative at this wrench, which Newton needs; "
                 "settle with relaxation='aitken'"
             )
-        product = np.nan_to_num(compliance) @ slope  # NaN: an output that is taken as rigid
+        product = np.nan_to_num(compliance) @ slope  # NaN: an output that counts as rigid
         radius = spectral_radius(np.nan_to_num(compliance), slope)
         try:
             step = np.asarray(np.linalg.solve(np.eye(6) - product, state.residual), dtype=float)

@@ -1,4 +1,4 @@
-"""The one-side joint: a wrench from a simulation in, the pose of the interface back."""
+"""The one-sided joint: the wrench of a simulation in, the pose of the interface out."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 Pose = tuple[Vector, Vector]
 
 GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, z up
-CONTRADICTS = 0.5  # of the weight: a reading this far off is not noise nor a slow motion
+CONTRADICTS = 0.5  # part of the weight: an error of this size is neither noise nor a slow motion
 
 MODES = ("table", "solve", "record", "envelope")
 _MEANS = {
@@ -51,7 +51,7 @@ _MEANS = {
 
 @dataclass(frozen=True)
 class First:
-    """The first answer of a kind: its number from 1, wrench (6,), N and N·m, why not covered."""
+    """The first answer of a kind: its number from 1, wrench (6,), N and N·m, and the reason."""
 
     step: int
     wrench: Vector = field(repr=False)
@@ -60,7 +60,7 @@ class First:
 
 @dataclass
 class Coverage:
-    """How many answers of a run were covered, thin, outside, or unknown.
+    """Numbers of answers of a run that were covered, thin, outside, or unknown.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Coverage:
 
     @property
     def answers(self) -> int:
-        """How many answers there were."""
+        """The number of answers."""
         return self.covered + self.thin + self.outside + self.unknown
 
     def add(self, answer: Displacement, *, known: bool) -> None:
@@ -90,7 +90,7 @@ class Coverage:
         setattr(self, kind, getattr(self, kind) + 1)
         bars = answer.error_vector
         if bars is not None:
-            np.fmax(self.widest, bars, out=self.widest)  # NaN where a table does not measure
+            np.fmax(self.widest, bars, out=self.widest)  # NaN where a table lacks the output
         if kind != "covered" and kind not in self.first:
             self.first[kind] = First(self.answers, answer.wrench, answer.reason)
             reason = f" ({answer.reason})" if answer.reason else ""
@@ -444,14 +444,14 @@ class Mount:
         return self.recorder.start(**options)
 
     def close(self) -> None:
-        """Send what is saved and has not been sent."""
+        """Send the saved wrenches that are not sent yet."""
         if self.recorder is not None:
             self.recorder.close()
 
     def _answer(self, wrench: Vector) -> tuple[Displacement, Vector | None]:
-        """Return the answer to a wrench (6,), N and N·m, counted, and its numbers (6,), if any.
+        """Count and return the answer to a wrench (6,), N and N·m, and its numbers (6,), if any.
 
-        DisplacementUnknown if an output is not in the table and is not taken as rigid.
+        Raises DisplacementUnknown if the table lacks an output that does not count as rigid.
         """
         assert self._ask is not None
         unprimed = self._stiffness is not None and not self._primed
@@ -482,7 +482,10 @@ def _require_word(name: str, word: str, known: tuple[str, ...]) -> None:
 
 
 def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
-    """Return a reading as a wrench (6,), N and N·m; SensorError if a number is not finite."""
+    """Return a reading as a wrench (6,), N and N·m.
+
+    Raises SensorError if a number is not finite.
+    """
     try:
         return single_wrench(force, moment)
     except ValueError as error:
@@ -497,9 +500,9 @@ def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
 def from_world(force: Vector, moment: Vector, point: Vector, pose: tuple[Vector, Vector]) -> Vector:
     """Return a wrench (6,), N and N·m, about the interface point in the undeformed frame's axes.
 
-    Force and moment (3,) act ON the component at a point (3,), m, where it is now, all in the
-    world. `pose` is R0 (3, 3) of the undeformed frame, and p (3,), m, the interface point where it
-    is now: F = R0^T f and M = R0^T (m + (point - p) x f).
+    Force and moment (3,) act ON the component at a displaced point (3,), m, all in the world.
+    `pose` is R0 (3, 3) of the undeformed frame, and p (3,), m, the displaced interface point: F =
+    R0^T f and M = R0^T (m + (point - p) x f).
     """
     axes, origin = pose
     x, y, z = (point - origin).tolist()
@@ -537,7 +540,7 @@ def require_weight(
         return
     local = np.asarray(force, dtype=float)
     world = local if axes is None else np.asarray(axes, dtype=float) @ local
-    along = float(world @ pull) / weight**2  # 1 is right
+    along = float(world @ pull) / weight**2  # the right value is 1
     if abs(along - 1.0) <= CONTRADICTS:
         return
     text = f"at rest {mass:.6g} kg weigh {weight:.6g} N, but the reading has {along * weight:.6g} N"

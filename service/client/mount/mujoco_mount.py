@@ -1,6 +1,6 @@
 """The mount in MuJoCo: reads two sensors, writes a mocap body's pose.
 
-Sensors read the wrench on the component only of some scenes. Each check was tried in MuJoCo 4.0.0;
+Sensors read the wrench on the component only in some scenes. Each check was tried in MuJoCo 4.0.0;
 tests/service/client has a scene for each.
 """
 
@@ -31,7 +31,7 @@ _REMEDY = (
     'and <torque site="mount"/> sensors'
 )
 _ROUNDING = 1e-3  # relative: a sync of one step may be written with fewer digits than the step
-_NAMED = 5  # bodies that a message names
+_NAMED = 5  # bodies in a message: more would hide its remedy
 _UNSTABLE = (
     engine.mjtWarning.mjWARN_BADQPOS,
     engine.mjtWarning.mjWARN_BADQVEL,
@@ -110,7 +110,7 @@ class MujocoMount:
             raise InvalidArgument(f"sync, {sync:g} s, must not be shorter than a step, {step:g} s")
         self._model, self._data, self._sync = model, data, sync or 0.0
         cut = _division(model, mocap, force, torque)
-        # Views of the arrays read and written: MjData's arrays stay where they are.
+        # Views of the arrays that are read and written: MjData's arrays never move.
         self._axes: Vector = data.site_xmat[cut.site].reshape(3, 3)
         self._point: Vector = data.site_xpos[cut.site]
         self._body_axes: Vector = data.xmat[cut.body].reshape(3, 3)
@@ -126,13 +126,13 @@ class MujocoMount:
         undeformed = (axes if R0 is None else R0, point if p0 is None else p0)
         self.mount = Mount(source, component, *undeformed, **options)
         R0_, p0_ = self.mount.undeformed
-        # The mocap body as seen from the interface, and the interface point as seen from the mocap
+        # The mocap body relative to the interface, and the interface point relative to the mocap
         # body: the two are one rigid piece.
         self._offset = R0_.T @ axes, R0_.T @ (point - p0_)
         self._interface = axes.T @ (p0_ - point)
         self._floating = _floating(model, cut, gravcomp)
-        # At rest the sensors read the weight of what hangs on the mount: evaluated aside, at the
-        # scene's present position, without contacts.
+        # At rest the sensors read the weight of all bodies on the mount. It is computed in a copy,
+        # at the scene's present position, without contacts.
         aside, flags = engine.MjData(model), model.opt.disableflags
         aside.qpos[:], aside.mocap_pos[:] = data.qpos, data.mocap_pos
         aside.mocap_quat[:] = data.mocap_quat
@@ -163,14 +163,14 @@ class MujocoMount:
             See `Mount.step`: nothing has moved then, and the step can be made again.
         """
         now = self._data.time
-        if now < self._now:  # the user has reset the scene, or MuJoCo has, as it was unstable
+        if now < self._now:  # the user, or MuJoCo after an instability, has reset the scene
             if any(self._data.warning[kind].number for kind in _UNSTABLE):
                 raise SensorError(
                     "MuJoCo has reset the unstable scene. See its warnings; use a smaller "
                     "timestep, a softer contact or a slower mount, then reset and restart()"
                 )
             self.restart()
-            self._begin(float(now) - 2.0 * self._half_step)  # one step has been made since
+            self._begin(float(now) - 2.0 * self._half_step)  # one step was made since
         if now == self._now:
             return False  # no step since: the sensors have no new reading, or none at all
         if now < self._due:
@@ -220,13 +220,13 @@ class MujocoMount:
         self._begin(float(self._data.time))
 
     def close(self) -> None:
-        """Send what is recorded and has not been sent."""
+        """Send recorded wrenches that are not sent yet."""
         self.mount.close()
 
     def _begin(self, time: float) -> None:
         self.wrench: Vector | None = None
         self._now = self.read_at = time
-        # Half a step early: times are sums of steps, and not to the last digit.
+        # Half a step early: times are sums of steps, with rounding.
         self._half_step = 0.5 * float(self._model.opt.timestep)
         self._due = self._now + self._sync - self._half_step
 
@@ -238,12 +238,12 @@ class MujocoMount:
             lifts = -self._floating[:, None] * self._model.opt.gravity
             force = force + lifts.sum(axis=0)
             moment = moment + np.cross(self._data.xipos - point, lifts).sum(axis=0)
-        # As the sensors saw it: the mocap body may have been moved since.
+        # At the sensors' time: the mocap body may have been moved since.
         present = self._body_point + self._body_axes @ self._interface
         return from_world(force, moment, point, (self.mount.undeformed[0], present))
 
     def _write(self, R: Vector, p: Vector) -> None:
-        """Give the mocap body the pose that goes with the interface's, (3, 3) and (3,), m."""
+        """Give the mocap body the pose that belongs to the interface's, (3, 3) and (3,), m."""
         rotation, away = self._offset
         quaternion = np.empty(4)
         engine.mju_mat2Quat(quaternion, (R @ rotation).ravel())
@@ -252,18 +252,21 @@ class MujocoMount:
 
 @dataclass(frozen=True)
 class _Division:
-    """Where a MuJoCo scene is cut."""
+    """The division of a MuJoCo scene between mount and rigid system."""
 
     mocap: int  # number of the mocap pose
     body: int  # the mocap body
     mounted: int  # the body whose connection to its parent the sensors read
     site: int
-    force: slice  # of the sensors' numbers
+    force: slice  # indices of the sensors' numbers
     torque: slice
 
 
 def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
-    """Return where a scene is cut; SensorError if its sensors mislead there."""
+    """Return the division of a scene.
+
+    Raises SensorError if its sensors do not read the wrench on the component there.
+    """
     body = _named(model, _OBJECT.mjOBJ_BODY, mocap, "body")
     number = int(model.body_mocapid[body])
     if number < 0:
@@ -278,7 +281,7 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
     if model.opt.disableflags & _DISABLE.mjDSBL_SENSOR:
         raise SensorError('sensors are disabled; remove <flag sensor="disable"/>')
     mounted = int(model.site_bodyid[site])
-    if mounted != body:  # on the mocap body sensors read all that hangs on it, and its own mass
+    if mounted != body:  # on the mocap body sensors read all bodies above it, and its own mass
         name, first = _name(model, mounted), model.body_jntadr[mounted]
         kinds = model.jnt_type[first : first + model.body_jntnum[mounted]]
         if (kinds == engine.mjtJoint.mjJNT_FREE).any():
@@ -308,8 +311,8 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
 def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector | None:
     """Return the mass of bodies that gravity compensation carries, kg, (bodies,); None if nothing.
 
-    SensorError if a body is compensated and `gravcomp` is not given; InvalidArgument if it is not
-    valid, or cannot be taken off with this integrator.
+    Raises SensorError if a body is compensated and `gravcomp` is not given; InvalidArgument if it
+    is not valid, or the compensation cannot be subtracted with this integrator.
     """
     if gravcomp is not None and gravcomp not in ("motors", "float"):
         raise InvalidArgument(f"gravcomp must be 'motors' or 'float', not {gravcomp!r}")
@@ -363,7 +366,7 @@ def _check_forces(model: Model, body: int, mounted: int) -> None:
 
 
 def _hangs_on(model: Model, mounted: int) -> NDArray[np.bool_]:
-    """Return which bodies are the mounted one or hang on it: booleans, shape (bodies,)."""
+    """Return which bodies are the mounted one or its descendants: booleans, shape (bodies,)."""
     hanging = np.zeros(model.nbody, dtype=bool)
     hanging[mounted] = True
     for body in range(mounted + 1, model.nbody):  # a parent's number is below its children's
@@ -391,8 +394,11 @@ def _sensor(model: Model, name: str, kind: int, word: str) -> tuple[slice, int]:
 
 
 def _named(model: Model, kind: int, name: str, word: str) -> int:
-    """Return the number of a named thing, or say which names there are."""
-    # MuJoCo ends the process at a name that is None.
+    """Return the number of a named object of the model.
+
+    Raises SensorError with the existing names if there is none.
+    """
+    # MuJoCo ends the process if a name is None.
     number = engine.mj_name2id(model, kind, name) if isinstance(name, str) else -1
     if number < 0:
         count = model.nbody if kind == _OBJECT.mjOBJ_BODY else model.nsensor

@@ -1,4 +1,4 @@
-"""Warning of loads that build up too fast for answers at rest."""
+"""Warning of loads that change too fast for answers at rest."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from ..wrenches import Vector, floats_of
 if TYPE_CHECKING:
     from .. import Client, Table
 
-# Periods of the first natural frequency that a load takes to build up: with fewer, the component
-# rings, and an answer at rest misses it, by a factor of 2 and more either way.
+# Rise time of a load in periods of the first natural frequency: with fewer, the component rings,
+# and an answer at rest is wrong by a factor of 2 and more either way.
 QUASI_STATIC = 8.0
 
 
 def first_frequency(
     alone: float | None, compliance: Vector | None, carried: Vector | None
 ) -> float:
-    """Return a lower bound of the first natural frequency, Hz; infinite where nothing has mass.
+    """Return a lower bound of the first natural frequency, Hz; infinite if nothing has mass.
 
     It is that of the component alone, Hz (None: weightless), lowered by a carried rigid system's
     mass matrix about the interface point (6, 6), kg to kg·m^2, on a compliance du/dw (6, 6), SI.
 
     Dunkerley (1894): 1/f^2 = 1/f_alone^2 + 1/f_carried^2, with 1/(2 pi f_carried)^2 the largest
-    eigenvalue of compliance times mass: exact where one of the two masses is nothing.
+    eigenvalue of compliance times mass: exact if one of the two masses is zero.
     """
     square = 0.0 if alone is None else 1.0 / alone**2
     if compliance is not None and carried is not None:
@@ -44,10 +44,12 @@ def warn_if_ringing(
     ramp_time: float | None,
     carried: float | ArrayLike | None,
 ) -> None:
-    """Warn where loads build up, in `ramp_time`, s, too fast for answers at rest.
+    """Warn if loads rise, in `ramp_time`, s, too fast for answers at rest.
 
-    A server gives the first natural frequency, Hz, if it is not given. InvalidArgument if one is
-    given without the other, or `carried`, kg or a mass matrix (6, 6), is of no use.
+    By default a server gives the first natural frequency, Hz.
+
+    Raises InvalidArgument if one of frequency and ramp time is given without the other, or
+    `carried`, kg or a mass matrix (6, 6), cannot be used.
     """
     if frequency is None and ramp_time is not None and hasattr(source, "compliance"):
         frequency = _known_frequency(cast("Client", source), component, carried)
@@ -82,7 +84,7 @@ def warn_if_ringing(
 def _known_frequency(
     client: Client, component: str, carried: float | ArrayLike | None
 ) -> float | None:
-    """Return the first natural frequency, Hz, by a server's facts; None and a warning without."""
+    """Return the first natural frequency, Hz, from a server; None after a warning if unknown."""
     alone = (client.component(component).get("vibration") or {}).get("first_frequency")
     unknown = f"{component}: it is unknown whether loads build up slowly enough."
     matrix, compliance = None, None
@@ -93,7 +95,7 @@ def _known_frequency(
         if (np.diag(matrix) < 0.0).any():
             raise InvalidArgument(f"carried must have no negative mass, not {mass.tolist()} kg")
         facts = client.compliance(component)
-        # At zero load, where there is one: a part that stiffens under load swings slower there.
+        # At zero load, if there is a row: a part that stiffens under load oscillates slower there.
         compliance = np.array(facts.get("tangent") or facts["matrix"], dtype=float)
         if not np.isfinite(compliance).all():
             compliance = None

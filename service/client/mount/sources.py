@@ -35,7 +35,7 @@ def from_table(
             f"a mount needs one interface and no further inputs, but {component} has the inputs "
             f"{', '.join(space.input_names)}; call table.answer in the loop instead"
         )
-    if method is not None:  # an unknown one is refused here, not in the loop
+    if method is not None:  # an unknown method is refused here, not in the loop
         table.answer(np.zeros(6), tolerance=tolerance, method=method)
 
     def ask(wrench: Vector, derivatives: bool) -> Displacement:
@@ -48,11 +48,11 @@ def from_table(
 def from_server(
     client: Client, component: str, tolerance: Limit | None, method: str | None, on_thin: OnThin
 ) -> tuple[Limit | None, Ask]:
-    """Answer from the server's table; what it does not cover is queued, where it can be solved."""
+    """Answer from the server's table; uncovered wrenches are queued, if they can be solved."""
     facts = client.component(component)
-    # A measured table is never solved: to queue would be refused in the middle of the loop.
+    # A measured table is never solved: a queued wrench would be refused in the middle of the loop.
     thin: OnThin = on_thin if facts.get("has_fea", True) else "estimate"
-    if method is not None:  # an unknown one is refused here, not in the loop
+    if method is not None:  # an unknown method is refused here, not in the loop
         client.displacement(component, np.zeros(6), on_thin="estimate", method=method)
 
     def ask(wrench: Vector, derivatives: bool) -> Displacement:
@@ -93,7 +93,7 @@ def from_solves(
                 time.sleep(SHORTEST_POLL_S)
         if not derivatives:
             return answer
-        # The solve's row brings its tangent with it.
+        # The row of the solve brings its tangent.
         row = client.displacement(component, wrench, on_thin="estimate", derivatives=True)
         return row if row.covered else answer
 
@@ -101,7 +101,10 @@ def from_solves(
 
 
 def require_server(source: Table | Client, mode: str) -> Client:
-    """Return a source that is a server's client; SourceError if the mode needs one."""
+    """Return a source that is a server's client.
+
+    Raises SourceError if the mode needs a server and the source is none.
+    """
     if hasattr(source, "__aenter__"):
         raise SourceError("the steps of a mount block; give a Client instead of the AsyncClient")
     if hasattr(source, "displacement") and hasattr(source, "solve"):

@@ -1,4 +1,4 @@
-"""One file a resource of the HTTP interface; here is what they share."""
+"""Shared parts of the HTTP routes; each resource has its own file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ async def _workspace(request: Request) -> Workspace:
 
 
 Opened = Annotated[Workspace, Depends(_workspace)]
-"""A parameter of a route: the workspace of the server."""
+"""A route parameter: the workspace of the server."""
 
 
 async def _newest(name: str, request: Request) -> ServedTable:
@@ -29,7 +29,7 @@ async def _newest(name: str, request: Request) -> ServedTable:
 
 
 Newest = Annotated[ServedTable, Depends(_newest)]
-"""A parameter of a route: the component's table, once it holds all rows there are now."""
+"""A route parameter: the component's table with all rows committed so far."""
 
 
 class DirectRoute(APIRoute):
@@ -47,13 +47,13 @@ class DirectRoute(APIRoute):
 def json_reply(
     fields: dict[str, Any] | Message, status: int = 200, headers: dict[str, str] | None = None
 ) -> Response:
-    """Write a body; what is not finite is null, never a number."""
+    """Return a JSON reply; numbers that are not finite become null."""
     content = orjson.dumps(fields, option=orjson.OPT_SERIALIZE_NUMPY)
     return Response(content, status, headers, "application/json")
 
 
 def next_page(response: Response, path: str, query: Mapping[str, Any]) -> str:
-    """Return the URL of a list's next page, and put it into the header Link (RFC 8288)."""
+    """Return the URL of a list's next page, and set the header Link (RFC 8288)."""
     parameters = {
         name: "true" if value is True else value for name, value in query.items() if value
     }

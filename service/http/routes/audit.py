@@ -1,4 +1,4 @@
-"""The audit: which actor wrote what, and when."""
+"""The audit: who wrote which change, and when."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ def get_component(name: str, workspace: Opened, _: Newest) -> dict[str, Any]:
 async def add_component(request: Request, workspace: Opened, faces: bool = False) -> Response:
     kind = content_type(request)
     if kind == "multipart/form-data":
-        # The archive may be as large as a bundle, and its form has a head.
+        # The archive may be as large as a bundle, and the form adds its head.
         most = MAX_BUNDLE_BYTES + MAX_QUERY_BYTES
         async with form_of(request, most, 1, "Leave large files out of the zip.") as form:
             upload = form.get("bundle")
@@ -173,10 +173,10 @@ def fill(name: str, workspace: Opened, order: FillBody) -> Response:
 
 
 def component_body(workspace: Workspace, component: Component) -> dict[str, Any]:
-    """Return all there is to say about a component."""
+    """Return all facts of a component."""
     table = workspace.tables.surrogate(component.name)
     error = workspace.solver_error(component.name) if component.has_fea else None
-    solver_error = None  # of a measured table
+    solver_error = None  # a measured table has no solver
     if error is not None:
         names = ("mesh_basis", "linearity_basis", "buckling")
         basis = {name: error.values[name] for name in names if name in error.values}
@@ -206,11 +206,11 @@ def _warnings(
     warnings: list[dict[str, Any]] = [*warnings_of(component.folder)]
     if not table.bars_are_complete:
         warnings.append({"where": WHERE, "message": UNKNOWN})
-    elif error is not None and limit is not None:  # the newest estimate takes the check's place
+    elif error is not None and limit is not None:  # the newest estimate replaces the check's
         warnings = [warning for warning in warnings if warning["where"] != WHERE]
         newest = over_tolerance(error.values, limit.translation, limit.rotation)
         warnings += ({"where": mistake.where, "message": mistake.message} for mistake in newest)
-    # A large table may still be in the making, and rows be in the ledger and not in the table.
+    # A large table may still be building, with rows in the ledger that are not in the table.
     findings = workspace.ledger.findings(component.name)
     if message := warning_of(component, table):
         warnings.append({"where": "rows", "message": message})
@@ -223,7 +223,7 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
     limit, space = component.tolerance, component.space
     card = workspace.catalogue[component.name]
     solved = table.sources.get("fea", 0)
-    # The load range as requests have it: by interface where there are several.
+    # The load range in the form of requests: by interface if there are several.
     bounds = component.load_range.low.tolist(), component.load_range.high.tolist()
     spans = [list(span) for span in zip(*bounds, strict=True)]
     loads = {
@@ -242,7 +242,7 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
         "linear": component.linear,
         "shipped": component.shipped,
         "range": load_range,
-        # The inputs and outputs where they are not those of one wrench.
+        # The inputs and outputs if they are not those of one wrench.
         **({} if space.is_default else {"space": space.as_json()}),
         "tolerance": limit and asdict(limit),
         "rows": table.row_count,

@@ -1,4 +1,4 @@
-"""What a table covers, its compliance, and what a page draws of it: nothing is queued."""
+"""A table's coverage, its compliance, and the data of a page's plots; nothing is queued."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from wrenchbook.surrogate.table.physics_checks import check_physics
 from wrenchbook.surrogate.table.rows import ZERO_LOAD, Floats, LoadRange
 
 router = component_router("components")
-MAX_ROWS = 5_000  # what a browser turns in 3-D without delay; the reply is then some 1 MB
-SAMPLE = 128  # wrenches: the covered share of a range to some 4 %
-CELLS = 7  # of each load in the grid of an axis; odd, so that no load is a middle of one
+MAX_ROWS = 5_000  # rows that a browser rotates in 3-D without delay; the reply is then some 1 MB
+SAMPLE = 128  # wrenches: they give the covered part of a range to some 4 %
+CELLS = 7  # cells of each load in the grid of an axis; odd, so that no load is a middle of one
 
 Load = Literal["fx", "fy", "fz", "mx", "my", "mz"]
 Number = Annotated[float, Query(allow_inf_nan=False)]
@@ -120,8 +120,8 @@ def glance(name: str, workspace: Opened) -> Response:
             [reply.interpolation for reply in replies], len(span.space.outputs)
         ),
         "bars_are_whole": table.bars_are_complete,
-        # The share of wrenches that are covered and within the tolerance; a covered one that
-        # cannot be compared leaves it unknown.
+        # The part of wrenches that are covered and within the tolerance; unknown if a covered
+        # wrench cannot be compared.
         "within_tolerance": None if None in within else sum(map(bool, within)) / SAMPLE,
         "axes": {axis.name: _shares(table, _grid(span, axis)) for axis in axes},
         "reach": np.stack((used.min(axis=0), used.max(axis=0)), axis=1) if len(used) else None,
@@ -130,7 +130,7 @@ def glance(name: str, workspace: Opened) -> Response:
 
 
 def _shares(table: ServedTable, wrenches: Floats) -> list[float]:
-    """Return the shares of wrenches (n, inputs) that are covered, thin and outside."""
+    """Return the parts of wrenches (n, inputs) that are covered, thin and outside."""
     coverage = table.packed.batch(wrenches).coverage
     return (np.bincount(coverage, minlength=3) / len(wrenches)).tolist()
 
@@ -146,14 +146,14 @@ def _as_array(bars: ErrorBars, outputs: int) -> Floats:
 
 
 def _ends(span: LoadRange) -> tuple[Floats, Floats]:
-    """Return the range's ends, (6,) each, stretched to hold zero as answers count it."""
+    """Return the range's ends, (6,) each, extended to zero load as for answers."""
     return np.minimum(span.low, 0.0), np.maximum(span.high, 0.0)
 
 
 def _grid(span: LoadRange, axis: LoadAxis) -> Floats:
     """Return the middles of a grid's cells over the loads of an axis, (n, 6); other loads are zero.
 
-    At the ends of the range, which rows hardly ever reach, lie no points: each stands for a cell of
+    No point lies at the ends of the range, which rows hardly ever reach: each stands for a cell of
     the same size.
     """
     middles = np.linspace(*_ends(span), 2 * CELLS + 1)[1::2]
@@ -178,7 +178,7 @@ def faces(name: str, workspace: Opened) -> Response:
 
 
 def _meshed(workspace: Workspace, name: str) -> tuple[Path, str]:
-    """Return folder and fingerprint of a component with a mesh; one without is refused."""
+    """Return folder and fingerprint of a component with a mesh; refuse a component without one."""
     component = workspace.library[name]
     if not component.has_fea:
         why = f"{name!r} has measured rows, but no mesh to draw. Use its table instead."
@@ -228,7 +228,7 @@ def drawing(
 
 
 def _spread(positions: Positions, count: int) -> Positions:
-    """At most `count` evenly spread positions, the first and the last among them."""
+    """Return at most `count` evenly spread positions, with the first and the last."""
     if len(positions) <= count:
         return positions
     return positions[np.linspace(0, len(positions) - 1, count).astype(np.intp)]

@@ -54,7 +54,7 @@ async def deformed(
 ) -> Response:
     known = (*LOADS, "format")
     counts = Counter(key for key, _ in request.query_params.multi_items())
-    unknown = f"is unknown; use one of {', '.join(known)}"  # a misspelt load would be zero
+    unknown = f"is unknown; use one of {', '.join(known)}"  # a misspelt load would count as zero
     errors = [
         {"loc": key, "msg": "is there more than once; send one" if key in known else unknown}
         for key, count in counts.items()
@@ -64,7 +64,7 @@ async def deformed(
         raise bad_body(errors)
     require_single_wrench(name, workspace.library.as_read(name).space)
     loads = np.array([fx, fy, fz, mx, my, mz])
-    # On threads of its own, few: it reads files and multiplies large arrays.
+    # In its own small pool of threads: it reads files and multiplies large arrays.
     loop = asyncio.get_running_loop()
     return await loop.run_in_executor(
         workspace.shapes.threads, _reply, workspace, name, loads, format
@@ -72,7 +72,7 @@ async def deformed(
 
 
 def _reply(workspace: Workspace, name: str, loads: NDArray[np.float64], form: str) -> Response:
-    """Answer with the deformed surface under `loads`, shape (6,), N and N·m, in a format."""
+    """Return the deformed surface under `loads`, shape (6,), N and N·m, in a format."""
     shape = workspace.deformed(name, loads)
     if form != "json":
         write, kind, ending = _FILES[form]

@@ -56,7 +56,7 @@ _MANY = answers(Displacements, _SOLVED, content=batch.BINARY_REPLY) | answers(
 
 
 def _permitted(permission: Permission, read: Callable[[], Read]) -> Read:
-    """Read a query; 403 for a key for reading if it cannot be read or queues solves."""
+    """Return a query; 403 for a read-only key if the query cannot be read or queues solves."""
     if permission.allows("write"):
         return read()
     try:
@@ -135,7 +135,7 @@ async def solve(name: str, request: Request) -> Response:
 
 
 def write_outcome(outcome: Outcome) -> Response:
-    """Answer one query: 200, or 202 while its solve has not answered."""
+    """Return the reply to one query: 200, or 202 while its solve is not done."""
     reply = Displacement.of(fields_of(outcome))
     if not outcome.unsolved:
         return json_reply(reply)

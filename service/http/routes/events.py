@@ -18,13 +18,13 @@ from wrenchbook.service.http.routes import Opened
 
 router = APIRouter(prefix="/v1/events", tags=["events"], responses=refused(404, 422))
 
-HEARTBEAT_S = 15.0  # below the idle limits of proxies, usually 60 s
+HEARTBEAT_S = 15.0  # s: below the idle limits of proxies, usually 60 s
 _STREAM = {"type": "string", "description": BODIES["events"]}
-SEND_S = 20.0  # for a listener to read when the sockets have no room for more
+SEND_S = 20.0  # s for a listener to read when the sockets' buffers are full
 HEADERS: Mapping[str, str] = {
     "Content-Type": "text/event-stream; charset=utf-8",
     "Cache-Control": "no-store",
-    "X-Accel-Buffering": "no",  # nginx would gather events until a buffer is full
+    "X-Accel-Buffering": "no",  # otherwise nginx would buffer events
 }
 
 
@@ -47,14 +47,14 @@ async def events(
 ) -> Response:
     watched: Events = request.app.state.events
     if component is not None:
-        workspace.library[component]  # UnknownComponentError: 404
+        workspace.library[component]  # raises UnknownComponentError: 404
     listener = await watched.listen(component, last_event_id)
     request.app.state.access.end_with_key(listener, permission_of(request.scope))
     return EventStream(watched.feed, listener)
 
 
 class EventStream(StreamingResponse):
-    """Events until the connection ends, the listener is ended, or the caller no longer reads."""
+    """Events until the connection ends, the listener is ended, or the caller stops reading."""
 
     def __init__(self, feed: Feed, listener: Listener) -> None:
         self._feed, self._listener = feed, listener
@@ -67,7 +67,7 @@ class EventStream(StreamingResponse):
         super().__init__(lines(), headers=HEADERS)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the events; free the listener's place in any case."""
+        """Send the events; free the listener's place at the end."""
 
         async def send_in_time(message: Message) -> None:
             await asyncio.wait_for(send(message), SEND_S)

@@ -38,15 +38,16 @@ def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
     faults, broken, tables = workspace.faults(), workspace.broken(), table_states(workspace)
     names, present = set(workspace.library.names()), workspace.tables.present().items()
     counts = {name: workspace.unbuilt(name, table)[0] for name, table in present if name in names}
-    pending = {name: count for name, count in counts.items() if count}  # rows that are being built
+    # Rows that are not in tables yet.
+    pending = {name: count for name, count in counts.items() if count}
     for name in pending:
-        if not workspace.tables.present()[name].row_count:  # it has nothing to answer from
+        if not workspace.tables.present()[name].row_count:  # it has no row to answer from
             tables[name] = "broken" if name in broken else "building"
     building = [name for name, state in tables.items() if state == "building"]
     if component is not None:
         if component not in tables:
-            _ = workspace.library[component]  # raises if there is none
-            tables[component] = "building"  # added a moment ago
+            _ = workspace.library[component]  # raises if the component does not exist
+            tables[component] = "building"  # it was just added
         tables = {component: tables[component]}
     copies = trouble_of(workspace.copies, workspace.settings)
     flawed = any(state in ("degraded", "broken") for state in tables.values())
@@ -76,7 +77,7 @@ def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
 def table_states(workspace: Workspace) -> dict[str, TableState]:
     """Return the state of each component's table, by name.
 
-    `degraded` answers although rows or files of it are damaged; `broken` does not answer.
+    `degraded` answers although rows or files are damaged; `broken` does not answer.
     """
     present, broken = workspace.tables.present(), workspace.broken()
     building = workspace.tables.building()

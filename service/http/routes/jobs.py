@@ -30,11 +30,11 @@ from wrenchbook.surrogate.table.space import DEFAULT
 
 
 async def _touched(request: Request, workspace: Opened) -> None:
-    """Refuse the job of a component that the key may not touch, as if there were none."""
+    """Refuse the job of a component that the key may not use, as if it did not exist."""
     caller, job_id = CALLER.get(), request.path_params.get("job_id", "")
     if caller.components != ANY and job_id:
         if job_id.isdecimal() and len(job_id) < 19:
-            with suppress(UnknownJobError):  # its refusal is that of another's job
+            with suppress(UnknownJobError):  # the same refusal as for another key's job
                 job = await run_in_threadpool(workspace.ledger.job, int(job_id))
                 if caller.touches(job.component):
                     return
@@ -44,13 +44,13 @@ async def _touched(request: Request, workspace: Opened) -> None:
 router = APIRouter(
     prefix="/v1/jobs", tags=["jobs"], responses=refused(404, 422), dependencies=[Depends(_touched)]
 )
-# The end, where the reason stands; all of it is in the attempt's files.
+# The end of a log, which has the cause of a failure; the attempt's files have the whole log.
 MAX_LOG_BYTES = 64 * 1024
 CODE = pathlib.Path(__file__).parents[3]
 
 
 def _within(job_id: int) -> int:
-    if job_id >= 2**63:  # the end of SQLite's integers
+    if job_id >= 2**63:  # beyond SQLite's integers
         raise UnknownJobError(f"there is no job {str(job_id)[:30]}; see GET /v1/jobs")
     return job_id
 
@@ -64,11 +64,11 @@ def job_body(
 ) -> dict[str, Any]:
     """Return the full form of a job, with its progress and, when done, its displacement.
 
-    `rows` are those of many jobs, read together; without them the job's row is read.
+    `rows`: the rows of many jobs, read together; without them the job's row is read.
     """
     library, name = workspace.library, job.component
     space = library[name].space if name in library else DEFAULT
-    if len(space.inputs) != len(job.wrench):  # its component is gone, or has other inputs now
+    if len(space.inputs) != len(job.wrench):  # its component is deleted, or has other inputs now
         space = None
     body: dict[str, Any] = {
         **job_link(job),
@@ -89,7 +89,7 @@ def job_body(
     if job.status == "done" and job.row is not None:
         body["row"] = job.row
         row = workspace.ledger.row(job.row) if rows is None else rows.get(job.row)
-        if row is not None:  # GET /health/ready names a damaged one
+        if row is not None:  # GET /health/ready reports a damaged row
             names = space.several if space else ()
             parts = by_part(row.displacement, names)
             body |= {"displacements": parts} if names else parts
@@ -123,7 +123,7 @@ async def get_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -
     (job,) = await workspace.polls.wait_all([job_id], wait_s)
 
     def body() -> dict[str, Any]:
-        """Return what a job has, and what lists leave out: its notes, why it waits."""
+        """Return a job with fields that lists leave out: its notes, and why it waits."""
         waiting = None
         if job.status == "waiting":
             trouble = workspace.tables.trouble()
@@ -189,7 +189,7 @@ def get_job_files(job_id: JobId, workspace: Opened) -> Response:
 def get_job_log(job_id: JobId, workspace: Opened) -> Response:
     job = workspace.ledger.job(job_id)
     path = _attempt_files(workspace, job) / LOG
-    if path.is_symlink() or not path.is_file():  # a deck's command may have put a link there
+    if path.is_symlink() or not path.is_file():  # a deck's command may have made a link there
         why = f"Attempt {job.attempt} of job {job.id}, which is {job.status}, has no log.txt. Read "
         rest = f"its other files: GET /v1/jobs/{job.id}/files."
         raise HttpProblemError(404, "no-files", "No log", why + rest)
@@ -204,7 +204,7 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
 
 
 def _attempt_files(workspace: Workspace, job: JobRecord) -> pathlib.Path:
-    """Return the folder of a job's last attempt; 404 with the reason if there is none."""
+    """Return the folder of a job's last attempt; 404 with the reason if it does not exist."""
     folder = workspace.attempt_folder(job)
     if folder.is_dir():
         return folder
@@ -223,7 +223,7 @@ def _attempt_files(workspace: Workspace, job: JobRecord) -> pathlib.Path:
 
 
 def without_paths(text: str, data: pathlib.Path) -> str:
-    """Return a text without the folders of this machine: its reader may be elsewhere."""
+    """Return a text without this machine's folders, which are meaningless elsewhere."""
     known = {
         str(data.absolute()): "<data>",
         str(CODE): "<wrenchbook>",
@@ -236,7 +236,7 @@ def without_paths(text: str, data: pathlib.Path) -> str:
 
 
 def _check_known(workspace: Workspace, component: str | None) -> None:
-    """Refuse the name of a component that there is not: none of its jobs would look like none."""
+    """Refuse an unknown component, whose list of jobs would be empty without a reason."""
     if component is not None:
         _ = workspace.library[component]
 

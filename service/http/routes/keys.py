@@ -1,4 +1,4 @@
-"""Keys over HTTP, for whoever has one for admin: list, add, rotate, revoke."""
+"""Keys over HTTP, for callers with the scope admin: list, add, rotate, revoke."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def revoke_key(name: str, request: Request, workspace: Opened) -> dict[str, Any]
 
 
 def _keyring(request: Request) -> Keyring:
-    """Return the server's keys; 409 while it needs none: a caller would lock all others out."""
+    """Return the server's keys; 409 while it needs none: a first key would lock all others out."""
     access = request.app.state.access
     if not access.keys_needed:
         why = (

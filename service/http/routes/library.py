@@ -1,4 +1,4 @@
-"""The library: copies, names, notes, what is put away; imports, disagreement and demand."""
+"""The library: copies, names, notes, archived components; imports, disagreement and demand."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from wrenchbook.surrogate.findings.cycles import measured_stiffness
 router = component_router("library", route=JsonRoute)
 ImportId = Annotated[int, Path(ge=1, lt=2**63)]
 Finding = Annotated[str | None, Query(max_length=100)]
-MAX_NOTES_BYTES = 1 << 20  # 100,000 characters, escaped
+MAX_NOTES_BYTES = 1 << 20  # bytes: 100,000 characters, escaped
 
 
 class Card(Message):
@@ -50,7 +50,7 @@ class Card(Message):
 
 
 class FileImport(Message):
-    """Who loaded rows from which file."""
+    """The sender and the file of imported rows."""
 
     id: int
     who: str
@@ -91,7 +91,7 @@ class Demand(Message):
     latest: Sequence[dict[Literal["wrench", "coverage", "when"], Any]]
 
 
-# A dataclass has no field of the name `import`.
+# A dataclass cannot have a field named `import`.
 ImportEdited = TypedDict(
     "ImportEdited",
     {
@@ -273,7 +273,7 @@ def get_stiffness(
                 f"{name!r} has no import {number} with rows; see GET /v1/components/{name}/imports"
             )
         rows = rows.take(np.any(masks, axis=0))
-    # By default the load that these rows vary the most, in parts of its range.
+    # By default the load that these rows vary most, relative to its range.
     varied = np.ptp(rows.wrench, axis=0) / span.scale if len(rows) else span.scale
     axis = axis or loads[int(np.argmax(varied[: len(loads)]))]
     for word, names, place in ((axis, loads, "axis"), (of, ("", *space.output_names), "of")):
@@ -341,7 +341,7 @@ def _put(request: Request, name: str, **fields: Any) -> Response:
 
 
 def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) -> Response:
-    """Copy a component; an error while its rows are copied leaves it without them."""
+    """Copy a component; after an error while its rows are copied the copy has no rows."""
     workspace: Workspace = request.app.state.workspace
     source = workspace.library[name]
     if renamed and source.shipped:

@@ -1,8 +1,7 @@
-"""The page at `/` and the calls' documentation at `/docs`: files that need no other host.
+"""The page at `/` and the calls' documentation at `/docs`, without files of other hosts.
 
-The page's own files lie in service/page. What it draws with and what shows the calls are large and
-are not kept here: they are read from the Python packages that carry them, plotly and
-fastapi-offline.
+The page's own files are in service/page. The libraries that draw plots and show the calls are
+large; they are read from the Python packages plotly and fastapi-offline.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ MEDIA_TYPES: Final = {
     ".css": "text/css; charset=utf-8",
     ".svg": "image/svg+xml",
 }
-# Package and file in it, by the name it is served under.
+# Package and its file, by the name under which it is served.
 BORROWED: Final = {
     "js/pressed.js": ("wrenchbook.fea", "check/pressed.js"),  # `check --plot` has it too
     "plotly.min.js": ("plotly", "package_data/plotly.min.js"),
@@ -41,7 +40,7 @@ BORROWED: Final = {
 
 @dataclass(frozen=True)
 class PageFile:
-    """A file as it is sent: compressed once, named by its content."""
+    """A file in the form of its reply: compressed once, with a tag from its content."""
 
     packed: bytes
     media_type: str
@@ -80,7 +79,7 @@ def page_file(
 
 @cache
 def _paths() -> dict[str, Path]:
-    """Return all files there are, by name: nothing else is ever opened."""
+    """Return all served files by name; no other file is opened."""
     files = {
         path.relative_to(FOLDER).as_posix(): path
         for path in FOLDER.rglob("*")
@@ -95,7 +94,7 @@ def _paths() -> dict[str, Path]:
 
 @lru_cache(maxsize=256)
 def _read(path: Path, changed: int) -> PageFile:
-    """Return a file as it was at a time of change, ns; an edited one is read anew."""
+    """Return a file at a time of change, ns; a changed file is read again."""
     content = path.read_bytes()
     tag = hashlib.blake2b(content, digest_size=12).hexdigest()
     return PageFile(gzip.compress(content, 6, mtime=0), MEDIA_TYPES[path.suffix], f'"{tag}"')

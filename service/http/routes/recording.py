@@ -41,11 +41,12 @@ from wrenchbook.surrogate.table.rows import NEAR
 Floats = NDArray[np.float64]
 Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
 
-# Each wrench six numbers of 17 digits and a comma, and some blanks.
+# Size of a block: each wrench has six numbers of 17 digits and a comma, and some blanks.
 MAX_BLOCK_BYTES = MAX_BLOCK * 6 * 40
 
 router = component_router("recording", route=JsonRoute)
-blocks = APIRouter(route_class=DirectRoute, responses=refused(409))  # read their own bodies
+# These calls read their own bodies.
+blocks = APIRouter(route_class=DirectRoute, responses=refused(409))
 _BLOCK = takes(BlockBody, BINARY_BODY, BlockKey)
 
 
@@ -188,7 +189,7 @@ def _store(request: Request) -> RecordingStore:
 
 
 async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] | None]:
-    """Return a block's wrenches, shape (n, inputs), SI, and its key if it has one."""
+    """Return a block's wrenches, shape (n, inputs), SI, and its key if there is one."""
     space = request.app.state.workspace.library.as_read(name).space
     binary, body = is_binary(request), await read_limited(request.receive, MAX_BLOCK_BYTES)
     if binary:
@@ -236,6 +237,7 @@ def _counts(tally: Tally) -> dict[str, Any]:
 
 
 def _thinning(tally: Tally) -> str:
+    """Return the sentence on merged and thinned wrenches; empty if there are none."""
     if not tally.thinned:
         return ""
     near = f"each differs by at most {tally.within:.2g} of the load range from one kept"

@@ -24,7 +24,7 @@ _MEDIA_TYPES = {
     "html": "text/html; charset=utf-8",
 }
 
-POLL_S = 0.05  # between two polls of the file of a table
+POLL_S = 0.05  # s between two polls of the file of a table
 _IN_PROGRESS = answers(dict[str, Any], "state of the running report", 202)
 
 

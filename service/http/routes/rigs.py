@@ -16,7 +16,7 @@ from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.library.rigs import profiles, remove_rig, rig_of, store_rig
 
-_UTF8 = 4  # bytes of a character at most
+_UTF8 = 4  # largest number of bytes of a character
 router = APIRouter(prefix="/v1/rigs", tags=["rigs"], responses=refused(404, 422))
 
 RigName = Annotated[str, Path(pattern=f"^{NAME.pattern}$")]
@@ -50,7 +50,7 @@ async def put_rig(name: RigName, request: Request, workspace: Opened) -> dict[st
         message = f"has {len(text)} characters, at most {MAX_RIG} are stored; shorten it"
     if message:
         raise bad_body([{"loc": "body", "msg": message}])
-    profile_of(text)  # refuses a text that is no profile
+    profile_of(text)  # raises if the text is no profile
     await run_in_threadpool(store_rig, workspace.ledger, name, text)
     return {"stored": name}
 

@@ -1,4 +1,4 @@
-"""One row of a component's table: where it comes from; withdraw it, restore it."""
+"""One row of a component's table: its provenance; withdraw it, restore it."""
 
 from __future__ import annotations
 
@@ -54,7 +54,10 @@ def _edited(
 
 
 def row_body(workspace: Workspace, component: Component, seq: int) -> dict[str, Any]:
-    """Return a row of a component, with its provenance; UnknownRowError if it has none such."""
+    """Return a row of a component, with its provenance.
+
+    Raises UnknownRowError if the component has no such row.
+    """
     row = workspace.ledger.row(seq)
     if row.component != component.name:
         raise UnknownRowError(
@@ -97,7 +100,7 @@ def _nulls(values: tuple[float, ...]) -> list[float | None]:
 
 
 def file_fields(record: ImportRecord) -> dict[str, Any]:
-    """Who loaded rows from which file: the fields of `FileImport` in library.py."""
+    """Return the fields of `FileImport` in library.py: sender and file of imported rows."""
     return {
         "id": record.id,
         "who": record.who,
@@ -110,7 +113,7 @@ def file_fields(record: ImportRecord) -> dict[str, Any]:
 
 
 def _setup(component: Component, row: LedgerRow) -> dict[str, Any]:
-    """Return the setup that was solved; of an earlier one only its fingerprint is known."""
+    """Return the setup of a solved row; of an earlier setup only the fingerprint is known."""
     body: dict[str, Any] = {
         "fingerprint": row.fingerprint,
         "present": row.fingerprint == component.fingerprint,

@@ -1,4 +1,4 @@
-"""Scenes: what a simulation needs of its components, and its components' tables cut to that."""
+"""Scenes: a simulation's requirements on components, and tables cut to them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from wrenchbook.surrogate.table.space import Space
 router = APIRouter(
     prefix="/v1", tags=["scenes"], responses=refused(404, 422), route_class=JsonRoute
 )
-SOLVES_TIMED = 32  # the last done ones, whose median is what a solve takes
+SOLVES_TIMED = 32  # last done solves whose median is the time of a solve
 
 
 class Plans(Message):
@@ -84,7 +84,8 @@ def scene_table(
     if holds(if_none_match, tag):
         return Response(None, 304, naming(tag))
 
-    # With the plan, of a rigid or linear component too. A strong ETag names bytes: without timings.
+    # With the plan, also for a rigid or linear component. A strong ETag identifies bytes, so it
+    # leaves out timings.
     plan = _plan(workspace, component, table, need, timed=False)
     content = b"".join(cut(table.packed, need, orjson.loads(json_reply(plan).body)))
     return Response(content, 200, naming(tag), PACKED_TYPE)
@@ -98,7 +99,7 @@ def _plan(
     *,
     timed: bool = True,
 ) -> Plan:
-    """Return a scene's plan of a component; unless `timed` the same for the same table."""
+    """Return a scene's plan of a component; without `timed` it is the same for the same table."""
     built = table.surrogate()
     plan = plan_of(built, need, solved=component.has_fea)
     savings = measured(built, plan) if timed else not_measured("see POST /v1/scenes/plan")
@@ -131,14 +132,14 @@ def _plan(
             "us_per_answer": savings.us_per_answer,
         },
         saves_from=savings.origin | {"solves": solves},
-        # Contiguous, as the JSON writer needs it.
+        # Contiguous for the JSON writer.
         compliance=None if plan.compliance is None else np.ascontiguousarray(plan.compliance),
         table_version=table.version,
     )
 
 
 def _time_saved(workspace: Workspace, component: Component, fewer_solves: int) -> str:
-    """Return in words the time that so many solves take, by the median of the last ones."""
+    """Return a text on the time of `fewer_solves` solves, by the median of the last ones."""
     jobs = workspace.ledger.jobs(component.name, "done", SOLVES_TIMED)
     times = [job.seconds for job in jobs if job.seconds is not None]
     if not times:
@@ -162,7 +163,9 @@ def need_from(
     where: str,
     of_outputs: str,
 ) -> Need:
-    """Return what a scene needs of a component; 422 for unknown names and ends beyond the range.
+    """Return a scene's requirements on a component.
+
+    422 for unknown names and ends beyond the range.
 
     `where` and `of_outputs` are the paths of the span and of the outputs in the body.
     """
@@ -170,7 +173,8 @@ def need_from(
     mistakes = [] if span is None else _unknown(span, load_range.space, where)
     for place, name in enumerate(outputs or ()):
         if name not in names:
-            *first, last = [repr(known) for known in names]  # as pydantic lists a literal's
+            # In the form of pydantic's list of a literal.
+            *first, last = [repr(known) for known in names]
             known = f"{', '.join(first)} or {last}" if first else last
             message = f"must be {known}, not {name[:40]!r}"
             mistakes.append({"loc": f"{of_outputs}.{place}", "msg": message})
@@ -191,7 +195,7 @@ def need_from(
 
 
 def _unknown(span: bodies.SpaceSpan, space: Space, where: str) -> list[dict[str, str]]:
-    """Return the mistakes of interfaces and inputs that the component has not."""
+    """Return the mistakes of interfaces and inputs that the component lacks."""
     several = len(space.interfaces) > 1
     known = ", ".join(space.interfaces)
     further = [load.name for load in space.inputs if load.kind == "scalar"]

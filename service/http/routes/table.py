@@ -38,10 +38,11 @@ from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.kernel.format import SUFFIX
 
 router = component_router("table", "/table")
-_READER_WAIT_S: Final = 60.0  # for the caller's other table: the processor time it may take
+# s of waiting for the caller's other table: the processor time it may take.
+_READER_WAIT_S: Final = 60.0
 MAX_TABLE_BYTES: Final = 512 * 1024 * 1024  # 5,000,000 rows (`MAX_ROWS`) of 107 characters
-_MAX_APPENDED_BYTES: Final = 1 << 20  # a block: 1,000 rows of 1 KiB as JSON
-_FORM_BYTES: Final = 64 * 1024  # of a form, around its files
+_MAX_APPENDED_BYTES: Final = 1 << 20  # bytes of a block: 1,000 rows of 1 KiB as JSON
+_FORM_BYTES: Final = 64 * 1024  # bytes of a form around its files
 _reader_locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
 Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "packed", "bushing"]
@@ -74,13 +75,13 @@ _PACKED = {**BYTES["schema"], "description": BODIES["packed"]}
 _WRITTEN = {**_FILES, PACKED_TYPE: {"schema": _PACKED}}
 _ETAG = {"ETag": {"schema": {"type": "string"}, "description": BODIES["etag"]}}
 _CURRENT = "the version of If-None-Match is current"
-# A file of any form may come as plain bytes: the content identifies it.
+# A file of any form may be sent as plain bytes: its content identifies it.
 _TAKEN = frozenset(
     {
         *MEDIA_TYPES.values(),
         *("application/csv", "application/x-matlab-data", "application/octet-stream"),
         *("application/gzip", "application/x-gzip", "multipart/form-data"),
-        "application/vnd.ms-excel",  # of a CSV, in browsers on Windows
+        "application/vnd.ms-excel",  # content type of a CSV in browsers on Windows
     }
 )
 
@@ -129,7 +130,7 @@ async def get_table(
 async def _packed(workspace: Workspace, name: str, if_none_match: str | None) -> Response:
     """Return the packed table that answers."""
     table = await workspace.newest(name, CATCH_UP_S)
-    # The solver's error is in the file too, and can change within a version, as the setup can.
+    # The file has the solver's error too, which can change within a version, as the setup can.
     tag = f'"{table.version}-{table.packed.checksum:08x}"'
     headers = naming(tag)
     if holds(if_none_match, tag):
@@ -143,9 +144,9 @@ async def _packed(workspace: Workspace, name: str, if_none_match: str | None) ->
 def _export(
     workspace: Workspace, name: str, export: ExportRequest, if_none_match: str | None
 ) -> Response:
-    """Return the rows as a file that is written now and deleted when it has been sent."""
+    """Return the rows as a file that is written now and deleted after it has been sent."""
     component, form = workspace.library[name], export.format
-    # Only a table that is behind the ledger has to be read before its version is known.
+    # Only a table that is behind the ledger must be read before its version is known.
     if export.version is None and workspace.tables.catch_up(name, 0.0):
         tag = _tag(component, workspace.tables.surrogate(name).version)
         if holds(if_none_match, tag):
@@ -168,7 +169,7 @@ def _export(
 
 
 def _tag(component: Component, version: int) -> str:
-    """Return what differs with a table's rows, and with the range and tolerance sent with them."""
+    """Return a text that changes with the table's rows, and with the range and tolerance."""
     return f'"{version}-{setup_of(component)}"'
 
 
@@ -223,7 +224,8 @@ async def import_table(
     loaded = reply.pop("loaded")
     if reply["errors"] and not (query.dry_run or loaded):
         raise _bad_rows(reply, "block" if query.append else "complete file")
-    wait_s = query.wait_s if loaded else 0.0  # rows that were there may wait for the next table
+    # Rows that existed before need not wait for the next table.
+    wait_s = query.wait_s if loaded else 0.0
     if query.append and "wait_s" not in query.model_fields_set:
         wait_s = 0.0  # the next row comes soon
     caught_up = await workspace.caught_up(component.name, wait_s)
@@ -233,7 +235,10 @@ async def import_table(
 
 
 def _check_content_type(kind: str) -> None:
-    """Raise 415 if a content type is not that of a table; a request may have none."""
+    """Check that a content type is that of a table; a request may have none.
+
+    Raises HttpProblemError with status 415 if it is not.
+    """
     if kind and kind not in _TAKEN:
         why = (
             f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
@@ -243,7 +248,10 @@ def _check_content_type(kind: str) -> None:
 
 
 def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
-    """Describe a table with mistakes, of which nothing was loaded; `unit` is to be sent again."""
+    """Return the problem of a table with mistakes, of which nothing was loaded.
+
+    `unit`: to send again.
+    """
     errors, rows, first = reply["errors"], reply["rows"], reply["errors"][0]
     places = [
         {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
@@ -251,8 +259,9 @@ def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
     ]
     has_others = reply["sheet"] and reply["sheets"][1:]
     sheet = f" of sheet {reply['sheet']} (--sheet reads another)" if has_others else ""
-    place = f"row {first['row']}, " if first["row"] else ""  # 0: of the file, or of a column
-    # No rows are read under a header with mistakes.
+    # 0: the mistake concerns the file, or a column.
+    place = f"row {first['row']}, " if first["row"] else ""
+    # Rows are not read if the header has mistakes.
     has_good = rows["read"] > rows["refused"] and all(error["row"] for error in errors)
     partial = ", or add --partial (over HTTP partial=true) to load only the good rows"
     cure = partial if has_good else ""
@@ -268,7 +277,7 @@ def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
 
 
 class Received(NamedTuple):
-    """Files of a table: their paths, their names at the caller, the SHA-256 of all of them."""
+    """The files of a table: their paths, their names at the caller, and the SHA-256 of all."""
 
     files: tuple[Path, ...]
     filename: str
@@ -277,10 +286,12 @@ class Received(NamedTuple):
 
 @asynccontextmanager
 async def received(request: Request, most: int = MAX_TABLE_BYTES) -> AsyncIterator[Received]:
-    """Give a table's body as files, and delete them at the end.
+    """Yield a table's body as files, and delete them at the end.
 
-    A plain body is one file; a form has the files ``loads`` and ``displacements``, or ``table``. It
-    raises 413 as soon as the body is too large, and 422 if a form lacks its files.
+    A plain body is one file; a form has the files ``loads`` and ``displacements``, or ``table``.
+
+    Raises HttpProblemError with status 413 as soon as the body is too large, and 422 if a form
+    lacks its files.
     """
     if content_type(request) != "multipart/form-data":
         async with spooled(request.receive, most) as body:
@@ -298,7 +309,7 @@ async def received(request: Request, most: int = MAX_TABLE_BYTES) -> AsyncIterat
         files = tuple(folder / f"table-{number}" for number in range(len(uploads)))
 
         def copy() -> str:
-            """Parsers read by name, and the form's files have none."""
+            """Copy a form's file, which has no name, as parsers open files by name."""
             for upload, path in zip(uploads, files, strict=True):
                 with path.open("wb") as file:
                     shutil.copyfileobj(upload.file, file, PIECE)

@@ -1,9 +1,9 @@
 """Each component as a model of the UM-Bridge protocol 1.0, for its clients in any language.
 
 UM-Bridge (Seelinger et al. 2023, "UM-Bridge: Uncertainty quantification and modeling bridge") lets
-any program for uncertainty quantification or optimisation call any simulation. Here each component
-is a model of one vector in, its n inputs, and one vector out, its m outputs: the wrench and the
-displacement, six each, of a component with one interface.
+any program for uncertainty quantification or optimisation call any simulation. A component is a
+model with one input vector of its n inputs, and one output vector of its m outputs: the wrench and
+the displacement, six each, of a component with one interface.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from wrenchbook.surrogate.table.space import Space
 log = logging.getLogger(__name__)
 
 SUPPORT: Final = {"Evaluate": True, "Gradient": True, "ApplyJacobian": True, "ApplyHessian": False}
-DEFAULT_WAIT_S: Final = 600.0  # a caller of this protocol waits for a simulation, however long
+DEFAULT_WAIT_S: Final = 600.0  # s: a caller of this protocol waits for a simulation of any duration
 Kind = Literal["ModelNotFound", "UnsupportedFeature", "InvalidInput", "InvalidOutput"]
 
 
@@ -77,7 +77,7 @@ class EvaluateBody(Named):
 
 
 class ProductBody(EvaluateBody):
-    """One wrench and the number of its vector and of the output's, which are 0."""
+    """One wrench and the indices of its vector and of the output's, which are 0."""
 
     outWrt: Literal[0]  # noqa: N815  # the protocol's spelling
     inWrt: Literal[0]  # noqa: N815
@@ -102,7 +102,7 @@ class UmBridgeRoute(DirectRoute):
     """A call whose errors have the protocol's form."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """Return the endpoint, called with the request; its errors are answered."""
+        """Return the endpoint, called with the request; errors become replies."""
         call = super().get_route_handler()
 
         async def handle(request: Request) -> Response:
@@ -138,7 +138,7 @@ def _post(path: str, summary: str, reply: Any, body: Any = Named) -> Any:
 async def info(request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     names = await run_in_threadpool(workspace.library.names)
-    # Those that have rows first: programs try the first of a list.
+    # Components with rows first: programs try the first of a list.
     filled = {name for name, table in workspace.tables.present().items() if table.row_count}
     models = sorted(names, key=lambda name: name not in filled)
     return json_reply({"protocolVersion": 1.0, "models": models})
@@ -200,7 +200,7 @@ async def apply_hessian(request: Request) -> Response:
 
 
 async def _read(request: Request, kind: type[_Kind]) -> tuple[_Kind, Space]:
-    """Return a body whose component exists, with vectors as its space has them, and that space."""
+    """Return a body whose component exists and whose vectors fit its space, and that space."""
     fields = parsed_json(await read_limited(request.receive))
     if not isinstance(fields, dict):
         raise UmBridgeError("InvalidInput", 'the body must be a JSON object, {"name": ...}')
@@ -217,7 +217,7 @@ async def _read(request: Request, kind: type[_Kind]) -> tuple[_Kind, Space]:
 
 
 async def _outcome(request: Request, body: EvaluateBody, *, derivatives: bool = False) -> Outcome:
-    """Return a solved or estimated answer; rows that are being built are waited for."""
+    """Return a solved or estimated answer, after waiting for rows that are not in the table yet."""
     workspace: Workspace = request.app.state.workspace
     config = body.config or Config()
     wrench = tuple(load + 0.0 for load in body.input[0])  # 0 for -0
@@ -243,7 +243,7 @@ async def _outcome(request: Request, body: EvaluateBody, *, derivatives: bool = 
 async def _product(
     request: Request, body: EvaluateBody, vector: list[float], name: str
 ) -> Response:
-    """Answer with J^T sens, per N and N·m, or J vec, m and rad; J is du/dw (m, n), SI."""
+    """Return the reply J^T sens, per N and N·m, or J vec, m and rad; J is du/dw (m, n), SI."""
     outcome = await _outcome(request, body, derivatives=True)
     derivative = outcome.details["derivative"]
     if derivative is None or not np.isfinite(derivative).all():
@@ -259,7 +259,7 @@ async def _product(
 
 
 def _reply(outcome: Outcome, output: Any) -> Response:
-    """Answer; the protocol allows no further keys, so the coverage is in the headers."""
+    """Return a reply; the protocol allows no further keys, so the coverage is in the headers."""
     headers = {
         "Wrenchbook-Coverage": outcome.reply.coverage,
         "Wrenchbook-Method": outcome.reply.method,
@@ -269,7 +269,7 @@ def _reply(outcome: Outcome, output: Any) -> Response:
 
 
 def _failure(error: Exception) -> tuple[Kind, str]:
-    """Return an error's kind in this protocol and its message; an unknown error is logged."""
+    """Return an error's kind in this protocol and its message; log an unknown error."""
     if isinstance(error, UmBridgeError):
         return error.kind, str(error)
     try:
@@ -281,13 +281,13 @@ def _failure(error: Exception) -> tuple[Kind, str]:
     if problem.status == 422 and mistakes:
         texts = []
         for mistake in mistakes:
-            # A dotted place with its numbers in brackets: input[0][5].
+            # A dotted location with its indices in brackets: input[0][5].
             first, *rest = mistake["loc"].split(".")
             place = first + "".join(f"[{key}]" if key.isdecimal() else f".{key}" for key in rest)
             texts.append(f"{place}: {mistake['msg']}")
         message = "; ".join(texts)
     if problem.status == 404:
         return "ModelNotFound", message
-    has_failed = problem.status >= 500 or problem.status == 424  # a solve or the ledger
+    has_failed = problem.status >= 500 or problem.status == 424  # a failed solve, or the ledger
     kind: Kind = "InvalidOutput" if has_failed else "InvalidInput"
     return kind, message
