@@ -316,7 +316,7 @@ def unpack(path: Path, target: Path, most: int = MAX_BYTES) -> None:
                 if written > most:
                     raise ContentError(f"unpacks to more than {most >> 20} MiB; send it in parts")
                 unpacked.write(block)
-    except (OSError, EOFError, zlib.error) as error:
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:  # a full disk is no damage
         raise ContentError(f"is a damaged gzip file ({error}); send it again") from error
     if _is_gzip(target):
         raise ContentError("is gzipped twice; gzip it once, or not at all")
