@@ -491,10 +491,8 @@ def problem(response: Response) -> ProblemError:
         detail = str(body.get("detail") or "")
         error = ProblemError(status, title, detail, listed, body)
     else:
-        # Of a proxy's page, the words.
-        text = " ".join(
-            re.sub(r"<[^>]*>", " ", content[:_MAX_SHOWN_BYTES].decode(errors="replace")).split()
-        )
+        page = content[:_MAX_SHOWN_BYTES].decode(errors="replace")
+        text = " ".join(re.sub(r"<[^>]*>", " ", page).split())  # the words of a proxy's page
         if status == 413:
             text += (
                 ". A proxy before the server refuses a body of this size; raise its limit to "
