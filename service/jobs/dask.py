@@ -133,7 +133,7 @@ class DaskEngine(attempts.Listeners):
 
     @property
     def trouble(self) -> str | None:
-        """The obstacle to solving attempts: no scheduler, no worker fit or large enough."""
+        """The obstacle to solving attempts: no scheduler, or no worker fit and large enough."""
         waits = (task.waits for task in tuple(self._tasks.values()))
         return self._unreachable or next((why for why in waits if why), None)
 
