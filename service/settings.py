@@ -21,7 +21,7 @@ from annotated_types import Ge, Le
 from wrenchbook.service.files.program import usable_cores
 
 PREFIX = "WRENCHBOOK_"
-FILE = "wrenchbook.toml"  # in the data directory, unless --config names another
+FILE = "wrenchbook.toml"  # settings file in the data directory, unless --config names another
 # Variables of other commands and of tests; all others with this prefix are settings.
 OTHERS = frozenset(
     {"SERVER", "KEY", "OWN_KEY", "MEMORY_MARGIN", "PARDISO", "SOLVE", "FUZZ"}

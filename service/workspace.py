@@ -56,8 +56,8 @@ log = logging.getLogger(__name__)
 MAX_UNBUILT = 500  # rows searched for a wrench: a loop reads them at each uncovered query
 CATCH_UP_S = 25.0  # below the timeouts of clients and proxies, usually 30 s
 
-POLL_S = 0.02  # between polls: PRAGMA data_version, or the date of a file, takes microseconds
-TROUBLE_S = 1.0  # before a listener that failed is called again
+POLL_S = 0.02  # interval of polls: PRAGMA data_version, or the date of a file, takes microseconds
+TROUBLE_S = 1.0  # pause before a failed listener is called again: its cause, as a full disk, lasts
 
 Stamp = Callable[[], object]
 

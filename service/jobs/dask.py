@@ -48,23 +48,24 @@ for _name in ("distributed.client", "distributed.batched"):
 # solve of 10 ms. Scheduler and workers keep the order of priorities.
 TASKS_A_THREAD = 2
 CLOSE_SECONDS = 5.0
-CANCEL_SECONDS = 2.0  # for the scheduler to be reachable before an attempt counts as cancelled
+CANCEL_SECONDS = 2.0  # time for the scheduler to be reachable before an attempt counts as cancelled
 # Also the time for which the client tries to reconnect before it is replaced.
 CONNECT_SECONDS = 10.0
 AWAY_SECONDS = (0.2, 5.0)  # pause before the first reconnection, and the longest one
-ROSTER_SECONDS = 1.0  # between requests for the list of workers
+# Interval of requests for the list of workers: a new one is used within a second.
+ROSTER_SECONDS = 1.0
 ROSTER_SECONDS_A_WORKER = 0.002  # addition for each worker: a reply has some kB for each
 ANSWER_SECONDS = 10.0  # a scheduler that takes longer counts as unreachable
 # Time for a probe of a worker before it is repeated: the call to a worker that has just registered
 # may be lost, and modules that a slow worker has imported stay imported.
 PROBE_SECONDS = 3.0
-PROBE_AGAIN_SECONDS = 20.0  # between probes of an unfit worker
-WAIT_SECONDS = 0.1  # between searches for a worker that fits an attempt
+PROBE_AGAIN_SECONDS = 20.0  # interval of probes of an unfit worker, which its user may repair
+WAIT_SECONDS = 0.1  # interval of searches for a worker that fits a waiting attempt
 # An attempt that killed this number of workers is treated as the cause and fails: KILLED_TIMES
 # times the `distributed.scheduler.allowed-failures` + 1 (4) after which Dask gives a task up.
 KILLED_TIMES = 5
 FAULTS = 10  # exceptions in a worker's part of the engine before the attempt fails
-AGAIN_SECONDS = 1.0  # before a retry after an error of this machine or of the connection
+AGAIN_SECONDS = 1.0  # pause before a retry after an error of this machine or of the connection
 SENT_BUNDLES = 20  # components that workers keep in memory
 # Resources a worker may declare: ``--resources "wrenchbook_memory=8e9 wrenchbook_cores=4"``.
 MEMORY, CORES = "wrenchbook_memory", "wrenchbook_cores"

@@ -55,22 +55,26 @@ if TYPE_CHECKING:  # only a server with a cluster has Dask, and waits for its im
 
 _log = logging.getLogger(__name__)
 
-# Between polls for changes without an event: commits of other processes, the end of solvers that
-# another dispatcher started, and the grace period of solvers that must end.
+# Pause between polls for changes without an event: commits of other processes, the end of solvers
+# that another dispatcher started, and the grace period of solvers that must end.
 POLL_SECONDS = 0.02
-RECOVER_SECONDS = 1.0  # between checks of all attempts, and for jobs whose dispatcher has died
-TROUBLE_SECONDS = 1.0  # before a failed action is tried again: a full disk, no more processes
+# Pause between checks of all attempts and of jobs of dead dispatchers: a query a second costs
+# little.
+RECOVER_SECONDS = 1.0
+# Pause before a failed action is repeated: a full disk or a process limit lasts.
+TROUBLE_SECONDS = 1.0
 # A death counts once its dispatcher has outlived it by this time: if the solver and then the server
 # die, by a kill of both or of the machine, the job is not the cause.
 OUTLIVE_SECONDS = 1.0
-START_AGAIN_SECONDS = 5.0  # before the next attempt of a job whose solver could not begin
+START_AGAIN_SECONDS = 5.0  # pause before the next attempt of a job whose solver could not begin
 STOP_SECONDS = 15.0  # time that `stop` waits for solvers to end
 MAX_CLAIMED = 100  # jobs claimed in one transaction, which then takes a few milliseconds
 ORPHANS = 200  # cancelled jobs examined at start-up for solvers that still run
 # A dispatcher never takes over attempts of another engine, whose state it cannot see. But if no
 # dispatcher of that engine returns within this time, the job waits again, for any engine.
 ABANDONED_SECONDS = 60.0
-HEARTBEAT_SECONDS = 2.0  # between the heartbeats of a dispatcher that has attempts
+# Interval of the heartbeats of a dispatcher with attempts: each is a commit.
+HEARTBEAT_SECONDS = 2.0
 # Four missed heartbeats. With a check a second, a lost lease is detected within ten seconds.
 LEASE_SECONDS = 8.0
 

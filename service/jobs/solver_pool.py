@@ -32,7 +32,8 @@ LIVES = 200
 # Time for a waiting solver to confirm an attempt, which it does at once. Without a confirmation it
 # is stopped or damaged, and another one is started in its place.
 TAKEN_SECONDS = 5.0
-ENDING_SECONDS = 2.0  # between an attempt's result.json and its solver's message that it is free
+# Longest time between an attempt's result.json and its solver's message that it is free.
+ENDING_SECONDS = 2.0
 
 
 class SolverProcess:

@@ -50,7 +50,7 @@ _REMEDIES = {
 }
 # Time for which a writer waits for another process: a bulk import takes seconds.
 BUSY_SECONDS = 30.0
-LOOK_AGAIN_SECONDS = 0.001  # between attempts: a tenth of a short transaction
+LOOK_AGAIN_SECONDS = 0.001  # pause between attempts: a tenth of a short transaction
 # The log is moved into the file each 1000 pages (4 MB) unless a reader prevents it; a longer log,
 # after a large import, is then truncated to this size.
 LOG_BYTES = 16 * 1024 * 1024

@@ -33,7 +33,7 @@ from wrenchbook.service.library.component import (
 
 log = logging.getLogger(__name__)
 
-POLL_SECONDS = 1.0  # between polls of edited files while no request reads them
+POLL_SECONDS = 1.0  # interval of polls for edited files while no request reads them
 # Ten ticks of the kernel: within a tick a folder's time of change may stay the same.
 TICK_NS = 100_000_000
 _DECKS_REFUSED = (

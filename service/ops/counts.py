@@ -28,7 +28,7 @@ from wrenchbook.service.files.lock import take
 log = logging.getLogger(__name__)
 
 FOLDER = "counts"
-WRITE_S = 0.5  # between writes: a killed process loses the counts of this time
+WRITE_S = 0.5  # interval of writes: a killed process loses the counts of this time
 
 # Upper ends of the histogram, s: from a single answer to a batch of a million.
 EDGES = (2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 0.1, 1.0, 10.0)

@@ -22,7 +22,7 @@ from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
 from wrenchbook.service.tables.coordinator_state import LOCK
 
 Place = Callable[[str], IO[bytes]]
-_DRAFT = ".restoring"  # in the data directory, which may be a mount
+_DRAFT = ".restoring"  # folder of a restore within the data directory, which may be a mount
 # Keys and settings are no part of a backup: those of the directory stay after any restore.
 _STAYS = (_DRAFT, KEYS, f"{KEYS}.lock", USED, "wrenchbook.toml")
 

@@ -36,8 +36,8 @@ log = logging.getLogger(__name__)
 Parts = tuple[Ledger, Library, SolverErrors]
 
 DAY = 86_400.0
-CHECK_S = 30.0  # between checks of the ledger's log, which stays below 16 MB under a day's jobs
-PRUNE_S = 600.0  # between removals of old folders
+CHECK_S = 30.0  # interval of checks of the ledger's log, which stays below 16 MB under a day's jobs
+PRUNE_S = 600.0  # interval of removals of old folders, whose age is in days
 LONG_LOG = 4 * 1024 * 1024  # bytes; SQLite begins to move it into the ledger at this size
 PART = 2000  # folders per query of the ledger
 

@@ -25,7 +25,7 @@ from wrenchbook.service.settings import Settings
 log = logging.getLogger(__name__)
 
 HOUR = 3600.0
-POLL_S = 10.0  # between checks whether a backup is due
+POLL_S = 10.0  # interval of checks whether a backup is due, whose period is in hours
 LATE_PERIODS = 1.5  # backup periods without a backup before health reports it
 SLACK_S = 60.0  # without a report before health reports it, and before a failed backup is repeated
 _PATTERN = "wrenchbook-*.wbb"  # names of scheduled backups
