@@ -298,6 +298,10 @@ def _read(descriptor: int) -> tuple[list[Part], dict[str, Any]]:
 
 
 def _read_array(content: mmap.mmap) -> np.ndarray:
+    """Read the next array in .npy format, without pickles.
+
+    Raises ValueError if its type or shape is not a number array's.
+    """
     file: Any = content
     npy.read_magic(file)
     shape, _, dtype = npy.read_array_header_1_0(file)

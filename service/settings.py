@@ -194,6 +194,10 @@ def as_file(settings: Settings, origins: Mapping[str, str]) -> str:
 
 
 def _read(file: Path, names: Iterable[str], *, named: bool) -> dict[str, Any]:
+    """Return the settings of a file; none if it does not exist and was not `named`.
+
+    Raises SettingsError if the file cannot be read or has unknown settings.
+    """
     try:
         values = tomllib.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -128,6 +128,7 @@ class Watcher:
             return None
 
     def _run(self) -> None:
+        """Call each listener whose stamp has changed, until the watcher is stopped."""
         while not self._stopping.is_set():
             self._wake.wait(POLL_S)
             self._wake.clear()

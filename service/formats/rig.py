@@ -339,6 +339,10 @@ def _axes(value: Any) -> Array:
 
 
 def _numbers(name: str, value: Any, count: int) -> Array:
+    """Return the `count` numbers of the profile's entry `name`, a list or a text.
+
+    Raises RigError if there are not as many finite numbers, or one is too large.
+    """
     try:
         values = re.split(r"[,;\s]+", value.strip()) if isinstance(value, str) else value
         numbers = np.array(values, dtype=float).ravel()

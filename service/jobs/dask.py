@@ -193,6 +193,7 @@ class DaskEngine(attempts.Listeners):
     # -- the connection, in the engine's own thread -------------------------------------------
 
     def _run_loop(self, scheduler: str) -> None:
+        """Run the event loop of the engine's thread until it is stopped, then cancel its tasks."""
         asyncio.set_event_loop(self._loop)
         following = self._loop.create_task(self._connect(scheduler))
         try:
@@ -286,6 +287,7 @@ class DaskEngine(attempts.Listeners):
             await asyncio.sleep(max(ROSTER_SECONDS, ROSTER_SECONDS_A_WORKER * len(self._workers)))
 
     async def _probe(self, client: Client, workers: list[_Worker]) -> None:
+        """Ask workers for their version and fitness, and suspend those that do not fit."""
         addresses = [worker.address for worker in workers]
         try:
             probes = client.run(probe, workers=addresses, on_error="return")
@@ -323,6 +325,7 @@ class DaskEngine(attempts.Listeners):
         task.run = self._create_task(self._run(task))
 
     async def _cancel(self, name: str) -> None:
+        """Cancel an attempt in the scheduler, whoever submitted it, and write its outcome."""
         task = self._tasks.get(name)
         if task and task.run:
             task.run.cancel()

@@ -251,6 +251,7 @@ class Dispatcher:
     # -- the loop ---------------------------------------------------------------------------
 
     def _loop(self) -> None:
+        """Repeat `_step` until the dispatcher is stopped, after a pause if it fails."""
         while not self._stopping.is_set():
             self._wake.clear()
             try:
@@ -268,6 +269,7 @@ class Dispatcher:
                 self._wake.wait(POLL_SECONDS)
 
     def _step(self, lease: Lease) -> None:
+        """Look once for changes, follow the attempts, and claim jobs for free slots."""
         now = time.monotonic()
         if now >= self._next_sweep:
             self._sweep(lease)
@@ -296,6 +298,7 @@ class Dispatcher:
             self._claim(lease, min(free, MAX_CLAIMED))
 
     def _sweep(self, lease: Lease) -> None:
+        """Stop orphaned solvers, adopt lost attempts, and poll every attempt."""
         if not self._orphans_stopped:
             for job in self._ledger.jobs(status="cancelled", limit=ORPHANS):
                 if not job.attempt or job.engine != self._engine.name:
@@ -405,6 +408,7 @@ class Dispatcher:
         self._may_claim = True
 
     def _poll(self, attempt: Attempt) -> None:
+        """Record the beginning and the end of an attempt in the ledger."""
         state = self._engine.poll(attempt)
         if state == "running" and not attempt.began:
             seconds = solver_seconds(attempt.folder) or 0.0
@@ -438,6 +442,7 @@ class Dispatcher:
         self._drop(attempt)
 
     def _claim(self, lease: Lease, limit: int) -> None:
+        """Claim up to `limit` jobs, and submit those whose component is unchanged."""
         jobs = self._ledger.claim_many(lease.name, self._engine.name, limit)
         self._may_claim = len(jobs) == limit
         # Registered from now on: after a failure below, the next poll finds attempts without a

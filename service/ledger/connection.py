@@ -368,16 +368,17 @@ def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
 
 
 def _upgrade(connection: Connection) -> None:
+    """Bring the tables to the present schema, without a write if they have it already."""
+
     def version() -> int:
-        # Without a write, so that a full disk can be read.
         return connection.execute("PRAGMA user_version").fetchone()[0]
 
-    if version() == VERSION:  # another process may upgrade it
-        return  # without a write, so that a full disk can be read
-    connection.execute("BEGIN IMMEDIATE")  # a trigger contains a ";"
-    while (before := version()) != VERSION:  # another process may upgrade it
+    if version() == VERSION:
+        return  # without a write, so that a ledger on a full disk can be read
+    connection.execute("BEGIN IMMEDIATE")
+    while (before := version()) != VERSION:  # another process may have upgraded it meanwhile
         after, script = STEPS[before] if before else (VERSION, TABLES)
-        for statement in filter(str.strip, script.split(";\n")):  # a trigger has a ";" within
+        for statement in filter(str.strip, script.split(";\n")):  # a trigger has ";" within a line
             connection.execute(statement)
         connection.execute(f"PRAGMA user_version = {after}")
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")

@@ -419,6 +419,7 @@ class Ledger:
         self._frozen = can_be_read_frozen(self.path)
 
     def _open(self) -> None:
+        """Open the file, and skip the numbers of commits that it has lost."""
         if self._writer is not None:
             self._writer.close()
         self._writer = open_file(self.path)
@@ -434,6 +435,10 @@ class Ledger:
             self._idle.pop().close()
 
     def _present_writer(self) -> Connection:
+        """Return the writer, after another attempt to open a file that could not be used.
+
+        Raises LedgerUnavailableError if the file still cannot be used.
+        """
         self._check_open()
         if self._refused is not None:
             try:

@@ -225,6 +225,10 @@ def _pad(damaged: Path) -> None:
 
 
 def _copy(source: Connection, new: Connection, table: str, highest: dict[str, int]) -> int:
+    """Copy the readable records of a table, and return their number.
+
+    highest: the highest used number of each table, where the search for records ends.
+    """
     columns = [name for _, name, *_ in new.execute(f"PRAGMA table_info({table})")]
     try:
         there = [name for _, name, *_ in source.execute(f"PRAGMA table_info({table})")]

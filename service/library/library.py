@@ -276,6 +276,7 @@ class Library:
             self._broken.pop(folder.name, None)
 
     def _register(self, folder: Path, *, shipped: bool) -> Component:
+        """Read the component of a folder, and add it to the library or replace it there."""
         started = time.time_ns()
         component = component_of(read_bundle(folder), shipped=shipped)
         if any(stamp and stamp[0] > started for stamp in component.stamp):

@@ -186,6 +186,10 @@ def reason_of(error: Exception) -> str:
 
 
 def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
+    """Return the manifest of the archive `source`.
+
+    Raises BackupError if it is not a backup, damaged or newer than this program.
+    """
     try:
         fields: dict[str, Any] = json.loads(archive.read(MANIFEST))
         kind, schema = fields["format"], int(fields["schema"])
