@@ -108,6 +108,7 @@ def _check(start: bool, clear: bool) -> None:
 
 
 def _follow(client: Client, started: Started, as_json: bool) -> None:
+    """Show the solves of a start until they end, then its counts."""
     jobs = list(started.jobs)
     if jobs:
         jobs = progress.follow(Screen(stderr=as_json), client, jobs)

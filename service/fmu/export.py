@@ -152,6 +152,7 @@ def _add(
     attributes: dict[str, str],
     variability: str = "continuous",
 ) -> None:
+    """Append a variable of modelDescription.xml; its reference is its place in the file."""
     variable = ElementTree.SubElement(
         root,
         "ScalarVariable",

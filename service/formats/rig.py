@@ -56,7 +56,7 @@ _SMALL_SHIFT = 0.01  # part of the moment's range: the default tolerance of an o
 _FEW_ROWS = 0.1  # part of the rows: outliers and corners of the load range alone are not enough
 _AXES = dict(zip("xyz", np.eye(3), strict=True))
 _PART = re.compile(r"\s*([xyz])\s*=\s*([+-]?)\s*([xyz])\s*")
-_MARK = ", rig "  # in a row's source, before the rig's name
+_MARK = ", rig "  # stands in a row's source before the rig's name
 _DONE = (
     "is already in the interface frame, as a solve, a tangent or an earlier import with a rig; "
     "load such rows without frame, load_point, displacement_point, load_cell and rig"
@@ -339,6 +339,10 @@ def _axes(value: Any) -> Array:
 
 
 def _numbers(name: str, value: Any, count: int) -> Array:
+    """Return the `count` numbers of the profile's entry `name`, a list or a text.
+
+    Raises RigError if there are not as many finite numbers, or one is too large.
+    """
     try:
         values = re.split(r"[,;\s]+", value.strip()) if isinstance(value, str) else value
         numbers = np.array(values, dtype=float).ravel()

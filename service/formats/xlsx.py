@@ -217,6 +217,7 @@ def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Rec
 
 
 def _text(value: Any) -> str:
+    """Return a cell's value as the text that CSV would have."""
     if value is None:
         return ""
     if isinstance(value, bool):

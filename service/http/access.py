@@ -507,6 +507,7 @@ def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
 
 
 def _no_key(why: str) -> HttpProblemError:
+    """Return the 401 of a call without a valid key: `why`, and how to send and create one."""
     why = (
         f"{why} Send the header Authorization: Bearer KEY (client: key=; commands: variable "
         "WRENCHBOOK_KEY). The server's operator creates a key with: wrenchbook keys add NAME "

@@ -169,6 +169,7 @@ class FastPath:
         return known
 
     def _read(self, start: bytes) -> Head | None:
+        """Return the head of a plain request that its key admits; None for any other request."""
         line = _FIRST_LINE.match(start)
         if line is None or len(start) > _MAX_PLAIN_HEAD:
             return None
@@ -428,7 +429,10 @@ class FastPathProtocol(HttpToolsProtocol):
         self._since = self.loop.time()
 
     def _count(self, size: int) -> None:
-        """Count bytes of a head; the parser raises an error for too many."""
+        """Count bytes of a head.
+
+        Raises ValueError if the head is too long.
+        """
         self._head_bytes += size
         if self._head_bytes > MAX_HEAD_BYTES:
             raise ValueError(f"the head is longer than {MAX_HEAD_BYTES} bytes; send fewer fields")

@@ -152,6 +152,7 @@ def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
 
 
 def _take_nodes(deck: Deck, keyword: Keyword) -> None:
+    """Add the nodes of *NODE at their places in the assembly, m, and their set."""
     kind = keyword.options.get("SYSTEM", "R").upper()
     if kind not in ("R", "C"):
         raise MeshFileError(f"has SYSTEM={kind}; write R (Cartesian) or C (cylindrical)")
@@ -198,6 +199,7 @@ def _take_system(deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_elements(deck: Deck, keyword: Keyword) -> None:
+    """Add the elements of *ELEMENT, if they are solids, shells or beams, and their set."""
     kind = kind_of(keyword.option("TYPE").upper())
     if kind is None:  # masses, springs, gaps: no part of the mesh
         return
@@ -246,6 +248,7 @@ def kind_of(name: str) -> str | None:
 
 
 def _take_set(deck: Deck, keyword: Keyword) -> None:
+    """Add the members of *NSET or *ELSET; ELSET in *NSET adds the nodes of an element set."""
     sets = deck.node_sets if keyword.word == "NSET" else deck.element_sets
     name, entries = keyword.option(keyword.word), _members(deck, sets, keyword)
     if keyword.word == "NSET" and "ELSET" in keyword.options:
@@ -322,6 +325,7 @@ def set_key(deck: Deck, sets: Mapping[str, object], name: str, frame: Frame) -> 
 
 
 def _take_surface(deck: Deck, keyword: Keyword) -> None:
+    """Add the faces, or by TYPE=NODE the nodes, of *SURFACE."""
     by_node = keyword.options.get("TYPE", "ELEMENT").upper() == "NODE"
     surface = keyword.option("NAME")
     for name, *fields in keyword.rows:

@@ -229,6 +229,7 @@ def _finish(
 
 
 def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Add the elements of *ELEMENT, and count those of the mesh by their type."""
     kind = keyword.option("TYPE").upper()
     if kind == "DCOUP3D":  # its node as a set, by which *DISTRIBUTING COUPLING names it
         if len(keyword.rows) != 1 or len(keyword.rows[0]) < 2:
@@ -251,6 +252,7 @@ def _take_material(reader: Reader, _: Deck, keyword: Keyword) -> None:
 
 
 def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:
+    """Add the constants of *ELASTIC, *PLASTIC and others to the material that is being read."""
     kind = keyword.options.get("TYPE", "ISO").upper().replace(" ", "")
     if keyword.word == "ELASTIC" and kind in ("ENGINEERINGCONSTANTS", "ORTHO"):
         values = [real(each) for row in keyword.rows for each in row if each][:9]
@@ -348,6 +350,7 @@ def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Add the freedoms that *BOUNDARY holds, and report prescribed motions, which are left out."""
     step = reader.steps[-1]
     step.begin(keyword)
     if {"SUBMODEL", "USER"} & keyword.options.keys():
@@ -389,6 +392,7 @@ def _take_coupling(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_coupling_kind(reader: Reader, _: Deck, keyword: Keyword) -> None:
+    """Set the kind and the directions of the last *COUPLING from *KINEMATIC or *DISTRIBUTING."""
     rows = [[whole(each) for each in row if each] for row in keyword.rows]
     freedoms = {freedom - 1 for row in rows for freedom in range(row[0], row[-1] + 1)}
     directions = directions_of(freedoms)
@@ -415,6 +419,7 @@ def _take_weighted(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_rigid(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Add the coupling of a *RIGID BODY of nodes, and report one of elements."""
     sets = ("NSET", "TIE NSET", "PIN NSET", "ELSET")
     name, *others = [keyword.options[k] for k in sets if k in keyword.options] or [""]
     if others:
@@ -451,6 +456,7 @@ def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Add the forces and moments of *CLOAD to the present step."""
     step = reader.steps[-1]
     step.begin(keyword)
     if "AMPLITUDE" in keyword.options:

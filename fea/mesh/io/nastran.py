@@ -376,6 +376,7 @@ def _orthotropic(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _section(data: _Bulk, name: str, fields: list[str]) -> None:
+    """Read PSOLID: the material of a region, and the axes of the material."""
     region, kind, axes, origin = f"{name}_{fields[0]}", "-", np.eye(3), np.zeros(3)
     data.sections[region] = f"MAT_{fields[1]}"
     if fields[2] != "-1":
@@ -424,6 +425,7 @@ def _sum(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _rigid(data: _Bulk, name: str, fields: list[str]) -> None:
+    """Read RBE2 as a kinematic coupling, without its thermal expansion."""
     # Without its thermal expansion.
     nodes = _listed([each for each in fields[3:] if "." not in each])
     ways = sorted(set("123") & set(fields[2]))

@@ -122,6 +122,11 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
 
 
 def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
+    """Return the equations of dependent nodes.
+
+    number: the node of the mesh for each node of `raw`, -1 if it is in no cell.
+    points: shape (nodes, 3), m.
+    """
     nodes, masters, weights = map(np.array, zip(*raw.follow, strict=True))
     try:
         return Dependents.of(len(points), (number[nodes], number[masters], weights))
@@ -173,6 +178,10 @@ def _facet_groups(
 
 
 def _node_groups(raw: RawMesh, number: Array) -> dict[str, Array]:
+    """Return the used nodes of each set; an element set has those of its lines.
+
+    number: the node of the mesh for each node of `raw`, -1 if it is in no cell.
+    """
     groups = {}
     for name, numbers in raw.element_sets.items():
         pairs = zip(raw.blocks, numbers, strict=True)

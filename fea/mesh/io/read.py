@@ -142,6 +142,7 @@ def _array_groups(read: meshio.Mesh) -> dict[str, list[Array]]:
 
 
 def _group_values(array: str, values: Array) -> list[tuple[str, int]]:
+    """Return name and value of each group in an array of integers, one value per node or cell."""
     if values.ndim != 1 or values.dtype.kind not in "iu":
         return []
     distinct = np.unique(values).tolist()

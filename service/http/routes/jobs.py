@@ -204,7 +204,10 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
 
 
 def _attempt_files(workspace: Workspace, job: JobRecord) -> pathlib.Path:
-    """Return the folder of a job's last attempt; 404 with the reason if it does not exist."""
+    """Return the folder of a job's last attempt.
+
+    Raises HttpProblemError (404) with the reason if the folder does not exist.
+    """
     folder = workspace.attempt_folder(job)
     if folder.is_dir():
         return folder

@@ -295,7 +295,10 @@ def get_stiffness(
 
 
 def _two_loads(between: str) -> tuple[float, float]:
-    """Return the two loads of the parameter `between`, N or N·m; 422 for anything else."""
+    """Return the two loads of the parameter `between`, N or N·m.
+
+    Raises HttpProblemError (422) unless they are two different finite numbers.
+    """
     try:
         low, high = (float(text) for text in between.split(","))
         if low != high and np.isfinite((low, high)).all():
