@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -255,7 +256,10 @@ def fill(
     data: Data = None,
 ) -> None:
     """Solve the wrenches where the table's error bar is largest, in rounds of 24."""
-    tolerance = _tolerance(tolerance_translation or translation, tolerance_rotation or rotation)
+    tolerance = _tolerance(
+        translation if tolerance_translation is None else tolerance_translation,
+        rotation if tolerance_rotation is None else tolerance_rotation,
+    )
     if moment_range is None:
         refuse_alone("--moment-range MX MX MY MY MZ MZ", {"--force-range": force_range})
     if force_range is None:
@@ -334,6 +338,8 @@ def components(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: D
 
 def main() -> None:
     """Run the command line; an expected error is one message on stderr and status 1."""
+    # As at Ctrl-C, the command cancels its solves and ends its temporary server.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         # The help would otherwise show the path of the program.
         app(prog_name="wrenchbook")
