@@ -50,10 +50,10 @@ cancel.
 class AttachedInterface:
     """An interface, or a bushing, with the nodes of its section in the mesh."""
 
-    key: str  # its key in the bundle: ``interface``, ``interface[1]``, ``supports.bushing[0]``
+    key: str  # key in the bundle: ``interface``, ``interface[1]``, ``supports.bushing[0]``
     name: str  # empty for a single interface
-    section: InterfaceSection  # its nodes with their area weights
-    point: Array  # its reference point, shape (3,), m
+    section: InterfaceSection  # nodes of the interface with their area weights
+    point: Array  # reference point, shape (3,), m
     axes: Array  # shape (3, 3), row i is the direction of its frame's axis i
     coupling: str
     locked: tuple[str, ...]

@@ -58,7 +58,7 @@ _NO_LENGTH = 1e-300  # m: replaces a length of 0 in a divisor
 class Measure:
     """One measure of the shape of cells."""
 
-    name: str  # its key in the report
+    name: str  # key of the measure in the report
     # From points of shape (n, 3), m, and a block of m cells to the values, shape (m,), no unit
     of: Callable[[Array, CellBlock], Array]
     # limit, larger_is_worse: the limit of a bad cell, and on which side of it cells are bad
@@ -447,7 +447,7 @@ def section_warnings(component: ComponentModel) -> list[BundleProblem]:
     rigid_cells = [
         block.nodes[np.isin(block.nodes, constrained).all(axis=1), 0] for block in mesh.blocks
     ]
-    corners = np.concatenate(rigid_cells)  # one node of each
+    corners = np.concatenate(rigid_cells)  # one node of each rigid cell
     if corners.size:
         message = (
             f"{corners.size} cells cannot deform, such as one near "

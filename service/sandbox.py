@@ -227,7 +227,7 @@ class _ForkServer:
                     return int(connection.recv_bytes())
             except (EOFError, OSError):
                 self.close()
-            except BaseException:  # its reply would be taken for that of the next request
+            except BaseException:  # the child's reply would be taken for that of the next request
                 self.close()
                 raise
             else:

@@ -47,7 +47,7 @@ __all__ = ["Bundle", "BundleError", "BundleProblem", "bundle_of", "read_bundle"]
 FILE_NAME = "component.toml"
 
 _LINE = re.compile(r"\(at line (\d+), column (\d+)\)")  # place of a mistake in tomllib's messages
-_END = "(at end of document)"  # its place if the file ends too early
+_END = "(at end of document)"  # place of a mistake if the file ends too early
 _MAX_BYTES = 256 * 1024  # bytes: a geometry file with hundreds of faces chosen by number
 # Begins at the start of a word, so that a long word is scanned once.
 _LONG_KEY = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){32}""")

@@ -353,7 +353,7 @@ def _problems(kind: Any, where: str, entry: Mapping[str, Any]) -> Iterator[Bundl
             named = bool(known) and not named and get_origin(known[0].annotation) is Mapping
     unit = extra_of(info).get("unit") or "no unit"
     if entry["type"] == "literal_error":
-        path = re.sub(r"\[\d+\]$", "", path)  # of the list
+        path = re.sub(r"\[\d+\]$", "", path)  # path of the list
     if entry["type"] == "value_error":
         error = entry["ctx"]["error"]
         if isinstance(error, MistakesError):

@@ -54,7 +54,7 @@ def _second_order(order: int) -> int:
 
 
 def _listed(points: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return one point, or several, as several in a fixed order."""
+    """Return the points of a value that is one point or a list of points, in a fixed order."""
     return tuple(sorted(points)) if points and isinstance(points[0], tuple) else (points,)
 
 

@@ -369,7 +369,7 @@ def _tolerance(translation: float | None, rotation: float | None) -> dict[str, f
 def _loads(
     force: Three | None, moment: Three | None, load: list[str] | None, further: list[str] | None
 ) -> dict[str, Any]:
-    """Return the loads of a call; a component with one interface and no load has the zero one."""
+    """Return the loads of a call: zero if none is given for a component with one interface."""
     if load is None and further is None and force is None:
         force = ZERO
     loads: dict[str, list[float]] = {}

@@ -57,7 +57,7 @@ class Job(JobLink):
 
     @property
     def ended(self) -> bool:
-        """Whether it is done, failed or cancelled."""
+        """Whether the job is done, failed or cancelled."""
         return self.status in ENDED
 
     @property
@@ -88,7 +88,7 @@ class Answer(Protocol):
 
     @property
     def job(self) -> Job | None:
-        """The job of its solve, if there is one."""
+        """The job that solves the wrench, or None."""
 
 
 class Round(Queued):
@@ -256,7 +256,7 @@ class JobCalls(Connection):
         outputs: Sequence[str] | None = None,
         for_joint: bool = False,
     ) -> Iterator[Round]:
-        """Fill a table round by round, each designed on what the one before has found.
+        """Fill a table round by round, each designed with the results of the round before.
 
         Parameters
         ----------

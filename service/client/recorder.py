@@ -200,7 +200,7 @@ class Recorder:
     def start(
         self, timeout_s: float = 30.0, *, budget: int | None = None, beyond_range: bool = False
     ) -> Started:
-        """LM_start: `flush`, then queue the solves of what is recorded.
+        """LM_start: `flush`, then queue the solves of the recorded wrenches.
 
         Raises
         ------

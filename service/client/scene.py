@@ -35,7 +35,7 @@ class ComponentPlan(Plan):
 
 
 class Scene:
-    """What one simulation needs: its components, loads that can occur, outputs it reads.
+    """Needs of one simulation: its components, loads that can occur, outputs it reads.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Scene:
         return name in self.components
 
     def wanted(self, name: str) -> Document:
-        """Return what ``Client.fill`` and ``fill_until`` take: range, outputs, tolerance.
+        """Return the parameters of ``Client.fill`` and ``fill_until``: range, outputs, tolerance.
 
         Raises
         ------
@@ -109,7 +109,7 @@ class Scene:
         }
 
     def component(self, name: str) -> Document:
-        """Return what it needs of one component, as the wire has it.
+        """Return the needs of one component, in the form of the request.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class Scene:
     @overload
     def plan(self, client: AsyncClient) -> Coroutine[Any, Any, dict[str, ComponentPlan]]: ...
     def plan(self, client: Connection | AsyncClient) -> object:
-        """Return what the scene needs of each component, and what that saves.
+        """Return the plan of each component: the rows that the scene needs, and those it saves.
 
         The call of an `AsyncClient` is awaited.
 
@@ -151,7 +151,7 @@ class Scene:
         }
 
     def query(self, name: str) -> str:
-        """Return one component's need as a query parameter."""
+        """Return one component's needs as a query parameter."""
         return json.dumps(self.component(name), sort_keys=True)
 
 

@@ -124,7 +124,7 @@ class Table:
 
     @property
     def space(self) -> Space:
-        """Its inputs and outputs: names, units, interfaces."""
+        """Inputs and outputs of the table: names, units, interfaces."""
         return self.packed.space
 
     @property
@@ -424,7 +424,7 @@ class Table:
 
     @property
     def packed(self) -> PackedTable:
-        """Its packed table."""
+        """The packed table that answers now."""
         return self._now[0]
 
     def __repr__(self) -> str:

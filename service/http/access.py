@@ -404,7 +404,7 @@ class AccessControl:
         secret = secret.strip()
         if word.lower() != "bearer" or not secret:
             why = "This server needs a key, and the request has none."
-            if sent:  # it may be a secret, so it is not quoted
+            if sent:  # the text may be a secret, so it is not quoted
                 why = "The header Authorization of the request is not Bearer and a key."
             raise _no_key(why)
         permission = self._permissions.get(secret)
@@ -507,7 +507,7 @@ def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
 
 
 def _no_key(why: str) -> HttpProblemError:
-    """Return the 401 of a call without a valid key: `why`, and how to send and create one."""
+    """Return the 401 of a call without a valid key: `why`, and how to send and create a key."""
     why = (
         f"{why} Send the header Authorization: Bearer KEY (client: key=; commands: variable "
         "WRENCHBOOK_KEY). The server's operator creates a key with: wrenchbook keys add NAME "

@@ -256,7 +256,7 @@ class FastPathProtocol(HttpToolsProtocol):
         if self.root_path or config.access_log or self.limit_concurrency is not None:
             self._fast = None  # uvicorn alone logs and counts
         self._partial = b""  # a query of the fast path until its whole body has arrived
-        self._known: dict[str, Any] = {}  # for the scope of the query that has arrived
+        self._known: dict[str, Any] = {}  # the arrived query's entries of the scope
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
         """Begin a connection; close it if there are too many."""

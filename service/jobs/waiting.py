@@ -34,7 +34,7 @@ class Waiting:
 
 
 def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None) -> Waiting:
-    """Return why a waiting job waits.
+    """Return the reason why a job is not being solved yet.
 
     `slots`: number of solves at once here, 0 if other processes solve; `trouble`: the reason for
     which no job runs.

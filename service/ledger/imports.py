@@ -110,7 +110,7 @@ def import_rows(
                 f"{_PATIENCE_SECONDS:.0f} s; nothing was loaded. Send this one later"
             )
     try:
-        _drop_hidden(ledger)  # those of a killed process
+        _drop_hidden(ledger)  # the hidden rows of a killed process
         try:
             with ledger.reading() as db:
                 start = sequences(db).get("rows", 0)

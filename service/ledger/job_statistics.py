@@ -31,7 +31,7 @@ class Statistics:
 
 
 class Ahead(NamedTuple):
-    """Jobs of one component that start before another: their number, and the time of one, s."""
+    """Jobs of one component that start before another: their number, and s per solve."""
 
     component: str
     waiting: int

@@ -327,7 +327,7 @@ class Ledger:
         return remove
 
     def trouble(self) -> str | None:
-        """Return why the file can be neither read nor written now; None if it can."""
+        """Return the reason why the file can be neither read nor written now; None if it can."""
         try:
             self._check_usable()
         except LedgerUnavailableError as error:

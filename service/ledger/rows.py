@@ -464,7 +464,7 @@ def count_rows(db: Connection, component: str) -> int:
 
 
 def known_rows(db: Connection, keys: Iterable[bytes]) -> set[bytes]:
-    """Return those of some rows' keys that are in the ledger."""
+    """Return the given keys whose rows are in the ledger."""
     return set(stored(db, list(keys)))
 
 
@@ -503,7 +503,7 @@ def digest(db: Connection, component: str, until: int) -> str:
 
 
 def edits(db: Connection, component: str, until: int) -> list[RowEdit]:
-    """Return the newest edit, up to a seq, of each of a component's rows that had one."""
+    """Return the newest edit, up to the seq `until`, of each edited row of a component."""
     # With max(), SQLite returns that record's columns.
     select = (
         "SELECT row, withdrawn, created, max(seq) FROM edits"
@@ -527,7 +527,7 @@ def _records(db: Connection, where: str, values: Any) -> Iterator[Record]:
 def containing(
     db: Connection, seqs: Iterable[int], condition: str = SHOWN
 ) -> Iterator[tuple[int, Record]]:
-    """Yield those of some rows that meet the condition, by number, each with its record."""
+    """Yield the given rows that meet the condition, in order, each with the record that has it."""
     record = None
     where = f"seq > ? AND seq <= ? AND {condition} ORDER BY seq DESC LIMIT 1"
     for seq in sorted(seqs):

@@ -115,7 +115,7 @@ class Library:
         return self._version
 
     def broken(self) -> dict[str, str]:
-        """Return why a folder of the library is no usable component, by the folder's name."""
+        """Return by folder of the library the reason why its component cannot be used."""
         touches = CALLER.get().touches
         return {name: reason for name, reason in self._broken.items() if touches(name)}
 

@@ -177,7 +177,7 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
 
 
 def reason_of(error: Exception) -> str:
-    """Return why a manifest of JSON cannot be read, without Python's own words."""
+    """Return the reason why a manifest cannot be read, without Python's own words."""
     if isinstance(error, KeyError):
         return f"the member {error} is missing"
     if isinstance(error, ValueError) and not isinstance(error, UnicodeDecodeError):

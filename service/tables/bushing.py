@@ -32,7 +32,7 @@ class _Point(NamedTuple):
 
     load: float
     bar: float  # 95 % half width of the load, NaN if unknown
-    stiffness: float  # of the axis, N/m or N·m/rad
+    stiffness: float  # stiffness of the axis, N/m or N·m/rad
     moved: float  # 95 % half width of the axis' displacement
     coverage: int
 

@@ -438,7 +438,7 @@ def _rigid(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Read weights of nodes; with UM the list ends, and the element is another one."""
+    """Read RBE3 as a distributed coupling; with UM, which changes it, it is skipped."""
     if "ALPHA" in fields:
         data.skipped[f"expansion of {name}"] += 1
         fields = fields[: fields.index("ALPHA")]

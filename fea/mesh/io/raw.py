@@ -178,7 +178,7 @@ def _facet_groups(
 
 
 def _node_groups(raw: RawMesh, number: Array) -> dict[str, Array]:
-    """Return the used nodes of each set; an element set has those of its lines.
+    """Return the used nodes of each set; an element set has the nodes of its line elements.
 
     number: the node of the mesh for each node of `raw`, -1 if it is in no cell.
     """
@@ -311,7 +311,7 @@ class Translated:
     def tie(
         self, name: str, nodes: list[str], reference: str, kind: str, weights: Iterable[float] = ()
     ) -> None:
-        """Tie nodes to a reference node ("KINEMATIC"), or it to their mean ("DISTRIBUTING")."""
+        """Tie nodes to a reference node ("KINEMATIC"), or the latter to their mean."""
         self.groups[name] = nodes
         self.couplings += [f"*SURFACE, TYPE=NODE, NAME={name}", *([] if weights else [name])]
         pairs = zip(nodes, weights, strict=False)

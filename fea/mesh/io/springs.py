@@ -136,7 +136,7 @@ def _spring(
 def _constants(
     reader: Reader, keyword: Keyword, nodes: list[int]
 ) -> tuple[list[int], Array, float]:
-    """Return the freedom from 0 at each node, the axes in rows, and the stiffness along one."""
+    """Return the freedom from 0 at each node, the axes in rows, and the stiffness."""
     rows, axes = [row for row in keyword.rows if any(row)], np.eye(3)
     if further := sorted(keyword.options.keys() - {"ELSET", "ORIENTATION"}):
         raise MeshFileError(f"it has {', '.join(further)}, but must have one constant stiffness")

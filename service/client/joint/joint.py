@@ -113,7 +113,7 @@ class Joint:
     ) -> None:
         self._table, self.damping, self._method = table, damping, method
         self._at, self.free, self.interfaces = moving(table, interface)
-        self._packed = table.packed  # of one version: a refresh of the table does not change it
+        self._packed = table.packed  # fixed version: a refresh of the table does not change it
         self._several, self._size = len(self.interfaces) > 1, FREEDOMS * len(self.interfaces)
         names = [f"{name} " * self._several for name in self.interfaces]
         self._symbols = np.array([name + load for name in names for load in SYMBOLS])

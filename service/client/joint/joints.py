@@ -49,7 +49,7 @@ class Joints:
     parameters and the errors are those of `Joint`.
     """
 
-    joints: Sequence[Any] = ()  # those of `MujocoJoints`
+    joints: Sequence[Any] = ()  # the joints of `MujocoJoints`
 
     def __init__(
         self,

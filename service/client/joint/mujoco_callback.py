@@ -45,7 +45,7 @@ def joints_in_mj_step() -> Iterator[None]:
                 bare.add(data)
                 warn_bare(model)
                 return
-            if passive:  # it comes before the bias forces
+            if passive:  # this callback comes before the bias forces
                 engine.mj_rne(model, data, False, data.qfrc_bias)
             pull(joints)
         except Exception as error:

@@ -1,4 +1,4 @@
-"""Components: list, show, add, and fill the table of one."""
+"""Routes of components: list, show and add them, and fill their tables."""
 
 from __future__ import annotations
 
