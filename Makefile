@@ -115,8 +115,9 @@ soak-recording: $(VENV)/.installed-dev
 validate: $(VENV)/.installed-dev  ## verify the solver by closed forms, published numbers and CalculiX
 	$(BIN)/python -m tests.validation all
 
-reference: $(VENV)/.installed-dev  ## write the reference of component.toml into fea/README.md
+reference: $(VENV)/.installed-dev  ## write the references: component.toml, commands, calls and names
 	$(BIN)/python -m wrenchbook.fea.bundle.reference
+	$(BIN)/python -m data.docs.generated
 
 paper: $(VENV)/.installed-dev  ## reproduce the coupling paper with MuJoCo: build/paper/paper.html
 	$(BIN)/python -m data.paper build/paper
@@ -149,10 +150,6 @@ release-check: setup  ## install and try the wheel on Python 3.11 to 3.14
 # data/docs/reference/licences.md, from the lock files and the installed packages
 licences: $(VENV)/.installed-dev $(VENV)/.installed-docs
 	$(BIN)/python -m data.docs.licences
-
-# the tables of commands, calls and names in data/docs/reference
-reference: $(VENV)/.installed-dev
-	$(BIN)/python -m data.docs.generated
 
 image:  ## build the container image (compose.yaml adds TLS and Dask workers)
 	docker build -t wrenchbook .

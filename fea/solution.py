@@ -86,7 +86,9 @@ def checked_wrench(
     count = PER_INTERFACE * len(names) + len(further)
     try:
         inputs = np.array(values, dtype=float)
-    except (TypeError, ValueError):  # words, or lists of several lengths
+        if any(isinstance(value, str | bytes) for value in np.asarray(values, dtype=object).flat):
+            inputs = np.empty(0)  # digits in quotes: a number to numpy alone
+    except (TypeError, ValueError, OverflowError):  # words, lists of several lengths, 10**400
         inputs = np.empty(0)
     if inputs.shape == (count,) and np.isfinite(inputs).all():
         return inputs

@@ -181,11 +181,11 @@ class Keyring:
             return self.version
         self._next_poll = now + patience
         with self._lock:
-            if self._file_stamp() != self._stamp:
-                try:
+            try:
+                if self._file_stamp() != self._stamp:
                     self._read()
-                except KeysError as error:
-                    log.error("keys stay as they were: %s", error)
+            except KeysError as error:
+                log.error("keys stay as they were: %s", error)
         if time.time() >= self._next_end:
             ends = (key.expires for key in self._keys.values() if key.expires and key.is_valid())
             self._next_end = min(ends, default=math.inf)
@@ -301,6 +301,8 @@ class Keyring:
             status = self._path.stat()
         except FileNotFoundError:
             return None
+        except OSError as error:
+            raise _unusable(self._path, "read", error) from error
         return status.st_mtime_ns, status.st_size, status.st_ino
 
 

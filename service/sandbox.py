@@ -55,7 +55,7 @@ _KINDS: Final = {  # kinds of errors by the signal that ended the parser; any ot
     signal.SIGPROF: "time",
     signal.SIGXCPU: "time",
     signal.SIGALRM: "elapsed",
-    signal.SIGKILL: "elapsed",
+    signal.SIGKILL: "killed",
 }
 _MESSAGES: Final = {
     "memory": "Reading it needs more than {memory} MiB of memory, the limit for a file; make it "
@@ -64,6 +64,8 @@ _MESSAGES: Final = {
     "make it smaller or send parts.",
     "elapsed": "Reading it took more than {elapsed:g} s; send it again when the server is less "
     "busy, or send parts.",
+    "killed": "The system ended its reader, most likely because the machine had no memory left; "
+    "send it again when the server is less busy, or send parts.",
     "size": "Its contents exceed {output} MiB; send it in parts.",
     "crash": "Its reader stopped without an answer (signal {number}), because the file is damaged "
     "or malicious. Write it again with another program.",
@@ -93,9 +95,9 @@ class Limits:
 class SandboxError(ValueError):
     """A file that cannot be read within its limits; nothing was changed.
 
-    `kind` is ``memory``, ``time`` (of the processor), ``elapsed``, ``size`` (of its content),
-    ``crash`` (the parser died or its result is malformed), or the name of the exception that the
-    parser raised.
+    `kind` is ``memory`` (the limit's or the machine's), ``time`` (of the processor), ``elapsed``,
+    ``size`` (of its content), ``crash`` (the parser died or its result is malformed), or the name
+    of the exception that the parser raised.
     """
 
     def __init__(self, kind: str, message: str) -> None:
@@ -154,10 +156,16 @@ class Sandbox:
             names = {"function": function, "file": file and str(file), "answer": answer.name}
             request = {**names, "arguments": dict(arguments or {}), "limits": asdict(limits)}
             status = server.send(request, ELAPSED * limits.seconds + GRACE_S)
-            code = os.waitstatus_to_exitcode(status)
+            code = None if status is None else os.waitstatus_to_exitcode(status)
             if code in _DISK_ERRORS:
                 raise OSError(code, os.strerror(code))
-            parts, end = _read(answer.fileno()) if code == 0 else ([], {"signal": -code})
+            parts: list[Part] = []
+            if code is None:
+                end: dict[str, Any] = {"kind": "elapsed"}
+            elif code == 0:
+                parts, end = _read(answer.fileno())
+            else:
+                end = {"signal": -code}
             if end:
                 log.info("%s refused a file: %s", function, end.get("traceback", end))
                 raise _error(end, limits)
@@ -213,8 +221,8 @@ class _ForkServer:
                 )
         return self._connection
 
-    def send(self, request: Mapping[str, Any], seconds: float) -> int:
-        """Send a request, and return the wait status of its fork.
+    def send(self, request: Mapping[str, Any], seconds: float) -> int | None:
+        """Send a request, and return the wait status of its fork; None after so many seconds.
 
         A request that was lost with a killed fork server is sent once more, to a new one.
         """
@@ -232,7 +240,7 @@ class _ForkServer:
                 raise
             else:
                 self.close()
-                break
+                return None
         return int(signal.SIGKILL)
 
     def close(self) -> None:
@@ -257,7 +265,7 @@ def _error(end: Mapping[str, Any], limits: Limits) -> Exception:
         return SandboxError(kind, message)
     limit = {"memory": limits.memory >> 20, "output": limits.output >> 20}
     limit |= {"seconds": limits.seconds, "elapsed": ELAPSED * limits.seconds}
-    return SandboxError(kind, text.format(number=number, **limit))
+    return SandboxError("memory" if kind == "killed" else kind, text.format(number=number, **limit))
 
 
 # -- the file of a result: for each part an array of its head (JSON), then its arrays ----------

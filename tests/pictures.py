@@ -76,7 +76,7 @@ def book() -> list[str]:
         words(484, 128, "cover it?"),
         box(636, 84, 230, 60, "covered"),
         words(751, 110, "interpolate, with an error bar"),
-        words(751, 130, "microseconds", "small"),
+        words(751, 130, "20 µs with 100 solves", "small"),
         way("M548 114 H630"),
         words(590, 106, "yes", "small"),
         box(420, 200, 128, 60, "thin"),

@@ -173,6 +173,21 @@ def test_the_first_line_of_a_page_says_for_whom_it_is(page):
     assert text.split("\n\n")[1].startswith("For ")
 
 
+@pytest.mark.parametrize(
+    "page",
+    [
+        page
+        for part in ("concepts", "how-to", "tutorials", "notebooks")
+        for page in DOCS.glob(f"{part}/*")
+        if page.suffix in (".md", ".ipynb")
+    ],
+    ids=shown,
+)
+def test_the_last_paragraph_of_a_page_names_the_next_step(page):
+    text = page.read_text() if page.suffix == ".md" else [*cells(page, "markdown")][-1]
+    assert text.rstrip().rpartition("\n\n")[2].startswith("Next: ")
+
+
 def test_the_licences_are_those_of_the_locked_packages():
     before = licences.PAGE.read_text()
     assert dict(licences.ROW.findall(before)).keys() == set().union(

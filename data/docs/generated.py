@@ -12,6 +12,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import typer
 import typer.cli
@@ -26,10 +27,28 @@ FOLDER = Path(__file__).parent
 
 
 def commands() -> list[str]:
-    """Return the table of commands and their purposes."""
-    found = typer.main.get_command(program).commands.items()
-    purposes = [(name, (group.help or "").partition("\n\n")[0]) for name, group in found]
-    return _table(("command", "purpose"), [(f"`{name}`", text) for name, text in purposes])
+    """Return the table of commands, their purposes and their options."""
+    rows = []
+    for name, group in typer.main.get_command(program).commands.items():
+        for word, command in getattr(group, "commands", {"": group}).items():
+            purpose = (command.help or group.help or "").partition("\n\n")[0]
+            options = " ".join(f"`{option}`" for option in _options(name, command))
+            rows.append((f"`{f'{name} {word}'.strip()}`", purpose, options))
+    return _table(("command", "purpose", "options"), rows)
+
+
+def _options(name: str, command: Any) -> list[str]:
+    """Return the options of a command; of those of `PROGRAMS` as their help lists them."""
+    if name in PROGRAMS:
+        return re.findall(r"^  (?:-\w, )?(--(?!help)[\w-]+)", _help_of(name), re.M)
+    shown = [item for item in command.params if not getattr(item, "hidden", False)]
+    return [text for item in shown for text in item.opts if text.startswith("--")]
+
+
+def _help_of(name: str) -> str:
+    """Return the help of a command of `PROGRAMS`, whose arguments typer does not know."""
+    arguments = [sys.executable, "-m", "wrenchbook.fea.check.commands", name, "--help"]
+    return subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
 
 
 def calls() -> list[str]:
@@ -44,7 +63,7 @@ def calls() -> list[str]:
 
 
 def names() -> list[str]:
-    """Return the table of the public names and calls, and the first line of their docstrings."""
+    """Return the table of the public names, calls and attributes, and their purposes."""
     rows = []
     for name in wrenchbook.__all__:
         value = getattr(wrenchbook, name)
@@ -54,6 +73,7 @@ def names() -> list[str]:
             public = [(call, method) for call, method in methods if not call.startswith("_")]
             made = "Connect to a server." if name == "Client" else "The constructor."
             rows.append((f"`{name}{_arguments(value)}`", made))
+            rows += [(f"`{name}.{attribute}`", text) for attribute, text in _attributes(value)]
             rows += [
                 (f"`{name}.{call}{_arguments(method)}`", _purpose(method))
                 for call, method in public
@@ -62,11 +82,27 @@ def names() -> list[str]:
 
 
 _WITH_CALLS = ("Client", "Displacement", "Mount", "MujocoJoint", "MujocoMount", "Table")
-"""The classes that most programs use: their calls are in the table, with arguments and defaults."""
+"""The classes that most programs use: their calls are in the table, with arguments and defaults,
+and their attributes.
+"""
 
 
 def _purpose(value: object) -> str:
     return (value.__doc__ or "").partition("\n")[0].replace("``", "`")
+
+
+def _attributes(value: type) -> list[tuple[str, str]]:
+    """Return the attributes that a class' docstring describes, then its other properties."""
+    section = inspect.cleandoc(value.__doc__ or "").partition("\nAttributes\n")[2]
+    section = re.split(r"\n\n", section)[0]  # the next section begins after an empty line
+    described = re.findall(r"^(\w[\w, ]*) : .*((?:\n    .*)*)", section, re.M)
+    named = {name for names, _ in described for name in names.split(", ")}
+    properties = inspect.getmembers(value, lambda member: isinstance(member, property))
+    return [(names, text.replace("``", "`")) for names, text in described] + [
+        (name, _purpose(member))
+        for name, member in properties
+        if name not in named and not name.startswith("_")
+    ]
 
 
 def _arguments(call: Callable) -> str:
@@ -98,11 +134,9 @@ def cli() -> str:
     for group in command.commands.values():
         group.short_help = (group.help or "").partition("\n\n")[0]  # not cut at 45 characters
     text = typer.cli.get_docs_for_click(obj=command, ctx=context, name="wrenchbook")
-    for name in PROGRAMS:  # typer does not know their arguments
-        arguments = [sys.executable, "-m", "wrenchbook.fea.check.commands", name, "--help"]
-        shown = subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
+    for name in PROGRAMS:
         heading = f"## `wrenchbook {name}`"
-        text = text.replace(f"{heading}\n", f"{heading}\n\n```text\n{shown}```\n", 1)
+        text = text.replace(f"{heading}\n", f"{heading}\n\n```text\n{_help_of(name)}```\n", 1)
     return "\n" + text.partition("\n")[2]
 
 

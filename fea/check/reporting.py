@@ -96,8 +96,11 @@ def report(
     try:
         try:
             bundle = read_bundle(folder)
-        except BundleError:
-            _list_geometry(_geometry_named_in(folder), summary)
+        except BundleError as error:
+            try:
+                _list_geometry(_geometry_named_in(folder), summary)
+            except BundleError as other:
+                raise BundleError([*error.problems, *other.problems]) from None
             raise
         summary |= {
             "name": bundle.name,

@@ -11,6 +11,7 @@ import re
 import shutil
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -186,17 +187,17 @@ def run_command(
 
     Raises OSError if the program cannot be started, OutOfTime if it takes longer than `timeout`.
     """
-    deadline = time.monotonic() + timeout
-    with printed.open("wb") as file:
-        child = subprocess.Popen(
-            command,
-            cwd=folder,
-            stdin=subprocess.DEVNULL,
-            stdout=file,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
+    deadline, child = time.monotonic() + timeout, None
     try:
+        with printed.open("wb") as file, _deferred(signal.SIGTERM):
+            child = subprocess.Popen(
+                command,
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
         with _guarded(child.pid):
             while True:
                 remaining = deadline - time.monotonic()
@@ -207,13 +208,30 @@ def run_command(
                 if watch is not None:
                     watch()
     finally:
-        # End the remaining processes of the child's group.
-        if child.poll() is None:
-            _signal(child.pid, signal.SIGTERM)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                child.wait(_GRACE)
-        _signal(child.pid, signal.SIGKILL)
-        child.wait()
+        if child is not None:  # end the remaining processes of its group
+            if child.poll() is None:
+                _signal(child.pid, signal.SIGTERM)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    child.wait(_GRACE)
+            _signal(child.pid, signal.SIGKILL)
+            child.wait()
+
+
+@contextlib.contextmanager
+def _deferred(number: int) -> Iterator[None]:
+    """Call a signal's handler after the block: it may raise before the child's pid is known."""
+    handler = signal.getsignal(number)
+    if not callable(handler) or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    late: list[int] = []
+    signal.signal(number, lambda *_: late.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(number, handler)
+        if late:
+            signal.raise_signal(number)
 
 
 @contextlib.contextmanager

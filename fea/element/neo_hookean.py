@@ -61,7 +61,8 @@ class _State(DenseState):
 
     def __init__(self, cells: NeoHookeanStiffness, part: Which, displacement: Array) -> None:
         super().__init__(cells.gradients, part, displacement)
-        self._cells, self._part = cells, part
+        self._cells = cells
+        self._part = part
         self.shear = cells.shear[part, None]
         self.first_lame = cells.first_lame[part, None]
         self.modes = cells.modes_of(part)
@@ -74,7 +75,7 @@ class _State(DenseState):
         # A cell turned inside out has no energy: not a number, which Newton's method takes as such.
         with np.errstate(invalid="ignore", divide="ignore"):
             self.scale = self.weights * self.shear * np.exp(-2.0 / 3.0 * np.log1p(self.growth))
-        self.pressure = self._pressure(self.growth)
+        self.pressure = self._pressure_of(self.growth)
         self.deviatoric = 2.0 * _times(self.scale, self.inverse @ _deviator(self.E))
         self.wS = self.deviatoric + _times(self.pressure * self.J, self.inverse)
 
@@ -91,14 +92,16 @@ class _State(DenseState):
         slope = self.gradient(change)
         aimed = green_strain(self.gradient(aim)) - 0.5 * (slope.swapaxes(2, 3) @ slope)
         strain = aimed - before.E
-        growth = before.J * np.sum(before.inverse * strain, axis=(-2, -1))
-        self.pressure = before.pressure + before._pressure(growth)
-        deviatoric = before.deviatoric + before._deviatoric_change(strain)
+        along = before._along(strain)
+        self.pressure = before.pressure + before._pressure_of(before.J * along)
+        inside = before._sandwiched(strain)
+        deviatoric = before.deviatoric + before._deviatoric_change(strain, along, inside)
         self.wS = deviatoric + _times(self.pressure * self.J, self.inverse)
 
     def weighted_change(self, strain: Array) -> Array:
-        growth = self.J * np.sum(self.inverse * strain, axis=(-2, -1))
-        return self._at_pressure(strain) + _times(self._pressure(growth) * self.J, self.inverse)
+        along = self._along(strain)
+        pressure = self._pressure_of(self.J * along)
+        return self._at_pressure(strain, along) + _times(pressure * self.J, self.inverse)
 
     def third_of_law(self, fields: Array, strain: Array) -> Array:
         """Return the third derivatives of W along strains: shape (k, k, k), J.
@@ -109,13 +112,15 @@ class _State(DenseState):
             + sum p_ab (4/3 g (s_c - m t_c) - 2 (p J t_c + P_c))
         """
         # X_a, X_a X_b, and the traces t_a, s_a and p_ab
-        count, X = len(fields), self.inverse @ strain
+        count = len(fields)
+        X = self.inverse @ strain
         rows = X.swapaxes(-1, -2).reshape(count, -1)
         XX = X[:, None] @ X
         t, s, p = (np.trace(tensor, axis1=-2, axis2=-1) for tensor in (X, strain, XX))
         # g m, p J and P_c times the weights, and the factors of t_a t_b and of p_ab
-        gm, pJ = self.scale * self.mean_C, self.pressure * self.J
-        P = self.J * self._pressure(self.J * t)
+        gm = self.scale * self.mean_C
+        pJ = self.pressure * self.J
+        P = self.J * self._pressure_of(self.J * t)
         of_tt = (pJ - 4.0 / 9.0 * gm) / 3.0 * t + 4.0 / 9.0 * self.scale * s + P
         of_p = 4.0 / 3.0 * (self.scale * s - gm * t) - 2.0 * (pJ * t + P)
         # The term of q_abc, which is symmetric, and the sums over the points of the other two
@@ -124,25 +129,35 @@ class _State(DenseState):
         sums = pairs @ np.stack([of_tt, of_p]).reshape(2, 1, count, -1).swapaxes(-1, -2)
         return of_q + symmetrised(np.asarray(sums.sum(axis=0)))
 
-    def _pressure(self, growth: Array) -> Array:
+    def _pressure_of(self, growth: Array) -> Array:
         """Return the pressure of J - 1, shape (..., cells, points), times the weights."""
         projected = self.first_lame * weighted(growth, self.weights, self.modes)
-        return projected + self._local_pressure(growth)
+        return projected + self._local_pressure_of(growth)
 
-    def _local_pressure(self, growth: Array) -> Array:
+    def _local_pressure_of(self, growth: Array) -> Array:
+        """Return the part of `_pressure_of` that is not projected."""
         return 2.0 / 3.0 * self.shear * self.weights * growth
 
-    def _at_pressure(self, strain: Array) -> Array:
-        """Return the change of `wS` with E while the pressure stays."""
-        inside = self.inverse @ strain @ self.inverse
-        along = np.sum(self.inverse * strain, axis=(-2, -1))
-        pressed = _times(along, self.inverse) - 2.0 * inside
-        return self._deviatoric_change(strain) + _times(self.pressure * self.J, pressed)
+    def _along(self, strain: Array) -> Array:
+        """Return the change of ln J along strains, tr(C^-1 E): shape (..., cells, points)."""
+        return np.sum(self.inverse * strain, axis=(-2, -1))
 
-    def _deviatoric_change(self, strain: Array) -> Array:
-        """Return the change with E of the stress that keeps no volume."""
-        inside = self.inverse @ strain @ self.inverse
-        along = np.sum(self.inverse * strain, axis=(-2, -1))
+    def _sandwiched(self, strain: Array) -> Array:
+        """Return C^-1 E C^-1, minus half the change of C^-1 along E: the shape of `strain`."""
+        return self.inverse @ strain @ self.inverse
+
+    def _at_pressure(self, strain: Array, along: Array) -> Array:
+        """Return the change of `wS` along E while the pressure stays; `along` is `_along` of it."""
+        inside = self._sandwiched(strain)
+        pressed = _times(along, self.inverse) - 2.0 * inside
+        deviatoric = self._deviatoric_change(strain, along, inside)
+        return deviatoric + _times(self.pressure * self.J, pressed)
+
+    def _deviatoric_change(self, strain: Array, along: Array, inside: Array) -> Array:
+        """Return the change along E of the stress that keeps no volume.
+
+        along, inside: `_along` and `_sandwiched` of E.
+        """
         trace = np.trace(strain, axis1=-2, axis2=-1)
         deviatoric = _times(self.mean_C, inside) - _times(along / 3.0, np.eye(3))
         deviatoric += _times(self.mean_C * along / 3.0 - trace / 3.0, self.inverse)
@@ -151,9 +166,10 @@ class _State(DenseState):
     def moduli(self) -> Array:
         strains = np.broadcast_to(UNIT_STRAINS[:, None, None], (6, *self.E.shape))
         # A projected pressure has no modulus at a point: see `tangent`.
-        pressure = self._pressure if self.modes is None else self._local_pressure
-        growth = self.J * np.sum(self.inverse * strains, axis=(-2, -1))
-        changes = self._at_pressure(strains) + _times(pressure(growth) * self.J, self.inverse)
+        pressure_of = self._pressure_of if self.modes is None else self._local_pressure_of
+        along = self._along(strains)
+        pressure = pressure_of(self.J * along)
+        changes = self._at_pressure(strains, along) + _times(pressure * self.J, self.inverse)
         return np.moveaxis(changes[..., ROWS, COLUMNS], 0, -1)
 
     def tangent(self, out: Array) -> None:

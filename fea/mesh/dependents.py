@@ -13,10 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
 
 Array = np.ndarray
-
-_DEEPEST = 8  # levels of dependents of dependents; more are a circle, or a mesh to be reordered
 
 
 class CircularError(ValueError):
@@ -50,14 +49,17 @@ class Dependents:
         rows, columns = np.append(nodes, free), np.append(masters, free)
         values = np.append(weights, np.ones(len(free)))
         direct = csr_array(coo_array((values, (rows, columns)), (size, size)))
-        follow, remaining = direct, dependent
-        for _ in range(_DEEPEST):
-            remaining = follow.indices[np.isin(follow.indices, dependent)]
-            if not remaining.size:
-                return cls(dependent, follow)
-            follow = csr_array(direct @ follow)
+        among = csr_array(direct[dependent][:, dependent])
+        among.eliminate_zeros()
+        _, part = connected_components(among, connection="strong")
+        circular = (np.bincount(part)[part] > 1) | (among.diagonal() != 0)
+        if circular.any():
+            raise CircularError(int(dependent[circular][0]))
+        follow = direct
+        while np.isin(follow.indices, dependent).any():  # the longest chain halves
+            follow = csr_array(follow @ follow)
             follow.eliminate_zeros()
-        raise CircularError(int(remaining[0]))
+        return cls(dependent, follow)
 
     @property
     def entries(self) -> tuple[Array, Array, Array]:

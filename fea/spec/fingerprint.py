@@ -56,12 +56,16 @@ _RESTRICTING = ("box", "normal", "angle", "inside")
 _GROUP = re.compile(r'"nodes_(?:held_in|with_forces)')  # of `fea.mesh.io.abaqus_content`
 _KEYWORD = re.compile(rb"^[^\w*\n]*\*[ \t]*(BOUNDARY|CLOAD|STEP|LOAD CASE)\b([^*]*)", re.I | re.M)
 _NEW = re.compile(rb",\s*(?:OP\s*=\s*NEW|PERTURBATION)\b", re.I)
-_DROPPED = re.compile("[bB].*[sSl].*B|[sl].*S|S.*[sSl]|l.*l")
-"""Keywords after which the last case does not have the nodes of all cases.
-
-Each keyword of a deck is one letter: b of *BOUNDARY and *CLOAD, s of *STEP, l of *LOAD CASE; a
-capital where `_NEW` drops what came before.
-"""
+# Decks whose last case does not have the nodes of all cases. Each keyword of a deck is one letter:
+# b of *BOUNDARY and *CLOAD, s of *STEP, l of *LOAD CASE; a capital where `_NEW` drops what came
+# before.
+_RELEASED_LATER = "[bB].*[sSl].*B"  # *BOUNDARY, *STEP, *BOUNDARY, OP=NEW
+_PERTURBED_LATER = "[sl].*S"  # *STEP, *STEP, PERTURBATION
+_PERTURBED_BEFORE = "S.*[sSl]"  # *STEP, PERTURBATION, *STEP
+_LOAD_CASES = "l.*l"  # *LOAD CASE, *LOAD CASE
+_DROPS_NODES = re.compile(
+    "|".join((_RELEASED_LATER, _PERTURBED_LATER, _PERTURBED_BEFORE, _LOAD_CASES))
+)
 
 
 def fingerprint(parts: Mapping[str, Any]) -> str:
@@ -97,7 +101,7 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
     if heated:
         content["inputs"] = {"temperature": further[TEMPERATURE].reference}
         if (field := further[TEMPERATURE].field) is not None:
-            content["inputs"]["field"] = _bytes(field)
+            content["inputs"]["field"] = _file_hash(field)
     if ACCELERATIONS[0] in further:
         content["acceleration"] = densities
     for name in filter(parts.get, ("ties", "bolts", "joints")):
@@ -118,10 +122,10 @@ def _mesh(source: MeshSource | None) -> object:
         return None
     if source.file is not None:
         # The ending chooses the reader; the rest of the name changes nothing.
-        content: dict[str, object] = {"file": _bytes(source.file), "ending": source.file.suffix}
+        content: dict[str, object] = {"file": _file_hash(source.file), "ending": source.file.suffix}
         text = deck_text(source.file)
         if included := text.included:
-            content["included"] = [_bytes(file) for file in included]
+            content["included"] = [_file_hash(file) for file in included]
         if source.file.suffix.lower() == ".inp" and _FOLLOWING.search(text):
             content["follow"] = True
         if source.geometry is not None:
@@ -168,11 +172,14 @@ def _names_nodes_of_cases(source: MeshSource | None, groups: object) -> bool:
     for word, more in _KEYWORD.findall(text):
         initial = word[:1].decode().lower().replace("c", "b")
         initials += initial.upper() if _NEW.search(more) else initial
-    return _DROPPED.search(initials) is not None
+    return _DROPS_NODES.search(initials) is not None
 
 
 def _material(material: AnyMaterial, heated: bool) -> list[object]:
-    # No yield strength: no displacement depends on it. Densities count where mass is pulled.
+    """Return a material's law; no yield strength, which changes no displacement, and no density.
+
+    Densities are hashed apart, where gravity or an acceleration acts.
+    """
     content: list[object] = [material.region, material.youngs_modulus, material.poisson_ratio]
     if material.law != "isotropic":
         content.append(material.law)
@@ -190,6 +197,10 @@ def _material(material: AnyMaterial, heated: bool) -> list[object]:
 
 
 def _supports(supports: Supports | None) -> object:
+    """Return the supports without their order, which changes nothing.
+
+    Sliding ones and bushings are left out if there are none: fingerprints of before stay valid.
+    """
     if supports is None or not (supports.sliding or supports.bushings):
         return None if supports is None else sorted(supports.fixed)
     return {
@@ -208,6 +219,10 @@ def _supports(supports: Supports | None) -> object:
 
 
 def _interface(interface: Interface | None) -> object:
+    """Return section, point and coupling; no name, which is hashed where there are several.
+
+    Weights by area are left out: fingerprints from before there were others stay valid.
+    """
     if interface is None:
         return None
     point = None if interface.point is None else interface.point.tolist()
@@ -222,11 +237,12 @@ def _interface(interface: Interface | None) -> object:
 
 
 def _deck(deck: Deck | None) -> object:
+    """Return files, command and units; no timeout, which changes no answer, and no deck's name."""
     if deck is None:
         return None
     return {
-        "file": _bytes(deck.file),
-        "files": {file.name: _bytes(file) for file in deck.files},
+        "file": _file_hash(deck.file),
+        "files": {file.name: _file_hash(file) for file in deck.files},
         "command": list(deck.command),
         "output": dict(deck.output),
         "unit": deck.unit,
@@ -234,6 +250,6 @@ def _deck(deck: Deck | None) -> object:
     }
 
 
-def _bytes(path: Path) -> str:
-    """Return the hash of a file's bytes."""
+def _file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file's content in hexadecimal digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -174,7 +174,12 @@ def _mapping(columns: Sequence[str], units: Sequence[str]) -> dict[str, str]:
                 f"--column '{text}' has no =; write the file's column, =, and its meaning: "
                 f"--column '{text}=fz [N]'"
             )
-        mapping[label.strip()] = meaning.strip()
+        if (label := label.strip()) in mapping:
+            raise typer.BadParameter(
+                f"--column '{label}' is there twice, as {mapping[label]} and {meaning.strip()}; "
+                "leave one out"
+            )
+        mapping[label] = meaning.strip()
     bare = [label for label, meaning in mapping.items() if "[" not in meaning]
     if units and len(units) != len(bare):
         message = f"--unit is there {len(units)} times for {len(bare)} --column without brackets; "

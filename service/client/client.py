@@ -397,7 +397,7 @@ class Client(
     Attributes
     ----------
     retry_s : float
-        Those 10 s; 0 for no second attempt.
+        Seconds of further attempts at a server that refuses the connection, 10; 0 for none.
 
     Examples
     --------

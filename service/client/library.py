@@ -29,6 +29,7 @@ _ENDINGS = {
 }
 # The content decides how a file is read; files with these endings are no tables.
 _NOT_READ = frozenset({".fmu", ".wbt", ".pdf"})
+_JSON = re.compile(r"\s*(\{|\[\s*[\[{\]])")  # a file's name may begin with [1]
 # The same pattern as the server's profiles.
 RIG_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _IMPORT_S = 300.0  # s: a million rows take a minute, and an earlier import in the queue as long
@@ -141,7 +142,9 @@ class LibraryCalls(Connection):
             raise FileNotFoundError(f"{bundle} has no component.toml; name the folder that has it")
         else:
             buffer = io.BytesIO()
-            with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as packed:
+            # A zip has no date before 1980, which files of archives and containers have.
+            packing = zipfile.ZIP_DEFLATED
+            with zipfile.ZipFile(buffer, "w", packing, strict_timestamps=False) as packed:
                 for source in sorted(bundle.rglob("*")):
                     inside = source.relative_to(bundle)
                     if source.is_file() and not any(part.startswith(".") for part in inside.parts):
@@ -194,7 +197,7 @@ class LibraryCalls(Connection):
         ValueError, ProblemError
             If the file cannot be read; if rows have mistakes (422), which ``errors`` names.
         """
-        if isinstance(table, str) and table.lstrip()[:1] != "{" and len(table.splitlines()) <= 1:
+        if isinstance(table, str) and not _JSON.match(table) and len(table.splitlines()) <= 1:
             table = Path(table)
         if isinstance(table, Path):
             filename, content = _named_file(table)
@@ -498,10 +501,11 @@ def _form(files: Mapping[str, tuple[str, bytes]]) -> tuple[str, bytes]:
     boundary = secrets.token_hex(16)
     parts = []
     for field, (filename, content) in files.items():
-        quoted = json.dumps(filename, ensure_ascii=True)
+        for mark in '"\r\n':  # browsers escape these three alone; the rest is UTF-8
+            filename = filename.replace(mark, f"%{ord(mark):02X}")
         head = (
             f"--{boundary}\r\n"
-            f'Content-Disposition: form-data; name="{field}"; filename={quoted}\r\n'
+            f'Content-Disposition: form-data; name="{field}"; filename="{filename}"\r\n'
             "Content-Type: application/octet-stream\r\n\r\n"
         )
         parts.append(head.encode() + content + b"\r\n")

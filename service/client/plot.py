@@ -19,7 +19,8 @@ axes : matplotlib.axes.Axes, optional
 Raises
 ------
 ValueError
-    If there is no such load or output, or a client has no `component`.
+    If there is no such load or output, if a client has no `component`, or if the component has
+    several interfaces or further inputs.
 MissingPackage
     If matplotlib is not installed.
 """
@@ -46,6 +47,10 @@ if TYPE_CHECKING:
 Axes: TypeAlias = Any  # an Axes of matplotlib, which need not be installed
 COLOURS = ("#4c9f70", "#f0c05a", "#c9594c")  # colours of COVERAGE: green, yellow, red
 DRAWN_SIZE = 0.1  # largest drawn displacement over the part's size, if no scale is given
+_OTHER_INPUTS = (
+    "{} has several interfaces or further inputs, and plots are of the six loads of one interface; "
+    "draw the answers of Client.displacements or Table.batch, whose wrenches have all inputs"
+)
 BAND_ALPHA = 0.25  # opacity of the error band: the grid and the line show through
 
 
@@ -183,12 +188,17 @@ def _index(argument: str, name: str, names: tuple[str, ...]) -> int:
 def _load_range(source: Table | Client, component: str | None) -> Vector:
     """Return the lowest and the highest loads, shape (2, 6), N and N·m."""
     if isinstance(source, Table):
+        if not source.space.is_default:
+            raise InvalidArgument(_OTHER_INPUTS.format(source.name))
         return source.arrays()["space/range"]
     if component is None:
         raise InvalidArgument(
             "a client answers for many components; name one, such as component='plate'"
         )
-    spans = source.component(component)["range"]
+    body = source.component(component)
+    if "space" in body:
+        raise InvalidArgument(_OTHER_INPUTS.format(component))
+    spans = body["range"]
     return np.concatenate([spans["force"], spans["moment"]]).T
 
 

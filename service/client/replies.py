@@ -40,9 +40,9 @@ class Displacement(messages.Displacement):
     Attributes
     ----------
     component : str
-        Its name.
+        Name of the component.
     wrench : numpy.ndarray
-        Shape (6,), N and N·m, of the request.
+        Wrench of the request, shape (6,), N and N·m.
     translation, rotation : numpy.ndarray or None
         Shape (3,), m; rotation vector, shape (3,), rad. None while it is not known.
     error_translation, error_rotation : numpy.ndarray or None
@@ -52,27 +52,29 @@ class Displacement(messages.Displacement):
     source : str or None
         ``table``, or where the row that answers came from: ``fea``, ``measured``.
     method : str or None
-        ``griddata``, ``linear``, ``row``, ...
+        ``kriging``, ``additive``, ``griddata`` or ``linear``; ``row`` where a row has this wrench;
+        ``estimate`` where the table has too few rows for a method.
     table_version : int or None
         Version of the table that answered.
     elapsed_us : float or None
         Time the answer took in the server, µs.
     job : Job or None
-        The solve that will make it better; None where it is covered, and where nothing was queued:
+        The queued solve of this wrench. None for a covered answer, and where nothing was queued:
         beyond the load range, or with a full queue.
     reason : str
         Why it is not covered, or has no job; may be empty.
     within_tolerance : bool or None
-        Whether the total error bar is within the tolerance. A covered answer that is not has a
-        solver whose own error, of its mesh say, is larger; no row lowers that. None if unknown.
+        Whether the total error bar is within the tolerance. If it is false of a covered answer,
+        the error is that of the mesh, the linearity or the rig, which no row lowers. None if
+        unknown.
     derivative : numpy.ndarray or None
         du/dw, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), a line an output, if it was requested
         and is known; NaN where an output is not.
     interfaces : dict of str to Displacement
-        Of a component with several interfaces each one's displacement by its name; the answer
-        itself has no translation and rotation then. Empty otherwise.
+        Displacements by interface, of a component with several interfaces; the answer itself then
+        has no translation and rotation. Empty otherwise.
     raw : dict
-        The reply as it came; with ``detail`` it has ``axes``.
+        The JSON of the reply.
     """
 
     wrench: Vector

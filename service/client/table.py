@@ -48,8 +48,8 @@ class Table:
     in the scene are ``outside``; an output that the scene does not read is NaN.
 
     It is the server's packed table, answered by the same compiled code: the numbers are those of
-    the server to the last bit, in microseconds. Only `refresh` calls the server. Any number of
-    threads may use one. A pickle holds the table's bytes, of an opened file its path.
+    the server to the last bit. Only `refresh` calls the server. Any number of threads may use one.
+    A pickle holds the table's bytes, of an opened file its path.
 
     Parameters
     ----------
@@ -424,7 +424,7 @@ class Table:
 
     @property
     def packed(self) -> PackedTable:
-        """The packed table that answers now."""
+        """The packed table that answers: arrays and metadata."""
         return self._now[0]
 
     def __repr__(self) -> str:

@@ -31,17 +31,26 @@ from .errors import (
 JSON = "application/json"
 BINARY = "application/octet-stream"
 RETRY_S = 10.0  # a restart takes 2.5 s with 20 tables of 20,000 rows
-BACKOFF_S = (0.1, 1.0)  # between attempts: doubled from, up to
-_ONE_WRITE = 65_536  # bytes that are worth copying to be sent at once: any request but a batch
+# 11 days: a socket waits 2^31 ms at most, and a call's own wait is added.
+MAX_TIMEOUT_S = 1e6
+# Between attempts, doubled each time: a restart of 2.5 s is noticed within 1 s.
+FIRST_BACKOFF_S = 0.1
+MAX_BACKOFF_S = 1.0
+# Of a body that is copied behind its head, for one packet and one waking of the server: all but
+# large batches.
+_MAX_JOINED_BYTES = 65_536
+# Of the first read: all but large batches come in one piece.
+_FIRST_READ_BYTES = 65_536
+# Of a further read: a socket has no more at once.
+_MAX_READ_BYTES = 1 << 20
+# Of an answer that is no JSON: enough for the text of a proxy's error page.
+_MAX_SHOWN_BYTES = 200
 # What a call raises when the other side has closed an idle connection.
 _CLOSED = (http.client.RemoteDisconnected, ConnectionError, http.client.BadStatusLine)
-_ENOUGH = 65_536  # bytes of one read: all but large batches come in one piece
-_MOST = 1 << 20  # bytes of a further read: what the socket has at once
-_SHOWN = 200  # bytes of an answer that is no JSON: the text of a proxy's error page
 _BLANK_LINE = b"\r\n\r\n"
-_LENGTH = b"\r\ncontent-length:"
-# Fields that say what has to be done with a connection or a body: http.client knows how.
-_UNUSUAL = (b"\r\nconnection:", b"\r\ntransfer-encoding:", b"\r\ncontent-encoding:")
+_LENGTH_FIELD = b"\r\ncontent-length:"
+# Fields on the use of a connection or the coding of a body: these responses go to http.client.
+_CODING_FIELDS = (b"\r\nconnection:", b"\r\ntransfer-encoding:", b"\r\ncontent-encoding:")
 _SUCCESS = (b"HTTP/1.1 200 ", b"HTTP/1.1 201 ", b"HTTP/1.1 202 ")
 _JSON_FIELDS = {"Content-Type": JSON, "Accept": JSON}
 
@@ -92,15 +101,18 @@ class Connection:
             port, hostname = parts.port, parts.hostname
             if parts.scheme not in ("http", "https") or not hostname:
                 raise ValueError
-        except (TypeError, ValueError):  # no text, no port
+            hostname.encode("idna")  # as a connection does; UnicodeError is a ValueError
+        except (TypeError, ValueError):  # no text, no port, an empty label
             raise InvalidArgument(
                 f"{url!r} is not a server address; write for example http://127.0.0.1:8000"
             ) from None
-        if not (isinstance(timeout, Real) and timeout > 0.0):
-            raise InvalidArgument(f"timeout must be above 0 s, such as 10.0, not {timeout!r}")
+        if not (isinstance(timeout, Real) and 0.0 < timeout <= MAX_TIMEOUT_S):
+            limits = f"above 0 s and at most {MAX_TIMEOUT_S:,.0f} s"
+            raise InvalidArgument(f"timeout must be {limits}, such as 10.0, not {timeout!r}")
         self._path = parts.path.rstrip("/")
         self.url = f"{parts.scheme}://{parts.netloc}{self._path}"
-        self.timeout, self.retry_s = timeout, RETRY_S
+        self.timeout = timeout
+        self.retry_s = RETRY_S
         origin = "the variable WRENCHBOOK_KEY" if key is None else "key="
         key = (os.environ.get("WRENCHBOOK_KEY") if key is None else key) or ""
         self._key = key.strip()
@@ -111,7 +123,8 @@ class Connection:
         https = parts.scheme == "https"
         self._kind = http.client.HTTPSConnection if https else http.client.HTTPConnection
         default = 443 if https else 80
-        self._host, self._port = hostname, port or default
+        self._host = hostname
+        self._port = port or default
         shown = f"[{hostname}]" if ":" in hostname else hostname
         self._shown = shown if self._port == default else f"{shown}:{self._port}"
         self._idle: list[http.client.HTTPConnection] = []
@@ -193,19 +206,15 @@ class Connection:
             fields = {"Content-Length": str(len(content or b"")), **fields}
         head = self._head(method, path, query, fields)
         timeout = self.timeout + (wait_s or 0.0)
-        began, attempt = time.monotonic(), 0
+        began = time.monotonic()
+        attempt = 0
         while True:
             try:
                 return self._send(method, head, content or b"", timeout, repeatable)
             except (ServerUnreachable, ProblemError) as error:
-                pause = None  # none: the server may have taken the request
-                if isinstance(error, ServerUnreachable):
-                    if error.refused:
-                        pause = min(BACKOFF_S[0] * 2**attempt, BACKOFF_S[1])
-                elif error.status == 503 and repeatable:
-                    pause = error.retry_after
-                limit = min(self.timeout, self.retry_s) - (time.monotonic() - began)
-                if pause is None or pause > limit or not retry:
+                pause = _pause_before_retry(error, attempt, repeatable)
+                remaining = min(self.timeout, self.retry_s) - (time.monotonic() - began)
+                if pause is None or pause > remaining or not retry:
                     raise
                 _pause(pause)
                 attempt += 1
@@ -222,7 +231,8 @@ class Connection:
         self._require_wanted()
         if self._process_id != os.getpid():
             # Forked: the sockets belong to the parent. Drop them without a byte on the wire.
-            self._idle, self._process_id = [], os.getpid()
+            self._idle = []
+            self._process_id = os.getpid()
         if repeatable and (connection := _last(self._idle)) is not None:
             try:
                 return self._exchange(connection, method, head, content, timeout)
@@ -253,7 +263,7 @@ class Connection:
             sock = connection.sock
             assert sock is not None
             sock.settimeout(timeout)
-            if len(content) <= _ONE_WRITE:  # one packet, one waking of the server
+            if len(content) <= _MAX_JOINED_BYTES:
                 sock.sendall(head + content)
             else:
                 sock.sendall(head)
@@ -363,7 +373,8 @@ class Lines:
     """The lines of a response that goes on."""
 
     def __init__(self, response: http.client.HTTPResponse, sock: socket.socket) -> None:
-        self._response, self._socket = response, sock
+        self._response = response
+        self._socket = sock
         self.readline = response.readline
 
     def close(self) -> None:
@@ -371,6 +382,19 @@ class Lines:
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._response.close()
+
+
+def _pause_before_retry(
+    error: ServerUnreachable | ProblemError, attempt: int, repeatable: bool
+) -> float | None:
+    """Return the seconds until a request may be sent again after an error; None if it may not.
+
+    A server that refuses the connection has not taken the request, one that is busy says when to
+    come again. After any other error the server may have taken it.
+    """
+    if isinstance(error, ServerUnreachable):
+        return min(FIRST_BACKOFF_S * 2**attempt, MAX_BACKOFF_S) if error.refused else None
+    return error.retry_after if error.status == 503 and repeatable else None
 
 
 def _last(idle: list[http.client.HTTPConnection]) -> http.client.HTTPConnection | None:
@@ -387,23 +411,25 @@ def receive(sock: socket.socket, method: str) -> Response:
     read here, others by http.client, which reads each header field into an e-mail message: that
     takes longer than the server does.
     """
-    received = sock.recv(_ENOUGH)
+    received = sock.recv(_FIRST_READ_BYTES)
     if not received:
         raise http.client.RemoteDisconnected("the server closed the connection without an answer")
     end = received.find(_BLANK_LINE)
-    head, content = received[: max(end, 0)].lower(), received[end + len(_BLANK_LINE) :]
-    _, _, after = head.partition(_LENGTH)
+    head = received[: max(end, 0)].lower()
+    content = received[end + len(_BLANK_LINE) :]
+    _, _, after = head.partition(_LENGTH_FIELD)
     length = after.partition(b"\r\n")[0].strip()
     if (
         received.startswith(_SUCCESS)
         and length.isdigit()
         and int(length) >= len(content)
-        and _LENGTH not in after
-        and not any(field in head for field in _UNUSUAL)
+        and _LENGTH_FIELD not in after
+        and not any(field in head for field in _CODING_FIELDS)
     ):
-        pieces, missing = [content], int(length) - len(content)
+        pieces = [content]
+        missing = int(length) - len(content)
         while missing:
-            piece = sock.recv(min(missing, _MOST))
+            piece = sock.recv(min(missing, _MAX_READ_BYTES))
             if not piece:
                 raise http.client.IncompleteRead(b"".join(pieces), missing)
             pieces.append(piece)
@@ -415,7 +441,8 @@ def receive(sock: socket.socket, method: str) -> Response:
         unusual.begin()
         if replay.ended:  # http.client takes a head that breaks off as complete
             raise http.client.IncompleteRead(received)
-        content, close = unusual.read(), unusual.will_close
+        content = unusual.read()
+        close = unusual.will_close
         response = Response(unusual.status, content, reason=unusual.reason, will_close=close)
         response.headers = unusual.headers
         return response
@@ -428,7 +455,9 @@ class _Replay(io.RawIOBase):
 
     def __init__(self, received: bytes, sock: socket.socket) -> None:
         super().__init__()
-        self._received, self._sock, self.ended = received, sock, False
+        self._received = received
+        self._sock = sock
+        self.ended = False  # whether the server has closed the connection
 
     def makefile(self, _mode: str) -> io.BufferedReader:
         return io.BufferedReader(self)
@@ -442,7 +471,8 @@ class _Replay(io.RawIOBase):
             self.ended = not count
             return count
         count = min(len(buffer), len(self._received))
-        buffer[:count], self._received = self._received[:count], self._received[count:]
+        buffer[:count] = self._received[:count]
+        self._received = self._received[count:]
         return count
 
 
@@ -457,11 +487,12 @@ def problem(response: Response) -> ProblemError:
         errors = body.get("errors")
         errors = errors if isinstance(errors, list) else []
         listed = [error for error in errors if isinstance(error, dict)]
-        title, detail = str(body.get("title") or reason), str(body.get("detail") or "")
+        title = str(body.get("title") or reason)
+        detail = str(body.get("detail") or "")
         error = ProblemError(status, title, detail, listed, body)
     else:
-        # Of a proxy's page, the words.
-        text = " ".join(re.sub(r"<[^>]*>", " ", content[:_SHOWN].decode(errors="replace")).split())
+        page = content[:_MAX_SHOWN_BYTES].decode(errors="replace")
+        text = " ".join(re.sub(r"<[^>]*>", " ", page).split())  # the words of a proxy's page
         if status == 413:
             text += (
                 ". A proxy before the server refuses a body of this size; raise its limit to "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 
@@ -43,3 +44,21 @@ def write_atomically(
         partial.unlink(missing_ok=True)
     if durable:
         sync(path.parent)
+
+
+def interrupted_writes(folder: Path) -> Iterator[Path]:
+    """Yield the partial files that writes into a folder left, by processes that have ended."""
+    for path in folder.glob(".*.*.*"):  # .name.process.thread
+        process = path.name.split(".")[-2]
+        if process.isdecimal() and not _is_running(int(process)):
+            yield path
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):  # no process has a number above 2^31
+        return False
+    except PermissionError:  # another user's
+        return True
+    return True

@@ -270,7 +270,7 @@ def _tdms_pieces(
         differing = ", ".join(f"wf_{key} {a} and {b}" for key, a, b in trios if a != b)
         problem = f"the waveforms of {name} and {other_name} have different times ({differing})"
         raise ContentError(f"{problem}; resample them to one time")
-    names = [name for label in labels for name, _, _ in readings_of(label, columns)]
+    names = [reading.column for label in labels for reading in readings_of(label, columns)]
     named = any(name.startswith("time") for name in (*names, *options.mapping.values()))
     _, start, step = next(iter(times), (None, None, 0.0))
     labels += ["time [s]"] if times and not named else []

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from itertools import combinations_with_replacement, product
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -82,6 +82,14 @@ def split(label: str) -> tuple[str, str]:
     return match["name"], (match["a"] or match["b"] or "").strip()
 
 
+class Reading(NamedTuple):
+    """A meaning of a label."""
+
+    column: str
+    unit: str  # as written; may be empty
+    factor: float  # 2 from a standard uncertainty to the 95 % half width, else 1
+
+
 class Columns:
     """The columns of numbers of a table, by the names of its space.
 
@@ -120,36 +128,38 @@ class Columns:
         """Return the quantity of an input, displacement or uncertainty column."""
         return self._quantities.get(name) or _LETTERS[name.rpartition(".")[2][0]]
 
-    def readings(self, label: str) -> Iterator[tuple[str, str, float]]:
-        """Yield the meanings of a label: name of a column, unit as written or empty, factor."""
+    def readings(self, label: str) -> Iterator[Reading]:
+        """Yield the meanings of a label; UnitError."""
         if len(label) > MAX_LABEL:
             return
         name, unit = split(label)
         if _RATE.fullmatch(name):
-            yield TIME_COLUMN, unit, 1.0
+            yield Reading(TIME_COLUMN, unit, 1.0)
             return
         if name.lower() in self._exact:
-            yield self._exact[name.lower()], unit, 1.0
+            yield Reading(self._exact[name.lower()], unit, 1.0)
             return
         joined = "".join(_GAP.split(name)).lower()
         for item in self.further:
             if joined in self.quantity(item).spellings:
-                yield item, unit, 1.0
+                yield Reading(item, unit, 1.0)
         prefixes = self._prefixes.items()
         interface = next((item for item, prefix in prefixes if prefix.match(name)), "")
         bare = self._prefixes[interface].sub("", name, 1) if interface else name
-        for column, written, factor in _readings(bare, unit):
-            if not prefixes or (column == TIME_COLUMN and not interface):
-                yield column, written, factor
-            elif interface and column != TIME_COLUMN:
-                yield f"{interface}.{column}", written, factor
+        for reading in _readings_without_interface(bare, unit):
+            is_time = reading.column == TIME_COLUMN
+            if not prefixes or (is_time and not interface):
+                yield reading
+            elif interface and not is_time:
+                yield reading._replace(column=f"{interface}.{reading.column}")
 
     def interface_problem(self, name: str) -> str:
         """Return the mistake in the interface of a load's or output's name, if there is one."""
         if not self._prefixes or len(name) > MAX_LABEL:
             return ""
         interface, _, rest = name.rpartition(".")
-        column = next((item for item, _, _ in _readings(rest, "") if item != TIME_COLUMN), "")
+        columns = (reading.column for reading in _readings_without_interface(rest, ""))
+        column = next((column for column in columns if column != TIME_COLUMN), "")
         if not column:
             return ""
         which = f"names an unknown interface {interface!r}" if interface else "names no interface"
@@ -200,22 +210,31 @@ def columns_of(space: Space = DEFAULT) -> Columns:
     return Columns(space)
 
 
-def _readings(name: str, unit: str) -> Iterator[tuple[str, str, float]]:
-    """Yield the meanings of a name without its interface; see `Columns.readings`."""
-    for end in sorted({len(name), *(gap.start() for gap in _GAP.finditer(name))}, reverse=True):
-        # mm_err is the unit mm of an uncertainty.
-        rest, last = name[end:].lstrip(" _./,-"), ""
-        parts = _GAP.split(rest)
-        if len(parts) > 1 and parts[-1].lower() in (*_HALF_WIDTH, *_STANDARD):
-            rest, last = rest[: -len(parts[-1]) - 1], f"_{parts[-1]}"
-        meanings = sorted(_columns(name[:end] + last))
-        rest = rest.removeprefix("(").removesuffix(")").replace("_", "*")
-        if not meanings or (unit and rest):
+def _readings_without_interface(name: str, unit: str) -> Iterator[Reading]:
+    """Yield the meanings of a name without its interface; see `Columns.readings`.
+
+    The name may end in its unit, before or after it in the ending of an uncertainty: ``ux_mm_err``.
+    """
+    ends = {len(name), *(gap.start() for gap in _GAP.finditer(name))}
+    for end in sorted(ends, reverse=True):
+        after, ending = _split_ending(name[end:].lstrip(" _./,-"))
+        columns = sorted(_columns_named(name[:end] + ending))
+        unit_in_name = after.removeprefix("(").removesuffix(")").replace("_", "*")
+        if unit and unit_in_name:
             continue
-        yield from ((column, unit or rest, factor) for column, factor in meanings)
+        for column, factor in columns:
+            yield Reading(column, unit or unit_in_name, factor)
 
 
-def _columns(name: str) -> set[tuple[str, float]]:
+def _split_ending(text: str) -> tuple[str, str]:
+    """Return a unit and the ending of an uncertainty after it: ``mm``, ``_err`` of ``mm - err``."""
+    gaps = list(_GAP.finditer(text))
+    if gaps and text[gaps[-1].end() :].lower() in (*_HALF_WIDTH, *_STANDARD):
+        return text[: gaps[-1].start()], f"_{text[gaps[-1].end() :]}"
+    return text, ""
+
+
+def _columns_named(name: str) -> set[tuple[str, float]]:
     """Return the columns that a name without a unit can mean, each with its factor."""
     parts = [word.lower() for word in _GAP.split(name) if word]
     joined = "".join(parts)

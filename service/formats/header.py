@@ -28,6 +28,7 @@ from wrenchbook.service.formats.columns import (
     TEXTS,
     TIME_COLUMN,
     Columns,
+    Reading,
     split,
 )
 from wrenchbook.service.formats.options import FileMistake, Options
@@ -315,9 +316,11 @@ def _is_units_row(labels: list[str], cells: list[str], options: Options) -> bool
         return False
     targets = _meanings(labels, options.mapping)
     for label, target, cell in zip(labels, targets, cells, strict=False):
-        meanings = readings_of((target or label).removeprefix("-"), options.columns)
-        for name, unit, _ in meanings if cell.strip() else ():
-            if name not in TEXTS and not (_parts(label)[1] if target else unit):
+        if not cell.strip():
+            continue
+        for reading in readings_of((target or label).removeprefix("-"), options.columns):
+            unit = _parts(label)[1] if target else reading.unit
+            if reading.column not in TEXTS and not unit:
                 return True
     return False
 
@@ -337,7 +340,7 @@ def _meanings(labels: Sequence[str], mapping: Mapping[str, str]) -> list[str]:
     ]
 
 
-def readings_of(label: str, columns: Columns) -> list[tuple[str, str, float]]:
+def readings_of(label: str, columns: Columns) -> list[Reading]:
     """Return the meanings of a label; none if its brackets are broken."""
     try:
         return list(columns.readings(label))
@@ -347,7 +350,7 @@ def readings_of(label: str, columns: Columns) -> list[tuple[str, str, float]]:
 
 def with_unit(name: str, unit: str, columns: Columns) -> str:
     """Return a label with the unit that the file states beside it, unless it has its own."""
-    named = "[" in name or "(" in name or any(text for _, text, _ in readings_of(name, columns))
+    named = "[" in name or "(" in name or any(r.unit for r in readings_of(name, columns))
     return f"{name} [{unit}]" if unit and not named else name
 
 
@@ -417,19 +420,17 @@ def _add_column(
     header.columns[name] = HeaderColumn(bare.index, bare.label, name, factor * sign, unit, zero)
 
 
-def _reading(
-    label: str, below: str, preamble: Preamble, columns: Columns
-) -> tuple[str, str, float]:
+def _reading(label: str, below: str, preamble: Preamble, columns: Columns) -> Reading:
     """Return name, unit and factor of a label with a unit below it.
 
     Raises UnitError if the label is no column, or its unit is wrong.
     """
     problem: UnitError | None = None
-    fits: dict[str, tuple[str, str, float]] = {}
+    fits: dict[str, Reading] = {}
     meanings = list(columns.readings(label))
     for name, written, factor in meanings:
         if name in TEXTS:
-            return name, "", 1.0
+            return Reading(name, "", 1.0)
         counted = preamble.unit_of(name) if not (written or below) else None
         unit, count = counted or (written or below, 1.0)
         if not unit and name != TIME_COLUMN:
@@ -441,15 +442,15 @@ def _reading(
         except UnitError as error:
             problem = problem or error
             continue
-        fits.setdefault(name, (name, unit, si / count * factor))
+        fits.setdefault(name, Reading(name, unit, si / count * factor))
     if len(fits) == 1:
         return next(iter(fits.values()))
     if len(fits) > 1:
         names = sorted(fits)
-        example = f"--column '{label}={names[0]} [{fits[names[0]][1]}]'"
+        example = f"--column '{label}={names[0]} [{fits[names[0]].unit}]'"
         raise UnitError(f"can mean {' or '.join(names)}; name one by mapping, such as {example}")
     # With brackets, or as a bare name, the label is a column and its unit is the mistake.
-    if problem and (split(label)[1] or any(not unit for _, unit, _ in meanings)):
+    if problem and (split(label)[1] or any(not meaning.unit for meaning in meanings)):
         raise problem
     name = _parts(label)[0]
     raise _UnknownColumnError(columns.interface_problem(name) or _unknown(name.lower(), columns))
@@ -494,7 +495,7 @@ def _missing_of_profile(named: set[str], labels: Sequence[str], options: Options
         others = [
             label
             for label in options.mapping.keys() & {*options.optional}
-            if load in (r[0] for r in readings_of(options.mapping[label].lstrip("- "), columns))
+            if load in (r.column for r in readings_of(options.mapping[label].lstrip("- "), columns))
         ]
         if others and load not in named and there.isdisjoint(map(_key, others)):
             yield (
@@ -509,7 +510,7 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
     # A column with a mistake in its unit is not missing.
     known = {*header.ignored, *(column.label for column in header.columns.values())}
     mistaken = {
-        name for label in labels if label not in known for name, _, _ in readings_of(label, columns)
+        r.column for label in labels if label not in known for r in readings_of(label, columns)
     }
     named = mistaken | set(header.columns)
     has_loads, needed = options.role != "displacements", []

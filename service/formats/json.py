@@ -1,8 +1,9 @@
 """JSON tables: ``{"units": "SI", "rows": [{"wrench": [6], "displacement": [6], ...}]}``.
 
 Rows have the arrays and texts of `Rows` (null where a displacement or an uncertainty is unknown)
-in SI, in the order of ``inputs`` and ``outputs``, else of the component. Objects of named columns,
-a list of them as pandas writes or one a line, are records as of a CSV.
+in SI, in the order of ``inputs`` and ``outputs``, else of the component. Such rows may also come as
+a list or one a line. Objects of named columns, a list of them as pandas writes or one a line, are
+records as of a CSV.
 """
 
 from __future__ import annotations
@@ -20,7 +21,13 @@ import numpy as np
 from wrenchbook.service.formats.cells import Digits, quoted, vanished
 from wrenchbook.service.formats.columns import ARRAYS, ORIGIN, TEXTS, Columns, WritableRows
 from wrenchbook.service.formats.header import Record, array_header
-from wrenchbook.service.formats.options import MAX_MISTAKES, Options, ParsedTable, ReadReport
+from wrenchbook.service.formats.options import (
+    MAX_MISTAKES,
+    Mistakes,
+    Options,
+    ParsedTable,
+    ReadReport,
+)
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_pieces, read_records
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
@@ -32,9 +39,11 @@ _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_ve
 _MAX_UNKNOWN = 10  # keys of a row that are named
 _REQUIRED = ("wrench", "displacement")
 _ROW_KEYS = (*ARRAYS, *TEXTS, *ORIGIN)
-_RECORDS = re.compile(rf'\s*(\[\s*\{{|\{{\s*"(?!({"|".join((*_TABLE_KEYS, *_SPACE_KEYS))})"))')
-_ROW = re.compile(r'\s*\{\s*"(wrench|displacement)"')  # one row alone
+# One of them makes an object a table; columns of records may have the names of the other keys.
+_TABLE_MARKS = {"rows", "units", "contract", "provenance", *_SPACE_KEYS}
+_LIST_OF_OBJECTS = re.compile(r"[ \t\n\r]*\[(?=[ \t\n\r]*\{)")
 _VANISHING = re.compile(r"[eE]-\d{3}|0{290}")  # maybe too small for a float
+_MISSING = object()  # in place of a value that a text does not have; None is JSON's null
 _BLANKS = re.compile(r"[ \t\n\r]*")
 
 
@@ -55,32 +64,53 @@ def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         except UnicodeDecodeError as error:
             problem = f"is not JSON: its byte {error.start:,} is not UTF-8"
             raise JsonError(f"{problem}; save it as UTF-8") from error
-        if _ROW.match(text):
-            text = f'{{"rows": [{text}]}}'
-        if _RECORDS.match(text):
-            # Numbers stay text, so that their digits and units are read as those of a CSV.
-            yield from read_records(_records(_values(text, Digits)), options, report)
-            return
-        # A float takes a third of the memory of its digits, but hides that 1e-400 is not zero.
-        number = Digits if _VANISHING.search(text) else float
-        values = list(islice(_values(text, number), 2))
-        if len(values) != 1:
-            reason = "it is empty; send a table"
-            if values:
-                end = json.JSONDecoder().raw_decode(text, len(text) - len(text.lstrip()))[1]
-                line = text.count("\n", 0, len(text) - len(text[end:].lstrip())) + 1
-                reason = f"a second value follows in line {line}; remove it, or send a list: [...]"
-            raise JsonError(f"is not JSON: {reason}")
-        yield from _read_table(values[0], options, report)
+        yield from _read_text(text, options, report)
     except ValueError as error:
         report.mistakes.ruin(report.read + 1 if report.read else 0, "file", str(error))
 
 
-def _values(text: str, number: Callable[[str], Any]) -> Iterator[Any]:
-    """Yield the values of a text, one behind the other; JsonError."""
+def _read_text(text: str, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the good rows of a table, of rows of arrays, or of records, by the first object."""
+    # A float takes a third of the memory of its digits, but hides that 1e-400 is not zero.
+    number = Digits if _VANISHING.search(text) else float
+    listed = _LIST_OF_OBJECTS.match(text)
+    values = _values(text, number, listed.end() if listed else 0)
+    first = next(values, _MISSING)
+    keys = first.keys() if isinstance(first, dict) else set[str]()
+    if not listed and (not keys or keys & _TABLE_MARKS):
+        _require_alone(text, first, next(values, _MISSING))
+        yield from _read_table(first, options, report)
+    elif keys & {*_REQUIRED}:
+        yield from _read_table({"rows": list(_rows(text, number))}, options, report)
+    else:
+        # Numbers stay text, so that their digits and units are read as those of a CSV.
+        yield from read_records(_records(_rows(text, Digits)), options, report)
+
+
+def _require_alone(text: str, first: Any, second: Any) -> None:
+    """Raise JsonError unless a text has one value."""
+    if first is _MISSING:
+        raise JsonError("is not JSON: it is empty; send a table")
+    if second is not _MISSING:
+        end = json.JSONDecoder().raw_decode(text, len(text) - len(text.lstrip()))[1]
+        line = text.count("\n", 0, len(text) - len(text[end:].lstrip())) + 1
+        reason = f"a second value follows in line {line}; remove it, or send a list: [...]"
+        raise JsonError(f"is not JSON: {reason}")
+
+
+def _rows(text: str, number: Callable[[str], Any]) -> Iterator[Any]:
+    """Yield the entries of a list, or each value of a text; JsonError."""
+    for value in _values(text, number):
+        if isinstance(value, list):
+            yield from value
+        else:
+            yield value
+
+
+def _values(text: str, number: Callable[[str], Any], at: int = 0) -> Iterator[Any]:
+    """Yield the values of a text from a position on, one behind the other; JsonError."""
     numbers = {"parse_float": number, "parse_int": number, "parse_constant": Digits}
     decoder = json.JSONDecoder(**numbers, object_pairs_hook=_unique)
-    at = 0
     while True:
         blanks = _BLANKS.match(text, at)
         at = blanks.end() if blanks else at
@@ -107,10 +137,9 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return members
 
 
-def _records(values: Iterator[Any]) -> Iterator[Record]:
-    """Yield the header as record 0, then the rows: those of a list, or each value."""
+def _records(rows: Iterator[Any]) -> Iterator[Record]:
+    """Yield the header as record 0, then the rows."""
     names: list[str] = []
-    rows = (row for value in values for row in (value if isinstance(value, list) else [value]))
     for number, row in enumerate(rows, start=1):
         if not isinstance(row, dict) or any(isinstance(cell, dict) for cell in row.values()):
             raise JsonError(
@@ -154,30 +183,40 @@ def _read_table(table: Any, options: Options, report: ReadReport) -> Iterator[Pa
             mistakes.ruin(0, key, problem)
             return
 
-    def pieces() -> Iterator[Piece]:
-        rows, end = enumerate(table["rows"], 1), 0
-        while some := list(islice(rows, PIECE)):
-            start, good = end, []
-            cells: list[list[Any]] = []
-            for end, row in some:
-                line, problems = _row_cells(row, columns)
-                for key, message in problems:
-                    mistakes.add(end, key, message)
-                if not problems:
-                    good.append(end)
-                    cells.append(line)
-                if mistakes.count > MAX_MISTAKES:
-                    break
-            lines = list(zip(*cells, strict=True))
-            numbers = [
-                np.full(len(line), np.nan)
-                if line.count(None) == len(line)
-                else np.array(line, float)
-                for line in lines[: -len(TEXTS)]
-            ]
-            yield Piece(good, [*numbers, *lines[-len(TEXTS) :]], end - start)
+    pieces = _pieces(table["rows"], columns, mistakes)
+    yield from read_pieces(array_header(columns), pieces, options, report, CellFormat())
 
-    yield from read_pieces(array_header(columns), pieces(), options, report, CellFormat())
+
+def _pieces(rows: list[Any], columns: Columns, mistakes: Mistakes) -> Iterator[Piece]:
+    """Yield the good rows, of `PIECE` rows of the file at a time."""
+    for start in range(0, len(rows), PIECE):
+        yield _piece(rows[start : start + PIECE], start, columns, mistakes)
+
+
+def _piece(rows: list[Any], start: int, columns: Columns, mistakes: Mistakes) -> Piece:
+    """Return the good ones of some rows, the first of which is row `start` + 1 of the file."""
+    good: list[int] = []
+    cells: list[list[Any]] = []
+    number = start
+    for number, row in enumerate(rows, start + 1):
+        line, problems = _row_cells(row, columns)
+        for key, message in problems:
+            mistakes.add(number, key, message)
+        if not problems:
+            good.append(number)
+            cells.append(line)
+        if mistakes.count > MAX_MISTAKES:
+            break
+    lines = list(zip(*cells, strict=True))
+    numbers = [_float_column(line) for line in lines[: -len(TEXTS)]]
+    return Piece(good, [*numbers, *lines[-len(TEXTS) :]], number - start)
+
+
+def _float_column(cells: Sequence[float | None]) -> np.ndarray:
+    """Return a column, shape (n,), float64, NaN for None."""
+    if cells.count(None) == len(cells):
+        return np.full(len(cells), np.nan)
+    return np.array(cells, float)
 
 
 def _no_table(columns: Columns) -> str:

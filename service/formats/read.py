@@ -46,7 +46,7 @@ from wrenchbook.service.formats.xlsx import read_xls, read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
 from wrenchbook.surrogate.findings.find import MAX_ROWS, find
 from wrenchbook.surrogate.findings.response import RigFinding
-from wrenchbook.surrogate.table.rows import Rows, joined, unknown_column
+from wrenchbook.surrogate.table.rows import Rows, is_unknown, joined, unknown_column
 from wrenchbook.surrogate.table.space import DEFAULT, Space
 
 MAX_PREVIEW = 100
@@ -105,7 +105,8 @@ class ReadResult:
         """Yield the rows in pieces."""
         inputs, outputs = len(self.space.inputs), len(self.space.outputs)
         for part in self.parts:
-            n, note = len(part.arrays["seq"]), part.fields["note"]
+            n = len(part.arrays["seq"])
+            note = part.fields["note"]
             columns: dict[str, Any] = {
                 "uncertainty": unknown_column(n, outputs),
                 "compliance": unknown_column(n, outputs, inputs),
@@ -142,7 +143,8 @@ def read_block(file: Path, options: Options) -> ReadResult:
     if report.read > MAX_BLOCK:
         message = f"are {report.read:,}; append at most {MAX_BLOCK:,}, or import them as a table"
         report.mistakes.ruin(0, "rows", message)
-    good, parts = sum(map(len, pieces)), [_part(piece) for piece in pieces if len(piece)]
+    good = sum(map(len, pieces))
+    parts = [_part(piece) for piece in pieces if len(piece)]
     return ReadResult({**report.as_json(good, []), "findings": []}, parts, options.space)
 
 
@@ -155,7 +157,9 @@ def table_parts(
     file: Path, second: str | None, options: Mapping[str, Any], preview: int
 ) -> Iterator[Part]:
     """Yield the pieces of a file, or of two logs, as parts, then the report with `preview` rows."""
-    read_options, report, good = Options.from_json(options), ReadReport(), 0
+    read_options = Options.from_json(options)
+    report = ReadReport()
+    good = 0
     shown: list[dict[str, Any]] = []
     if second is None:
         pieces = read_table_file(file, read_options, report)
@@ -167,9 +171,13 @@ def table_parts(
             break
         sample.add(piece)
         for at in range(min(preview, MAX_PREVIEW, good + len(piece)) - len(shown)):
-            wrench, moved = piece.wrench[at].tolist(), piece.displacement[at].tolist()
-            moved = [None if np.isnan(value) else value for value in moved]
-            shown.append({"row": int(piece.seq[at]), "wrench": wrench, "displacement": moved})
+            moved = piece.displacement[at].tolist()
+            row = {
+                "row": int(piece.seq[at]),
+                "wrench": piece.wrench[at].tolist(),
+                "displacement": [None if np.isnan(value) else value for value in moved],
+            }
+            shown.append(row)
         good += len(piece)
         if len(piece):
             yield _part(piece)
@@ -182,7 +190,8 @@ class FindingsSample:
 
     def __init__(self) -> None:
         self.parts: list[Rows] = []
-        self._stride, self._skip = 1, 0
+        self._stride = 1
+        self._skip = 0  # rows of the next piece before the next of the sample
 
     def add(self, piece: ParsedTable) -> None:
         """Take the next rows of the file."""
@@ -210,7 +219,7 @@ class FindingsSample:
 
 def read_table_file(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the rows of a file that may be loaded; `report` is complete after the last piece."""
-    yield from _corrected(_columns(path, options, report), options, report)
+    yield from _corrected(_uncorrected_rows(path, options, report), options, report)
 
 
 def read_logs(
@@ -223,14 +232,18 @@ def read_logs(
         message = f"a position (--column '{position}={meaning}') is ambiguous with two logs"
         report.mistakes.ruin(0, "mapping", f"{message}; name the column by its label")
         return
-    log = _columns(loads, replace(options, role="loads", zero_rows=0), report)
-    loads_log = joined_loads(log, report)
-    report.read, report.format, report.gzip = 0, "", False  # those of the displacements count
-    report.sheets, report.sheet = [], None
+    loads_rows = _uncorrected_rows(loads, replace(options, role="loads", zero_rows=0), report)
+    loads_log = joined_loads(loads_rows, report)
+    # The report has these of the displacements.
+    report.read = 0
+    report.format = ""
+    report.gzip = False
+    report.sheets = []
+    report.sheet = None
     if loads_log is None:
         return
-    log = list(_columns(displacements, replace(options, role="displacements"), report))
-    yield from _corrected(with_loads(log, *loads_log, options, report), options, report)
+    rows = list(_uncorrected_rows(displacements, replace(options, role="displacements"), report))
+    yield from _corrected(with_loads(rows, *loads_log, options, report), options, report)
 
 
 def _corrected(
@@ -251,8 +264,8 @@ def _corrected(
     yield from with_cycles(pieces, options, report)
 
 
-def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
-    """Yield the rows of a file without corrections, whatever their setup."""
+def _uncorrected_rows(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
+    """Yield the rows of a file as they are, in SI, whatever their setup."""
     try:
         if path.stat().st_size == 0:
             raise ContentError("the file is empty; export it again")
@@ -261,10 +274,11 @@ def _columns(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
             plain = path.with_name(f"{path.name}.plain")
             unpack(path, plain)
             path = plain
-        content, named = _format_of(path), options.format
-        if named not in (None, content) and not {named, content} <= _TEXT_FORMATS:
+        content = _format_of(path)
+        named = options.format or content
+        if named != content and not {named, content} <= _TEXT_FORMATS:
             raise ContentError(f"contains {content}, not {named}; leave the option format out")
-        report.format = named or content
+        report.format = named
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
         return
@@ -302,7 +316,7 @@ def unpack(path: Path, target: Path, most: int = MAX_BYTES) -> None:
                 if written > most:
                     raise ContentError(f"unpacks to more than {most >> 20} MiB; send it in parts")
                 unpacked.write(block)
-    except (OSError, EOFError, zlib.error) as error:
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:  # a full disk is no damage
         raise ContentError(f"is a damaged gzip file ({error}); send it again") from error
     if _is_gzip(target):
         raise ContentError("is gzipped twice; gzip it once, or not at all")
@@ -356,7 +370,7 @@ def _part(piece: ParsedTable) -> Part:
     """Return a piece as a part, without unknown columns; equal texts are one text."""
     columns = {name: getattr(piece, name) for name in _NUMBERS}
     arrays = {
-        name: column for name, column in columns.items() if column.size and any(column.strides)
+        name: column for name, column in columns.items() if column.size and not is_unknown(column)
     }
     source = np.where(piece.source == "", MEASURED, piece.source)
     texts = {"source": source.tolist(), "fingerprint": piece.fingerprint.tolist()}

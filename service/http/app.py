@@ -21,6 +21,7 @@ from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.events import Events
 from wrenchbook.service.http import openapi, problems
 from wrenchbook.service.http.access import AccessControl, Rates, SecuritySettings, sending
+from wrenchbook.service.http.batch import AT_ONCE
 from wrenchbook.service.http.problems import CLIENT_GONE, HttpProblemError
 from wrenchbook.service.http.protocol import HEADER, FastPath, id_of
 from wrenchbook.service.http.routes import (
@@ -196,7 +197,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         strict_content_type=False,  # programs may leave it out, see `access`
         **openapi.OPTIONS,
     )
-    app.state.counts = counts
+    app.state.counts, app.state.large_batches = counts, asyncio.Semaphore(AT_ONCE)
     app.state.access = AccessControl(Keyring(settings.data), security or SecuritySettings(), rates)
     problems.install(app)
     app.include_router(umbridge.router)  # a protocol with its own form of errors

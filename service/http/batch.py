@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Annotated, Any, Final, cast
 
@@ -17,10 +17,11 @@ import orjson
 from fastapi import Request
 from pydantic import Field
 from starlette.responses import Response, StreamingResponse
+from starlette.types import Receive, Scope, Send
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.contract import COVERAGE, MAX_BATCH, OUTPUTS
-from wrenchbook.service.http.bodies import BatchBody, Body, Method, OnThin, Seconds, query_of
+from wrenchbook.service.http.bodies import BatchBody, Body, Method, OnThin, query_of
 from wrenchbook.service.http.body import (
     Spooled,
     both_tolerances,
@@ -52,7 +53,6 @@ WAIT_S: Final = 60.0  # of a large batch for its turn
 AT_ONCE: Final = 2  # large batches: each takes a core and some 100 MB
 MAX_OTHER_LISTS: Final = 64  # of a batch's JSON, beside its wrenches
 MAX_OBJECTS: Final = 1024  # of a batch's JSON, which needs two: itself and its tolerance
-_slots = asyncio.Semaphore(AT_ONCE)
 
 BINARY_TYPE: Final = "application/octet-stream"
 _Bar = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -146,13 +146,13 @@ def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.n
 
 
 @asynccontextmanager
-async def few_large(wrenches: int) -> AsyncIterator[None]:
-    """Wait until fewer than `AT_ONCE` large batches are being answered; 503 after `WAIT_S`."""
+async def few_large(slots: asyncio.Semaphore, wrenches: int) -> AsyncIterator[None]:
+    """Wait for one of the server's `AT_ONCE` slots if the batch is large; 503 after `WAIT_S`."""
     if wrenches < LARGE:
         yield
         return
     try:
-        await asyncio.wait_for(_slots.acquire(), WAIT_S)
+        await asyncio.wait_for(slots.acquire(), WAIT_S)
     except TimeoutError:
         raise busy(
             f"{AT_ONCE} batches of {LARGE} wrenches or more, the limit, are being answered, and "
@@ -161,14 +161,26 @@ async def few_large(wrenches: int) -> AsyncIterator[None]:
     try:
         yield
     finally:
-        _slots.release()
+        slots.release()
+
+
+class HoldingReply(Response):
+    """A reply that releases what `held` holds once it is sent, or cannot be sent."""
+
+    def __init__(self, reply: Response, held: AsyncExitStack) -> None:
+        self._reply, self._held = reply, held
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the reply."""
+        async with self._held:
+            await self._reply(scope, receive, send)
 
 
 class BinaryOptions(Body):
     """The options of a binary batch, which are query parameters."""
 
     on_thin: OnThin = "queue"
-    wait_s: Seconds = 30.0
+    wait_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = 30.0
     method: Method = None
     translation: _Bar | None = None
     rotation: _Bar | None = None

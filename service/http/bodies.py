@@ -31,7 +31,8 @@ Vector = Annotated[list[Load], Field(min_length=3, max_length=3)]
 Wrench = list[Load]
 # A list of a million mistakes would take gigabytes.
 Wrenches = Annotated[list[Wrench], FailFast()]
-Seconds = Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)]
+Seconds = Annotated[float, Field(strict=True, ge=0, le=3600, allow_inf_nan=False)]
+Flag = Annotated[bool, Field(strict=True)]
 
 # Components of a scene: each is measured, tenths of a second, while the caller waits.
 MAX_SCENE_COMPONENTS = 64
@@ -135,8 +136,8 @@ class QueryOptions(Body):
     wait_s: Seconds = 30.0
     tolerance: ToleranceBody | None = None
     method: Method = None
-    beyond_range: bool = False
-    derivatives: bool = False
+    beyond_range: Flag = False
+    derivatives: Flag = False
 
     def query(self) -> Query:
         """Return the query without its wrench."""
@@ -146,7 +147,7 @@ class QueryOptions(Body):
 class DisplacementBody(QueryOptions, LoadsBody):
     """One wrench and the options of its query."""
 
-    detail: bool = False
+    detail: Flag = False
 
 
 class BatchBody(QueryOptions):
@@ -159,7 +160,7 @@ class SolveBody(LoadsBody):
     """One wrench to solve (DirectFEA), covered or not."""
 
     wait_s: Seconds = 0.0
-    beyond_range: bool = False
+    beyond_range: Flag = False
 
 
 Span = Annotated[
@@ -215,10 +216,10 @@ class FillBody(Body):
     """Aim of a fill: tolerance, loads, outputs and the largest number of solves."""
 
     tolerance: ToleranceBody | None = None
-    budget: Annotated[int, Field(ge=1, le=10_000)] = 24
+    budget: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 24
     range: SpaceSpan | None = None
     outputs: Outputs = None
-    for_joint: bool = False
+    for_joint: Flag = False
 
 
 class SceneComponent(SpaceSpan):
@@ -306,14 +307,14 @@ class BlockBody(BlockKey):
 class StartBody(Body):
     """Limits of the solves that a start queues."""
 
-    budget: Annotated[int, Field(ge=1, le=MAX_BLOCK)] = MAX_BLOCK
-    beyond_range: bool = False
+    budget: Annotated[int, Field(strict=True, ge=1, le=MAX_BLOCK)] = MAX_BLOCK
+    beyond_range: Flag = False
 
 
 class EnvelopeStartBody(Body):
     """Whether extremes outside the load range are solved too."""
 
-    beyond_range: bool = False
+    beyond_range: Flag = False
 
 
 class CopyBody(Body):
@@ -321,7 +322,7 @@ class CopyBody(Body):
 
     name: Annotated[str, Field(max_length=300)]
     title: Annotated[str | None, Field(max_length=1000)] = None
-    rows: bool = True
+    rows: Flag = True
 
 
 class RenameBody(Body):

@@ -9,6 +9,7 @@ import shutil
 import tempfile
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
+from itertools import chain, compress
 from pathlib import Path
 from typing import Any, Final
 
@@ -288,6 +289,10 @@ def plain_rows(rows: Any, inputs: int, largest: float = LARGEST_LOAD) -> np.ndar
     except ValueError:
         return None
     if wrenches.dtype.kind not in "fi" or wrenches.ndim != 2 or wrenches.shape[1] != inputs:
+        return None
+    # numpy takes true for 1 and false for 0.
+    suspects = compress(rows, ((wrenches == 0) | (wrenches == 1)).any(axis=1))
+    if bool in set(map(type, chain.from_iterable(suspects))):
         return None
     wrenches = wrenches.astype(float)
     fine = np.isfinite(wrenches) & (np.abs(wrenches) <= largest)

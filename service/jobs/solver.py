@@ -65,6 +65,7 @@ DONE, FAILED, CANCELLED = 0, 1, 143  # of `run_attempt`: an exit status, 128 + S
 # Without work for so long it gives its memory back; starting again costs a second.
 IDLE_SECONDS = 300.0
 _MAX_PATH_BYTES = 1 << 16
+_PROCESS_PAGES = Path("/proc/self/statm")  # proc(5): size, resident and more, in pages
 
 REPORT_SECONDS = 0.2  # between two writes of progress.json: a page shows it once a second
 
@@ -108,6 +109,8 @@ class ComponentSolver:
         self.estimated = 0
         self._key: tuple[str, str, bytes] | None = None
         self._limited: tuple[int | None, int | None] = None, None
+        self._measured: object = object()  # the component, or None, of `_first_bytes`
+        self._first_bytes = 0  # memory after the first attempt with it
 
     def solve(self, attempt: Attempt, report: Report) -> Mapping[str, Any]:
         """Return the numbers of the outcome, the same bits whatever was solved before.
@@ -146,6 +149,14 @@ class ComponentSolver:
             self._drop()
             raise
 
+    def has_grown(self) -> bool:
+        """Return whether memory has grown by a leak since the first attempt with the component."""
+        memory = _memory_bytes()
+        if self.ready is not self._measured:
+            self._measured = self.ready
+            self._first_bytes = memory
+        return memory > self._first_bytes + max(self.estimated, MIN_GROWTH)
+
     def _make_ready(self, bundle: Any, attempt: Attempt) -> None:
         from wrenchbook.fea.bundle.read import FILE_NAME, read_bundle
         from wrenchbook.fea.check.cost import estimate
@@ -167,7 +178,8 @@ class ComponentSolver:
         self.estimated = estimate(component)["memory_bytes"]
         self._limit(self.estimated)
         try:
-            self.ready, self._key = Solver(component), key
+            self.ready = Solver(component)
+            self._key = key
         except SolveFailed as failure:
             keep(attempt.folder, failure, component)
             raise
@@ -176,7 +188,9 @@ class ComponentSolver:
         self._limited = estimated, limit_memory(estimated)
 
     def _drop(self) -> None:
-        self._key, self.ready, self.estimated = None, None, 0
+        self._key = None
+        self.ready = None
+        self.estimated = 0
 
 
 def _require_same(attempt: Attempt, fingerprint: str) -> None:
@@ -226,7 +240,8 @@ def limit_memory(estimated: int | None) -> int | None:
     None lifts the limit. Returns the bytes allowed beyond what there is; None if there is no limit.
     """
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
-    soft, allowed = hard, None
+    soft = hard
+    allowed = None
     if estimated and sys.platform == "linux":  # elsewhere the limit is not heeded, or refused
         text = os.environ.get(MARGIN_VARIABLE, str(MEMORY_MARGIN))
         try:
@@ -238,16 +253,23 @@ def limit_memory(estimated: int | None) -> int | None:
             remedy = f"set {MARGIN_VARIABLE}={MEMORY_MARGIN:g} where the server starts, or unset it"
             raise SolveRefusedError("bad_setting", message, remedy)
         allowed = int(estimated * margin)
-        soft = _pages(0) + allowed
+        soft = _address_space_bytes() + allowed
         if hard != resource.RLIM_INFINITY:
             soft = min(soft, hard)
     resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
     return allowed
 
 
-def _pages(index: int) -> int:
-    """Return the address space (0) or the memory (1) of this process, bytes."""
-    return int(Path("/proc/self/statm").read_text().split()[index]) * resource.getpagesize()
+def _address_space_bytes() -> int:
+    """Return the address space of this process, on Linux."""
+    return int(_PROCESS_PAGES.read_text().split()[0]) * resource.getpagesize()
+
+
+def _memory_bytes() -> int:
+    """Return the memory of this process; 0 on other systems than Linux."""
+    if sys.platform != "linux":
+        return 0
+    return int(_PROCESS_PAGES.read_text().split()[1]) * resource.getpagesize()
 
 
 def run_attempt(folder: str | Path, solve: Solve | None = None) -> int:
@@ -259,7 +281,8 @@ def run_attempt(folder: str | Path, solve: Solve | None = None) -> int:
     try:
         with _hearing_sigterm():
             solver = solve or _named_solver() or ComponentSolver().solve
-            outcome = _checked(solver(attempt, _Reporter(attempt.folder)))
+            numbers = solver(attempt, _Reporter(attempt.folder))
+            outcome = _checked(numbers, loads=len(attempt.wrench))
         _write_patiently(attempt, outcome)
         return DONE
     except Cancelled:
@@ -325,26 +348,51 @@ def _named_solver() -> Solve | None:
     raise SolveRefusedError("no_solver", f"{SOLVE_VARIABLE}={name!r}: " + why, remedy)
 
 
-def _checked(numbers: Mapping[str, Any]) -> Outcome:
-    """Return the outcome of what a solver reports; raises SolveRefusedError without an answer."""
+def _checked(numbers: Mapping[str, Any], loads: int) -> Outcome:
+    """Return the outcome of what a solver reports; raises SolveRefusedError without an answer.
+
+    A displacement has 6 numbers an interface, a compliance that many lines of `loads` numbers, a
+    curvature loads (loads + 1) (loads + 2) / 6 numbers. The last two are dropped if not finite.
+    """
     plain = {name: _plain(value) for name, value in numbers.items()}
     outcome = Outcome.of(plain | {"status": "done", "program": solver_version()})
-    displacement, why = outcome.displacement, ""
-    remedy = f"correct the function that {SOLVE_VARIABLE} names"
-    if not isinstance(displacement, list):
-        why = f"is {type(displacement).__name__}, not a list of numbers"
-    elif len(displacement) < 6:
-        why = f"has {len(displacement)} numbers, not 6 an interface"
-    elif None in displacement:
-        why = f"has numbers that are not finite: {numbers['displacement']!s:.200}"
-        remedy = "check the component's mesh and supports; see log.txt among the job's files"
-    if why:
-        raise SolveRefusedError("bad_answer", "the solver's displacement " + why, remedy)
-    if any(None in line for line in outcome.compliance or ()):
-        outcome.compliance = None
-    if None in (outcome.curvature or ()):
-        outcome.curvature = None
+    displacement = outcome.displacement
+    interfaces = len(displacement) // 6 if isinstance(displacement, list) else 1
+    outputs = 6 * max(interfaces, 1)
+    _require_form("displacement", displacement, outputs)
+    if None in (displacement or ()):
+        raise SolveRefusedError(
+            "bad_answer",
+            "the solver's displacement has numbers that are not finite: "
+            f"{numbers['displacement']!s:.200}",
+            "check the component's mesh and supports; see log.txt among the job's files",
+        )
+    if outcome.compliance is not None:
+        _require_form("compliance", outcome.compliance, outputs, loads)
+        if any(None in line for line in outcome.compliance):
+            outcome.compliance = None
+    if outcome.curvature is not None:
+        _require_form("curvature", outcome.curvature, loads * (loads + 1) * (loads + 2) // 6)
+        if None in outcome.curvature:
+            outcome.curvature = None
     return outcome
+
+
+def _require_form(name: str, values: Any, *shape: int) -> None:
+    """Raise SolveRefusedError unless values are nested lists of numbers or nulls of a shape."""
+    if not _has_form(values, *shape):
+        form = " x ".join(map(str, shape))
+        message = f"the solver's {name} must be a list of {form} numbers, not {values!s:.200}"
+        remedy = f"correct the function that {SOLVE_VARIABLE} names"
+        raise SolveRefusedError("bad_answer", message, remedy)
+
+
+def _has_form(values: Any, *shape: int) -> bool:
+    if not shape:
+        is_number = type(values) in (int, float) and abs(values) <= sys.float_info.max
+        return values is None or is_number
+    is_list = isinstance(values, list) and len(values) == shape[0]
+    return is_list and all(_has_form(value, *shape[1:]) for value in values)
 
 
 def _plain(value: Any) -> Any:
@@ -406,48 +454,61 @@ def _hearing_sigterm() -> Iterator[None]:
 
 
 def serve(line: socket.socket, lives: int) -> None:
-    """Solve what comes over the line until there is nothing, or it is time to be renewed."""
+    """Solve the attempts that come over the line, `lives` at most.
+
+    It ends sooner after a long time without work, once the server is gone, after a cancelled
+    attempt, and when memory has run out or grown.
+    """
     line.settimeout(IDLE_SECONDS)
     solver = ComponentSolver()
-    component, usual = object(), 0  # the cached component, and the memory after its first attempt
     stays = True
-    while stays:
-        try:
-            text, files, _, _ = socket.recv_fds(line, _MAX_PATH_BYTES, 2)
-        except OSError:  # a long time without work, or the server is gone
-            return
-        if not text or len(files) != 2:
-            return
-        for file in files:
-            # Programs that the solver starts must not keep the lock when the solver is gone.
-            os.set_inheritable(file, False)
-        lock, log = files
+    while stays and (received := _receive(line)) is not None:
+        folder, lock, log = received
         _print_to(log)
-        folder = Path(os.fsdecode(text))
         os.chdir(folder)
         _block_sigterm()
         os.pwrite(lock, str(os.getpid()).encode(), 0)  # the solver has begun
-        try:
-            line.sendall(TAKEN)
-        except OSError:
-            stays = False
+        is_heard = _send(line, TAKEN)
         code = run_attempt(folder, None if os.environ.get(SOLVE_VARIABLE) else solver.solve)
         lives -= 1
-        memory = _pages(1) if sys.platform == "linux" else 0
-        if solver.ready is not component:
-            component, usual = solver.ready, memory
-        grown = memory > usual + max(solver.estimated, MIN_GROWTH)
-        stays = stays and code != CANCELLED and lives > 0 and not (solver.spoiled or grown)
-        with contextlib.suppress(OSError):  # a full disk keeps what was printed
-            sys.stdout.flush()
-        _print_to(os.open(os.devnull, os.O_WRONLY))
-        os.chdir("/")
-        limit_memory(None)
-        os.close(lock)
-        try:
-            line.sendall(FREE if stays else LEAVES)
-        except OSError:
-            stays = False
+        is_usable = not (solver.has_grown() or solver.spoiled)
+        stays = is_heard and is_usable and code != CANCELLED and lives > 0
+        _leave_attempt(lock)
+        stays = _send(line, FREE if stays else LEAVES) and stays
+
+
+def _receive(line: socket.socket) -> tuple[Path, int, int] | None:
+    """Return the next attempt's folder, lock and log; None if there will be none."""
+    try:
+        path, files, _, _ = socket.recv_fds(line, _MAX_PATH_BYTES, 2)
+    except OSError:  # a long time without work, or the server is gone
+        return None
+    if not path or len(files) != 2:
+        return None
+    for file in files:
+        # Programs that the solver starts must not keep the lock when the solver is gone.
+        os.set_inheritable(file, False)
+    lock, log = files
+    return Path(os.fsdecode(path)), lock, log
+
+
+def _send(line: socket.socket, message: bytes) -> bool:
+    """Send a message to the server; return False if it is gone."""
+    try:
+        line.sendall(message)
+    except OSError:
+        return False
+    return True
+
+
+def _leave_attempt(lock: int) -> None:
+    """Let go of an attempt's log, folder and memory limit, and last of its lock."""
+    with contextlib.suppress(OSError):  # a full disk keeps what was printed
+        sys.stdout.flush()
+    _print_to(os.open(os.devnull, os.O_WRONLY))
+    os.chdir("/")
+    limit_memory(None)
+    os.close(lock)
 
 
 def _print_to(file: int) -> None:

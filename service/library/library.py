@@ -81,7 +81,7 @@ class Library:
         self._lock = threading.Lock()
         self._version, self._next_poll, self._local_stamp = 0, 0.0, 0
         self._components: dict[str, Component] = {}
-        self._broken: dict[str, str] = {}
+        self._broken: dict[Path, str] = {}  # by folder: a shipped one may have the same name
         with contextlib.suppress(OSError):  # the upload of a component reports it
             local.mkdir(parents=True, exist_ok=True)
         for folder in _bundle_folders(shipped):
@@ -105,19 +105,20 @@ class Library:
             if stamp != self._local_stamp or time.time_ns() - stamp <= TICK_NS:
                 self._local_stamp = stamp
                 for folder in _bundle_folders(self._local):
-                    if folder.name not in self._components and folder.name not in self._broken:
-                        self._reread(folder.name)
+                    known = self._components.get(folder.name)
+                    if (known is None or known.folder != folder) and folder not in self._broken:
+                        self._reread(folder.name, folder)
         if time.monotonic() >= self._next_poll:
             self._next_poll = time.monotonic() + POLL_SECONDS
             self.names()
-            for name in list(self._broken):  # repaired, or readable again
-                self._reread(name)
+            for folder in self._broken:  # repaired, readable again, or removed
+                self._reread(folder.name, folder)
         return self._version
 
     def broken(self) -> dict[str, str]:
         """Return by folder of the library the reason why its component cannot be used."""
-        touches = CALLER.get().touches
-        return {name: reason for name, reason in self._broken.items() if touches(name)}
+        broken, touches = self._broken.items(), CALLER.get().touches
+        return {folder.name: reason for folder, reason in broken if touches(folder.name)}
 
     def __contains__(self, name: str) -> bool:
         return self._find(name) is not None and CALLER.get().touches(name)
@@ -125,8 +126,8 @@ class Library:
     def __getitem__(self, name: str) -> Component:
         component = self._find(name)
         if component is None or not CALLER.get().touches(name):
-            if component is None and name in self._broken:
-                raise BrokenComponentError(name, self.names(), self._broken[name])
+            if component is None and name in (broken := self.broken()):
+                raise BrokenComponentError(name, self.names(), broken[name])
             raise UnknownComponentError(name, self.names())
         return component
 
@@ -143,11 +144,12 @@ class Library:
         component = self._components.get(name)
         return component if component is not None and component.is_as_read() else self._reread(name)
 
-    def _reread(self, name: str) -> Component | None:
+    def _reread(self, name: str, folder: Path | None = None) -> Component | None:
         """Read a component again that was edited on the disk, or added by another process."""
         before = self._components.get(name)
-        folder = before.folder if before else None
-        if folder is None and is_slug(name):
+        if folder is None and before:
+            folder = before.folder
+        elif folder is None and is_slug(name):
             folders = (parent / name for parent in (self._shipped, self._local))
             folder = next((path for path in folders if (path / "component.toml").is_file()), None)
         if folder is not None:
@@ -266,14 +268,18 @@ class Library:
             self._register(folder, shipped=shipped)
         except Exception as error:  # any error of a damaged file belongs to this component
             reason = str(error) or repr(error)
-            if self._broken.get(folder.name) != reason:
-                log.error("the component in %s cannot be used: %s", folder, reason)
-            self._broken[folder.name] = reason
-            if folder.name in self._components and not self._components[folder.name].is_as_read():
+            broken = {k: v for k, v in self._broken.items() if k != folder}
+            if folder.is_dir():  # else it was removed
+                if self._broken.get(folder) != reason:
+                    log.error("the component in %s cannot be used: %s", folder, reason)
+                broken[folder] = reason
+            self._broken = broken
+            known = self._components.get(folder.name)
+            if known is not None and known.folder == folder and not known.is_as_read():
                 self._components = {k: v for k, v in self._components.items() if k != folder.name}
                 self._version += 1
         else:
-            self._broken.pop(folder.name, None)
+            self._broken = {k: v for k, v in self._broken.items() if k != folder}
 
     def _register(self, folder: Path, *, shipped: bool) -> Component:
         """Read the component of a folder, and add it to the library or replace it there."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from wrenchbook.service.fields.record import DamagedFieldsError, read_geometry, read_row
+from wrenchbook.service.files.durable import interrupted_writes
 from wrenchbook.service.keys import Keyring, KeysError
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ops.backup import LEDGER
@@ -110,11 +111,8 @@ def find_leftovers(folder: Path, ledger: Ledger) -> Iterator[DataFinding]:
         *(folder / "tables").glob(".*.tmp"),
         *(folder / "components").glob(".incoming-*"),
         *folder.glob(".restoring"),
+        *interrupted_writes(folder),
     ]
-    for path in folder.glob(".*.*.*"):  # drafts of `write_atomically`: .name.process.thread
-        process = path.name.split(".")[-2]
-        if process.isdecimal() and not Path(f"/proc/{process}").exists():
-            unfinished.append(path)
     jobs = folder / "jobs"
     numbers = [int(name) for name in os.listdir(jobs) if name.isdecimal()] if jobs.is_dir() else []  # noqa: PTH208
     known = ledger.attempts(numbers)

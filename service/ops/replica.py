@@ -12,7 +12,7 @@ import re
 import secrets
 import socket
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from hashlib import blake2b
@@ -31,10 +31,13 @@ FORMAT = "wrenchbook replica 1"
 # A commit of a row changes some six pages of the ledger, in as many blocks; the manifest has 43
 # bytes a block. For a ledger of 50 MB this size ships the least, within a factor of two.
 BLOCK = 1 << 16
-LATEST, MANIFESTS, BLOCKS = "latest.json", "manifests/", "blocks/"
-# In the data directory: an id, since two directories never ship to the same URL; the ledger of the
-# last manifest; what health and doctor say of replica and backups.
-ORIGIN, COPY, STATUS = "replica-id", ".replica.sqlite", "copies.json"
+LATEST = "latest.json"
+MANIFESTS = "manifests/"
+BLOCKS = "blocks/"
+# In the data directory
+ORIGIN = "replica-id"  # two directories never ship to the same URL
+COPY = ".replica.sqlite"  # the ledger of the last manifest
+STATUS = "copies.json"  # what health and doctor say of replica and backups
 PACKED = re.compile(rf"{backup.TABLES}/(?!\.)[^/]+\.wbt")  # mapped by read-only servers
 FILES_PART = 0.25  # of the interval, for files apart from the ledger in one round
 COLLECT_S = 600.0  # between removals of blocks that no manifest needs
@@ -107,7 +110,8 @@ class Replica:
     """A replica to read: its manifests, and the content of their files."""
 
     def __init__(self, url: str) -> None:
-        self.url, self.place = shown(url), place_of(url)
+        self.url = shown(url)
+        self.place = place_of(url)
 
     def manifests(self) -> list[str]:
         """Return the names of the manifests, the newest first."""
@@ -176,7 +180,8 @@ class Replica:
 def unpack(url: str, place: Callable[[str], IO[bytes]], until: float) -> backup.Manifest:
     """Copy the files of a replica that a restore needs; raises ReplicaError."""
     replica = Replica(url)
-    manifest, files = replica.newest(until), dict[str, tuple[int, str]]()
+    manifest = replica.newest(until)
+    files: dict[str, tuple[int, str]] = {}
     for name, (length, blocks) in replica.files(manifest).items():
         if not PACKED.fullmatch(name):  # built again by the start
             with place(name) as file:
@@ -195,84 +200,118 @@ class Shipper:
     """
 
     def __init__(self, settings: Settings, ledger: Ledger, *, again: bool = False) -> None:
-        self._settings, self._data, self._ledger = settings, settings.data, ledger
-        self._replica = replica = Replica(settings.replicate or "")
-        if replica.url.startswith("file://"):  # its owner's alone, as backups
-            Path(replica.place.root).mkdir(0o700, parents=True, exist_ok=True)
-        try:
-            self._origin = (settings.data / ORIGIN).read_text()
-        except FileNotFoundError:
-            self._origin = secrets.token_hex(16)
-            write_atomically(settings.data / ORIGIN, self._origin.encode())
-        self._files: dict[str, Entry] = {}
+        self._settings = settings
+        self._data = settings.data
+        self._ledger = ledger
+        self._replica = Replica(settings.replicate or "")
+        if self._replica.url.startswith("file://"):  # its owner's alone, as backups
+            Path(self._replica.place.root).mkdir(0o700, parents=True, exist_ok=True)
+        self._origin = _origin_of(settings.data)
+        self._pointer = self._replica.place.get(LATEST, b"")  # as last read or written here
+        self._number = 0  # of the last manifest
+        self._files: dict[str, Entry] = {}  # of the last manifest
         self._known: set[str] = set()  # blocks that are there
-        self._number, self._collect_at = 0, time.monotonic() + COLLECT_S
-        self._pointer = replica.place.get(LATEST, b"")  # as this shipper has read or written it
-        names, newest = replica.manifests(), None
+        self._shipped: dict[str, object] = {}  # stamps of files that are there
+        self._latest = ""
+        self._manifest_version: object = None  # version of the ledger in the last manifest
+        self._surfaces_behind = False
+        self._collect_at = time.monotonic() + COLLECT_S
+        self.facts: dict[str, Any] = {"bytes": 0}
+        names = self._replica.manifests()
         if again and not names:
             raise ReplicaError(
-                f"{replica.url} is now empty; mount it, or restart the server to copy everything "
-                "again"
+                f"{self._replica.url} is now empty; mount it, or restart the server to copy "
+                "everything again"
             )
-        try:
-            newest = replica.newest() if names else None
-        except ReplicaError:
-            if self._pointer:  # without, the first round ever was cut off
-                raise
         if names:
+            newest = self._newest_manifest()
             self._number = int(names[0][len(MANIFESTS) :].partition("-")[0])
-        if newest is not None:
-            if newest.origin != self._origin:
-                raise ReplicaError(
-                    f"{replica.url} has the replica of another data directory; name an empty "
-                    "folder, also after a restore"
-                )
-            present = {name.rpartition("/")[2] for name in replica.place if name.startswith(BLOCKS)}
-            with suppress(ReplicaError):  # else all is shipped again
-                self._files = replica.files(newest)
-                entries = *self._files.values(), newest.files
-                self._known = present & {digest for _, blocks in entries for digest in blocks}
-        self._manifest_version: object = None  # version of the ledger in the last manifest
-        self._shipped: dict[str, object] = {}  # stamps of files that are there
-        self._latest, self._surfaces_behind = "", False
-        self.facts: dict[str, Any] = {"bytes": 0}
+            if newest is not None:
+                self._continue_from(newest)
+
+    def _newest_manifest(self) -> Manifest | None:
+        """Return the newest complete manifest; None if the first round ever was cut off."""
+        try:
+            return self._replica.newest()
+        except ReplicaError:
+            if self._pointer:
+                raise
+            return None
+
+    def _continue_from(self, newest: Manifest) -> None:
+        """Take over which files and blocks are there; ReplicaError if the origin is another."""
+        if newest.origin != self._origin:
+            raise ReplicaError(
+                f"{self._replica.url} has the replica of another data directory; name an empty "
+                "folder, also after a restore"
+            )
+        names = [name for name in self._replica.place if name.startswith(BLOCKS)]
+        present = {name.rpartition("/")[2] for name in names}
+        with suppress(ReplicaError):  # else all is shipped again
+            self._files = self._replica.files(newest)
+            self._known = present & _digests([*self._files.values(), newest.files])
 
     def round(self) -> None:
         """Ship what has changed, and note it in `facts`."""
+        changed = self._ship_files()
+        begun = time.time()
+        version = self._ledger.version()
+        if changed or version != self._manifest_version:
+            self._ship_manifest(begun)
+            self._manifest_version = version
+            if time.monotonic() > self._collect_at:
+                self.collect()
+                self._collect_at = time.monotonic() + COLLECT_S
+        self._write_pointer(begun)
+
+    def _ship_files(self) -> bool:
+        """Ship tables and surfaces in their part of the interval; return whether any changed."""
         deadline = time.monotonic() + FILES_PART * self._settings.replicate_interval
         self.facts["files_behind"] = 0
-        changed, version = self._ship(backup.TABLES, deadline), self._ledger.version()
+        changed = self._ship(backup.TABLES, deadline)
+        version = self._ledger.version()
         if version != self._manifest_version or self._surfaces_behind:  # a surface comes with a row
             behind = self.facts["files_behind"]
             changed |= self._ship("fields", deadline)
             self._surfaces_behind = self.facts["files_behind"] > behind
-        begun, settings = time.time(), self._settings
-        version = self._ledger.version()
-        if changed or version != self._manifest_version:
-            rows, last_row, jobs = self._ledger.copy(self._data / COPY, checked=False)
-            self._ship("components")  # after the ledger: no row is without its component
-            with (self._data / COPY).open("rb") as file:
-                ledger = self._files[LEDGER] = self._ship_file(file)
-            rest = {name: entry for name, entry in self._files.items() if name != LEDGER}
-            files = self._ship_file(BytesIO(json.dumps(rest).encode()))
-            server = settings.public_url or f"http://{socket.gethostname()}:{settings.port}"
-            state = self._origin, server, settings.replicate_interval, rows, last_row, jobs
-            manifest = Manifest(self._number + 1, begun, *state, ledger, files)
-            content = json.dumps(asdict(manifest)).encode()
-            self._check()
-            self._latest = _name(manifest.number, content)
-            self._write(self._latest, content)
-            self._number, self._manifest_version = manifest.number, version
-            self.facts |= {"manifest": manifest.number, "created": begun, "rows": rows}
-            if time.monotonic() > self._collect_at:
-                self.collect()
-                self._collect_at = time.monotonic() + COLLECT_S
+        return changed
+
+    def _ship_manifest(self, begun: float) -> None:
+        """Ship ledger and components, then the manifest of all that is there."""
+        rows, last_row, jobs = self._ledger.copy(self._data / COPY, checked=False)
+        self._ship("components")  # after the ledger: no row is without its component
+        with (self._data / COPY).open("rb") as file:
+            self._files[LEDGER] = self._ship_file(file)
+        others = {name: entry for name, entry in self._files.items() if name != LEDGER}
+        settings = self._settings
+        manifest = Manifest(
+            number=self._number + 1,
+            created=begun,
+            origin=self._origin,
+            server=settings.public_url or f"http://{socket.gethostname()}:{settings.port}",
+            interval=settings.replicate_interval,
+            rows=rows,
+            last_row=last_row,
+            jobs=jobs,
+            ledger=self._files[LEDGER],
+            files=self._ship_file(BytesIO(json.dumps(others).encode())),
+        )
+        content = json.dumps(asdict(manifest)).encode()
+        self._check()
+        self._latest = _name(manifest.number, content)
+        self._write(self._latest, content)
+        self._number = manifest.number
+        self.facts |= {"manifest": manifest.number, "created": begun, "rows": rows}
+
+    def _write_pointer(self, begun: float) -> None:
+        """Replace `LATEST`; readers see this pointer or the one before."""
         self._check()
         pointer = json.dumps({"manifest": self._latest, "checked": begun}).encode()
         self._write(f"{LATEST}.part", pointer)
-        root = self._replica.place.root  # readers see this pointer or the one before
+        root = self._replica.place.root
         self._replica.place.fs.mv(f"{root}/{LATEST}.part", f"{root}/{LATEST}")
-        self._pointer, self.facts["checked"] = pointer, begun
+        self._pointer = pointer
+        self.facts["checked"] = begun
 
     def _check(self) -> None:
         """Raise ReplicaError unless the place is as it was left: blocks may be missing now."""
@@ -282,14 +321,16 @@ class Shipper:
 
     def collect(self) -> None:
         """Remove the manifests that need not stay, and the blocks that no manifest needs."""
-        retained, needed, place = list[float](), set[str](), self._replica.place
+        retained: list[float] = []
+        needed: set[str] = set()
+        place = self._replica.place
         for name in self._replica.manifests():
             with suppress(ReplicaError):
                 manifest = self._replica.manifest(name)
                 if stays(manifest.created, retained):
+                    files = self._replica.files(manifest)
                     retained.append(manifest.created)
-                    entries = *self._replica.files(manifest).values(), manifest.files
-                    needed.update(*(blocks for _, blocks in entries))
+                    needed |= _digests([*files.values(), manifest.files])
                     continue
             del place[name]
         for name in [name for name in place if name.startswith(BLOCKS)]:
@@ -299,7 +340,8 @@ class Shipper:
 
     def _ship(self, folder: str, deadline: float = float("inf")) -> bool:
         """Ship the changed files of a folder until the deadline; return whether any has changed."""
-        present, before = self._stamps(folder), self._files
+        present = self._stamps(folder)
+        before = self._files
         self._files = {
             name: entry
             for name, entry in before.items()
@@ -318,7 +360,8 @@ class Shipper:
                 self.facts["files_behind"] += 1
                 continue
             changed |= self._files.get(name) != entry
-            self._files[name], self._shipped[name] = entry, stamp
+            self._files[name] = entry
+            self._shipped[name] = stamp
         return changed
 
     def _stamps(self, folder: str) -> dict[str, object]:
@@ -334,9 +377,11 @@ class Shipper:
 
     def _ship_file(self, file: IO[bytes], deadline: float = float("inf")) -> Entry:
         """Ship a file's blocks; after a TimeoutError those that are there stay."""
-        length, digests = 0, list[str]()
+        length = 0
+        digests: list[str] = []
         while piece := file.read(BLOCK):
-            digests.append(digest := _digest(piece))
+            digest = _digest(piece)
+            digests.append(digest)
             length += len(piece)
             if digest not in self._known:
                 if time.monotonic() > deadline:
@@ -355,7 +400,10 @@ def stays(created: float, retained: list[float]) -> bool:
     if not retained:
         return True
     age = retained[0] - created
-    return next((retained[-1] - created >= apart for most, apart in KEEP_S if age <= most), False)
+    for max_age, apart in KEEP_S:
+        if age <= max_age:
+            return retained[-1] - created >= apart
+    return False
 
 
 def write_status(data: Path, **parts: Any) -> None:
@@ -387,6 +435,21 @@ def trouble_of(status: Mapping[str, Any], settings: Settings | None = None) -> s
 def is_held(name: str) -> bool:
     """Whether a replica holds a file: those of backups, and packed tables."""
     return "\0" not in name and bool(backup.HELD.fullmatch(name) or PACKED.fullmatch(name))
+
+
+def _origin_of(data: Path) -> str:
+    """Return the id of a data directory, made when it is first shipped."""
+    try:
+        return (data / ORIGIN).read_text()
+    except FileNotFoundError:
+        origin = secrets.token_hex(16)
+        write_atomically(data / ORIGIN, origin.encode())
+        return origin
+
+
+def _digests(entries: Iterable[Entry]) -> set[str]:
+    """Return the digests of all blocks of some files."""
+    return {digest for _, blocks in entries for digest in blocks}
 
 
 def _entries(fields: Mapping[str, Any]) -> dict[str, Entry]:

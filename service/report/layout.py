@@ -16,6 +16,7 @@ _SCRIPTS: Final = (  # the second draws with the functions of the first
     Path(__file__).with_name("page.js"),
 )
 UNKNOWN = "-"  # stands for a number that a table lacks
+CONFIDENCE: Final = 0.95  # of the share of true errors within their bars: the level of the bars
 STAR = " ★"  # follows the name of an entry that no other beats in both error and run time
 
 
@@ -30,12 +31,17 @@ class ReportSection:
 
 
 def summary_of(report: dict[str, Any]) -> str:
-    """Return the two sides of the comparison."""
+    """Return the two sides of the comparison, and the certainty of its number of wrenches."""
     wrenches = report["wrenches"]
+    compared = wrenches["compared"]
+    # Clopper and Pearson (1934): with n successes of n, the lower limit is (1 - confidence)^(1/n).
+    least_share = (1 - CONFIDENCE) ** (1 / max(compared, 1))
     return (
-        f"{wrenches['compared']} of {wrenches['asked']} random full wrenches (seed "
+        f"{compared} of {wrenches['asked']} random full wrenches (seed "
         f"{wrenches['seed']}), none of them in the table, which has {report['rows']} rows. Errors "
-        "are RMS over the range of each output. The plots show all errors against the finest mesh."
+        "are RMS over the range of each output. The plots show all errors against the finest mesh. "
+        f"If all {compared} true errors of an output lie within its bars, the share over the load "
+        f"range is at least {100 * least_share:.0f} % with {100 * CONFIDENCE:.0f} % confidence."
     )
 
 

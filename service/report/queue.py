@@ -13,11 +13,15 @@ from typing import Any, Literal
 from wrenchbook.service.files import lock
 from wrenchbook.service.files.program import child_command
 from wrenchbook.service.jobs.attempt import write_json
-from wrenchbook.service.library.component import Component
+from wrenchbook.service.library.component import Component, file_stamp
 
 FILES = {"json": "report.json", "md": "report.md", "html": "report.html"}
 _LOCK, CANCEL = "lock", "cancel"
 State = Literal["none", "running", "done", "failed"]
+_KILLED = (
+    "the process was killed before it wrote the report, for lack of memory or as the server "
+    "stopped; make the report again, and if that ends the same, see log.txt there"
+)
 
 
 @dataclass(frozen=True)
@@ -102,9 +106,11 @@ class Reports:
         failure = _read(folder / "failure.json")
         if failure:
             return ReportState("failed", 0.0, failure["message"])
-        return (
-            ReportState("done", 1.0) if (folder / FILES["json"]).exists() else ReportState("none")
-        )
+        ordered, written = file_stamp((folder / "order.json", folder / FILES["json"]))
+        unwritten = ordered and (not written or written[0] < ordered[0])
+        if unwritten and not (folder / CANCEL).exists():
+            return ReportState("failed", 0.0, _KILLED)
+        return ReportState("done", 1.0) if written else ReportState("none")
 
     def file(self, name: str, format: str) -> Path | None:  # noqa: A002 (the contract's word)
         """Return the file of the latest report in a format of `FILES`; None if there is none."""

@@ -93,7 +93,9 @@ class TableStore:
             packed = PackedTable.open(self._packed_path(component.name, version))
         except (PackedTableError, OSError):
             return False
-        return is_of(packed, component.name, origin) and "ledger" in origin
+        # A file that was built while the ledger could not be read may be of any rows.
+        sure = "ledger" in origin and "ledger" in packed.meta["provenance"].get("origin", {})
+        return sure and is_of(packed, component.name, origin)
 
     def write_packed(self, name: str, version: int, content: bytes) -> None:
         """Write a version and remove the component's others; after an OSError these stay.

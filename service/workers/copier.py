@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ledger.connection import with_remedy
 from wrenchbook.service.ops.backup import LEDGER, back_up
 from wrenchbook.service.ops.doctor import examine
 from wrenchbook.service.ops.replica import COPY, Shipper, read_status, shown, write_status
@@ -73,20 +74,20 @@ def keep(settings: Settings, stop: threading.Event) -> None:
     pause = 0.0
     while not stop.wait(pause):
         pause = POLL_S
-        ages = [time.time() - path.stat().st_mtime for path in folder.glob(_PATTERN)]
-        # A backup by a clock that was ahead must not postpone all others until its date.
-        if all(abs(age) >= period * HOUR for age in ages):
-            try:
-                facts = {"trouble": None, **tested_backup(settings.data, folder)}
-                newest = folder / facts["file"]
-                files = sorted(folder.glob(_PATTERN), key=lambda file: (file <= newest, file))
-                # Later dates of such a clock come first.
-                for path in files[: -settings.backup_keep]:
-                    path.unlink(missing_ok=True)
-            except Exception as error:
-                log.exception("the scheduled backup failed")
-                facts, pause = {"trouble": str(error) or repr(error)}, SLACK_S
-            _report(settings, "backup", LATE_PERIODS * period * HOUR + SLACK_S, facts)
+        try:
+            ages = [time.time() - path.stat().st_mtime for path in folder.glob(_PATTERN)]
+            # A backup of a clock that was ahead must not postpone all others until its date.
+            if not all(abs(age) >= period * HOUR for age in ages):
+                continue
+            facts = {"trouble": None, **tested_backup(settings.data, folder)}
+            newest = folder / facts["file"]
+            files = sorted(folder.glob(_PATTERN), key=lambda file: (file <= newest, file))
+            for path in files[: -settings.backup_keep]:  # later dates first, of such a clock
+                path.unlink(missing_ok=True)
+        except Exception as error:
+            log.exception("the scheduled backup failed")
+            facts, pause = {"trouble": str(error) or repr(error)}, SLACK_S
+        _report(settings, "backup", LATE_PERIODS * period * HOUR + SLACK_S, facts)
 
 
 def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
@@ -121,4 +122,7 @@ def _report(settings: Settings, name: str, patience: float, facts: dict[str, Any
     with _status_lock:
         part = read_status(settings.data).get(name, {}) | facts
         part |= {"seen": time.time(), "patience": patience}
-        write_status(settings.data, **{name: part})
+        try:
+            write_status(settings.data, **{name: part})
+        except OSError as error:  # on a full disk the next copy may have room again
+            log.warning("the outcome of the %s cannot be noted: %s", name, with_remedy(error))

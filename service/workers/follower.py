@@ -13,6 +13,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from contextlib import closing
 
 from uvicorn.config import STARTUP_FAILURE
@@ -37,7 +38,8 @@ class Follower:
     """Brings a data directory to the state of a replica's newest manifest."""
 
     def __init__(self, settings: Settings, ledger: Ledger) -> None:
-        self._data, self._ledger = settings.data, ledger
+        self._data = settings.data
+        self._ledger = ledger
         self._replica = Replica(settings.read_only or "")
         self._entries: dict[str, Entry] = {}
         self._manifest: Manifest | None = None
@@ -45,34 +47,55 @@ class Follower:
 
     def follow(self) -> tuple[Manifest, float]:
         """Take the newest manifest over; return it, and when it had all that was committed, s."""
-        if not (content := self._replica.place.get(replica.LATEST)):
+        content = self._replica.place.get(replica.LATEST)
+        if not content:
             raise replica.ReplicaError(
                 f"{self._replica.url} has no {replica.LATEST}, so it is no replica yet; start the "
                 f"main server with --replicate {self._replica.url}"
             )
         pointer = json.loads(content)
         if self._manifest is None or pointer["manifest"] != self._name:
-            manifest = self._replica.manifest(pointer["manifest"])
-            entries = self._replica.files(manifest)
-            if self._entries.get(LEDGER) != entries[LEDGER]:
-                self._take_ledger(entries[LEDGER], upgrade=manifest.ledger_schema != VERSION)
-            # Bundles first: a table is mapped once its component is there.
-            for name in sorted(entries.keys() - {LEDGER}, key=lambda name: name.startswith(TABLES)):
-                if self._entries.get(name) != entries[name] and not name.endswith(".h5"):
-                    self._take_file(name, entries[name])
-            newer = {name.rpartition("-")[0] for name in entries}  # components that have a table
-            present = {f"{TABLES}/{path.name}" for path in (self._data / TABLES).glob("[!.]*.wbt")}
-            for name in (present | self._entries.keys()) - entries.keys():
-                if name not in present or name.rpartition("-")[0] in newer:
-                    (self._data / name).unlink(missing_ok=True)
-            self._manifest, self._name, self._entries = manifest, pointer["manifest"], entries
-            if manifest.ledger_schema != VERSION:
-                del entries[LEDGER]  # the copy was upgraded: the next one is copied completely
+            self._manifest = self._take(self._replica.manifest(pointer["manifest"]))
+            self._name = pointer["manifest"]
         return self._manifest, float(pointer["checked"])
+
+    def _take(self, manifest: Manifest) -> Manifest:
+        """Bring the data directory to the state of a manifest, and return it."""
+        entries = self._replica.files(manifest)
+        is_older = manifest.ledger_schema != VERSION
+        if self._entries.get(LEDGER) != entries[LEDGER]:
+            self._take_ledger(entries[LEDGER], upgrade=is_older)
+        self._take_files(entries)
+        self._remove_outdated(entries)
+        if is_older:
+            del entries[LEDGER]  # the copy was upgraded: the next one is copied completely
+        self._entries = entries
+        return manifest
+
+    def _take_files(self, entries: Mapping[str, Entry]) -> None:
+        """Write the changed files of bundles, then the packed tables; HDF5 is for the builder."""
+        # Bundles first: a table is mapped once its component is there.
+        for name in sorted(entries.keys() - {LEDGER}, key=lambda name: name.startswith(TABLES)):
+            if self._entries.get(name) != entries[name] and not name.endswith(".h5"):
+                self._take_file(name, entries[name])
+
+    def _remove_outdated(self, entries: Mapping[str, Entry]) -> None:
+        """Remove the files that a replica no longer has.
+
+        A packed table stays until the next version of its component's table is there: until then
+        the server answers from it.
+        """
+        packed = (self._data / TABLES).glob("[!.]*.wbt")
+        tables = {f"{TABLES}/{path.name}" for path in packed}
+        with_new_table = {_component_part(name) for name in entries}
+        for name in (tables | self._entries.keys()) - entries.keys():
+            if name not in tables or _component_part(name) in with_new_table:
+                (self._data / name).unlink(missing_ok=True)
 
     def _take_ledger(self, entry: Entry, *, upgrade: bool) -> None:
         """Bring the copy of the ledger up to date by the blocks that differ, then the ledger."""
-        path, (size, digests) = self._data / replica.COPY, entry
+        path = self._data / replica.COPY
+        size, digests = entry
         _, before = self._entries.get(LEDGER, (0, ()))  # the digests of the copy's blocks
         with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "r+b") as file:
             for number, digest in enumerate(digests):
@@ -86,12 +109,18 @@ class Follower:
 
     def _take_file(self, name: str, entry: Entry) -> None:
         """Write a file of the replica; a table that is there already stays."""
-        path, (size, digests) = self._data / name, entry
+        path = self._data / name
+        size, digests = entry
         if name.startswith(TABLES) and path.is_file() and path.stat().st_size == size:
             return  # of the last start: its name has its version, and it has a checksum
         path.parent.mkdir(0o700, parents=True, exist_ok=True)
         content = b"".join(map(self._replica.block, digests))
         write_atomically(path, content, durable=False, mode=0o600)
+
+
+def _component_part(name: str) -> str:
+    """Return the name of a packed table, ``tables/NAME-VERSION.wbt``, without its version."""
+    return name.rpartition("-")[0]
 
 
 def run(settings: Settings, started: threading.Event) -> None:
@@ -103,8 +132,9 @@ def run(settings: Settings, started: threading.Event) -> None:
     if not state.take():
         log.error(IN_USE.format(settings.data, "another server"))
         sys.exit(STARTUP_FAILURE)
-    follower, part = None, read_status(settings.data).get("followed", {})
-    if part:
+    follower = None
+    status = read_status(settings.data).get("followed", {})
+    if status:
         started.set()  # it answers from the last state it had, whose age it says
     try:
         with closing(Ledger(settings.data / LEDGER, patient=True)) as ledger:
@@ -114,15 +144,16 @@ def run(settings: Settings, started: threading.Event) -> None:
                     follower = follower or Follower(settings, ledger)
                     manifest, checked = follower.follow()
                     pause = manifest.interval / POLLS
-                    part |= {"checked": checked, "manifest": manifest.number, "trouble": None}
-                    part |= {"server": manifest.server, "rows": manifest.rows}
+                    status |= {"checked": checked, "manifest": manifest.number, "trouble": None}
+                    status |= {"server": manifest.server, "rows": manifest.rows}
                     started.set()
                 except Exception as error:  # of any storage
-                    follower, part["trouble"] = None, shown(str(error) or repr(error))
-                    log.warning("the replica cannot be read: %s", part["trouble"])
+                    follower = None
+                    status["trouble"] = shown(str(error) or repr(error))
+                    log.warning("the replica cannot be read: %s", status["trouble"])
                 if started.is_set():
-                    part |= {"seen": time.time(), "patience": 60.0 + pause}  # s: a busy machine
-                    replica.write_status(settings.data, followed=part)
+                    status |= {"seen": time.time(), "patience": 60.0 + pause}  # s: a busy machine
+                    replica.write_status(settings.data, followed=status)
                 state.write(Status(pid=os.getpid()))
                 stop.wait(pause)
     finally:

@@ -21,7 +21,7 @@ from contextlib import suppress
 from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from uvicorn.config import STARTUP_FAILURE
 from uvicorn.importer import import_from_string
@@ -33,11 +33,18 @@ from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
 
 log = logging.getLogger("wrenchbook.service.workers")
 
-# Name in ps and top, and what a process runs: `run(settings, started, *sockets)`.
-BUILDER: Final = "wb-builder", "wrenchbook.service.workers.builder:run"
-WEB_WORKER: Final = "wb-webworker", "wrenchbook.service.workers.web_worker:run"
-FOLLOWER: Final = "wb-follower", "wrenchbook.service.workers.follower:run"
-COPIER: Final = "wb-copier", "wrenchbook.service.workers.copier:run"
+
+class Kind(NamedTuple):
+    """A kind of process."""
+
+    name: str  # in ps and top
+    function: str  # ``module:name``, called with settings, the event `started`, and sockets
+
+
+BUILDER: Final = Kind("wb-builder", "wrenchbook.service.workers.builder:run")
+WEB_WORKER: Final = Kind("wb-webworker", "wrenchbook.service.workers.web_worker:run")
+FOLLOWER: Final = Kind("wb-follower", "wrenchbook.service.workers.follower:run")
+COPIER: Final = Kind("wb-copier", "wrenchbook.service.workers.copier:run")
 HEARTBEAT_S: Final = 0.25
 # Without a heartbeat, and for the start of a web worker at SIGHUP: on a machine with ten times
 # the work it can do, a thread waited for 3 s and a start took 20 s.
@@ -74,19 +81,22 @@ class WorkerFailedError(RuntimeError):
 class Child:
     """A child process, which ends at once with its parent; `started` is by its last heartbeat."""
 
-    def __init__(self, kind: tuple[str, str], settings: Settings, *sockets: Any) -> None:
+    def __init__(self, kind: Kind, settings: Settings, *sockets: Any) -> None:
         self._heartbeats, end = forks.Pipe(duplex=False)
-        self.process = forks.Process(target=_run, args=(*kind, settings, end, *sockets))
+        self.process = forks.Process(target=_run, args=(kind, settings, end, *sockets))
         self.process.start()
         end.close()
-        self.name, self.started, self.begun = kind[0], False, time.monotonic()
+        self.name = kind.name
+        self.started = False
+        self.begun = time.monotonic()
         self._heard = self.begun
 
     def is_healthy(self) -> bool:
         """Return whether it runs and has sent a heartbeat within `HEALTH_S`; waits for nothing."""
         with suppress(OSError, EOFError):
             while self._heartbeats.poll():
-                self.started, self._heard = self._heartbeats.recv(), time.monotonic()
+                self.started = self._heartbeats.recv()
+                self._heard = time.monotonic()
         return self.process.is_alive() and time.monotonic() - self._heard < HEALTH_S
 
     def send(self, number: int) -> None:
@@ -108,9 +118,7 @@ class Child:
         self.process.join()
 
 
-def _run(
-    name: str, path: str, settings: Settings, end: Connection, *sockets: socket.socket
-) -> None:
+def _run(kind: Kind, settings: Settings, end: Connection, *sockets: socket.socket) -> None:
     """Run in a child process; end it when its parent has ended, and leave solvers running."""
     started = threading.Event()
 
@@ -125,9 +133,9 @@ def _run(
 
     threading.Thread(target=heartbeat, name="heartbeat", daemon=True).start()
     with suppress(OSError):  # Linux: the name of the process in ps and top
-        Path("/proc/self/comm").write_text(name)
+        Path("/proc/self/comm").write_text(kind.name)
     set_up(settings.log_level, settings.log_format)
-    import_from_string(path)(settings, started, *sockets)
+    import_from_string(kind.function)(settings, started, *sockets)
 
 
 class Supervisor:
@@ -138,12 +146,12 @@ class Supervisor:
     """
 
     def __init__(self, settings: Settings, bound: socket.socket, ready: str) -> None:
-        self._settings, self._bound, self._ready = settings, bound, ready
+        self._settings = settings
+        self._bound = bound
+        self._ready = ready
         self._signals: list[int] = []
-        self._kind = FOLLOWER if settings.read_only else BUILDER
-        self._builder = self._start(self._kind)
-        copies = settings.replicate or settings.backup_every
-        self._copiers = [self._start(COPIER)] if copies else []
+        self._builder = self._start(_builder_kind(settings))
+        self._copiers = [self._start(kind) for kind in _copier_kinds(settings)]
         self._web = [self._start(WEB_WORKER) for _ in range(settings.processes)]
         self._to_replace = 0  # web workers, of a restart that has begun
         self._successor: Child | None = None
@@ -155,13 +163,24 @@ class Supervisor:
 
         It ends the web workers, then the builder; a further signal ends all processes at once.
         """
+        self._watch()
+        for number in _ENDS:
+            signal.signal(number, lambda number, _: os._exit(128 + number))
+        self._end_web()
+        for child in (self._builder, *self._copiers):  # the last rows are shipped at the end
+            child.send(signal.SIGTERM)
+            child.join()
+
+    def _watch(self) -> None:
+        """Keep the processes running until a signal ends the server, or a failure."""
         for number in (*_ENDS, signal.SIGHUP):
             signal.signal(number, lambda number, _: self._signals.append(number))
         while not self.failed and _ENDS.isdisjoint(self._signals):
             self.check()
             wait([child.process.sentinel for child in (self._builder, *self._web)], POLL_S)
-        for number in _ENDS:
-            signal.signal(number, lambda number, _: os._exit(128 + number))
+
+    def _end_web(self) -> None:
+        """End the web workers once they have answered, and refuse further connections."""
         web = [*self._web, *self._retired, *([self._successor] if self._successor else [])]
         for child in web:
             child.send(signal.SIGTERM)
@@ -170,16 +189,13 @@ class Supervisor:
             self._bound.shutdown(socket.SHUT_RDWR)
         for child in web:
             child.join()
-        for child in (self._builder, *self._copiers):  # the last rows are shipped at the end
-            child.send(signal.SIGTERM)
-            child.join()
 
     def check(self) -> None:
         """Say once that all processes are ready; from then on replace those that ended."""
         children = self._builder, *self._web
         if not self._ready:
             self._retired = [child for child in self._retired if child.process.is_alive()]
-            self._builder = self._living(self._builder, self._kind)
+            self._builder = self._living(self._builder, _builder_kind(self._settings))
             self._copiers = [self._living(child, COPIER) for child in self._copiers]
             self._web = [self._living(child, WEB_WORKER) for child in self._web]
             self._replace()
@@ -189,11 +205,11 @@ class Supervisor:
             print(self._ready, flush=True)
             self._ready = ""
 
-    def _start(self, kind: tuple[str, str]) -> Child:
+    def _start(self, kind: Kind) -> Child:
         sockets = (self._bound,) if kind == WEB_WORKER else ()
         return Child(kind, self._settings, *sockets)
 
-    def _living(self, child: Child, kind: tuple[str, str]) -> Child:
+    def _living(self, child: Child, kind: Kind) -> Child:
         """Return a process, or one in its place if it has ended or sends no heartbeat."""
         if child.is_healthy() or self.failed:
             return child
@@ -217,12 +233,22 @@ class Supervisor:
             index = len(self._web) - self._to_replace
             self._web[index].send(RETIRE)
             self._retired.append(self._web[index])
-            self._web[index], self._successor = new, None
+            self._web[index] = new
+            self._successor = None
             self._to_replace -= 1
         elif not new.is_healthy() or time.monotonic() - new.begun > HEALTH_S:
             new.kill()
             log.error("a new web worker did not start in %d s; the others stay", HEALTH_S)
-            self._successor, self._to_replace = None, 0
+            self._successor = None
+            self._to_replace = 0
+
+
+def _builder_kind(settings: Settings) -> Kind:
+    return FOLLOWER if settings.read_only else BUILDER
+
+
+def _copier_kinds(settings: Settings) -> list[Kind]:
+    return [COPIER] if settings.replicate or settings.backup_every else []
 
 
 def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
@@ -268,9 +294,8 @@ def supervise(settings: Settings, *, as_json: bool = False) -> None:
     for path in shared.iterdir():  # counts and rates of a server that was killed
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
-    kinds = [WEB_WORKER, FOLLOWER if settings.read_only else BUILDER]
-    kinds += [COPIER] if settings.replicate or settings.backup_every else []
-    forks.set_forkserver_preload([path.split(":")[0] for _, path in kinds])
+    kinds = [WEB_WORKER, _builder_kind(settings), *_copier_kinds(settings)]
+    forks.set_forkserver_preload([kind.function.partition(":")[0] for kind in kinds])
     forkserver.ensure_running()
     set_up(settings.log_level, settings.log_format)
     ready = f"wrenchbook serves {address}"

@@ -10,7 +10,8 @@ Client, AsyncClient
 Displacement, Displacements
     The answer to one wrench, the answers to many.
 Table
-    A downloaded or opened table, which answers in this process in microseconds.
+    A downloaded or opened table, which answers in this process: in 20 to 40 µs with 100 solves, in
+    0.7 to 2 ms with 3,000 measured rows.
 arrays
     A table on arrays of JAX and PyTorch, for many environments at once.
 Mount, MujocoMount, Settled

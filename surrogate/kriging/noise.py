@@ -19,6 +19,7 @@ variance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -319,15 +320,25 @@ def _fitted_kernel(
     `many`: the rows used for everything else.
     """
     example = few[0].equations
-    logarithms = _likely_logarithms(few, settings)
-    kernels = [
-        Hyperparameters.of_logarithms(row, example.groups, example.smoothness) for row in logarithms
-    ]
+    possible, kernels, posteriors, singular = [], [], [], SingularCovarianceError()
+    for row in _likely_logarithms(few, settings):
+        kernel = Hyperparameters.of_logarithms(row, example.groups, example.smoothness)
+        try:  # solves may bear the likeliest lengths and not those shifted from them
+            posteriors.append(
+                [posterior(rows, spectrum(rows, kernel, settings), settings) for rows in many]
+            )
+        except SingularCovarianceError as error:
+            singular = error
+            continue
+        possible.append(row)
+        kernels.append(kernel)
+    if not kernels:
+        raise singular
+    logarithms = np.array(possible)
     centre, deviation = settings.length_prior
     prior = 0.5 * (((logarithms[:, : example.loads] - centre) / deviation) ** 2).sum(axis=1)
     joint, weighted = -prior, []
-    for rows in many:
-        each = [posterior(rows, spectrum(rows, kernel, settings), settings) for kernel in kernels]
+    for rows, each in zip(many, zip(*posteriors, strict=True), strict=True):
         values = np.array([item.values for item in each])  # (kernels, g, k)
         joint = joint + np.logaddexp.reduce(-values, axis=1).sum(axis=1)
         values += prior[:, None, None]
@@ -382,7 +393,7 @@ def _likely_logarithms(rows: list[NoisyRows], settings: KrigingSettings) -> Floa
     return np.clip(best + shifts[:, None] * (np.arange(loads + weights) < loads), low, high)
 
 
-def _noise_quantile(each: list[Posterior], weight: Floats, index: int, level: float) -> float:
+def _noise_quantile(each: Sequence[Posterior], weight: Floats, index: int, level: float) -> float:
     """Return the quantile of an output's noise, where D is 1, over all kernels and ratios.
 
     With few rows it is unclear how much of their differences is noise: the mean of a wide

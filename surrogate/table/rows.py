@@ -264,7 +264,7 @@ class Rows:
         columns = {name: getattr(self, name) for name in _COLUMNS}
         for name, column in columns.items():
             # A column of NaN takes no memory, so its part must not either.
-            unknown = _is_unknown(column)
+            unknown = is_unknown(column)
             columns[name] = unknown_column(count, *column.shape[1:]) if unknown else column[index]
         return Rows(**columns, space=self.space)
 
@@ -332,7 +332,8 @@ def unknown_column(count: int, *shape: int) -> Floats:
     return np.broadcast_to(np.nan, (count, *shape))
 
 
-def _is_unknown(column: NDArray[Any]) -> bool:
+def is_unknown(column: NDArray[Any]) -> bool:
+    """Return whether a column is one of `unknown_column`."""
     return column.ndim > 1 and not any(column.strides) and column.size > 0
 
 
@@ -346,7 +347,7 @@ def joined(parts: Sequence[Rows]) -> Rows:
         columns = [getattr(part, name) for part in some]
         # NaN fills the curvature, (n, p), of tables without one, (n, 0).
         width = max(column.shape[1:] for column in columns)
-        if all(map(_is_unknown, columns)):
+        if all(map(is_unknown, columns)):
             merged[name] = unknown_column(sum(map(len, columns)), *width)
             continue
         blank = [unknown_column(len(column), *width) for column in columns]

@@ -20,6 +20,7 @@ from wrenchbook.fea.check.proposal import propose
 from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
 from wrenchbook.fea.inspection import bodies_of, coincident_nodes, tie_warnings
+from wrenchbook.fea.mesh.dependents import CircularError, Dependents
 from wrenchbook.fea.solve import Solver, solve
 from wrenchbook.fea.spec.schema import Deck
 from wrenchbook.fea.tensors import rotation
@@ -313,6 +314,23 @@ def test_equations_and_pairs_of_nodes_of_a_deck_tie_its_mesh(tmp_path):
     (tmp_path / "pairs").mkdir()
     result, folder = proposed(text, tmp_path / "pairs")
     same(compliance(build(read_bundle(folder))), compliance(tied(merged(mesh))), 1e-11)
+
+
+def test_a_chain_of_many_nodes_that_follow_each_other_ends_at_its_first():
+    """One of more than eight was refused as a circle."""
+    size = 40
+    follow = Dependents.of(size, (np.arange(1, size), np.arange(size - 1), np.full(size - 1, 0.5)))
+    moved = follow.expanded(np.eye(size)[:, :1])
+    np.testing.assert_array_equal(moved[:, 0], 0.5 ** np.arange(size))
+
+
+@pytest.mark.parametrize("nodes", [[2], [2, 3], [*range(2, 30)]])
+def test_a_circle_of_nodes_is_refused_with_a_node_on_it(nodes):
+    """With powers of the weights alone a long circle of 0.5 would fade to 0."""
+    chain = [*nodes, 30], [*np.roll(nodes, 1), 2], [0.5] * (len(nodes) + 1)
+    with pytest.raises(CircularError) as caught:
+        Dependents.of(31, tuple(map(np.array, chain)))
+    assert caught.value.node in nodes
 
 
 def test_ties_by_which_a_node_follows_itself_are_refused():

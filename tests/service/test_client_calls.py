@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -328,8 +329,11 @@ def test_fill_until_stops_when_a_whole_round_fails(stub: Stub, client: Client):
         (lambda _: Client("127.0.0.1:99999"), "not a server address"),
         (lambda _: Client("http://127.0.0.1:x"), "not a server address"),
         (lambda _: Client(None), "None is not a server address"),
-        (lambda _: Client(timeout="5"), "timeout must be above 0 s, such as 10.0, not '5'"),
-        (lambda _: Client(timeout=-1), "timeout must be above 0 s, such as 10.0, not -1"),
+        (lambda _: Client("http://plate..lab:8000"), "not a server address"),
+        (lambda _: Client(timeout="5"), "timeout must be above 0 s .*, such as 10.0, not '5'"),
+        (lambda _: Client(timeout=-1), "timeout must be above 0 s .*, such as 10.0, not -1"),
+        (lambda _: Client(timeout=math.inf), "at most 1,000,000 s, such as 10.0, not inf"),
+        (lambda _: Client(timeout=1e30), r"at most 1,000,000 s, such as 10.0, not 1e\+30"),
     ],
 )
 def test_an_argument_of_another_type_is_named_and_nothing_is_sent(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from urllib.parse import parse_qsl
 
@@ -92,6 +93,31 @@ def test_two_logs_go_as_one_form(stub: Stub, client: Client, tmp_path: Path):
     assert seen.headers["Content-Type"].startswith("multipart/form-data; boundary=")
     assert b'name="loads"' in seen.content
     assert b'name="displacements"; filename="moved.csv"' in seen.content
+
+
+def test_a_form_has_the_names_of_files_as_utf_8(stub: Stub, client: Client, tmp_path: Path):
+    """The server kept `\\u00e9.csv` as the name of é.csv."""
+    stub.answers(Answer({"inserted": 1}))
+    file = tmp_path / 'é "2".csv'
+    file.write_text("time [s],uz [mm]\n")
+    client.import_table("bar", "time [s],fz [N]\n1,2\n", displacements=file)
+    assert 'filename="é %222%22.csv"'.encode() in stub.seen[-1].content
+
+
+@pytest.mark.parametrize("text", ['[{"fz [N]": 1, "uz [m]": 2}]', "[]", '{"rows": []}'])
+def test_a_line_of_json_is_content_and_no_path(stub: Stub, client: Client, text: str):
+    stub.answers(Answer({"inserted": 1}))
+    client.import_table("bar", text)
+    assert stub.seen[-1].content == text.encode()
+
+
+def test_a_bundle_with_a_file_dated_before_1980_is_sent(stub: Stub, client: Client, tmp_path: Path):
+    """It was a ValueError of zipfile."""
+    file = tmp_path / "component.toml"
+    file.write_text('name = "rig"')
+    os.utime(file, (0, 0))
+    client.add_component(tmp_path)
+    assert b"component.toml" in stub.seen[-1].content
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,12 @@
 """The doctor tells what is wrong in clear words, and mends from whichever copy is whole."""
 
 import errno
+import os
 import random
 import shutil
 import sqlite3
+from contextlib import closing
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -12,6 +15,7 @@ from tests.service.ledger_rows import claim, new_rows, stored
 from tests.service.test_durable_tables import Site
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ops.checks import find_leftovers
 from wrenchbook.service.ops.doctor import examine
 from wrenchbook.surrogate.table.hdf5 import read_table
 
@@ -302,6 +306,14 @@ def test_what_else_is_wrong_with_a_folder_is_told(folder, monkeypatch, tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     assert "the disk has 0 MB left" in words(examine(folder))
     assert "no data directory" in words(examine(tmp_path / "nowhere"))
+
+
+def test_a_partial_file_of_a_running_process_is_no_leftover(folder, monkeypatch):
+    path = folder / f".keys.json.{os.getpid()}.7"
+    path.touch()
+    monkeypatch.setattr(Path, "exists", lambda _: False)  # macOS has no /proc
+    with closing(Ledger(folder / "ledger.sqlite")) as ledger:
+        assert path.name not in words(list(find_leftovers(folder, ledger)))
 
 
 def test_a_foreign_ledger_is_told_and_not_mended(folder):

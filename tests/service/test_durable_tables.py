@@ -10,10 +10,10 @@ import pytest
 
 from tests.service.ledger_rows import insert, new_rows, stored
 from tests.until import until
-from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ledger import Ledger, LedgerUnavailableError
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import build as builds
-from wrenchbook.service.tables.build import TableBuilder
+from wrenchbook.service.tables.build import TableBuilder, packed_bytes
 from wrenchbook.service.tables.coordinator_state import CoordinatorState
 from wrenchbook.service.tables.mapped import MappedTables, TableBehindError
 from wrenchbook.service.tables.store import TableStore, drop_least_used
@@ -315,6 +315,26 @@ def test_a_packed_file_that_is_damaged_foreign_or_gone_is_built_anew(site, chang
 
 def replace_displacement(row):
     return replace(row, displacement=tuple(2 * amount for amount in row.displacement))
+
+
+def test_a_packed_file_built_while_the_ledger_could_not_be_read_is_not_current(site, monkeypatch):
+    """It named no ledger, and so was taken for one of any ledger."""
+    site.insert(10)
+    component, version = site.library["rig"], site.ledger.last_seq("rig")
+    files = TableStore(site.folder / "tables", site.ledger)
+
+    def unreadable(*_):
+        raise LedgerUnavailableError("the disk does not answer")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(site.ledger, "digest", unreadable)
+        content = packed_bytes(
+            site.tables.surrogate("rig").surrogate(), component, files.origin(component, version)
+        )
+    origin = files.origin(component, version)
+    assert files.is_current(component, version, origin)
+    files.write_packed("rig", version, content)
+    assert not files.is_current(component, version, origin)
 
 
 def test_a_packed_file_of_another_ledger_is_not_answered_from(site):

@@ -89,6 +89,26 @@ def test_an_answer_that_is_not_six_finite_numbers_is_a_failure(folder, displacem
     assert error_of(folder)["kind"] == "bad_answer"
 
 
+@pytest.mark.parametrize(
+    ("name", "values", "form"),
+    [
+        ("displacement", [0.0] * 7, "6"),
+        ("displacement", ["1"] * 6, "6"),
+        ("displacement", [[0.0] * 6] * 6, "6"),
+        ("displacement", [10**400] * 6, "6"),
+        ("compliance", 5, "6 x 6"),
+        ("compliance", [[0.0] * 5] * 6, "6 x 6"),
+        ("curvature", [0.0] * 55, "56"),
+    ],
+)
+def test_an_answer_of_another_form_is_refused_by_the_solver(folder, name, values, form):
+    answer = {"displacement": [0.0] * 6, name: values}
+    assert runjob.run_attempt(folder, lambda spec, report: answer) == 1
+    assert error_of(folder)["kind"] == "bad_answer"
+    message = f"the solver's {name} must be a list of {form} numbers, not "
+    assert error_of(folder)["message"].startswith(message)
+
+
 def test_numbers_that_are_not_finite_never_reach_the_file(folder):
     answer = {
         "displacement": [0.0] * 6,

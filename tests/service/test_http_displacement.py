@@ -1,15 +1,18 @@
+import asyncio
 import json
 import socket
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from starlette.requests import ClientDisconnect
 from starlette.testclient import TestClient
 
 from tests.service.document import document
 from tests.service.following import wait_for_version
 from tests.service.live import FULL, as_rows, clean_wrenches, served
 from tests.until import until
+from wrenchbook.service.http import batch
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.query import SolveFailedError
 from wrenchbook.service.workspace import Settings
@@ -340,6 +343,51 @@ def test_an_empty_batch_of_either_form_is_answered_with_nothing(http):
     assert (body["displacements"], body["jobs"]) == ([], [])
     kind = {"content-type": "application/octet-stream"}
     assert http.post(f"{CALL}s", content=b"", headers=kind).content == b""
+
+
+@pytest.mark.parametrize("value", [True, False])
+def test_a_truth_value_in_a_batch_is_refused_as_in_a_single_wrench(http, value):
+    """true was 1 N, and false 0 N."""
+    wrenches = [[1.5] * 6, [2.5, 3, value, 0, 0, 0]]
+    reply = http.post(f"{CALL}s", json={"wrenches": wrenches, "on_thin": "estimate"})
+    assert reply.status_code == 422
+    assert [error["loc"] for error in reply.json()["errors"]] == ["wrenches.1.2"]
+
+
+def test_a_large_batch_keeps_its_slot_until_its_reply_is_sent(http, monkeypatch):
+    """Replies of many large batches were laid out at once: the slot was free before."""
+    slots, pieces, seen = asyncio.Semaphore(1), batch._pieces, []
+    monkeypatch.setattr(http.app.state, "large_batches", slots)
+    monkeypatch.setattr(batch, "LARGE", 1)
+    monkeypatch.setattr(batch, "WRITTEN", 0)
+
+    def watched(reply, count):
+        monkeypatch.setattr(batch, "WRITTEN", 1)
+        for piece in pieces(reply, count):
+            seen.append(slots.locked())
+            yield piece
+
+    monkeypatch.setattr(batch, "_pieces", watched)
+    body = {"wrenches": [[1.0] * 6], "on_thin": "estimate"}
+    assert http.post(f"{CALL}s", json=body).status_code in (200, 202)
+    assert seen
+    assert all(seen)
+    assert not slots.locked()
+
+
+def test_a_large_batch_gives_its_slot_back_though_its_reply_cannot_be_sent(http, monkeypatch):
+    slots = asyncio.Semaphore(1)
+    monkeypatch.setattr(http.app.state, "large_batches", slots)
+    monkeypatch.setattr(batch, "LARGE", 1)
+
+    async def gone(*_):
+        raise ClientDisconnect
+
+    monkeypatch.setattr(batch.Response, "__call__", gone)
+    body = {"wrenches": [[1.0] * 6], "on_thin": "estimate"}
+    with pytest.raises(ClientDisconnect):
+        http.post(f"{CALL}s", json=body)
+    assert not slots.locked()
 
 
 def test_what_is_not_covered_can_be_refused(http):

@@ -13,6 +13,7 @@ from contextlib import closing
 import numpy as np
 import orjson
 import pytest
+from pydantic import ValidationError
 
 from tests.refusals import tables
 from tests.service.live import (
@@ -28,7 +29,9 @@ from tests.service.live import (
 from tests.until import until
 from wrenchbook.service.http import protocol
 from wrenchbook.service.http.access import Permission
+from wrenchbook.service.http.bodies import CopyBody, FillBody
 from wrenchbook.service.http.protocol import FastPath, FastPathProtocol
+from wrenchbook.service.http.routes.keys import KeyBody
 from wrenchbook.service.http.server import Server, server_config
 from wrenchbook.service.keys import Keyring
 
@@ -313,6 +316,23 @@ BAD = {name: case["text"].encode() for name, case in tables(__file__)["bodies"].
     "deep objects": b'{"force":' * 900 + b"1" + b"}" * 900,
     "an integer beyond float64": NUMBERS % (b"9" * 400),
 }
+
+
+@pytest.mark.parametrize(
+    ("kind", "fields"),
+    [
+        (FillBody, {"budget": True}),
+        (FillBody, {"budget": "7"}),
+        (FillBody, {"for_joint": "no"}),
+        (CopyBody, {"name": "copy", "rows": 0}),
+        (KeyBody, {"name": "ann", "rate": "5"}),
+        (KeyBody, {"name": "ann", "expires": True}),
+    ],
+)
+def test_numbers_and_truth_values_of_a_body_are_never_guessed(kind, fields):
+    """{"budget": true} was one solve, and {"rows": "off"} a copy without rows."""
+    with pytest.raises(ValidationError, match="valid"):
+        kind.model_validate(fields)
 
 
 @pytest.mark.parametrize("body", BAD.values(), ids=BAD)

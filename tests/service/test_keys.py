@@ -130,6 +130,13 @@ def test_damaged_keys_let_nobody_in_and_are_told_of(tmp_path, content, why):
         app(["serve", "--data", str(tmp_path), "--port", "0"], standalone_mode=False)
 
 
+def test_keys_in_a_folder_that_cannot_be_searched_are_an_error_of_keys(tmp_path):
+    """The status of the file raised the system's bare error."""
+    (tmp_path / "data").touch()
+    with pytest.raises(KeysError, match=r"keys\.json cannot be read \(Not a directory\)"):
+        Keyring(tmp_path / "data")
+
+
 def test_keys_that_are_damaged_under_a_server_stay_as_they_were(keyring, tmp_path):
     secret = keyring.add("ann", "read")
     (tmp_path / FILE).write_text("{")

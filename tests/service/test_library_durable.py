@@ -2,6 +2,7 @@
 
 import io
 import os
+import shutil
 import zipfile
 from pathlib import Path
 
@@ -173,6 +174,33 @@ def test_a_folder_does_not_take_the_place_of_a_shipped_component(tmp_path):
     library = Library(tmp_path / "components", tmp_path / "shipped")
     assert library["rig"].title == "shipped"
     assert "shipped component" in library.broken()["rig"]
+    library.version()  # read the shipped one again, and forgot what it had warned of
+    assert "shipped component" in library.broken()["rig"]
+
+
+def test_a_folder_with_a_shipped_name_is_reported_though_it_comes_after_the_start(tmp_path):
+    shipped, own = tmp_path / "shipped" / "rig", tmp_path / "components" / "rig"
+    for folder in (shipped, own):
+        if folder is own:
+            library = Library(own.parent, shipped.parent)
+        folder.mkdir(parents=True)
+        (folder / "component.toml").write_text(TEXT)
+    library.version()
+    assert "shipped component" in library.broken()["rig"]
+
+
+@pytest.mark.parametrize("text", [TEXT, "damaged"])
+def test_a_component_whose_folder_is_removed_is_unknown_and_not_broken(library, tmp_path, text):
+    """It stayed `broken`, and the server `degraded`, until a restart."""
+    folder = tmp_path / "components" / "rig"
+    folder.mkdir()
+    (folder / "component.toml").write_text(text)
+    library.version()
+    shutil.rmtree(folder)
+    library._next_poll = 0.0
+    library.version()
+    assert library.broken() == {}
+    assert library.names() == []
 
 
 def test_a_name_no_folder_can_have_is_an_unknown_component(library):

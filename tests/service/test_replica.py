@@ -1,5 +1,6 @@
 """A replica has all that was committed, restores to the same answers and feeds other servers."""
 
+import errno
 import json
 import os
 import shutil
@@ -234,6 +235,19 @@ def test_old_manifests_go_with_the_blocks_that_no_other_needs(shipped, tmp_path,
     assert len(list((tmp_path / "replica" / "manifests").iterdir())) == 1
 
 
+def test_a_manifest_with_a_damaged_file_list_takes_no_good_one_with_it(
+    shipped, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(replica, "KEEP_S", ((600.0, 60.0),))
+    shipped.round()
+    good = shipped.shipper._latest
+    shipped.insert(5, first=30)
+    (digest,) = shipped.round().files[1]
+    (tmp_path / "replica" / "blocks" / digest[:2] / digest).unlink()
+    shipped.shipper.collect()
+    assert Replica(shipped.url).manifests() == [good]
+
+
 def test_manifests_stay_for_ten_minutes_then_by_the_hour_and_the_day():
     kept = []
     for created in range(10 * 86_400, 0, -60):
@@ -342,6 +356,27 @@ def test_a_scheduled_backup_is_tested_by_its_restore_and_old_ones_go(shipped, tm
     assert (status["trouble"], status["tested"]) == (None, True)
     kept = {path.name for path in folder.iterdir()}
     assert kept == {f"wrenchbook-{year}0102T000000Z.wbb", status["file"]}
+
+
+def test_backups_go_on_after_an_outcome_that_could_not_be_noted(shipped, tmp_path, monkeypatch):
+    """The thread ended where the outcome could not be written, and no backup came any more."""
+    calls, stop, done = [], threading.Event(), copier.write_status
+
+    def full_once(*arguments, **options):
+        calls.append(arguments)
+        if len(calls) == 1:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return done(*arguments, **options)
+
+    monkeypatch.setattr(copier, "write_status", full_once)
+    monkeypatch.setattr(copier, "POLL_S", 0.0)
+    settings = Settings(shipped.folder, backup_every=1e-9, backup_folder=tmp_path / "backups")
+    thread = threading.Thread(target=copier.keep, args=(settings, stop), daemon=True)
+    thread.start()
+    until(lambda: len(calls) > 1 or not thread.is_alive())
+    stop.set()
+    thread.join()
+    assert len(calls) > 1
 
 
 def test_a_backup_that_does_not_restore_is_no_backup_and_health_and_doctor_say_so(

@@ -11,6 +11,7 @@ from tests.until import until
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
+from wrenchbook.service.library.component import component_of
 from wrenchbook.service.library.library import SHIPPED
 from wrenchbook.service.report.layout import (
     advice_of,
@@ -20,6 +21,7 @@ from wrenchbook.service.report.layout import (
     summary_of,
 )
 from wrenchbook.service.report.measure import errors, measure, pareto
+from wrenchbook.service.report.queue import Reports
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 
@@ -181,3 +183,22 @@ def test_a_cancelled_report_is_not_a_failed_one(http, monkeypatch):
     assert http.get(call, params={"format": "state"}).json()["state"] == "running"
     assert http.delete(call).json()["state"] == "none"
     assert http.delete(call).status_code == 200  # none is made
+
+
+def test_a_report_whose_process_was_killed_has_failed_though_an_earlier_one_is_there(
+    tmp_path, bar, monkeypatch
+):
+    """It was `done`, with the report before the one that was ordered."""
+    reports = Reports(tmp_path, tmp_path)
+
+    def make(command):
+        child = ["sh", "-c", command]
+        monkeypatch.setattr("wrenchbook.service.report.queue.child_command", lambda *_: child)
+        reports.make(component_of(bar, shipped=True), 1, 3, 1)
+        return until(lambda: (state := reports.state("bar")).state != "running" and state)
+
+    assert make("kill -9 $$").state == "failed"
+    assert make(f"echo {{}} > {tmp_path}/bar/report.json").state == "done"
+    killed = make("kill -9 $$")
+    assert killed.state == "failed"
+    assert "make the report again" in killed.message

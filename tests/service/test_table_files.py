@@ -429,6 +429,15 @@ def test_a_hostile_file_is_an_error_and_not_a_crash(content, says):
     assert says in error_of(content)
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_a_full_disk_is_not_reported_as_a_damaged_gzip_file(tmp_path):
+    """The remedy was to send the file again."""
+    file = tmp_path / "table.csv.gz"
+    file.write_bytes(PACKED)
+    with pytest.raises(OSError, match="No space left on device"):
+        unpack(file, Path("/dev/full"))
+
+
 def test_a_gzip_bomb_is_unpacked_no_further_than_may_be(tmp_path):
     bomb, target = tmp_path / "bomb", tmp_path / "plain"
     bomb.write_bytes(gzip.compress(bytes(64 << 20)))

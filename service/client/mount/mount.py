@@ -154,12 +154,13 @@ class Mount:
     Attributes
     ----------
     displacement : numpy.ndarray
-        Shape (6,), m and rad: that of the pose now.
+        Displacement of the present pose, shape (6,), m and rad.
     coverage : Coverage
-        How the answers so far were covered.
+        Counts of covered, thin, outside and unknown answers so far.
     last : Displacement or None
         The last answer, with its error bars.
     recorder : Recorder or None
+        Sends the wrenches of the modes ``record`` and ``envelope``.
 
     Raises
     ------

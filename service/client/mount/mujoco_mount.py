@@ -69,11 +69,11 @@ class MujocoMount:
     Attributes
     ----------
     mount : Mount
-        With the coverage of the answers, the last one, and the recorder.
+        The mount itself: coverage of the answers, last answer, recorder.
     wrench : numpy.ndarray or None
         The last reading, shape (6,), N and N·m, about the interface point where it then was.
     read_at : float
-        The time that it describes, s.
+        Time of the last reading, s.
 
     Raises
     ------

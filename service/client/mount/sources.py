@@ -11,6 +11,7 @@ import numpy as np
 from wrenchbook.surrogate.table.space import DEFAULT
 
 from ..errors import InvalidArgument, ServerTimeout, SourceError
+from ..job import LONGEST_POLL_S, SHORTEST_POLL_S
 from ..replies import Displacement
 from ..wrenches import OnThin, Vector, tolerance_body
 
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 Limit = dict[str, float]
 Ask = Callable[[Vector, bool], Displacement]
-LONGEST_CALL_S = 20.0  # s: proxies end calls that take longer
 
 
 def from_table(
@@ -76,9 +76,10 @@ def from_solves(
     def ask(wrench: Vector, derivatives: bool) -> Displacement:
         deadline = time.monotonic() + timeout
         while True:
-            remaining = max(deadline - time.monotonic(), 0.0)
+            began = time.monotonic()
+            remaining = max(deadline - began, 0.0)
             answer = client.solve(
-                component, wrench, wait_s=min(remaining, LONGEST_CALL_S), beyond_range=beyond_range
+                component, wrench, wait_s=min(remaining, LONGEST_POLL_S), beyond_range=beyond_range
             )
             if answer.covered:
                 break
@@ -88,6 +89,8 @@ def from_solves(
                     f"{job} of {component} has not ended within {timeout:g} s and continues on the "
                     "server; step again, or create the mount with a longer solve_timeout"
                 )
+            if time.monotonic() - began < SHORTEST_POLL_S:
+                time.sleep(SHORTEST_POLL_S)
         if not derivatives:
             return answer
         # The row of the solve brings its tangent.

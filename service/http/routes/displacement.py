@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AsyncExitStack
 from typing import TypeVar
 
 from fastapi import Request
@@ -111,10 +112,15 @@ async def displacements(name: str, request: Request) -> Response:
 
     async with spooled(request.receive, MAX_BATCH_BYTES) as body:
         wrenches, query = await run_in_threadpool(_permitted, permission, lambda: read(body))
-        async with batch.few_large(len(wrenches)):
+        async with AsyncExitStack() as held:
+            slots = request.app.state.large_batches
+            await held.enter_async_context(batch.few_large(slots, len(wrenches)))
             outcome = await answer_or_submit_many(workspace, name, wrenches, query)
-    request.app.state.counts.add_batch(outcome.replies.coverage, outcome.method, outcome.elapsed_us)
-    return await run_in_threadpool(batch.write_binary if binary else batch.write_batch, outcome)
+            write = batch.write_binary if binary else batch.write_batch
+            reply = await run_in_threadpool(write, outcome)
+            count = outcome.replies.coverage, outcome.method, outcome.elapsed_us
+            request.app.state.counts.add_batch(*count)
+            return batch.HoldingReply(reply, held.pop_all())
 
 
 @router.post(

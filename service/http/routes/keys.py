@@ -30,16 +30,16 @@ class KeyBody(Body):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}$")]
     scope: Literal["read", "write", "admin"] = "write"
-    rate: Annotated[float, Field(gt=0, lt=1000000000.0)] = RATE
+    rate: Annotated[float, Field(strict=True, gt=0, lt=1000000000.0)] = RATE
     megabytes: Annotated[int, Field(strict=True, gt=0, lt=2**20)] = MEGABYTES
     components: Annotated[tuple[str, ...], Field(max_length=100)] = ANY
-    expires: float | None = None
+    expires: Annotated[float, Field(strict=True)] | None = None
 
 
 class RotateBody(Body):
     """Validity of the old secret."""
 
-    overlap_hours: Annotated[float, Field(ge=0, le=8760)] = OVERLAP_HOURS
+    overlap_hours: Annotated[float, Field(strict=True, ge=0, le=8760)] = OVERLAP_HOURS
 
 
 @router.get("", summary="List keys without their secrets; needs an admin key")

@@ -66,7 +66,7 @@ class Config(bodies.Body):
     tolerance: bodies.ToleranceBody | None = None
     on_thin: Literal["wait", "estimate", "reject"] = "wait"
     wait_s: bodies.Seconds = DEFAULT_WAIT_S
-    beyond_range: bool = False
+    beyond_range: bodies.Flag = False
 
 
 class EvaluateBody(Named):

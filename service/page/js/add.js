@@ -4,6 +4,42 @@ import { post, send, trouble } from "./api.js";
 import { el, field, put, working } from "./dom.js";
 import { facesIn } from "./faces.js";
 import { sentence, symbol } from "./format.js";
+import { snippet } from "./snippet.js";
+
+// A whole bundle: the server generates its mesh.
+const EXAMPLE = `name = "cantilever"
+title = "Steel bar, 0.5 m, clamped at one end"
+
+[mesh]
+generator = "bar"    # or file = "part.inp" and unit = "mm"
+length = 0.5         # m
+width = 0.02
+height = 0.02
+
+[[material]]
+region = "all"
+youngs_modulus = 210e9    # Pa
+poisson_ratio = 0.3
+density = 7850.0          # kg/m³
+
+[supports]
+fixed = ["start"]         # groups of the mesh
+
+[interface]
+section = "end"
+coupling = "distributed"   # or "rigid"
+
+[analysis]
+nonlinear = true
+
+[range]                   # largest loads, N and N·m
+force = [1000, 100, 100]
+moment = [20, 20, 20]
+
+[tolerance]               # accepted error, m and rad
+translation = 1e-4
+rotation = 1e-3
+`;
 
 export async function show(root, _, signal) {
   document.title = "Add a component · wrenchbook";
@@ -11,7 +47,7 @@ export async function show(root, _, signal) {
     el("div", { class: "head" }, el("div", {}, el("span", { class: "crumb" }, el("a", { href: "#/" }, "Library"), " /"), el("h1", {}, "Add a component"))),
     el("div", { class: "halves" },
       el("section", { class: "card" }, el("h2", {}, "A bundle, with finite elements"),
-        el("p", { class: "muted" }, "The zip of a folder with component.toml and its mesh: materials, supports, interface and load range. For the lines that name faces of the mesh, a component.toml with file and unit under [mesh] is enough: choose Show its faces."), bundle(root, signal)),
+        el("p", { class: "muted" }, "The zip of a folder with component.toml and its mesh: materials, supports, interface and load range. For the lines that name faces of the mesh, a component.toml with file and unit under [mesh] is enough: choose Show its faces."), bundle(root, signal), example()),
       el("section", { class: "card" }, el("h2", {}, "A table only"),
         el("p", { class: "muted" }, "For measured rows: the table answers from imported rows; nothing is solved."), tableOnly(signal))));
 }
@@ -38,6 +74,12 @@ function bundle(root, signal) {
   };
   return el("form", { class: "stack", onsubmit: add }, el("div", { class: "drop" }, input), 
     el("div", { class: "line" }, el("button", { class: "first" }, "Add the bundle"), el("button", { value: "faces" }, "Show its faces")), state);
+}
+
+function example() {
+  const { root, say } = snippet("component.toml");
+  say(EXAMPLE);
+  return el("details", {}, el("summary", {}, "An example that works: save it as component.toml and zip it"), root);
 }
 
 function tableOnly(signal) {

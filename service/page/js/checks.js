@@ -3,7 +3,7 @@
 import { get, of } from "./api.js";
 import { el, facts, note, pill, put } from "./dom.js";
 import { emptyTable } from "./empty.js";
-import { LOADS, OUTPUTS, count, number, percent, scientific, sentence, symbol } from "./format.js";
+import { LOADS, OUTPUTS, count, number, percent, scientific, sentence, superscript, symbol } from "./format.js";
 
 const CHECKS = {
   zero_at_zero_load: ["The displacement at zero load is zero", (one) => one.reason],
@@ -41,14 +41,15 @@ const mean = (reply) => reply.matrix.map((line) => line.map((value, j) => (reply
 
 // Shades compare entries that have one unit only: each cell against its 3 x 3 block.
 function matrix(values, name, origin) {
+  const power = 3 * Math.ceil((Math.log10(Math.max(...values.flat().map(Math.abs)) || 1) - 4) / 3); // the largest entry has up to four digits before its point
   const size = (value) => (value === null ? 0 : Math.abs(value));
   const largest = (i, j) => Math.max(...[0, 1, 2].flatMap((a) => [0, 1, 2].map((b) => size(values[3 * Math.floor(i / 3) + a][3 * Math.floor(j / 3) + b]))));
   const cell = (value, i, j) => {
     const noise = value && size(value) < NOISE * Math.max(largest(i, j), Math.sqrt(size(values[i][i]) * size(values[j][j])));
-    const made = el("td", {}, value === null ? "–" : noise ? "≈ 0" : value ? scientific(value, 3) : "0");
+    const made = el("td", {}, value === null ? "–" : noise ? "≈ 0" : value ? number(value / 10 ** power, 3) : "0");
     const mirror = values[j][i], apart = size(value - (mirror ?? value));
     const undetermined = !noise && value && mirror !== null && apart > 0.5 * Math.max(size(value), size(mirror)); // no symmetry: Maxwell and Betti
-    if (undetermined) { made.classList.add("muted"); made.title = "The rows do not determine this entry: it differs from its mirror entry"; }
+    if (undetermined) { made.className = "muted"; made.textContent = "?"; made.title = `${scientific(value, 3)}, which differs from the mirror entry`; }
     const part = largest(i, j) && !noise && !undetermined ? size(value) / largest(i, j) : 0;
     made.style.background = `color-mix(in srgb, var(--accent) ${Math.round(26 * part)}%, transparent)`;
     return made;
@@ -57,7 +58,7 @@ function matrix(values, name, origin) {
     el("div", { class: "wide", tabindex: "0", role: "region", "aria-label": `${name}, 6 by 6` }, el("table", { class: "matrix" },
       el("thead", {}, el("tr", {}, el("th", {}), LOADS.map((load) => el("th", { class: "number", scope: "col" }, symbol(load))))),
       el("tbody", {}, values.map((line, i) => el("tr", {}, el("th", { scope: "row" }, symbol(OUTPUTS[i])), line.map((value, j) => cell(value, i, j))))))),
-    el("p", { class: "muted small" }, `Translations in m, rotations in rad, per N or N·m; ${origin}. Shades compare entries of one unit. Grey entries differ from their mirror entries: the rows do not determine them.`),
+    el("p", { class: "muted small" }, `In ${power ? `10${superscript(power)} ` : ""}m or rad per N or N·m; ${origin}. Shades compare entries of one unit. The rows do not determine entries with ?: they differ from their mirror entries.`),
   ];
 }
 

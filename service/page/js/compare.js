@@ -98,7 +98,7 @@ function factors(reply) {
       if (!one.compared) continue;
       const sure = one.half_width !== null && one.half_width < Math.abs(one.factor);
       lines.push([part.import === null ? "none" : String(part.import), symbol(name),
-        sure || one.half_width === null ? number(one.factor, 5) : "not told", one.half_width === null ? "unknown" : `± ${number(one.half_width, 2)}`, one.of_reference === null ? "unknown" : `± ${number(one.of_reference, 2)}`,
+        sure || one.half_width === null ? number(one.factor, 5) : "not determined", one.half_width === null ? "unknown" : `± ${number(one.half_width, 2)}`, one.of_reference === null ? "unknown" : `± ${number(one.of_reference, 2)}`,
         quantity(one.mean, unitOfOutput(name)), quantity(one.rms, unitOfOutput(name)), `${count(one.beyond_bars)} of ${count(one.compared)}`]);
     }
   }

@@ -38,7 +38,7 @@ export function scientific(value, digits) {
 }
 
 const POWERS = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
-const superscript = (power) => [...String(power)].map((one) => POWERS[one]).join("");
+export const superscript = (power) => [...String(power)].map((one) => POWERS[one]).join("");
 
 // Loads as the fields have them: Fz in place of fz.
 const named = (text) => text.replaceAll(/\b[fm][xyz]\b/g, plain);

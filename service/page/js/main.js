@@ -10,6 +10,7 @@ const VIEWS = [
   [/^\/jobs(?:\/(\d+))?$/, "jobs.js"],
   [/^\/scene$/, "scene.js"],
   [/^\/audit$/, "audit.js"],
+  [/^\/terms$/, "terms.js"],
 ];
 const main = document.getElementById("main");
 let leaving = new AbortController();
@@ -44,7 +45,7 @@ function viewOf(address) {
 }
 
 function markWhereWeAre(address) {
-  const room = ["#/jobs", "#/scene", "#/audit"].find((one) => `#${address}`.startsWith(one)) || (viewOf(address)[0] ? "#/" : "");
+  const room = ["#/jobs", "#/scene", "#/audit", "#/terms"].find((one) => `#${address}`.startsWith(one)) || (viewOf(address)[0] ? "#/" : "");
   for (const link of document.querySelectorAll(".main-nav a")) {
     if (link.getAttribute("href") === room) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");

@@ -49,5 +49,5 @@ export function wholeError(glance, about) {
       : "interpolation; the discretisation error is not known";
   return el("div", { class: "stack tight" },
     el("div", { class: "shares" }, el("span", {}, glance.within_tolerance === null && about.has_fea ? "covered" : "within tolerance"), sharesBar([within, Math.max(0, 1 - within - outside), outside], WHOLE), el("span", {}, `${Math.round(100 * within)} %`)),
-    errors[k] === null ? el("span", { class: "muted small" }, "The size of the error bar is not known.") : el("span", { class: "muted small" }, `Error bar ± ${bar(errors[k])}: ${parts}${about.tolerance ? `; tolerance ${exactly(about.tolerance.translation)}` : ""}`));
+    errors[k] === null ? el("span", { class: "muted small" }, "The error bar is not known for half of the load range or more, most often beyond the rows.") : el("span", { class: "muted small" }, `Median error bar ± ${bar(errors[k])}: ${parts}${about.tolerance ? `; tolerance ${exactly(about.tolerance.translation)}` : ""}`));
 }

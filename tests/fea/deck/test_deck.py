@@ -1,5 +1,6 @@
 """Decks: the wrench goes in, the solver runs, the motion comes back; nothing fails in silence."""
 
+import signal
 import subprocess
 import sys
 
@@ -13,6 +14,7 @@ from tests.refusals import assert_told, cases
 from tests.until import until
 from wrenchbook.fea import readers
 from wrenchbook.fea.bundle.read import BundleError
+from wrenchbook.fea.deck import running
 from wrenchbook.fea.deck.running import deck_report, filled
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.readers import NumbersReader, Reading
@@ -190,6 +192,30 @@ def test_a_run_out_of_time_is_ended_with_all_that_it_started(tmp_path, deaf):
     assert all(gone(pid) for pid in pids_in(tmp_path / "attempt"))
 
 
+def test_a_signal_while_the_solver_is_started_ends_it_too(tmp_path, monkeypatch):
+    """Its handler raised before the pid was known: a cancelled solve left ccx running."""
+
+    def cancel(*_):
+        raise InterruptedError
+
+    children, start = [], subprocess.Popen
+
+    def started(*arguments, **options):
+        children.append(start(*arguments, **options))
+        signal.raise_signal(signal.SIGTERM)
+        return children[-1]
+
+    monkeypatch.setattr(running.subprocess, "Popen", started)
+    before = signal.signal(signal.SIGTERM, cancel)
+    try:
+        with pytest.raises(InterruptedError):
+            running.run_command(["sleep", "100"], tmp_path, tmp_path / "printed.txt", 100)
+        assert children[0].returncode is not None
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        children[0].kill()
+
+
 def test_what_a_solver_leaves_running_is_ended_as_well(tmp_path):
     script = ENDLESS.replace("time.sleep(60)\n", "", -1) + SOFT
     solve(component(tmp_path, script), WRENCH, folder=tmp_path / "attempt")
@@ -223,7 +249,10 @@ def test_a_linear_deck_may_hold_freedoms_and_print_roundoff(tmp_path):
     assert result.compliance[2, 5] == pytest.approx(1e-7)
 
 
-@pytest.mark.parametrize("wrench", [[1, 2, 3], [np.nan, 0, 0, 0, 0, 0], [np.inf] * 6])
+@pytest.mark.parametrize(
+    "wrench",
+    [[1, 2, 3], [np.nan, 0, 0, 0, 0, 0], [np.inf] * 6, [10**400] * 6, [1, "2", 0, 0, 0, 0]],
+)
 def test_a_wrench_is_six_finite_numbers(tmp_path, wrench):
     with pytest.raises(ValueError, match="six finite numbers"):
         solve(component(tmp_path), wrench)

@@ -1,6 +1,7 @@
 """STEP files: faces named, groups chosen, one and the same mesh every time."""
 
 import copy
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -11,6 +12,7 @@ import pytest
 from tests.fea.geometry import draw_bracket, draw_two_bars, require_gmsh, start
 from tests.refusals import GOOD
 from wrenchbook.fea.bundle.read import BundleError, bundle_of
+from wrenchbook.fea.check.reporting import report
 from wrenchbook.fea.component import build, mesh_of
 from wrenchbook.fea.inspection import unit_warnings
 from wrenchbook.fea.mesh.cad.child import opened
@@ -113,6 +115,15 @@ def test_the_fingerprint_covers_the_file_and_every_key_of_its_meshing(folder):
     ]
     assert len(set(prints)) == len(prints)
     assert print_of(order=2) == print_of(size=15e-3) == print_of()
+
+
+def test_mistakes_of_the_bundle_are_told_beside_a_geometry_that_cannot_be_read(folder, tmp_path):
+    """The file's mistake took the place of all others."""
+    shutil.copy(folder / "broken.step", tmp_path)
+    text = 'name = "bad"\nnonsense = 3\n[mesh]\nfile = "broken.step"\nsize = 2\n'
+    (tmp_path / "component.toml").write_text(text)
+    places = [problem["where"] for problem in report(tmp_path)["problems"]]
+    assert {"mesh.file", "nonsense"} <= set(places)
 
 
 def refusal(path):

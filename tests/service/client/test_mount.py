@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 
 import numpy as np
@@ -20,6 +21,7 @@ from tests.service.client.answers import (
 )
 from tests.service.client.joint_scenes import linear_table
 from wrenchbook.service.client import Displacement, ServerTimeout, ServerUnreachable, conventions
+from wrenchbook.service.client.job import SHORTEST_POLL_S
 from wrenchbook.service.client.mount import (
     DisplacementUnknown,
     Mount,
@@ -204,6 +206,15 @@ def test_solve_waits_until_the_solve_has_answered():
     assert mount.displacement.tolist() == [1e-3] * 6
     assert len(asked) == 2
     assert all(how["wait_s"] > 0 for how in asked)
+
+
+def test_a_server_that_answers_at_once_is_asked_again_after_a_pause(monkeypatch):
+    answers = [answer(None, WEIGHT, "thin"), answer(np.full(6, 1e-3), WEIGHT)]
+    pauses = []
+    monkeypatch.setattr(time, "sleep", pauses.append)
+    solve = lambda *_, **__: answers.pop(0)  # noqa: E731
+    mounted(client_with(solve=solve), mode="solve").step(WEIGHT)
+    assert pauses == [SHORTEST_POLL_S]
 
 
 def test_a_solve_that_takes_too_long_is_named():

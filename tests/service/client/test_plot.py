@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.service.live import add_table, as_rows, full_wrenches, moved, served
-from wrenchbook.service.client import DeformedShape, MissingPackage, plot
+from wrenchbook.service.client import DeformedShape, InvalidArgument, MissingPackage, plot
 
 WRENCHES = full_wrenches(60)
 
@@ -50,6 +50,18 @@ def test_a_client_and_its_table_draw_the_same_response(client, pyplot):
     assert plot.response(client, "mz", "rz", component="rig", count=9, axes=right) is right
     for one, other in zip(left.lines, right.lines, strict=True):
         np.testing.assert_array_equal(one.get_xydata(), other.get_xydata())
+
+
+def test_a_plot_of_several_interfaces_is_refused_with_what_to_draw_instead(client, pyplot):
+    """A client raised KeyError: 'force'."""
+    spans = {"range": {"force": [1, 1, 1], "moment": [1, 1, 1]}}
+    ends = [{"name": name, **spans} for name in ("left", "right")]
+    client.add_component({"name": "ends", "title": "ends", "interface": ends})
+    for call in (plot.response, plot.coverage):
+        with pytest.raises(InvalidArgument, match=r"ends has several interfaces.*displacements"):
+            call(client, "fx", "my" if call is plot.coverage else "ux", component="ends")
+    with pytest.raises(InvalidArgument, match="ends has several interfaces"):
+        plot.response(client.download("ends"), "fx", "ux")
 
 
 def test_coverage_of_a_plane_has_the_answers_codes(client, pyplot):

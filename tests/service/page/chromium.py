@@ -130,6 +130,15 @@ class Browser:
             f"{css} with {text!r}",
         )
 
+    def click(self, css: str, text: str = "") -> None:
+        """Click the first seen element with a text in it; one drawn anew is looked up again."""
+
+        def clicked() -> bool:
+            self.named(css, text).click()
+            return True
+
+        self.until(clicked, f"a click on {css} with {text!r}")
+
     def type(self, css: str, text: str) -> None:
         """Replace the text of a field; a field that is drawn anew meanwhile is looked up again."""
 

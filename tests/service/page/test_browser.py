@@ -58,7 +58,7 @@ def add(browser, path):
     """Upload a bundle, and wait for its page."""
     browser.visit("#/add")
     browser.one("#bundle").send_keys(str(path))
-    browser.named("button", "Add the bundle").click()
+    browser.click("button", "Add the bundle")
     browser.named("h1", path.stem)
 
 
@@ -66,12 +66,12 @@ def ask(browser, action="Ask", **loads):
     """Type loads, all others zero, and send them."""
     for name in ("fx", "fy", "fz", "mx", "my", "mz"):
         browser.type(f"input[name={name}]", str(loads.get(name, 0)))
-    browser.named("form button", action).click()
+    browser.click("form button", action)
 
 
 def test_an_uploaded_part_is_queued_solved_and_then_covered(browser, client, tmp_path):
     add(browser, bundle(tmp_path, "rod", nonlinear="true"))
-    browser.named("nav.tabs a", "Query").click()
+    browser.click("nav.tabs a", "Query")
     ask(browser, fz=-50)  # its job is watched, for as long as the solve takes
     browser.named(".pill", "covered")
     (job,) = client.call_json("GET", "/v1/jobs?component=rod")["jobs"]
@@ -84,16 +84,16 @@ def test_an_uploaded_part_is_queued_solved_and_then_covered(browser, client, tmp
 
 def test_a_failed_solve_tells_why_shows_its_log_and_is_tried_again(browser, client, tmp_path):
     add(browser, bundle(tmp_path, "column", nonlinear="true", force="[40000, 100, 100]"))
-    browser.named("nav.tabs a", "Query").click()
+    browser.click("nav.tabs a", "Query")
     ask(browser, fx=-10_000)
     assert "buckles" in browser.named(".note", "The solve failed").text
-    browser.named(".note a", "Job").click()
-    browser.named("button", "Log").click()
+    browser.click(".note a", "Job")
+    browser.click("button", "Log")
     browser.one("dialog h2")
     browser.until(lambda: browser.one("dialog pre").text != "…")
     assert "/tmp/" not in browser.one("dialog pre").text
-    browser.named("dialog button", "Close").click()
-    browser.named("button", "Retry").click()
+    browser.click("dialog button", "Close")
+    browser.click("button", "Retry")
     browser.until(lambda: 2 in attempts(client))
 
 
@@ -109,9 +109,9 @@ def test_bad_rows_of_a_measured_file_are_named_mended_imported_and_exported(
     browser.type("#new-name", "rig")
     for place in browser.all("form input[type=number]"):
         place.send_keys("600")
-    browser.named("button", "Add the table").click()
+    browser.click("button", "Add the table")
     browser.named("h1", "rig")
-    browser.named("nav.tabs a", "Import").click()
+    browser.click("nav.tabs a", "Import")
     browser.drop(".drop", "measured.csv", MEASURED)
     reported = browser.one("#mistakes").text
     assert "Line 4" in reported
@@ -119,14 +119,14 @@ def test_bad_rows_of_a_measured_file_are_named_mended_imported_and_exported(
     assert client.component("rig")["rows"] == 0
     browser.type("[aria-label='Line 4']", "0,0,-200,0,0,0,0,0,-0.2,0,0,0")
     browser.type("[aria-label='Line 6']", "0,0,-400,0,0,0,0,0,-0.4,0,0,0")
-    browser.one("#check-again").click()
-    browser.one("#import").click()
+    browser.click("#check-again")
+    browser.click("#import")
     browser.named(".note", "6 rows are in the table")
-    browser.named("nav.tabs a", "Query").click()
+    browser.click("nav.tabs a", "Query")
     ask(browser, fz=-250)
     assert "−250" in browser.one("table.answer").text
-    browser.named("nav.tabs a", "Import").click()
-    browser.named("button", "Export").click()
+    browser.click("nav.tabs a", "Import")
+    browser.click("button", "Export")
     exported = saved(browser, "rig-v")
     assert (
         exported.read_bytes() == client.call("GET", "/v1/components/rig/table?format=csv").content
@@ -161,14 +161,14 @@ def test_probable_errors_of_a_measurement_are_shown_before_and_after_its_import(
     browser.visit("#/c/logged/table")
     browser.drop(".drop", "sentinels.csv", "\n".join([header, *lines]))
     assert "Rows of the file: 7, 19" in browser.named(".note", "a logger writes").text
-    browser.one("#import").click()
+    browser.click("#import")
     browser.named(".note", "24 rows are in the table")
     browser.named(".note", "a logger writes")
 
 
 def test_the_axes_and_points_of_a_rig_are_drawn_while_they_are_typed(browser, gauged):
     browser.visit("#/c/gauged/table")
-    browser.one("#rig-options summary").click()
+    browser.click("#rig-options summary")
     browser.type("#rig-frame", "x=-y,y=z,z=x")
     browser.type("#rig-load-point", "0,0,0.05")
     text = browser.one("#rig-picture svg").get_attribute("aria-label")
@@ -201,17 +201,17 @@ def test_a_rig_file_is_applied_drawn_and_kept_with_the_import(browser, client, t
     file = tmp_path / "rig.toml"
     file.write_text("name = 'bench 3'\nframe = 'x=-y,y=x,z=z'\nload_point = [0, 0, 0.5]\n")
     browser.visit("#/c/bench/table")
-    browser.one("#rig-options summary").click()
+    browser.click("#rig-options summary")
     browser.one("#rig-file").send_keys(str(file))
     header = "Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm],ux [mm]"
     browser.drop(".drop", "bench.csv", f"{header}\n40,0,0,0,0,0,0.1\n")
     shown = browser.one("#preview tbody tr:last-child").text.split()
     assert shown[1:7] == ["0", "−40", "0", "20", "0", "0"]
     assert "x axis points along −y" in browser.one("#rig-picture svg").get_attribute("aria-label")
-    browser.one("#import").click()
+    browser.click("#import")
     browser.named(".note", "1 rows are in the table")
     browser.visit("#/c/bench/entry")
-    browser.named("details summary", "rig").click()
+    browser.click("details summary", "rig")
     assert "name = 'bench 3'" in browser.named("details pre", "bench").text
 
 
@@ -221,21 +221,21 @@ def test_a_profile_is_remembered_and_cycles_are_left_out_and_have_a_stiffness(br
     loads = [*range(0, 500, 50), *range(500, 0, -50)] * 3
     lines = "\n".join(f"{load},{load / 1000 + k * 1e-9}" for k, load in enumerate(loads))
     browser.visit("#/c/press/table")
-    browser.one("#rig-options summary").click()
-    browser.one("#rig-profile option[value=instron]").click()
-    browser.one("#cycle-options summary").click()
+    browser.click("#rig-options summary")
+    browser.click("#rig-profile option[value=instron]")
+    browser.click("#cycle-options summary")
     browser.type("#skip-cycles", "1")
     browser.drop(".drop", "press.csv", f"Load (N),Extension (mm)\n{lines}\n")
     browser.named(".note", "60 read, 21 of skipped cycles")
-    browser.one("#import").click()
+    browser.click("#import")
     browser.named(".note", "39 rows are in the table")
     browser.type("#stiffness-low", "100")
     browser.type("#stiffness-high", "400")
-    browser.one("#stiffness-ask").click()
+    browser.click("#stiffness-ask")
     assert browser.named("#stiffness tr", "loading").text.startswith("loading 14 1000000")
     browser.visit("#/c/press/overview")
     browser.visit("#/c/press/table")
-    browser.one("#rig-options summary").click()
+    browser.click("#rig-options summary")
     browser.one("#rig-profile option[value=ros]")
     assert browser.one("#rig-profile").get_attribute("value") == "instron"
 
@@ -247,14 +247,14 @@ def test_columns_are_named_left_out_and_turned_before_an_import(browser, gauged)
     browser.type("input[aria-label='What Test rig is']", "leave out")
     browser.type("input[aria-label='What Strain is']", "leave out")
     browser.type("input[aria-label='What Fz is']", "-fz [kN]")
-    browser.one("#check-again").click()
+    browser.click("#check-again")
     shown = browser.one("#preview tbody tr:last-child").text.split()
     assert shown[1:4] == ["0", "0", "−300"]
-    browser.one("#import").click()
+    browser.click("#import")
     browser.named(".note", "3 rows are in the table")
     rows = gauged.call_json("GET", "/v1/components/gauged/table")["rows"]
     assert [row["wrench"][2] for row in rows] == [-100.0, -200.0, -300.0]
-    browser.named(".note a", "version").click()
+    browser.click(".note a", "version")
     assert "gauged.csv" in browser.one("table").text
 
 
@@ -271,7 +271,7 @@ def test_units_that_a_file_does_not_name_are_chosen_at_once(browser, gauged):
             label,
             unit,
         )
-    browser.one("#check-again").click()
+    browser.click("#check-again")
     browser.one("#preview")
     head, first = browser.one("#preview thead").text, browser.one("#preview tbody tr").text
     assert "Fx, N" in head
@@ -300,7 +300,7 @@ def test_an_entry_is_noted_renamed_put_away_and_brought_back_by_keyboard(browser
     reported = gauged.component("gauged2")
     assert (reported["notes"], reported["rows"]) == ("gauge 7 drifts", about["rows"])
     browser.visit("#/")
-    browser.one("#archived").click()
+    browser.click("#archived")
     assert "archived" in browser.named(".card", "gauged\n").text
     assert browser.mistakes() == []
 
@@ -315,7 +315,7 @@ def test_rows_of_another_setup_are_told_and_solved_again_by_one_button(
     browser.until(lambda: client.component("reworked")["another_setup"]["wrenches"])
     browser.visit("#/c/reworked")
     assert "1 rows belong to another setup" in browser.named(".note", "another setup").text
-    browser.named(".note button", "Solve them again").click()
+    browser.click(".note button", "Solve them again")
     browser.until(lambda: not client.component("reworked")["another_setup"]["wrenches"])
     assert client.component("reworked")["rows"] > 0
     browser.visit("#/c/reworked")
@@ -340,10 +340,10 @@ def test_the_deformed_plate_is_magnified_and_turned(browser, plate):
     first = browser.picture("#shape")
     height = "return Math.min(...document.querySelector('#shape').data[0].z)"
     magnified = browser.run(height)
-    browser.named("button", "True scale").click()
+    browser.click("button", "True scale")
     browser.until(lambda: browser.run(height) > magnified)
     assert browser.one("#factor").text == "× 1"
-    browser.one("button[aria-label='Turn right']").click()
+    browser.click("button[aria-label='Turn right']")
     camera = "return document.querySelector('#shape')._fullLayout.scene.camera.eye.x"
     browser.until(lambda: browser.run(camera) > 1.5)
     assert browser.picture("#shape") != first
@@ -455,10 +455,10 @@ def test_words_stand_out_from_what_is_behind_them(browser, plate, scheme):
 def test_a_key_that_is_typed_goes_with_every_call(browser, plate):
     browser.visit(f"{PLATE}/query")
     before = browser.one("input[name=fx]")
-    browser.one("#key").click()
+    browser.click("#key")
     key = getattr(plate, "_key", None) or "wb_secret"
     browser.type("dialog input", key)
-    browser.named("dialog button", "Use this key").click()
+    browser.click("dialog button", "Use this key")
     browser.gone(before)
     browser.named("pre", "Authorization: Bearer $WRENCHBOOK_KEY")
     browser.run(
@@ -473,6 +473,6 @@ def test_a_key_that_is_typed_goes_with_every_call(browser, plate):
 
 def test_what_is_shown_of_a_scene_is_its_plan(browser, plate):
     browser.visit("#/scene")
-    browser.named("label", "plate_thin").click()
-    browser.named("button", "Plan").click()
+    browser.click("label", "plate_thin")
+    browser.click("button", "Plan")
     assert "First solves" in browser.named(".cards .card", "plate_thin").text

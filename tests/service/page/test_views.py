@@ -2,6 +2,7 @@
 
 import json
 import re
+import zipfile
 from functools import partial
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.keys import Keys
 
-from tests.service.page.test_browser import LOADS, PLATE, ask
+from tests.service.page.test_browser import LOADS, PLATE, add, ask
 from tests.service.test_import_findings import logs_of
 from tests.surrogate.findings.rigs import Rig
 from tests.until import until
@@ -94,7 +95,7 @@ def test_the_old_report_stays_while_a_new_one_is_made_which_can_be_cancelled(bro
     browser.visit(f"{PLATE}/report")
     before = browser.one("#plot-front[data-drawn]")
     browser.type("input[type=number]", "1000")
-    browser.named("button", "Make the report").click()
+    browser.click("button", "Make the report")
     cancel = browser.one("#cancel-report")
     assert before.is_displayed()
     cancel.click()
@@ -319,7 +320,7 @@ def test_the_audit_offers_each_action_that_the_service_writes(browser, client):
     events = re.findall(r'_by_caller\([^"]*"([a-z]+)"', source)
     assert len(written) > 10
     assert written | {f"job.{event}" for event in events} <= offered
-    browser.one("option[value='key.*']").click()  # no key was made
+    browser.click("option[value='key.*']")  # no key was made
     browser.until(lambda: not browser.all("tbody tr"), "the entries of keys")
 
 
@@ -332,7 +333,7 @@ def test_two_logs_are_joined_and_the_lag_of_their_clocks_is_one_click(browser, c
     browser.visit("#/c/logs/table")
     browser.one("#file").send_keys(str(tmp_path / "loads.csv"))
     browser.named("#checked", "a log of loads")
-    browser.named("summary", "Two logs").click()
+    browser.click("summary", "Two logs")
     browser.one("#displacements").send_keys(str(tmp_path / "moved.csv"))
     button = browser.named(".note.thin button", "Use a lag of 0.3")
     assert "0 s added" in browser.named(".note", "Clocks").text
@@ -341,7 +342,7 @@ def test_two_logs_are_joined_and_the_lag_of_their_clocks_is_one_click(browser, c
     added = re.search(r"([\d.]+) s added", browser.named(".note", "Clocks").text)
     assert added
     assert float(added[1]) == pytest.approx(0.35, abs=0.001)
-    browser.one("#import").click()
+    browser.click("#import")
     browser.named(".note", "rows are in the table")
     (kept,) = client.call_json("GET", "/v1/components/logs/imports")["imports"]
     assert kept["filename"] == "loads.csv, moved.csv"
@@ -350,12 +351,12 @@ def test_two_logs_are_joined_and_the_lag_of_their_clocks_is_one_click(browser, c
 
 def test_a_field_left_after_the_check_keeps_the_import_button(browser, rig):
     browser.visit("#/c/unmeasured/table")
-    browser.one("#rig-options summary").click()
+    browser.click("#rig-options summary")
     browser.type("#rig-load-point", "0,0,0.05")
     browser.drop(".drop", "one.csv", f"{LOADS},ux [mm]\n40,0,0,0,0,0,0.1\n")
     browser.one("#import")
     browser.run("document.querySelector('#import').kept = true")
-    browser.one("#rig-displacement-point").click()
+    browser.click("#rig-displacement-point")
     assert browser.run("return document.querySelector('#import')?.kept")
 
 
@@ -381,7 +382,7 @@ def test_an_answer_for_other_loads_than_those_typed_says_so(browser, plate):
 
 def test_a_load_of_a_scene_from_above_to_is_marked_at_its_field(browser, client):
     browser.visit("#/scene")
-    browser.named("label", "spring").click()
+    browser.click("label", "spring")
     browser.type("input[aria-label='fz from']", "5")
     browser.type("input[aria-label='fz to']", "-5")
     field = browser.one("input[aria-label='fz to']")
@@ -392,7 +393,7 @@ def test_the_page_of_a_job_shows_its_displacement_and_leads_to_its_query(browser
     (done, *_) = plate.call_json("GET", "/v1/jobs?component=plate_thin&status=done")["jobs"]
     browser.visit(f"#/jobs/{done['id']}")
     browser.named("section", "Displacement of this solve")
-    browser.named("a.button", "Query this wrench").click()
+    browser.click("a.button", "Query this wrench")
     typed = browser.one("input[name=fz]").get_attribute("value")
     assert float(typed) == done["force"][2]
 
@@ -482,7 +483,7 @@ def test_the_band_of_a_response_has_a_gap_where_its_error_is_not_known(browser, 
 
 def test_a_shape_without_a_surface_is_solved_by_its_button(browser, client):
     browser.visit("#/c/bar/shape")
-    browser.named("button", "Solve this wrench").click()
+    browser.click("button", "Solve this wrench")
     browser.drawn("#shape")
     assert browser.mistakes() == []
 
@@ -490,8 +491,8 @@ def test_a_shape_without_a_surface_is_solved_by_its_button(browser, client):
 def test_a_component_without_a_report_has_a_button_that_makes_one(browser, client):
     client.solve("bar", [0, 0, -50.0], [0, 0, 0], wait_s=120)
     browser.visit("#/c/bar/report")
-    browser.named("form button", "Make the report").click()
-    browser.one("#cancel-report").click()
+    browser.click("form button", "Make the report")
+    browser.click("#cancel-report")
     browser.until(lambda: not browser.all("#cancel-report"), "the end of the report")
 
 
@@ -521,7 +522,7 @@ def test_loads_by_interface_are_asked_and_each_interface_has_its_displacement(br
     for name in ("right.fx", "right.fy", "right.mx", "right.my", "right.mz"):
         browser.type(f"input[name='{name}']", "0")
     browser.type("input[name='right.fz']", "-150")
-    browser.named("form button", "Ask").click()
+    browser.click("form button", "Ask")
     browser.until(lambda: browser.all("table.answer"))
     captions = [item.text for item in browser.all("table.answer caption")]
     assert captions == ["right"]
@@ -536,7 +537,7 @@ def test_a_temperature_is_asked_beside_the_wrench(browser):
     drawn(browser)
     assert browser.one("input[name='temperature']").get_attribute("value") == "20"
     browser.type("input[name='temperature']", "80")
-    browser.named("form button", "Ask").click()
+    browser.click("form button", "Ask")
     browser.until(lambda: browser.all("table.answer"))
     assert "temperature 80" in browser.one("main").text
 
@@ -567,7 +568,7 @@ def test_the_scene_plan_takes_loads_by_interface(browser):
     browser.until(lambda: browser.all("fieldset input[type=checkbox]"))
     boxes = browser.all("fieldset.card label.check")
     next(box for box in boxes if box.text == "link").click()
-    browser.named("form button", "Plan").click()
+    browser.click("form button", "Plan")
     browser.until(lambda: browser.all(".cards section.card"))
     assert "right.fx" in browser.one("main").text
 
@@ -605,11 +606,11 @@ def test_an_import_is_withdrawn_and_restored_under_entry_after_a_confirmation(br
     measured(client, "edited", 100, 200)
     browser.visit("#/c/edited/entry")
     for verb, rows in (("Withdraw", 0), ("Restore", 2)):
-        browser.named("table.imports button", verb).click()
-        browser.named("dialog button", verb).click()
+        browser.click("table.imports button", verb)
+        browser.click("dialog button", verb)
         browser.until(lambda: not browser.all("dialog"), "the end of the dialog")
         assert client.component("edited")["rows"] == rows
-        browser.one("#notices button").click()
+        browser.click("#notices button")
     assert "anonymous" in browser.named("table.imports tr", "Withdraw").text
     assert browser.mistakes() == []
 
@@ -617,7 +618,7 @@ def test_an_import_is_withdrawn_and_restored_under_entry_after_a_confirmation(br
 def test_missing_loads_are_counted_as_zero_by_a_button(browser, rig):
     browser.visit("#/c/unmeasured/table")
     browser.drop(".drop", "pull.csv", "fz [N],uz [mm]\n100,0.1\n")
-    browser.one("#zero-loads").click()
+    browser.click("#zero-loads")
     browser.named(".note", "1 row read without mistakes")
 
 
@@ -633,15 +634,41 @@ def test_the_error_of_a_bad_name_stands_at_its_field(browser, client):
     browser.type("#new-name", "Bad Name!")
     for size in browser.all("form input[type=number]"):
         size.send_keys("10")
-    browser.named("form button", "Add the table").click()
+    browser.click("form button", "Add the table")
     assert "cannot be used" in browser.one("#name-error").text
     assert browser.run("return document.activeElement.id") == "new-name"
 
 
 def test_a_component_is_filled_for_a_planned_scene(browser, client):
     browser.visit("#/scene")
-    browser.named("label", "spring").click()
-    browser.named("form button", "Plan").click()
-    browser.named(".cards button", "Fill for this scene").click()
+    browser.click("label", "spring")
+    browser.click("form button", "Plan")
+    browser.click(".cards button", "Fill for this scene")
     browser.named("#notices", "queued")
     assert client.call_json("GET", "/v1/jobs?component=spring")["jobs"]
+
+
+def test_the_example_of_a_bundle_is_added_as_it_stands(browser, client, tmp_path):
+    browser.visit("#/add")
+    browser.click("summary", "An example")
+    path = tmp_path / "cantilever.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("component.toml", browser.one("details pre").text)
+    add(browser, path)
+    assert client.component("cantilever")["warnings"] == []
+
+
+def test_the_terms_of_an_answer_are_explained(browser):
+    browser.visit("#/terms")
+    browser.named("h1", "Terms")
+    terms = {item.text for item in browser.all("dl.terms dt")}
+    assert {"Wrench", "Interface", "Error bar", "Covered", "Thin", "Outside"} <= terms
+
+
+def test_a_compliance_has_one_power_of_ten_and_no_entry_is_cut_on_a_telephone(browser, plate):
+    browser.resize(390, 900)
+    browser.visit(f"{PLATE}/checks")
+    browser.named("p", "m or rad per N or N·m")
+    wide = browser.one(".wide")
+    assert browser.run("return arguments[0].scrollWidth - arguments[0].clientWidth", wide) <= 0
+    assert "·10" not in wide.text

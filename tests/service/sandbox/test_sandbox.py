@@ -72,6 +72,12 @@ def test_a_file_that_takes_too_much_is_an_error_by_name_and_the_next_one_is_read
     assert run("doubled", factor=1)
 
 
+def test_a_reader_that_the_system_kills_is_no_timeout(run):
+    with pytest.raises(SandboxError, match="the machine had no memory left") as caught:
+        run("killed")
+    assert caught.value.kind == "memory"
+
+
 def test_an_exception_comes_back_by_its_name_without_its_traceback(run):
     with pytest.raises(SandboxError, match=r"^there is no such column$") as caught:
         run("refusing")

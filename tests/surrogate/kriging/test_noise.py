@@ -17,6 +17,7 @@ from wrenchbook.surrogate.kriging.equations import (
     indices_within,
     scaling_of,
 )
+from wrenchbook.surrogate.kriging.factor import SingularCovarianceError
 from wrenchbook.surrogate.kriging.settings import KrigingSettings
 from wrenchbook.surrogate.table.merging import merge
 from wrenchbook.surrogate.table.rows import Rows
@@ -138,6 +139,30 @@ def test_many_exact_readings_choose_among_kernels_of_which_most_cannot_be() -> N
     kriging = Kriging.build(rows, RANGE)
     assert np.isfinite(kriging.answer_many(rows.wrench)[1]).any()
     assert np.nanmax(kriging.observation_noise / np.ptp(rows.displacement, axis=0)) < 1e-3
+
+
+def test_a_shifted_kernel_of_a_singular_covariance_is_left_out(monkeypatch) -> None:
+    """The table had no kriging at all, although the likeliest kernel was sound."""
+    spectrum, calls = noise.spectrum, []
+
+    def first_is_singular(*arguments):
+        calls.append(arguments)
+        if len(calls) == 1:
+            raise SingularCovarianceError("rows contradict each other")
+        return spectrum(*arguments)
+
+    searched = noise._likely_logarithms
+
+    def search(*arguments):
+        result = searched(*arguments)
+        monkeypatch.setattr(noise, "spectrum", first_is_singular)
+        return result
+
+    monkeypatch.setattr(noise, "_likely_logarithms", search)
+    equations, scaling = prepared(TABLES["beside solves"])
+    result = noise.estimate_noise(equations, scaling, full_wrenches(50, 4), ROUGH)
+    assert len(calls) == len(ROUGH.length_shifts)
+    assert (result.noise > 0).all()
 
 
 @pytest.mark.parametrize("count", [1, 5])

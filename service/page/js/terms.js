@@ -1,0 +1,26 @@
+// Terms: the words of this page, each in a sentence.
+
+import { el, put } from "./dom.js";
+
+const TERMS = [
+  ["Component", "A part that bends, with its table. Its mesh and materials are a bundle; a component of measured rows has a table only."],
+  ["Interface", "The place where the simulation loads the part: a section of the mesh with a reference point and axes. Loads and displacements are given at this point in these axes."],
+  ["Wrench", "Three forces, N, and three moments, N·m, that act on the component at the interface point. Its axes are those of the undeformed interface."],
+  ["Displacement", "Three translations, m, and a rotation vector, rad, of the interface point under a wrench."],
+  ["Row", "One wrench with its displacement, from a solve by finite elements or from a measurement."],
+  ["Table", "All rows of a component. A query interpolates between them in microseconds."],
+  ["Error bar", "Half the width of the interval about an answer that holds the true value in 95 % of queries. Its parts are interpolation (more rows lower it), discretisation (a finer mesh lowers it) and, in a linear analysis, linearity."],
+  ["Covered", "The interpolation error of the answer is known and within the tolerance."],
+  ["Thin", "The interpolation error is larger than the tolerance or not known. The answer is an estimate; a query queues a solve whose row makes the table thicker."],
+  ["Outside", "The wrench is beyond the load range, or beyond the rows for a method that does not extrapolate. Widen [range], or add rows there."],
+  ["Tolerance", "The error of an answer that the user accepts. It stands in component.toml; without it, 1 % of the range of each output."],
+  ["Fill", "Solves at the wrenches where the error bar is largest, until the tolerance is met or the budget is spent."],
+  ["Scene", "One simulation: its components, the loads that occur, and the outputs that it reads. What a scene does not need is not solved."],
+  ["Tare", "The reading of a rig at no load, subtracted from the readings under load."],
+];
+
+export function show(root) {
+  document.title = "Terms · wrenchbook";
+  put(root, el("div", { class: "head" }, el("div", {}, el("h1", {}, "Terms"), el("p", { class: "muted" }, "The words of this page. API lists the calls of the server; `wrenchbook --help` prints the commands."))),
+    el("section", { class: "card" }, el("dl", { class: "terms" }, TERMS.map(([name, text]) => [el("dt", {}, name), el("dd", {}, text)]))));
+}
