@@ -97,7 +97,10 @@ def by_name(option: str, form: str, values: list[str] | None) -> list[tuple[str,
 def in_folder(file: Path | None) -> Path | None:
     """Refuse a file to write whose folder is not there, before anything is solved or served."""
     if file is not None and not file.parent.is_dir():
-        raise typer.BadParameter(f"there is no folder {file.parent}; create it first")
+        raise typer.BadParameter(
+            f"the folder {file.parent} for {file.name} does not exist; create it first, or name a "
+            "file in another folder"
+        )
     return file
 
 
@@ -113,4 +116,6 @@ def refuse_alone(needed: str, options: Mapping[str, object]) -> None:
     """Refuse those of some options by name that have a value: another one, `needed`, has none."""
     names = ", ".join(name for name, value in options.items() if value)
     if names:
-        raise typer.BadParameter(f"{names} needs {needed}; add it, or leave {names} out")
+        raise typer.BadParameter(
+            f"{names} has an effect only with {needed}; add {needed}, or leave {names} out"
+        )
