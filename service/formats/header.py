@@ -185,8 +185,8 @@ def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Opti
             rows += [" "]
         if len(rows) > 1 and rows[0] in _OTHER_DELIMITERS:
             raise ValueError(
-                f"{line.strip()[:80]} may be separated by blanks or by commas. For commas write "
-                "the line sep=, before the first; otherwise replace the blanks by ;"
+                f"blanks or commas may separate the cells of {line.strip()[:80]}. For commas put "
+                "the line sep=, before the first line; for blanks replace them by ;"
             )
         if rows:
             return rows[0]
@@ -399,7 +399,7 @@ def _add_column(
         header.ignored.append(bare.label)
         return
     if sign < 0 and name not in (*columns.loads, *columns.displacement):
-        raise UnitError(f"{name} may have no minus sign, as loads have; write {text}")
+        raise UnitError(f"only loads and displacements take a minus sign, not {name}; write {text}")
     if name in header.columns:
         first = quoted(header.columns[name].label)
         message = f"{name} is there twice, also as {first}; leave one out with ignore (--ignore)"
@@ -435,7 +435,7 @@ def _reading(
     if len(fits) > 1:
         names = sorted(fits)
         example = f"--column '{label}={names[0]} [{fits[names[0]][1]}]'"
-        raise UnitError(f"can mean {' or '.join(names)}; name one by mapping, such as {example}")
+        raise UnitError(f"can mean {' or '.join(names)}; choose one, for example with {example}")
     # With brackets, or as a bare name, the label names a column and its unit is the mistake.
     if problem and (split(label)[1] or any(not unit for _, unit, _ in meanings)):
         raise problem

@@ -330,14 +330,14 @@ def _checked(numbers: Mapping[str, Any]) -> Outcome:
     plain = {name: _plain(value) for name, value in numbers.items()}
     outcome = Outcome.of(plain | {"status": "done", "program": solver_version()})
     displacement, why = outcome.displacement, ""
-    remedy = f"correct the function that {SOLVE_VARIABLE} names"
+    remedy = f"correct the function that the variable {SOLVE_VARIABLE} names"
     if not isinstance(displacement, list):
-        why = f"is {type(displacement).__name__}, not a list of numbers"
+        why = f"has the type {type(displacement).__name__}, but must be a list of numbers"
     elif len(displacement) < 6:
-        why = f"has {len(displacement)} numbers, not 6 an interface"
+        why = f"has {len(displacement)} numbers, but needs 6 for each interface"
     elif None in displacement:
         why = f"has numbers that are not finite: {numbers['displacement']!s:.200}"
-        remedy = "check the component's mesh and supports; see log.txt among the job's files"
+        remedy = "check mesh and supports of the component with: wrenchbook check FOLDER"
     if why:
         raise SolveRefusedError("bad_answer", "the solver's displacement " + why, remedy)
     if any(None in line for line in outcome.compliance or ()):

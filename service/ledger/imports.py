@@ -102,8 +102,8 @@ def import_rows(
     while (lock := _take_lock(ledger)) is None:  # one import of this ledger, of all processes
         if time.monotonic() > deadline:
             raise ImportRunningError(
-                "another large table is still being imported after "
-                f"{_PATIENCE_SECONDS:.0f} s; nothing was loaded. Send this one later"
+                f"another large table is still being imported after {_PATIENCE_SECONDS:.0f} s; "
+                "nothing was loaded. Send this one again in a minute"
             )
     try:
         _drop_hidden(ledger)  # of a killed process
