@@ -303,7 +303,7 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     problems += tie_warnings(component) + bolt_warnings(component)
     for number, material in enumerate(component.bundle.materials if component.bundle else ()):
         if material.thermal_expansion is not None and component.temperature is None:
-            message = "has no effect without [inputs.temperature]; add that, or leave this key out"
+            message = "has no effect without [inputs.temperature]; add it, or leave this key out"
             problems.append(BundleProblem(f"material[{number}].thermal_expansion", message))
     return problems
 
@@ -470,7 +470,7 @@ def support_warnings(component: ComponentModel) -> list[BundleProblem]:
         return []
     message = (
         f"has no complete face (nodes: {len(nodes)}); an elastic body has no finite displacement "
-        "at a point load, so the answer depends on the mesh size. Fix faces"
+        "at a point load, so the answer depends on the mesh size. Fix the nodes of a face"
     )
     only_fixed = len(nodes) == len(component.fixed_nodes)
     return [BundleProblem("supports.fixed" if only_fixed else "supports", message)]

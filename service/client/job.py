@@ -299,12 +299,12 @@ def _path(job: Job | int | Answer) -> str:
     number: Any = job if isinstance(job, Job) else getattr(job, "job", job)
     if number is None:
         raise InvalidArgument(
-            "this answer has no job: it is complete, or no solve was queued (its `reason` says "
-            "why); there is nothing to wait for"
+            "this answer has no job to wait for: it is complete, or no solve was queued. Read "
+            "its attribute reason"
         )
     try:
         return f"/v1/jobs/{number.id if isinstance(number, Job) else int(number)}"
     except (TypeError, ValueError):
         raise InvalidArgument(
-            f"a job must be a Job, its number, or an answer with a job, not {job!r}"
+            f"job must be a Job, the number of a job, or an answer that has a job, not {job!r}"
         ) from None

@@ -164,8 +164,8 @@ class Displacement(messages.Displacement):
         if self.interfaces:
             name = next(iter(self.interfaces))
             raise InvalidArgument(
-                f"{self.component} has several interfaces; use the answer at one of them, such as "
-                f"answer.interfaces[{name!r}]"
+                f"{self.component} has several interfaces, so its answer has no single value; "
+                f"read one interface, such as answer.interfaces[{name!r}]"
             )
         if self.translation is None or self.rotation is None:
             if self.job:

@@ -435,7 +435,7 @@ class FastPathProtocol(HttpToolsProtocol):
         """
         self._head_bytes += size
         if self._head_bytes > MAX_HEAD_BYTES:
-            raise ValueError(f"the head is longer than {MAX_HEAD_BYTES} bytes; send fewer fields")
+            raise ValueError(f"the head has more than {MAX_HEAD_BYTES} bytes; send fewer headers")
 
     def _answer(self, fast: FastPath, data: bytes) -> bool:
         """Answer one complete query, or wait for the rest of its body; False for other requests."""

@@ -461,7 +461,7 @@ class Ledger:
 
     def _check_open(self) -> None:
         if self._closed:
-            raise LedgerError(f"the ledger {self.path} is closed: the server is stopping")
+            raise LedgerError(f"the ledger {self.path} is closed; try again once the server runs")
 
 
 def _numbers(connection: Connection) -> Numbers:

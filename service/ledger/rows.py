@@ -257,7 +257,8 @@ def withdraw(db: Connection, component: str, seq: int, *, withdrawn: bool = True
     """
     if not any(record.component == component for _, record in containing(db, [seq])):
         raise UnknownRowError(
-            f"the table of {component!r} has no row {seq}; see GET /v1/components/{component}/table"
+            f"the table of {component!r} has no row {seq}; list its rows with GET "
+            f"/v1/components/{component}/table"
         )
     if is_withdrawn(db, seq) == withdrawn:
         state = "withdrawn" if withdrawn else "in the table"
@@ -381,7 +382,7 @@ def get(db: Connection, seq: int) -> LedgerRow:
     if rows:
         return rows[seq]
     if not list(containing(db, [seq])):
-        raise UnknownRowError(f"there is no row {seq}; see GET /v1/components/NAME/table")
+        raise UnknownRowError(f"there is no row {seq}; list all with GET /v1/components/NAME/table")
     raise DamagedRowError(
         f"row {seq} is damaged on the disk and is not used; restore the ledger from a backup, or "
         "ask for its wrench again to have it solved anew"

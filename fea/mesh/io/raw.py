@@ -251,7 +251,7 @@ class Translated:
         lacking = dict.fromkeys(ends for _, _, ends in blank if ends not in middles)
         if lost := {end for ends in lacking for end in ends} - points.keys():
             node, number = min((end, row[0]) for row, _, ends in blank for end in ends & lost)
-            raise MeshFileError(f"has element {number} on node {node}, not defined; add this node")
+            raise MeshFileError(f"has element {number} on the undefined node {node}; add this node")
         new = {str(next(numbers)): ends for ends in lacking}
         middles |= {ends: node for node, ends in new.items()}
         for row, i, ends in blank:

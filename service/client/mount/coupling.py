@@ -211,8 +211,9 @@ class ContractionWatch:
         if size > 1.0 and (records >= BURST or (steady >= CYCLE and size >= first)):
             growth = "grows" if records >= BURST else "does not decay"
             raise CouplingDiverged(
-                f"the coupling diverges: {max(steady, records)} times the pose has overshot its "
-                f"answer, and the distance of {size:.3g} tolerances {growth}. {REMEDY}",
+                "the coupling diverges: the pose has overshot the answer "
+                f"{max(steady, records)} times in a row, and their distance, {size:.3g} "
+                f"tolerances, {growth}. {REMEDY}",
                 (self.size, size),
             )
         if size > 1.0 and onward >= CYCLE:
