@@ -368,14 +368,14 @@ def _tolerance(translation: float | None, rotation: float | None) -> dict[str, f
         return None
     if translation is None or rotation is None:
         missing = "--tolerance-translation M" if translation is None else "--tolerance-rotation RAD"
-        raise typer.BadParameter(f"a tolerance has two numbers; add {missing}")
+        raise typer.BadParameter(f"a tolerance needs translation and rotation; add {missing}")
     return {"translation": translation, "rotation": rotation}
 
 
 def _loads(
     force: Three | None, moment: Three | None, load: list[str] | None, further: list[str] | None
 ) -> dict[str, Any]:
-    """Return the loads of a call; a component with one interface and no load has the zero one."""
+    """Return the loads of a call: zero if none is given for a component with one interface."""
     if load is None and further is None and force is None:
         force = ZERO
     loads: dict[str, list[float]] = {}
@@ -383,8 +383,8 @@ def _loads(
         numbers = [number(f"--load {name}", part) for part in text.split(",")]
         if len(numbers) not in (3, 6):
             raise InvalidArgument(
-                f"--load {name} needs 3 numbers (a force) or 6 (force and moment) with commas, not "
-                f"the {len(numbers)} of {text!r}"
+                f"--load {name} needs 3 numbers (force) or 6 (force and moment), separated by "
+                f"commas, but {text!r} has {len(numbers)}"
             )
         loads[name] = numbers + [0.0] * (6 - len(numbers))
     inputs = further_inputs(further)
