@@ -369,6 +369,9 @@ def _tolerance(translation: float | None, rotation: float | None) -> dict[str, f
     if translation is None or rotation is None:
         missing = "--tolerance-translation M" if translation is None else "--tolerance-rotation RAD"
         raise typer.BadParameter(f"a tolerance needs translation and rotation; add {missing}")
+    if min(translation, rotation) <= 0:
+        sizes = f"{translation:g} m and {rotation:g} rad"
+        raise typer.BadParameter(f"a tolerance must be above 0, not {sizes}; give larger numbers")
     return {"translation": translation, "rotation": rotation}
 
 
