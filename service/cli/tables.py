@@ -413,7 +413,7 @@ def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> No
 def _print_import(name: str, reply: dict[str, Any]) -> None:
     # Servers before 0.3 leave these out.
     absent = {"causes": reply["errors"], "above": [], "rig": None, "findings": [], "clock": None}
-    reply = {**absent, "import": None, "sheets": [], **reply}
+    reply = {**absent, "import": None, "sheets": [], "restored": 0, **reply}
     lines = [mistake_line(cause) for cause in reply["causes"]]
     above = "; ".join(reply["above"])
     omitted = {"Columns": ", ".join(reply["ignored"]), "Lines above the header": above}
@@ -424,8 +424,8 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
     lines.append(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
     if reply["existing"]:
         lines.append(
-            "Equal rows count once, within the file too. Those there stay as they are, withdrawn "
-            "ones too: slopes and second derivatives of this file are not added to them."
+            "Equal rows count once, within the file too; slopes and second derivatives of this "
+            f"file are not added to them. Withdrawn rows that count again: {reply['restored']}."
         )
     if rig := reply["rig"]:
         axes = "left-handed" if rig["left_handed"] else "right-handed"
