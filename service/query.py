@@ -140,7 +140,22 @@ class BatchOutcome:
         return any(queued.job is None or not queued.job.is_final for queued in self.jobs.values())
 
 
-_NOTHING = Reply(None, None, None, None, None, None, "thin", "", None, "", None, False, None, ())
+_NOTHING = Reply(
+    outputs=None,
+    error=None,
+    interpolation=None,
+    discretisation=None,
+    linearity=None,
+    measurement=None,
+    coverage="thin",
+    reason="",
+    within_tolerance=None,
+    method="",
+    row=None,
+    exact=False,
+    source=None,
+    missing=(),
+)
 
 
 def plain_query(fields: Any) -> Query | None:
@@ -251,10 +266,29 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         if row is not None:
             return _by_row(workspace, query, outcome, row)
     outcome.unsolved = True
-    submission, beyond = workspace.submission, ""
-    component = submission.solvable(name, outcome.reply.reason)
+    component = workspace.submission.solvable(name, outcome.reply.reason)
+    beyond = ""
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:
         beyond = why_beyond(component.load_range, wrench[0])
+    placement, why = _placed(workspace, component, query, beyond)
+    outcome.job = placement.job
+    if placement.job is None:
+        reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
+        outcome.reply = outcome.reply._replace(reason=_also(reason, why))
+        return outcome
+    return _ended(workspace, query, outcome) if placement.exact else outcome
+
+
+def _placed(
+    workspace: Workspace, component: Component, query: Query, beyond: str
+) -> tuple[Placement, str]:
+    """Return the job of a query's wrench, and the reason if there is none.
+
+    `beyond`: why the wrench must not be solved, as it is outside the load range; else empty.
+
+    Raises BeyondRangeError if the query waits for such a solve.
+    """
+    submission = workspace.submission
     if query.on_thin != "queue":
         if beyond:
             raise BeyondRangeError(
@@ -263,23 +297,15 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
                 coverage="outside",
             )
         asked_by, urgent = query.on_thin, query.wait_s > 0
-        job = submission.accept(name, query.wrench, urgent=urgent, asked_by=asked_by)
-        placement, why = Placement(job, exact=True), ""
-    elif beyond:
-        placement = Placement(None, exact=False)
-        why = (
+        job = submission.accept(component.name, query.wrench, urgent=urgent, asked_by=asked_by)
+        return Placement(job, exact=True), ""
+    if beyond:
+        return Placement(None, exact=False), (
             "no solve is queued outside the load range without beyond_range (--beyond-range): "
             f"{beyond}"
         )
-    else:
-        (placement,), why = submission.queue(name, wrench), ""
-    outcome.job = placement.job
-    if placement.job is None:
-        why = why or submission.refusal(component)
-        reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
-        outcome.reply = outcome.reply._replace(reason=_also(reason, why))
-        return outcome
-    return _ended(workspace, query, outcome) if placement.exact else outcome
+    (placement,) = submission.queue(component.name, np.array([query.wrench]))
+    return placement, "" if placement.job else submission.refusal(component)
 
 
 def _uncovered(workspace: Workspace, component: Component, query: Query, outcome: Outcome) -> Rows:
@@ -329,7 +355,8 @@ def fields_of(outcome: Outcome) -> dict[str, Any]:
     value, error, names = reply.outputs, reply.error, outcome.table.interfaces
     fields: dict[str, Any] = {"component": outcome.component}
     if names:
-        values, errors = (by_part(six, names) if six else {} for six in (value, error))
+        values = by_part(value, names) if value else {}
+        errors = by_part(error, names) if error else {}
         unknown = {"translation": None, "rotation": None}
         fields["displacements"] = {
             name: values.get(name, unknown) | {"error": errors.get(name)} for name in names
@@ -428,6 +455,23 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
             _take_row(workspace, acting, query, outcome, place, row)
     uncovered = uncovered[[row is None for row in rows]]
     component = workspace.submission.solvable(name, soon)
+    _place_many(workspace, component, query, outcome, acting, uncovered)
+    _take_rows(workspace, acting, query, outcome)
+    return outcome
+
+
+def _place_many(
+    workspace: Workspace,
+    component: Component,
+    query: Query,
+    outcome: BatchOutcome,
+    acting: Floats,
+    uncovered: NDArray[np.intp],
+) -> None:
+    """Add the jobs of the `uncovered` of the wrenches `acting` (n, inputs) to an outcome.
+
+    Raises BeyondRangeError if the query waits for a solve outside the load range.
+    """
     beyond = ~component.load_range.holds(acting[uncovered]) & (not query.beyond_range)
     if beyond.any() and query.on_thin == "wait":
         first = int(uncovered[beyond][0])
@@ -440,13 +484,12 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
     place_jobs = workspace.submission.queue
     if query.on_thin == "wait":
         place_jobs = workspace.submission.each
-    placements = iter(place_jobs(name, acting[uncovered[~beyond]]))
-    outcome.jobs = {
-        place: Placement(None, exact=False, reason="beyond-range") if is_out else next(placements)
-        for place, is_out in zip(uncovered.tolist(), beyond.tolist(), strict=True)
-    }
-    _take_rows(workspace, acting, query, outcome)
-    return outcome
+    placements = iter(place_jobs(component.name, acting[uncovered[~beyond]]))
+    for place, is_beyond in zip(uncovered.tolist(), beyond.tolist(), strict=True):
+        if is_beyond:
+            outcome.jobs[place] = Placement(None, exact=False, reason="beyond-range")
+        else:
+            outcome.jobs[place] = next(placements)
 
 
 def known_slopes(derivative: Floats) -> Floats | None:

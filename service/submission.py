@@ -198,23 +198,8 @@ class Submission:
             return [Placement(jobs[key], exact=True) for key in keys]
         points, candidates = wrenches[unplaced] / scale, self._open(*setup, scale)
         if (candidates.near(points, radius) < 0).any() and candidates.queries < self.queue_limit:
-
-            def choose(open_jobs: list[OpenJob]) -> list[bytes]:
-                """Pick new wrenches, in the ledger's transaction, by its open jobs at that time."""
-                nonlocal candidates
-                candidates = _Open(0, open_jobs, scale)
-                free = candidates.near(points, radius) < 0
-                room = self.queue_limit - candidates.queries
-                return packed(wrenches[unplaced][free][spread(points[free], radius, room)])
-
-            accepted = self._ledger.accept_chosen(
-                *setup, choose, asked_by="query", quota=self._quota
-            )
-            new_keys = packed(np.array([job.wrench for job in accepted]).reshape(-1, len(scale)))
-            new = dict(zip(new_keys, accepted, strict=True))
+            new, candidates = self._accept_new(component, wrenches[unplaced], radius)
             jobs |= new
-            opened = [OpenJob(job.id, key, "query") for key, job in new.items()]
-            candidates = _Open(0, candidates.jobs + opened, scale)
         records = {job.id: job for job in jobs.values()}
         joined: dict[int, OpenJob] = {}
         for place, near in zip(unplaced, candidates.near(points, radius).tolist(), strict=True):
@@ -232,6 +217,32 @@ class Submission:
             else:
                 placements.append(Placement(None, exact=False, reason="queue-limit"))
         return placements
+
+    def _accept_new(
+        self, component: Component, wrenches: Floats, radius: float
+    ) -> tuple[dict[bytes, JobRecord], _Open]:
+        """Accept jobs of wrenches that no open job is near, up to the limit.
+
+        Returns the new jobs by wrench, and all open jobs.
+        """
+        scale, open_before = component.load_range.scale, _Open(0, [], component.load_range.scale)
+
+        def choose(open_jobs: list[OpenJob]) -> list[bytes]:
+            """Pick new wrenches, in the ledger's transaction, by its open jobs at that time."""
+            nonlocal open_before
+            open_before = _Open(0, open_jobs, scale)
+            points = wrenches / scale
+            free = open_before.near(points, radius) < 0
+            room = self.queue_limit - open_before.queries
+            return packed(wrenches[free][spread(points[free], radius, room)])
+
+        accepted = self._ledger.accept_chosen(
+            component.name, component.fingerprint, choose, asked_by="query", quota=self._quota
+        )
+        keys = packed(np.array([job.wrench for job in accepted]).reshape(-1, len(scale)))
+        new = dict(zip(keys, accepted, strict=True))
+        opened = [OpenJob(job.id, key, "query") for key, job in new.items()]
+        return new, _Open(0, open_before.jobs + opened, scale)
 
     def _open(self, name: str, fingerprint: str, scale: Floats) -> _Open:
         """Return the open jobs, read again only after a commit."""

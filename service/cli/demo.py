@@ -19,6 +19,7 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli import progress
 from wrenchbook.service.cli.render import UNITS, answer_shown
 from wrenchbook.service.client import Client, Displacement, Job
+from wrenchbook.surrogate.table.rows import Floats
 
 COMPONENT = "plate_thin"
 SOLVERS = 2
@@ -126,13 +127,7 @@ def _compare(out: Console, client: Client) -> str | None:
     spans = np.array([*component["range"]["force"], *component["range"]["moment"]])
     rng = np.random.default_rng(SEED)
     wrenches = rng.uniform(spans[:, 0], spans[:, 1], (CHECKED, 6)).round(6)
-    answers, plain = (
-        [
-            client.displacement(COMPONENT, row[:3], row[3:], on_thin="estimate", method=method)
-            for row in wrenches
-        ]
-        for method in (None, "griddata")
-    )
+    answers, plain = _answers(client, wrenches, None), _answers(client, wrenches, "griddata")
     queued = [client.solve(COMPONENT, row[:3], row[3:]).job for row in wrenches]
     jobs = progress.follow(out, client, [job for job in queued if job])
     by_id = {job.id: job for job in jobs}
@@ -152,15 +147,7 @@ def _compare(out: Console, client: Client) -> str | None:
     out.print(_error_table(compared))
     times = np.array([answer.elapsed_us for answer in answers], dtype=float)
     seconds = np.array([job.seconds for job in jobs if job.status == "done"], dtype=float)
-    table = Table(title="Run time of one answer")
-    for heading in ("", "median", "95 %"):
-        table.add_column(heading, justify="right" if heading else "left")
-    middle, late = np.median(times), np.quantile(times, 0.95)
-    table.add_row("table", f"{middle:.0f} µs", f"{late:.0f} µs")
-    solve, slow = np.median(seconds), np.quantile(seconds, 0.95)
-    table.add_row("FEA, a process of its own", f"{solve:.2f} s", f"{slow:.2f} s")
-    table.caption = f"The table is {1e6 * solve / middle:,.0f} times faster."
-    out.print(table)
+    out.print(_time_table(times, seconds))
     within = sum(answer.within_tolerance is True for answer in answers)
     bars = [answer.error_vector[2] for answer in answers if answer.error_vector is not None]
     solved = np.array([row.job.raw["translation"][2] for row in compared])
@@ -168,7 +155,8 @@ def _compare(out: Console, client: Client) -> str | None:
     error = np.abs(answered - solved)
     rows, limit = client.component(COMPONENT)["rows"], component["tolerance"]
     out.print(
-        f"The table of {rows} rows answers in {middle:.0f} µs; one solve takes {solve:.1f} s.\n"
+        f"The table of {rows} rows answers in {np.median(times):.0f} µs; one solve takes "
+        f"{np.median(seconds):.1f} s.\n"
         f"In {len(compared)} new solves u_z is up to {np.abs(solved).max():.1e} m.\n"
         f"Error of the table's u_z: median {np.median(error):.1e} m, largest {error.max():.1e} m.\n"
         f"Error bar of u_z, with the error of the mesh: median {np.median(bars):.1e} m.\n"
@@ -178,19 +166,41 @@ def _compare(out: Console, client: Client) -> str | None:
     return None if within == CHECKED else "all answers should be within the tolerance"
 
 
+def _answers(client: Client, wrenches: Floats, method: str | None) -> list[Displacement]:
+    """Return the table's answers to wrenches (n, 6), N and N·m, by a method."""
+    return [
+        client.displacement(COMPONENT, row[:3], row[3:], on_thin="estimate", method=method)
+        for row in wrenches
+    ]
+
+
+def _time_table(times: Floats, seconds: Floats) -> Table:
+    """Return a table of the run times of answers (n,), µs, and of solves (k,), s."""
+    table = Table(title="Run time of one answer")
+    for heading in ("", "median", "95 %"):
+        table.add_column(heading, justify="right" if heading else "left")
+    middle, late = np.median(times), np.quantile(times, 0.95)
+    table.add_row("table", f"{middle:.0f} µs", f"{late:.0f} µs")
+    solve, slow = np.median(seconds), np.quantile(seconds, 0.95)
+    table.add_row("FEA, a process of its own", f"{solve:.2f} s", f"{slow:.2f} s")
+    table.caption = f"The table is {1e6 * solve / middle:,.0f} times faster."
+    return table
+
+
 def _error_table(compared: Sequence[Compared]) -> Table:
     """Return a table of the errors against FEA for each output, with griddata's beside them."""
     raw = [row.job.raw for row in compared]
     true = np.array([[*job["translation"], *job["rotation"]] for job in raw])
     error = np.abs(np.array([row.answer.vector for row in compared]) - true)
-    other = np.abs(np.array([row.plain.vector for row in compared]) - true)
+    plain_error = np.abs(np.array([row.plain.vector for row in compared]) - true)
     bars = np.array([row.answer.error_vector for row in compared])
     span, method = np.ptp(true, axis=0), compared[0].answer.method
     table = Table(title=f"{method} against FEA, {len(compared)} full wrenches not in the table")
     for heading in ("", "range", "RMS error", "largest", "RMS/range", "in bar", "griddata"):
         table.add_column(heading, justify="right" if heading else "left")
     for place, (name, unit) in enumerate(UNITS.items()):
-        rms, plain_rms = (np.sqrt(np.mean(e[:, place] ** 2)) for e in (error, other))
+        rms = np.sqrt(np.mean(error[:, place] ** 2))
+        plain_rms = np.sqrt(np.mean(plain_error[:, place] ** 2))
         table.add_row(
             f"{name}, {unit}",
             f"{span[place]:.2e}",

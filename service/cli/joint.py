@@ -76,21 +76,21 @@ def joint(
 
     with connected(server, data) as client:
         facts = client.component(name)
-        about = (*force, *moment), further_inputs(further)
-        springs = LinearPart.of(client.download(name), *about) if linear else None
+        springs = None
+        if linear:
+            table, wrench = client.download(name), (*force, *moment)
+            springs = LinearPart.of(table, wrench, further_inputs(further))
     part, mass = _moving(name, facts, interface)
-    mass, locked = None if massless else mass, part.get("locked", ())
+    locked = part.get("locked", ())
+    if massless:
+        mass = None
     if springs is None:
         text = scene_with_joint(scene, base, tip, locked=locked, site=site, mass=mass)
     else:
         text = scene_with_springs(scene, base, tip, springs, damping=damping, site=site, mass=mass)
         sys.stderr.write(f"{springs.error}\n")
-    if mass is not None:
-        total, moving = facts["vibration"]["mass"], sum(mass[k][k] for k in range(3)) / 3
-        masses = f"{moving:.4g} kg of the part's {total:.4g} kg move with {tip!r}"
-        sys.stderr.write(f"{masses}. Add the mass that moves with no tip to the base's body\n")
-    elif not massless:
-        sys.stderr.write(f"{name} has no known mass; give its materials a density\n")
+    if not massless:
+        sys.stderr.write(_mass_note(name, facts, mass, tip) + "\n")
     if out is not None:
         out.write_text(text, encoding="utf-8")
         if ' file="' in text and out.resolve().parent != scene.resolve().parent:
@@ -99,6 +99,17 @@ def joint(
         print_json({"component": name, "tip_mass": mass, "file": out, "mjcf": text})
     elif out is None:
         sys.stdout.write(text)
+
+
+def _mass_note(name: str, facts: dict[str, Any], mass: list[list[float]] | None, tip: str) -> str:
+    """Return how much of a part's mass moves with the tip; `mass` as of `_moving`."""
+    if mass is None:
+        return f"{name} has no known mass; give its materials a density"
+    total, moving = facts["vibration"]["mass"], sum(mass[k][k] for k in range(3)) / 3
+    return (
+        f"{moving:.4g} kg of the part's {total:.4g} kg move with {tip!r}. Add the mass that moves "
+        "with no tip to the base's body"
+    )
 
 
 def _moving(name: str, facts: dict[str, Any], interface: str | None = None) -> tuple[Any, Any]:
@@ -121,9 +132,10 @@ def _moving(name: str, facts: dict[str, Any], interface: str | None = None) -> t
             f"{has} moves at {', '.join(moving)}; name the interface of the tip, for example: "
             f"--interface {moving[0]}"
         )
-    of = slice(first := FREEDOMS * [*parts].index(at), first + FREEDOMS)
+    first = FREEDOMS * list(parts).index(at)
+    freedoms = slice(first, first + FREEDOMS)
     matrix = (facts.get("vibration") or {}).get("condensed_mass") or []
-    return parts[at], [row[of] for row in matrix[of]] or None
+    return parts[at], [row[freedoms] for row in matrix[freedoms]] or None
 
 
 def stiffness(
@@ -159,8 +171,8 @@ def stiffness(
             shown: list[Any] = list(stiffness_lines(body))
         else:
             facts = client.component(name)
-            about = (*force, *moment), further_inputs(further)
-            part = LinearPart.of(client.download(name), *about)
+            table, wrench = client.download(name), (*force, *moment)
+            part = LinearPart.of(table, wrench, further_inputs(further))
             body = part.to_dict(_moving(name, facts)[1])
             loads, freedoms, mass = body["loads"], part.freedoms, body["mass"]
             shown = [

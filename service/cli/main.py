@@ -52,7 +52,9 @@ class NumbersCommand(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Refuse an option of n numbers that another option follows before the n-th."""
         for option in self.params:
-            for name in set(option.opts) & set(args) if option.nargs > 1 else ():
+            if option.nargs < 2:
+                continue
+            for name in set(option.opts) & set(args):
                 place = args.index(name) + 1
                 for count, text in enumerate(args[place : place + option.nargs]):
                     if "," in text:
@@ -266,14 +268,22 @@ def fill(
         refuse_alone("--force-range FX FX FY FY FZ FZ", {"--moment-range": moment_range})
     span = None
     if force_range and moment_range:
-        ends = {"force": force_range, "moment": moment_range}
-        span = {load: [list(of[k : k + 2]) for k in (0, 2, 4)] for load, of in ends.items()}
-    options = {"tolerance": tolerance, "range": span, "outputs": output or None}
-    options["for_joint"] = for_joint
+        span = {"force": _pairs(force_range), "moment": _pairs(moment_range)}
+    options = {
+        "tolerance": tolerance,
+        "range": span,
+        "outputs": output or None,
+        "for_joint": for_joint,
+    }
     with connected(server, data) as client:
         filled = progress.fill(Screen(stderr=as_json), client, name, budget, options)
     if as_json:
         print_json(filled)
+
+
+def _pairs(ends: Six) -> list[list[float]]:
+    """Return the lowest and the highest value of each load."""
+    return [list(ends[k : k + 2]) for k in (0, 2, 4)]
 
 
 @app.command()

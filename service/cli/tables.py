@@ -182,8 +182,10 @@ def _mapping(columns: Sequence[str], units: Sequence[str]) -> dict[str, str]:
         mapping[label] = meaning.strip()
     bare = [label for label, meaning in mapping.items() if "[" not in meaning]
     if units and len(units) != len(bare):
-        message = f"--unit is there {len(units)} times for {len(bare)} --column without brackets; "
-        raise typer.BadParameter(f"{message}write each as --column 'COLUMN=fz [kN]'")
+        raise typer.BadParameter(
+            f"--unit is there {len(units)} times for {len(bare)} --column without brackets; write "
+            "each as --column 'COLUMN=fz [kN]'"
+        )
     pairs = zip(bare, units, strict=False)
     return mapping | {label: f"{mapping[label]} [{unit.strip('[]')}]" for label, unit in pairs}
 
@@ -234,28 +236,22 @@ def export_table(
     to_stdout, ending = str(file) == "-", file.suffix.lower()
     if ending != ".fmu":
         refuse_alone("a file that ends in .fmu", {"--method": method, "--platforms": platforms})
-    format_ = "csv" if to_stdout else "packed" if ending in COMPILED else table_format(file)
+    format_ = _format_of(file)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     units = {quantity: unit for quantity, unit in units.items() if unit is not None}
-    curves = {"others": bushing} if bushing else {}
-    if curves and format_ != "csv":
-        raise typer.BadParameter(
-            f"--bushing writes CSV, but {file} has another ending; name a file that ends in .csv"
-        )
-    if curves and (units or table_version is not None):
-        others = ", ".join(f"--{option}" for option in units) or "--table-version"
-        raise typer.BadParameter(f"--bushing writes the newest table in SI; leave {others} out")
-    format_ = "bushing" if curves else format_
+    curves = {}
+    if bushing:
+        _check_bushing(file, format_, units, table_version)
+        format_, curves = "bushing", {"others": bushing}
     if to_stdout and as_json:
         raise typer.BadParameter(
             "--json describes a written file, but - writes none; leave --json out"
         )
+    targets = ()
     if platforms is not None:  # checked before a server is called or started
         from wrenchbook.service.fmu.export import platforms_of
 
         targets = platforms_of(platforms)
-    else:
-        targets = ()
     with connected(server, data) as client:
         content = client.export_table(name, format_, units, table_version, **curves)
     if to_stdout:
@@ -267,6 +263,24 @@ def export_table(
         content, message = _compiled(file, name, content, method, targets)
     write_atomically(file, content)
     show({"file": file, "bytes": len(content), "message": message}, as_json, message)
+
+
+def _format_of(file: Path) -> str:
+    """Return the format in which the server sends a table for a file; - is CSV."""
+    if str(file) == "-":
+        return "csv"
+    return "packed" if file.suffix.lower() in COMPILED else table_format(file)
+
+
+def _check_bushing(file: Path, format_: str, units: dict[str, str], version: int | None) -> None:
+    """Refuse --bushing with another format than CSV, other units than SI, or an earlier version."""
+    if format_ != "csv":
+        raise typer.BadParameter(
+            f"--bushing writes CSV, but {file} has another ending; name a file that ends in .csv"
+        )
+    if units or version is not None:
+        options = ", ".join(f"--{option}" for option in units) or "--table-version"
+        raise typer.BadParameter(f"--bushing writes the newest table in SI; leave {options} out")
 
 
 def _compiled(
@@ -361,7 +375,6 @@ def rig(
 ) -> None:
     """List, show, add (or replace) and remove profiles of test rigs, for import --rig NAME."""
     path = "/v1/rigs" if action == "list" else f"/v1/rigs/{quote(name, safe='')}"
-    verb = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}[action]
     if (action == "list") == bool(name) or (action == "add") != (file is not None):
         form = {"list": "list", "add": "add NAME FILE.toml"}.get(action, f"{action} NAME")
         raise typer.BadParameter(
@@ -374,17 +387,21 @@ def rig(
         )
     content = None if file is None else file.read_bytes()
     with connected(server, data) as client:
-        reply = client.call(verb, path, content, kind="application/toml")
+        reply = client.call(RIG_METHODS[action], path, content, kind="application/toml")
     text = reply.content.decode()
     body: Any = {"name": name, "profile": text} if action == "show" else reply.json()
     if action in ("add", "remove"):
         text = f"The rig {name} is {'stored' if file else 'removed'}."
+    if name:
+        show(body, as_json, text.rstrip())
+        return
     table = Table("name", "origin", "title")
-    for known in body["rigs"] if action == "list" else ():
-        table.add_row(known["name"], known["origin"], escape(known["title"]))
-    show(body, as_json, text.rstrip() if name else lambda: [table])
+    for profile in body["rigs"]:
+        table.add_row(profile["name"], profile["origin"], escape(profile["title"]))
+    show(body, as_json, lambda: [table])
 
 
+RIG_METHODS = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}
 NOT_LOADED = {  # texts by the state of an import's rows
     "refused": "have mistakes",
     "tare": "are the tare",
@@ -406,32 +423,15 @@ def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> No
     plain(Screen(), f"{finding['cause']}: {finding['message']}", style="yellow")
     if number is not None:
         command = f"wrenchbook withdraw {name} {number} --finding {finding['cause']}"
-        many = finding["count"] or "all"
-        plain(Screen(), f"  to withdraw {many} rows of this import: {command}")
+        count = finding["count"] or "all"
+        plain(Screen(), f"  to withdraw {count} rows of this import: {command}")
 
 
 def _print_import(name: str, reply: dict[str, Any]) -> None:
     # Servers before 0.3 leave these out.
     absent = {"causes": reply["errors"], "above": [], "rig": None, "findings": [], "clock": None}
     reply = {**absent, "import": None, "sheets": [], "restored": 0, **reply}
-    lines = [mistake_line(cause) for cause in reply["causes"]]
-    above = "; ".join(reply["above"])
-    omitted = {"Columns": ", ".join(reply["ignored"]), "Lines above the header": above}
-    lines += [f"{subject} left out: {names}." for subject, names in omitted.items() if names]
-    if len(sheets := reply["sheets"]) > 1:
-        lines.append(f"Sheet {reply['sheet']} was read, of {', '.join(sheets)}.")
-    verb = "would be inserted" if reply["dry_run"] else "inserted"
-    lines.append(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
-    if reply["existing"]:
-        lines.append(
-            "Equal rows count once, within the file too; slopes and second derivatives of this "
-            f"file are not added to them. Withdrawn rows that count again: {reply['restored']}."
-        )
-    if rig := reply["rig"]:
-        axes = "left-handed" if rig["left_handed"] else "right-handed"
-        cell = f", load cell {rig['load_cell']}" if rig.get("load_cell") else ""
-        lines.append(f"Readings were taken to the interface from rig {rig['name']}, {axes}{cell}.")
-    for line in lines:
+    for line in _import_lines(reply):
         plain(Screen(), line)
     for finding in reply["findings"]:
         _print_finding(name, finding, reply["import"])
@@ -450,3 +450,25 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
     if not (reply["dry_run"] or reply["errors"] or reply["in_use"]):
         text = f"it answers from the {reply['inserted']} rows soon."
         plain(Screen(), f"The server still builds its table; {text}")
+
+
+def _import_lines(reply: dict[str, Any]) -> list[str]:
+    """Return the lines of an import's mistakes, omitted columns, sheets, rows and rig."""
+    lines = [mistake_line(cause) for cause in reply["causes"]]
+    above = "; ".join(reply["above"])
+    omitted = {"Columns": ", ".join(reply["ignored"]), "Lines above the header": above}
+    lines += [f"{subject} left out: {names}." for subject, names in omitted.items() if names]
+    if len(sheets := reply["sheets"]) > 1:
+        lines.append(f"Sheet {reply['sheet']} was read, of {', '.join(sheets)}.")
+    verb = "would be inserted" if reply["dry_run"] else "inserted"
+    lines.append(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
+    if reply["existing"]:
+        lines.append(
+            "Equal rows count once, within the file too; slopes and second derivatives of this "
+            f"file are not added to them. Withdrawn rows that count again: {reply['restored']}."
+        )
+    if rig := reply["rig"]:
+        axes = "left-handed" if rig["left_handed"] else "right-handed"
+        cell = f", load cell {rig['load_cell']}" if rig.get("load_cell") else ""
+        lines.append(f"Readings were taken to the interface from rig {rig['name']}, {axes}{cell}.")
+    return lines

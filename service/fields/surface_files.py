@@ -26,6 +26,34 @@ _MATERIAL = {
 }
 
 
+class _Arrays:
+    """The arrays of a .glb file: their bytes, and the entries that describe them."""
+
+    def __init__(self) -> None:
+        self.content = bytearray()
+        self.views: list[dict[str, Any]] = []
+        self.accessors: list[dict[str, Any]] = []
+
+    def add(self, values: NDArray[Any], target: int) -> int:
+        """Add an array, shape (n,) or (n, 3), and return the number of its accessor."""
+        floats = target == _VERTICES
+        numbers = np.ascontiguousarray(values, dtype="<f4" if floats else "<u4")
+        columns = numbers.reshape(len(numbers), -1)
+        view = {"buffer": 0, "byteOffset": len(self.content), "byteLength": numbers.nbytes}
+        accessor = {
+            "bufferView": len(self.views),
+            "componentType": _FLOAT if floats else _UNSIGNED,
+            "count": len(numbers),
+            "type": "VEC3" if numbers.ndim == 2 else "SCALAR",
+            "min": columns.min(axis=0).tolist(),
+            "max": columns.max(axis=0).tolist(),
+        }
+        self.content.extend(numbers.tobytes())  # all lengths are multiples of four bytes
+        self.views.append(view | {"target": target})
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+
 def write_gltf(shape: Deformed) -> bytes:
     """Return the .glb file of a deformed surface: the undeformed mesh, and a morph target.
 
@@ -37,34 +65,12 @@ def write_gltf(shape: Deformed) -> bytes:
     coverage, the largest of each part of those errors, ``within_tolerance`` and the largest stress
     are in the mesh's ``extras``.
     """
-    content = bytearray()
-    views: list[dict[str, Any]] = []
-    accessors: list[dict[str, Any]] = []
-
-    def add(values: NDArray[Any], target: int) -> int:
-        """Add an array, shape (n,) or (n, 3), and return the number of its accessor."""
-        floats = target == _VERTICES
-        numbers = np.ascontiguousarray(values, dtype="<f4" if floats else "<u4")
-        columns = numbers.reshape(len(numbers), -1)
-        view = {"buffer": 0, "byteOffset": len(content), "byteLength": numbers.nbytes}
-        accessor = {
-            "bufferView": len(views),
-            "componentType": _FLOAT if floats else _UNSIGNED,
-            "count": len(numbers),
-            "type": "VEC3" if numbers.ndim == 2 else "SCALAR",
-            "min": columns.min(axis=0).tolist(),
-            "max": columns.max(axis=0).tolist(),
-        }
-        content.extend(numbers.tobytes())  # all lengths are multiples of four bytes
-        views.append(view | {"target": target})
-        accessors.append(accessor)
-        return len(accessors) - 1
-
-    attributes = {"POSITION": add(shape.geometry.vertices, _VERTICES)}
-    indices = add(shape.geometry.triangles.ravel(), _INDICES)
-    moved = {"POSITION": add(shape.displacement, _VERTICES)}
+    arrays = _Arrays()
+    attributes = {"POSITION": arrays.add(shape.geometry.vertices, _VERTICES)}
+    indices = arrays.add(shape.geometry.triangles.ravel(), _INDICES)
+    moved = {"POSITION": arrays.add(shape.displacement, _VERTICES)}
     if shape.error is not None:
-        attributes["_ERROR"] = add(shape.error, _VERTICES)
+        attributes["_ERROR"] = arrays.add(shape.error, _VERTICES)
     extras = {
         "targetNames": ["displacement"],
         "wrench": list(shape.wrench),
@@ -82,12 +88,12 @@ def write_gltf(shape: Deformed) -> bytes:
         "nodes": [{"name": shape.component, "mesh": 0, "rotation": _Z_UP_TO_Y_UP}],
         "meshes": [mesh | {"weights": [1.0], "extras": extras}],
         "materials": [_MATERIAL],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": len(content)}],
+        "accessors": arrays.accessors,
+        "bufferViews": arrays.views,
+        "buffers": [{"byteLength": len(arrays.content)}],
     }
     text = json.dumps(document, allow_nan=False).encode()
-    chunks = _chunk(b"JSON", text, b" ") + _chunk(b"BIN\x00", bytes(content), b"\x00")
+    chunks = _chunk(b"JSON", text, b" ") + _chunk(b"BIN\x00", bytes(arrays.content), b"\x00")
     length = 12 + len(chunks)
     return b"glTF" + (2).to_bytes(4, "little") + length.to_bytes(4, "little") + chunks
 
@@ -111,8 +117,8 @@ def write_vtu(shape: Deformed) -> bytes:
     """
     triangles = shape.geometry.triangles.astype("<i8")
     fields = {"displacement": shape.displacement, "error": shape.error}
-    for cause, part in (shape.parts.by_cause if shape.parts else {}).items():
-        fields[f"error_{cause}"] = part
+    if shape.parts:
+        fields |= {f"error_{cause}": part for cause, part in shape.parts.by_cause.items()}
     known = {name: values for name, values in fields.items() if values is not None}
     count = len(triangles)
     lines = (

@@ -61,7 +61,7 @@ _DECIMAL_MARK = re.compile(r"[+-]?\d*([.,])\d*(?:[eE][+-]?\d+)?")
 _ROUNDING = 3e-16  # part of a number: error of its 15 digits after three roundings
 
 
-def number_text(cell: str, comma: bool, declared: bool = False) -> str | None:
+def number_text(cell: str, *, comma: bool, declared: bool = False) -> str | None:
     """Return a cell's number for `float`, None if it is no number with this decimal mark.
 
     `comma`: the decimal mark is a comma. `declared`: the sender has stated the mark, so that 1,234
@@ -89,7 +89,7 @@ def number_text(cell: str, comma: bool, declared: bool = False) -> str | None:
 
 def is_number(cell: str) -> bool:
     """Return whether a cell is a number with either decimal mark."""
-    return any(number_text(cell, comma, declared=True) is not None for comma in (False, True))
+    return any(number_text(cell, comma=comma, declared=True) is not None for comma in (False, True))
 
 
 def decimal_mark(cell: str) -> str | None:
@@ -98,8 +98,9 @@ def decimal_mark(cell: str) -> str | None:
     None otherwise.
     """
     if grouped := _GROUPED.fullmatch(cell):
-        other = {".": ",", ",": "."}.get(grouped["gap"]) if grouped["more"] else None
-        return grouped["mark"] or other
+        if grouped["mark"] or not grouped["more"]:
+            return grouped["mark"]
+        return {".": ",", ",": "."}.get(grouped["gap"])  # the gaps of 1.234.567 are points
     match = _DECIMAL_MARK.fullmatch(cell)
     return match[1] if match else None
 
@@ -110,7 +111,7 @@ def quoted(cell: str) -> str:
     return f"'{cell}'" if len(cell) <= _QUOTED else f"'{cell[:_QUOTED]}...'"
 
 
-def number_problem(cell: str, comma: bool) -> str:
+def number_problem(cell: str, *, comma: bool) -> str:
     """Return the reason for which a cell is no finite number, and the remedy."""
     if not cell:
         return "is empty; write 0 for no load, or leave the row out"
@@ -125,25 +126,25 @@ def number_problem(cell: str, comma: bool) -> str:
         return f"{quoted(cell)} is a spreadsheet error; correct the formula or leave the row out"
     if not cell.isascii() and any(map(str.isdecimal, cell)):
         return f"{quoted(cell)} is not a number; write it with the digits 0 to 9 and - for minus"
-    if number_text(cell, comma) is not None:
+    if number_text(cell, comma=comma) is not None:
         return f"{quoted(cell)} is too large for a float; correct it or leave the row out"
     if "," in cell or (comma and "." in cell):
-        mark, other, name = (",", ".", "comma") if comma else (".", ",", "point")
-        text = number_text(cell, comma, declared=True)
+        name, mark = ("comma", ",") if comma else ("point", ".")
+        text = number_text(cell, comma=comma, declared=True)
         if text is None:
-            mark, text = other, number_text(cell, not comma)
+            mark, text = "." if comma else ",", number_text(cell, comma=not comma)
         meant = f", or set decimal={mark} (--decimal {mark}) for {text}" if text is not None else ""
         return f"{quoted(cell)} does not fit the decimal {name}; write no other mark{meant}"
-    if number_text(cell.split()[0], comma) is not None:
+    if number_text(cell.split()[0], comma=comma) is not None:
         return f"{quoted(cell)} has text after the number; write the unit in the header only"
     return f"{quoted(cell)} is not a number; correct it or leave the row out"
 
 
-def time_seconds(cell: str, comma: bool, factor: float | None) -> float:
+def time_seconds(cell: str, factor: float | None, *, comma: bool) -> float:
     """Return a time in seconds, NaN if the cell is none; without a factor it is a clock time."""
     text = cell.strip()
     if factor is not None:
-        number = number_text(text, comma)
+        number = number_text(text, comma=comma)
         return math.nan if number is None else float(number) * factor
     text = text.replace(",", ".") if comma else text
     for form in (None, *_CLOCK_FORMATS):
@@ -261,11 +262,11 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     """
     parts = _parts(unit)
     if quantity.scales:
-        known = next((factor for name, factor, _ in quantity.scales if name == unit), None)
-        if known is None:
+        factors = {name: factor for name, factor, _ in quantity.scales}
+        if unit not in factors:
             examples = ", ".join(quantity.examples)
             raise UnitError(f"[{unit[:_LONGEST]}] is no unit of {quantity.name}; write {examples}")
-        return known
+        return factors[unit]
     if parts is None or len(unit) > _LONGEST:
         raise UnitError(f"the unit [{unit[:_LONGEST]}] cannot be read; {_offer(quantity, unit)}")
     parsed, si = _parsed("*".join(parts)), _parsed(quantity.si)
@@ -281,9 +282,9 @@ def si_factor(unit: str, quantity: Quantity) -> float:
 def further_quantity(name: str, unit: str) -> Quantity:
     """Return the quantity of a further input, whose arrays are in `unit`."""
     for kind, scales in _SCALES.items():
-        unit_zero = next((zero for scale, _, zero in scales if scale == unit), None)
-        if unit_zero is not None:
-            factor = next(factor for scale, factor, _ in scales if scale == unit)
+        of_unit = {scale: (factor, zero) for scale, factor, zero in scales}
+        if unit in of_unit:
+            factor, unit_zero = of_unit[unit]
             converted = tuple((u, f / factor, (z - unit_zero) / factor) for u, f, z in scales)
             examples = dict.fromkeys((unit, *(u for u, _, _ in scales[:: len(scales) - 1])))
             return Quantity(name, unit, tuple(examples), _SPELLINGS.get(kind, ()), converted)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -74,8 +74,7 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         with path.open("rb") as content:
             delimiter = _delimiter(lines_of(content, encoding), options)
         with path.open("rb") as content:
-            rows = map(str.split, lines_of(content, encoding) if delimiter == " " else ())
-            width = next((len(row) for row in rows if is_row(row)), 0)
+            width = _blank_width(content, encoding) if delimiter == " " else 0
     except BrokenLineError as error:
         report.mistakes.ruin(error.line, "line", str(error))
         return
@@ -105,6 +104,23 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         body = _Body(content, encoding, delimiter, header, mark, inputs, report.mistakes)
         pieces = body.pieces(first[0]) if first else iter(())
         yield from read_pieces(header, pieces, options, report, cell_format)
+
+
+def _blank_width(content: BinaryIO, encoding: str) -> int:
+    """Return the number of cells of the first row of a text with blanks between cells, or 0."""
+    for line in lines_of(content, encoding):
+        row = line.split()
+        if is_row(row):
+            return len(row)
+    return 0
+
+
+class _ArrowColumns(NamedTuple):
+    """Indices of the columns that Arrow reads: as numbers, loads first, and as texts."""
+
+    numbers: list[int]
+    texts: list[int]
+    loads: int  # the first columns of `numbers`, which have no empty cells
 
 
 @dataclass(frozen=True)
@@ -162,23 +178,54 @@ class _Body:
 
     def _by_arrow(self, block: bytes, line: int, count: int) -> Piece | None:
         """Return a block of whole lines; None if it has more than plain rows of numbers."""
-        # Imported on first use, as it takes 0.5 s and 60 MB.
-        from pyarrow import csv as arrow_csv
+        columns = self._arrow_columns()
+        table = self._arrow_table(block, columns)
+        if table is None or table.num_rows != count:  # blank lines, carriage returns
+            return None
+        split = len(columns.numbers)
+        numbers = np.stack([column.to_numpy() for column in table.columns[:split]])
+        if not np.isfinite(numbers).all():
+            missing = np.isnan(numbers)
+            nulls = sum(column.null_count for column in table.columns[:split])
+            wrong = np.isinf(numbers).any() or missing.sum() != nulls  # "nan" is no empty cell
+            if wrong or missing[: columns.loads].any() or missing.all(axis=0).any():
+                return None
+        if (numbers == 0.0).any() and _may_vanish(block):
+            return None
+        cells: list[Cells] = [()] * self.header.width
+        for index, values in zip(columns.numbers, numbers, strict=True):
+            cells[index] = values
+        for index, column in zip(columns.texts, table.columns[split:], strict=True):
+            cells[index] = values = column.to_pylist()
+            unnamed = index in self.header.unnamed and any(values)
+            if unnamed or len(max(values, key=len)) > MAX_TEXT:
+                return None
+        return Piece(range(line, line + count), cells, count)
 
-        ascii_only = self.encoding == "utf-8-sig" or block.isascii()
-        marked = b"\0" in block or (b"#" in block and b"\n#" in b"\n" + block)
-        marked |= b"\r" in block and block.count(b"\r") != block.count(b"\r\n")
+    def _arrow_columns(self) -> _ArrowColumns:
+        """Return the columns of numbers and of texts; a time without a unit is a clock time."""
         columns = self.header.columns.values()
-        # A time without a unit is a clock time.
         texts = [column.index for column in columns if not column.unit]
         texts += [c.index for c in (self.header.status, self.header.sequence) if c]
         texts += self.header.unnamed
-        needed = [column.index for column in columns if column.name in self.inputs]
-        indices = needed + [c.index for c in columns if c.index not in (*texts, *needed)]
-        if marked or not ascii_only or not indices:
+        loads = [column.index for column in columns if column.name in self.inputs]
+        more = [c.index for c in columns if c.index not in (*texts, *loads)]
+        return _ArrowColumns(loads + more, texts, len(loads))
+
+    def _arrow_table(self, block: bytes, columns: _ArrowColumns) -> Any:
+        """Return a block as an Arrow table, None if Arrow cannot read it as `_by_line` does."""
+        # Imported on first use, as it takes 0.5 s and 60 MB.
+        from pyarrow import csv as arrow_csv
+
+        marked = b"\0" in block or (b"#" in block and b"\n#" in b"\n" + block)
+        marked |= b"\r" in block and block.count(b"\r") != block.count(b"\r\n")
+        is_known = self.encoding == "utf-8-sig" or block.isascii()
+        if marked or not is_known or not columns.numbers:
             return None
+        types = dict.fromkeys(map(str, columns.numbers), "double")
+        types |= dict.fromkeys(map(str, columns.texts), "string")
         try:
-            table = arrow_csv.read_csv(
+            return arrow_csv.read_csv(
                 io.BytesIO(block),
                 arrow_csv.ReadOptions(
                     use_threads=False,
@@ -187,11 +234,8 @@ class _Body:
                 ),
                 arrow_csv.ParseOptions(delimiter=self.delimiter, double_quote=False),
                 arrow_csv.ConvertOptions(
-                    column_types={
-                        **dict.fromkeys(map(str, indices), "double"),
-                        **dict.fromkeys(map(str, texts), "string"),
-                    },
-                    include_columns=[str(index) for index in indices + texts],
+                    column_types=types,
+                    include_columns=[str(index) for index in columns.numbers + columns.texts],
                     null_values=[""],
                     strings_can_be_null=False,
                     decimal_point=self.mark,
@@ -199,27 +243,6 @@ class _Body:
             )
         except (OSError, ValueError):  # Arrow's errors are ValueErrors
             return None
-        if table.num_rows != count:  # blank lines, carriage returns
-            return None
-        cells: list[Cells] = [()] * self.header.width
-        columns_of_numbers = table.columns[: len(indices)]
-        numbers = np.stack([column.to_numpy() for column in columns_of_numbers])
-        if not np.isfinite(numbers).all():
-            missing = np.isnan(numbers)
-            nulls = sum(column.null_count for column in columns_of_numbers)
-            wrong = np.isinf(numbers).any() or missing.sum() != nulls  # "nan" is no empty cell
-            if wrong or missing[: len(needed)].any() or missing.all(axis=0).any():
-                return None
-        if (numbers == 0.0).any() and _may_vanish(block):
-            return None
-        for index, values in zip(indices, numbers, strict=True):
-            cells[index] = values
-        for index, column in zip(texts, table.columns[len(indices) :], strict=True):
-            cells[index] = values = column.to_pylist()
-            unnamed = index in self.header.unnamed and any(values)
-            if unnamed or len(max(values, key=len)) > MAX_TEXT:
-                return None
-        return Piece(range(line, line + count), cells, count)
 
 
 def _may_vanish(block: bytes) -> bool:
@@ -276,8 +299,8 @@ def encoding_of(path: Path) -> str:
         if head.startswith(b"PK\x03\x04"):
             raise ContentError("is a zip file, not an XLSX workbook; unpack it and send the table")
         utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
-        other = "UTF-16, as its mark says" if utf16 else "Windows-1252"
-        for encoding in ("utf-16",) if utf16 else ("utf-8-sig", "cp1252"):
+        encodings = ["utf-16"] if utf16 else ["utf-8-sig", "cp1252"]
+        for encoding in encodings:
             content.seek(0)
             decoder = codecs.getincrementaldecoder(encoding)()
             try:
@@ -289,8 +312,10 @@ def encoding_of(path: Path) -> str:
             except UnicodeDecodeError:
                 continue
             return encoding
-    problem = f"it is neither UTF-8 nor {other}"
-    raise ContentError(f"has an unknown text encoding: {problem}; save the file as UTF-8")
+    second = "UTF-16, as its mark says" if utf16 else "Windows-1252"
+    raise ContentError(
+        f"has an unknown text encoding: it is neither UTF-8 nor {second}; save the file as UTF-8"
+    )
 
 
 def lines_of(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:
@@ -422,7 +447,8 @@ def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
     for line in _LINE_END.split(delimiter.join(cells)):
         parts = [part.strip().replace(",", ".") for part in line.split(delimiter)]
         numbers = [parts[at] for at in numeric if parts[at]] if len(parts) >= width else []
-        rows += bool(numbers) and all(number_text(text, False) is not None for text in numbers)
+        if numbers and all(number_text(text, comma=False) is not None for text in numbers):
+            rows += 1
     if rows > 1:
         return "a quoted text holds a whole row of the table; close the quotation mark"
     return ""

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -65,17 +65,25 @@ class BrokenLineError(ValueError):
         self.line = line
 
 
+class AmbiguousCell(NamedTuple):
+    """A number that may have a decimal or a thousands mark, with its line and column."""
+
+    line: int
+    label: str
+    text: str
+
+
 @dataclass(frozen=True)
 class CellFormat:
     """The form of a file's cells.
 
     `comma`: the decimal mark is a comma; `declared`: the sender has stated the mark. `ambiguous` is
-    line, column and text of a number if all numbers leave the mark open. `guarded`: a text that
-    looks like a formula has a ``'`` before it.
+    a number of the file if all its numbers leave the mark open. `guarded`: a text that looks like a
+    formula has a ``'`` before it.
     """
 
     comma: bool = False
-    ambiguous: tuple[int, str, str] | None = None
+    ambiguous: AmbiguousCell | None = None
     declared: bool = False
     guarded: bool = False
 
@@ -146,6 +154,29 @@ def read_pieces(
 ) -> Iterator[ParsedTable]:
     """Yield the good rows of pieces below a header; without `cell_format` the first decides."""
     mistakes = report.mistakes
+    _report_header(header, report)
+    if mistakes.of_file:
+        return
+    for piece in pieces:
+        cell_format = cell_format or _stored_format(piece, header, options)
+        if cell_format.ambiguous is not None:
+            _refuse_ambiguous(cell_format.ambiguous, mistakes)
+            return
+        report.read += piece.read
+        if len(piece.row):
+            yield _Conversion(header, piece, cell_format, options, mistakes).table(report)
+        if report.is_beyond_limits():
+            return
+    if report.read or mistakes:
+        return
+    if header.named:
+        mistakes.ruin(0, "file", "there is no row below the header; add one")
+    else:
+        mistakes.ruin(0, "rows", "there is no row; add one")
+
+
+def _report_header(header: Header, report: ReadReport) -> None:
+    """Add a header's columns, titles and mistakes to the report of its file."""
     columns = header.columns.values()
     report.labels |= {column.name: column.label for column in columns}
     if header.named:
@@ -154,43 +185,29 @@ def read_pieces(
     report.ignored += header.ignored
     report.titles += header.titles
     for mistake in header.mistakes:
-        mistakes.ruin(mistake.row, mistake.field, mistake.message)
-    if mistakes.of_file:
-        return
-    for piece in pieces:
-        cell_format = cell_format or _stored_format(piece, header, options)
-        if cell_format.ambiguous is not None:
-            line, label, cell = cell_format.ambiguous
-            mark, point = (",", ".") if "," in cell else (".", ",")
-            number, other = cell.replace(",", "."), cell.replace(mark, "")
-            message = (
-                f"'{cell}' may mean {number} or {other}, and no other number shows which; set "
-                f"decimal={mark} (--decimal {mark}) for {number}, or decimal={point} for {other}"
-            )
-            mistakes.ruin(line, label, message)
-            return
-        report.read += piece.read
-        if len(piece.row):
-            yield _Conversion(header, piece, cell_format, options, mistakes).table(report)
-        if report.is_beyond_limits():
-            return
-    if not report.read and not mistakes:
-        message = (
-            "there is no row below the header; add one"
-            if header.named
-            else "there is no row; add one"
-        )
-        mistakes.ruin(0, "file" if header.named else "rows", message)
+        report.mistakes.ruin(mistake.row, mistake.field, mistake.message)
+
+
+def _refuse_ambiguous(ambiguous: AmbiguousCell, mistakes: Mistakes) -> None:
+    """Refuse a file whose decimal mark is unknown."""
+    cell = ambiguous.text
+    mark, point = (",", ".") if "," in cell else (".", ",")
+    fraction, thousands = cell.replace(",", "."), cell.replace(mark, "")
+    message = (
+        f"'{cell}' may mean {fraction} or {thousands}, and no other number shows which; set "
+        f"decimal={mark} (--decimal {mark}) for {fraction}, or decimal={point} for {thousands}"
+    )
+    mistakes.ruin(ambiguous.line, ambiguous.label, message)
 
 
 def _stored_format(piece: Piece, header: Header, options: Options) -> CellFormat:
     """Return the format of texts beside stored numbers: a point is decimal if none has a comma."""
     if options.decimal is not None:
         return CellFormat(options.decimal == ",", declared=True)
-    sure, doubtful = _marks(piece, header)
-    if sure or doubtful is None or "," not in doubtful[2]:
+    sure, ambiguous = _marks(piece, header)
+    if sure or ambiguous is None or "," not in ambiguous.text:
         return CellFormat("," in sure)
-    return CellFormat(True, doubtful)
+    return CellFormat(comma=True, ambiguous=ambiguous)
 
 
 def format_in(records: Iterator[Record], options: Options) -> CellFormat:
@@ -199,20 +216,20 @@ def format_in(records: Iterator[Record], options: Options) -> CellFormat:
     header, rest = read_head(until_broken(records, mistakes), options)
     if header.mistakes:
         return CellFormat()
-    ambiguous: tuple[int, str, str] | None = None
+    first: AmbiguousCell | None = None
     for piece in text_pieces(rest, header, mistakes):
-        sure, doubtful = _marks(piece, header)
-        ambiguous = ambiguous or doubtful
+        sure, ambiguous = _marks(piece, header)
+        first = first or ambiguous
         if sure:
             # One decimal comma makes the comma the file's mark; a point is then a mistake.
             return CellFormat("," in sure)
-    return CellFormat("," in ambiguous[2], ambiguous) if ambiguous else CellFormat()
+    return CellFormat("," in first.text, first) if first else CellFormat()
 
 
-def _marks(piece: Piece, header: Header) -> tuple[set[str], tuple[int, str, str] | None]:
-    """Return the unambiguous decimal marks, and line, label and text of an ambiguous number."""
+def _marks(piece: Piece, header: Header) -> tuple[set[str], AmbiguousCell | None]:
+    """Return the unambiguous decimal marks, and the first ambiguous number."""
     sure: set[str] = set()
-    doubtful = None
+    ambiguous = None
     for name, column in header.columns.items():
         cells = piece.columns[column.index] if len(piece.row) else ()
         if name in TEXTS or isinstance(cells, np.ndarray):
@@ -220,12 +237,12 @@ def _marks(piece: Piece, header: Header) -> tuple[set[str], tuple[int, str, str]
         for line, cell in zip(piece.row, cells, strict=False):
             text = "" if type(cell) is Digits else cell.strip()
             if EITHER_MARK.fullmatch(text):
-                doubtful = doubtful or (int(line), column.label, text)
+                ambiguous = ambiguous or AmbiguousCell(int(line), column.label, text)
             elif mark := decimal_mark(text):
                 sure.add(mark)
                 if len(sure) == 2:
-                    return sure, doubtful
-    return sure, doubtful
+                    return sure, ambiguous
+    return sure, ambiguous
 
 
 def until_broken(records: Iterator[Record], mistakes: Mistakes) -> Iterator[Record]:
@@ -241,26 +258,29 @@ def text_pieces(
 ) -> Iterator[Piece]:
     """Yield the rows below a header in pieces; without `check` short ones are filled up."""
     width = header.width
-    while some := list(islice(records, PIECE)):
+    while block := list(islice(records, PIECE)):
         lines: list[int] = []
         rows: list[list[str]] = []
-        for line, cells in some:
+        for line, cells in block:
             if len(cells) > width and not any(cell.strip() for cell in cells[width:]):
                 cells = cells[:width]  # a spreadsheet's empty columns on the right
             if check is None:
-                problem, cells = "", [*cells, *[""] * (width - len(cells))][:width]
-            else:
-                problem = check(cells, header)
-                for index in () if problem else header.unnamed:
-                    if "".join(cells[index : index + 1]).strip():
-                        problem = _UNNAMED.format(index + 1)
-                        break
-            if problem:
+                cells = [*cells, *[""] * (width - len(cells))]
+                cells = cells[:width]
+            elif problem := check(cells, header) or _unnamed_value(cells, header):
                 mistakes.add(line, "line", problem)
-            else:
-                lines.append(line)
-                rows.append(cells)
-        yield Piece(lines, list(zip(*rows, strict=True)), len(some))
+                continue
+            lines.append(line)
+            rows.append(cells)
+        yield Piece(lines, list(zip(*rows, strict=True)), len(block))
+
+
+def _unnamed_value(cells: Sequence[str], header: Header) -> str:
+    """Return the mistake of a value without a label in the header, else an empty text."""
+    for index in header.unnamed:
+        if index < len(cells) and cells[index].strip():
+            return _UNNAMED.format(index + 1)
+    return ""
 
 
 class _Conversion:
@@ -281,30 +301,23 @@ class _Conversion:
 
     def table(self, report: ReadReport) -> ParsedTable:
         """Return the good rows."""
-        options, names, columns = self._options, self._names, self._header.columns
+        options, names = self._options, self._names
         wrench = self._block(names.wrench, missing=0.0)
         displacement = self._block(names.displacement, missing=np.nan)
-        uncertainty, compliance, curvature = (
-            self._block(block, missing=np.nan)
-            for block in (names.uncertainty, names.compliance, names.curvature)
-        )
+        uncertainty = self._block(names.uncertainty, missing=np.nan)
+        compliance = self._block(names.compliance, missing=np.nan)
+        curvature = self._block(names.curvature, missing=np.nan)
         time = self._times() if options.role != "table" else None
         if options.role == "loads":
             displacement = np.zeros(displacement.shape)  # those of the other log count
-        status = self._header.status
-        for at, cell in enumerate(self._columns[status.index] if status else ()):
-            if status and str(cell).strip().lower().removeprefix("0x").strip("0"):
-                message = f"the sensor's status is {quoted(str(cell))}, not 0; leave the row out"
-                self._refuse(at, status.label, message)
+        self._check_status()
         if options.role != "loads":
-            labels = [columns[name].label for name in names.displacement if name in columns]
-            unmeasured = np.logical_and.reduce([np.isnan(column) for column in displacement.T])
-            for at in np.flatnonzero(unmeasured & self._good).tolist():
-                message = "the row has no displacement; write at least one, or leave the row out"
-                self._refuse(at, labels[0] if labels else "displacement", message)
+            self._check_measured(displacement)
         self._check_complete(compliance, names.compliance, "tangents")
         self._check_complete(curvature, names.curvature, "third derivatives")
-        source, note, fingerprint = (self._texts(name) for name in TEXTS)
+        source = self._texts("source")
+        note = self._texts("note")
+        fingerprint = self._texts("fingerprint")
         shape = len(self._row), len(names.displacement), len(names.wrench)
         piece = {
             "seq": self._row,
@@ -323,6 +336,25 @@ class _Conversion:
             self._good &= is_within_limits(piece, options, report)
         report.mistakes.trim()
         return ParsedTable(**picked(piece, self._good))
+
+    def _check_status(self) -> None:
+        """Refuse rows in which a sensor reports an error."""
+        status = self._header.status
+        if status is None:
+            return
+        for at, cell in enumerate(self._columns[status.index]):
+            if str(cell).strip().lower().removeprefix("0x").strip("0"):
+                message = f"the sensor's status is {quoted(str(cell))}, not 0; leave the row out"
+                self._refuse(at, status.label, message)
+
+    def _check_measured(self, displacement: Array) -> None:
+        """Refuse rows without any displacement, shape (n, outputs)."""
+        columns = self._header.columns
+        labels = [columns[name].label for name in self._names.displacement if name in columns]
+        unmeasured = np.logical_and.reduce([np.isnan(column) for column in displacement.T])
+        for at in np.flatnonzero(unmeasured & self._good).tolist():
+            message = "the row has no displacement; write at least one, or leave the row out"
+            self._refuse(at, labels[0] if labels else "displacement", message)
 
     def _block(self, names: tuple[str, ...], missing: float) -> Array:
         """Return columns that belong together, shape (n, k), SI; without memory if all are NaN."""
@@ -347,7 +379,7 @@ class _Conversion:
             empty = np.isnan(values) if column.name in self._names.wrench else False
             infinite = np.isinf(values)
             for at in np.flatnonzero(infinite | empty).tolist():
-                self._refuse(at, column.label, number_problem(self._cell(column, at), False))
+                self._refuse(at, column.label, number_problem(self._cell(column, at), comma=False))
             values = np.where(infinite, np.nan, values)  # no other limit reports it again
         converted = values
         if column.factor != 1.0 or column.zero:
@@ -392,10 +424,10 @@ class _Conversion:
         comma, text = self._format.comma and type(cell) is not Digits, str(cell).strip()
         if not text and column.name not in self._names.wrench:
             return np.nan  # not measured, or unknown
-        number = number_text(text, comma, self._format.declared)
+        number = number_text(text, comma=comma, declared=self._format.declared)
         value = math.nan if number is None else float(number)
         if not math.isfinite(value):
-            self._refuse(at, column.label, number_problem(text, comma))
+            self._refuse(at, column.label, number_problem(text, comma=comma))
             return np.nan
         return value
 
@@ -414,9 +446,11 @@ class _Conversion:
             values = cells * (column.factor if factor is None else factor)
         else:
             comma = self._format.comma and column is not sequence
-            values = np.array(
-                [time_seconds(c, comma and type(c) is not Digits, factor) for c in cells]
-            )
+            seconds = [
+                time_seconds(cell, factor, comma=comma and type(cell) is not Digits)
+                for cell in cells
+            ]
+            values = np.array(seconds)
         for at in np.flatnonzero(~np.isfinite(values)).tolist():
             needed = "is not a number; correct it or leave the row out"
             if factor is None:

@@ -16,11 +16,11 @@ import pickle
 import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError as FutureCancelled
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import dask.config
 from distributed import Client, Future, KilledWorker
@@ -103,6 +103,22 @@ class _Task:
     run: asyncio.Task[None] | None = None
 
 
+class _FileStat(NamedTuple):
+    """Path, bytes and time of change, ns, of a component's file."""
+
+    path: str
+    size: int
+    changed: int
+
+
+class _SentBundle(NamedTuple):
+    """A component's files on the cluster, as they were on the disk."""
+
+    files: list[_FileStat]
+    digest: str
+    content: Future
+
+
 class DaskEngine(attempts.Listeners):
     """Runs attempts as tasks of a Dask scheduler, in a thread with its own event loop.
 
@@ -118,7 +134,7 @@ class DaskEngine(attempts.Listeners):
         self._disconnected: str | None = f"{self._scheduler} has not answered yet"
         self._workers: dict[str, _Worker] = {}
         self._tasks: dict[str, _Task] = {}
-        self._bundles: dict[str, tuple[list[Any], str, Future]] = {}
+        self._bundles: dict[str, _SentBundle] = {}
         self._sending = asyncio.Lock()
         self._client: Client | None = None
         self._background: set[asyncio.Task[None]] = set()
@@ -135,8 +151,8 @@ class DaskEngine(attempts.Listeners):
     @property
     def trouble(self) -> str | None:
         """The obstacle to solving attempts: no scheduler, or no worker fit and large enough."""
-        waits = (task.waits for task in tuple(self._tasks.values()))
-        return self._unreachable or next((why for why in waits if why), None)
+        waits = [task.waits for task in tuple(self._tasks.values()) if task.waits]
+        return self._unreachable or (waits[0] if waits else None)
 
     def submit(self, attempt: Attempt) -> None:
         """Submit the attempt to the cluster."""
@@ -436,23 +452,9 @@ class DaskEngine(attempts.Listeners):
             resources=resources or None,
             retries=FAULTS,
         )
-        result = asyncio.ensure_future(future.result())
-        try:
-            if client.status == "running":  # without the connection the future is cancelled
-                # The task continues without this server, and its result stays for the next server.
-                # A new scheduler waits for ever for data that were sent to a dead one.
-                with contextlib.suppress(OSError):
-                    async with asyncio.timeout(ANSWER_SECONDS):
-                        await client.publish_dataset(future, name=future.key, override=True)
-            while not (await asyncio.wait({result}, timeout=ROSTER_SECONDS))[0]:
-                if workers and not self._disconnected and not self._workers.keys() & workers:
-                    # Dask would reserve the task for these workers even if others come.
-                    await client.cancel([future], force=True)
-                    return None
-            payload = result.result()
-        finally:
-            result.cancel()
-            future.release()
+        payload = await self._payload(client, future, workers)
+        if payload is None:
+            return None
         if why := payload["unfit"]:
             if worker := self._workers.get(payload["worker"]):
                 self._suspend(worker, why)
@@ -466,6 +468,28 @@ class DaskEngine(attempts.Listeners):
             except OSError as error:
                 task.waits = f"what a worker sent cannot be written: {error}"
             await asyncio.sleep(AGAIN_SECONDS)
+
+    async def _payload(
+        self, client: Client, future: Future, workers: Sequence[str] | None
+    ) -> dict[str, Any] | None:
+        """Return the result of a task; None if all of its `workers` have left the cluster."""
+        result = asyncio.ensure_future(future.result())
+        try:
+            if client.status == "running":  # without the connection the future is cancelled
+                # The task continues without this server, and its result stays for the next server.
+                # A new scheduler waits for ever for data that were sent to a dead one.
+                with contextlib.suppress(OSError):
+                    async with asyncio.timeout(ANSWER_SECONDS):
+                        await client.publish_dataset(future, name=future.key, override=True)
+            while not (await asyncio.wait({result}, timeout=ROSTER_SECONDS))[0]:
+                if workers and not self._disconnected and not self._workers.keys() & workers:
+                    # Dask would reserve the task for these workers even if others come.
+                    await client.cancel([future], force=True)
+                    return None
+            return result.result()
+        finally:
+            result.cancel()
+            future.release()
 
     async def _suitable_workers(self, task: _Task) -> tuple[list[str] | None, dict[str, float]]:
         """Return the workers that may have an attempt, None for all, and the resources it takes.
@@ -503,24 +527,30 @@ class DaskEngine(attempts.Listeners):
 
     async def _send(self, client: Client, folder: str) -> tuple[str, Future]:
         """Return digest and content of a component's files on the cluster, sent once a change."""
-
-        def files() -> list[tuple[str, int, int]]:
-            stats = ((path, path.stat()) for path in sorted(Path(folder).rglob("*")))
-            return [(str(path), stat.st_size, stat.st_mtime_ns) for path, stat in stats]
-
         async with self._sending:
-            stats = await asyncio.to_thread(files)
+            files = await asyncio.to_thread(_file_stats, Path(folder))
             sent = self._bundles.pop(folder, None)
-            if sent is None or sent[0] != stats or sent[2].status not in ("pending", "finished"):
+            if (
+                sent is None
+                or sent.files != files
+                or sent.content.status not in ("pending", "finished")
+            ):
                 content = await asyncio.to_thread(pack, Path(folder), BUNDLE_BYTES)
                 name, limit = digest(content), "distributed.admin.large-graph-warning-threshold"
                 with dask.config.set({limit: BUNDLE_BYTES}):
                     key = f"wrenchbook-bundle-{name}"
-                    sent = stats, name, client.submit(bytes, content, key=key, retries=FAULTS)
+                    future = client.submit(bytes, content, key=key, retries=FAULTS)
+                sent = _SentBundle(files, name, future)
             self._bundles[folder] = sent  # the last used is last
             for old in list(self._bundles)[:-SENT_BUNDLES]:
                 del self._bundles[old]
-            return sent[1], sent[2]
+            return sent.digest, sent.content
+
+
+def _file_stats(folder: Path) -> list[_FileStat]:
+    """Return the files of a folder, in the order of their paths."""
+    stats = ((path, path.stat()) for path in sorted(folder.rglob("*")))
+    return [_FileStat(str(path), stat.st_size, stat.st_mtime_ns) for path, stat in stats]
 
 
 def _store(task: _Task, payload: dict[str, Any]) -> None:

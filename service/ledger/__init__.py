@@ -4,6 +4,7 @@ from wrenchbook.service.ledger.audit import AuditEntry as AuditEntry, noted as n
 from wrenchbook.service.ledger.imports import (
     ImportOrigin as ImportOrigin,
     ImportRecord as ImportRecord,
+    ImportSpan as ImportSpan,
 )
 from wrenchbook.service.ledger.ledger import Ledger as Ledger
 from wrenchbook.service.ledger.packing import (

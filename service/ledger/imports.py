@@ -82,6 +82,14 @@ class ImportRecord:
     rows: int
 
 
+class ImportSpan(NamedTuple):
+    """Consecutive rows of an import: the first and the last seq."""
+
+    first: int
+    last: int
+    record: ImportRecord
+
+
 class Loaded(NamedTuple):
     """Numbers of new and known rows; the import's number, None if it has no row."""
 
@@ -114,12 +122,12 @@ def import_rows(
         try:
             with ledger.reading() as db:
                 start = sequences(db).get("rows", 0)
-            number, count, parts = _insert_hidden(ledger, component, blocks, origin)
-            if number is None:
-                return Loaded(0, count, None)
-            _enter_keys(ledger, parts)
-            new = _show(ledger, component, number, origin, start)
-            return Loaded(new, count - new, number if new else None)
+            hidden = _insert_hidden(ledger, component, blocks, origin)
+            if hidden.number is None:
+                return Loaded(0, hidden.sent, None)
+            _enter_keys(ledger, hidden.parts)
+            new = _show(ledger, component, hidden.number, origin, start)
+            return Loaded(new, hidden.sent - new, hidden.number if new else None)
         except BaseException:
             _drop_hidden(ledger)
             raise
@@ -127,18 +135,26 @@ def import_rows(
         os.close(lock)
 
 
+class _HiddenRows(NamedTuple):
+    """Inserted rows that no table shows yet."""
+
+    number: int | None  # of the import, None if all rows were known
+    sent: int  # rows of the file
+    parts: list[tuple[int, bytes]]  # the first seq and the keys of rows inserted at once
+
+
 def _insert_hidden(
     ledger: Ledger, component: str, blocks: Iterable[NotedRows], origin: ImportOrigin
-) -> tuple[int | None, int, list[tuple[int, bytes]]]:
-    """Insert the new rows; return the import's number, the number of rows sent, and the parts."""
+) -> _HiddenRows:
+    """Insert the new rows of an import."""
     number: int | None = None
-    parts: list[tuple[int, bytes]] = []  # the first seq and the keys of rows inserted at once
-    count, now = 0, time.time()
+    parts: list[tuple[int, bytes]] = []
+    sent, now = 0, time.time()
     values = {"component": component, "created": now, "rows": 0, **asdict(origin)}
     import_keys: set[bytes] = set()
     for block in blocks:
         keys = row_keys(component, block)
-        count += len(keys)
+        sent += len(keys)
         with ledger.reading() as db:
             known = rows.stored(db, keys) if rows.last_seq(db, component) else {}
         positions = rows.new_positions(keys, known.keys())
@@ -156,7 +172,7 @@ def _insert_hidden(
                 db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 1)", span)
             parts.append((first, b"".join(part_keys)))
             ledger.sync()  # otherwise the next durable commit waits until all is synced
-    return number, count, parts
+    return _HiddenRows(number, sent, parts)
 
 
 def _enter_keys(ledger: Ledger, parts: Sequence[tuple[int, bytes]]) -> None:
@@ -165,9 +181,9 @@ def _enter_keys(ledger: Ledger, parts: Sequence[tuple[int, bytes]]) -> None:
     seqs = np.concatenate([first + np.arange(len(named) // KEY_BYTES) for first, named in parts])
     order = np.argsort(hashes)
     for begin in range(0, len(order), KEYS_AT_ONCE):
-        some = order[begin : begin + KEYS_AT_ONCE]
+        chosen = order[begin : begin + KEYS_AT_ONCE]
         with ledger.writing(durable=False) as db:
-            rows.enter(db, zip(hashes[some].tolist(), seqs[some].tolist(), strict=True))
+            rows.enter(db, zip(hashes[chosen].tolist(), seqs[chosen].tolist(), strict=True))
         ledger.sync()
 
 
@@ -290,11 +306,11 @@ def import_of(db: Connection, seq: int) -> ImportRecord | None:
     return _record(record) if record else None
 
 
-def import_spans(db: Connection, component: str) -> list[tuple[int, int, ImportRecord]]:
-    """Return the rows of each import of a component: first, last, and the import."""
+def import_spans(db: Connection, component: str) -> list[ImportSpan]:
+    """Return the rows of each import of a component, in their order."""
     where = "import_parts.component = ? AND hidden = 0 ORDER BY first"
     records = db.execute(f"SELECT first, last, {_QUALIFIED} {_PARTS} {where}", (component,))
-    return [(first, last, _record(values)) for first, last, *values in records]
+    return [ImportSpan(first, last, _record(values)) for first, last, *values in records]
 
 
 def withdrawn_counts(db: Connection, component: str) -> Counter[int]:
@@ -307,8 +323,8 @@ def _counts_by_import(db: Connection, component: str, seqs: Iterable[int]) -> Co
     spans, counts = import_spans(db, component), Counter[int]()
     for seq in seqs:
         at = bisect_right(spans, seq, key=itemgetter(0)) - 1
-        if at >= 0 and seq <= spans[at][1]:
-            counts[spans[at][2].id] += 1
+        if at >= 0 and seq <= spans[at].last:
+            counts[spans[at].record.id] += 1
     return counts
 
 

@@ -96,13 +96,12 @@ class Record(NamedTuple):
 
     def _slice(self, first: int, end: int) -> Record:
         """Return the rows from position `first` to `end` under the seal of all."""
-
-        def cut(content: Any) -> Any:
-            if not isinstance(content, bytes):
-                return content
-            return content[len(content) * first // self.count : len(content) * end // self.count]
-
-        columns = {name: cut(getattr(self, name)) for name in (*_COLUMNS, "key")}
+        columns = {}
+        for name in (*_COLUMNS, "key"):
+            content = getattr(self, name)
+            if isinstance(content, bytes):  # not so in a damaged record, and where no row has any
+                content = _cut(content, first, end, self.count)
+            columns[name] = content
         return self._replace(seq=self.seq + first, count=end - first, **columns)
 
     def computed_seal(self) -> bytes:
@@ -150,25 +149,21 @@ class Record(NamedTuple):
     def row(self, seq: int) -> LedgerRow:
         """Return one of the rows, undamaged."""
         row = self._slice(seq - self.seq, seq - self.seq + 1)
-        # In a record of several rows a missing column of this row is NaN.
-        compliance, curvature, uncertainty = (
-            None if not column or np.isnan(np.frombuffer(column)).all() else unpack_vector(column)
-            for column in (row.compliance, row.curvature, row.uncertainty)
-        )
-        loads, flat = unpack_vector(row.wrench), compliance or ()
+        wrench, flat = unpack_vector(row.wrench), _unpacked_if_known(row.compliance) or ()
+        lines = [flat[k : k + len(wrench)] for k in range(0, len(flat), len(wrench))]
         return LedgerRow(
-            seq,
-            row.component,
-            row.fingerprint,
-            row.source,
-            loads,
-            unpack_vector(row.displacement),
-            tuple(flat[k : k + len(loads)] for k in range(0, len(flat), len(loads))) or None,
-            uncertainty,
-            row.job,
-            row.created,
-            row.origin,
-            curvature,
+            seq=seq,
+            component=row.component,
+            fingerprint=row.fingerprint,
+            source=row.source,
+            wrench=wrench,
+            displacement=unpack_vector(row.displacement),
+            compliance=tuple(lines) or None,
+            uncertainty=_unpacked_if_known(row.uncertainty),
+            job=row.job,
+            created=row.created,
+            origin=row.origin,
+            curvature=_unpacked_if_known(row.curvature),
         )
 
 
@@ -202,51 +197,46 @@ def records_of(
     job: int | None = None,
 ) -> Iterator[Record]:
     """Yield rows as records, numbered from `first`."""
-    rows, at = block.rows, 0
+    rows, total = block.rows, len(block.rows)
     texts = list(zip(rows.fingerprint.tolist(), rows.source.tolist(), block.note, strict=True))
     wrench, displacement = _plain(rows.wrench).tobytes(), _plain(rows.displacement).tobytes()
     compliance, curvature = _known(rows.compliance, np.all), _known(rows.curvature, np.all)
     uncertainty = _known(rows.uncertainty, np.any)
-
-    def part(column: bytes) -> bytes:
-        width = len(column) // len(rows)
-        return column[width * at : width * end]
-
-    def known_part(column: bytes | None) -> bytes | None:
-        some = b"" if column is None else part(column)
-        return None if some == _NAN.tobytes() * (len(some) // 8) else some
-
-    while at < len(rows):
-        last = min(len(rows), at + MAX_COUNT)
-        end = next((k for k in range(at, last) if texts[k] != texts[at]), last)
-        fingerprint, source, note = texts[at]
+    for start, end in _stretches(texts):
+        fingerprint, source, note = texts[start]
         record = Record(
-            first + at,
-            end - at,
-            component,
-            fingerprint,
-            source,
-            part(wrench),
-            part(displacement),
-            known_part(compliance),
-            known_part(curvature),
-            known_part(uncertainty),
-            job,
-            now,
-            note,
-            b"".join(keys[at:end]),
-            b"",
+            seq=first + start,
+            count=end - start,
+            component=component,
+            fingerprint=fingerprint,
+            source=source,
+            wrench=_cut(wrench, start, end, total),
+            displacement=_cut(displacement, start, end, total),
+            compliance=_cut_if_known(compliance, start, end, total),
+            curvature=_cut_if_known(curvature, start, end, total),
+            uncertainty=_cut_if_known(uncertainty, start, end, total),
+            job=job,
+            created=now,
+            origin=note,
+            key=b"".join(keys[start:end]),
+            seal=b"",
         )
         yield record._replace(seal=record.computed_seal())
-        at = end
+
+
+def _stretches(texts: Sequence[tuple[str, ...]]) -> Iterator[tuple[int, int]]:
+    """Yield start and end of each stretch of equal texts, at most `MAX_COUNT` long."""
+    start = 0
+    for end in range(1, len(texts) + 1):
+        if end == len(texts) or end == start + MAX_COUNT or texts[end] != texts[start]:
+            yield start, end
+            start = end
 
 
 def numbers_of(records: Sequence[Record]) -> np.ndarray:
-    """Return the seq of each row of some records."""
-    firsts, counts = (
-        np.array([getattr(record, name) for record in records], dtype=np.int64)
-        for name in ("seq", "count")
-    )
+    """Return the seq of each row of the records."""
+    firsts = np.array([record.seq for record in records], dtype=np.int64)
+    counts = np.array([record.count for record in records], dtype=np.int64)
     before = np.cumsum(counts) - counts
     return np.repeat(firsts - before, counts) + np.arange(counts.sum())
 
@@ -258,32 +248,49 @@ def noted_rows(
     fingerprint: str | None,
     damaged: dict[int, str],
 ) -> NotedRows:
-    """Return the `wanted` of the rows of some records, without damaged ones.
+    """Return the `wanted` of the rows of the records, without damaged ones.
 
     `fingerprint`: the setup whose rows and measured rows are returned; all rows if None. Damaged
     rows are added to `damaged`, by number with their component, and logged once.
 
     Raises ValueError if a row is of another space.
     """
-    counts = [record.count for record in records]
     sound = np.array([*chain.from_iterable(record.sound() for record in records)], dtype=bool)
-    for seq in numbers_of(records)[wanted & ~sound].tolist():
-        record = next(record for record in records if 0 <= seq - record.seq < record.count)
-        if seq not in damaged:
-            _log.error("row %d of %s is damaged on the disk and left out", seq, record.component)
-        damaged[seq] = record.component
+    _note_damaged(records, wanted & ~sound, damaged)
+    counts = [record.count for record in records]
     setup = [fingerprint is None or record.fingerprint in ("", fingerprint) for record in records]
     wanted = wanted & sound & np.repeat(np.array(setup, dtype=bool), counts)
-    ends = np.cumsum(counts)
-    remaining = np.diff(np.concatenate(([0], np.cumsum(wanted)))[[0, *ends]]).tolist()
+    # Records without a wanted row may be of an earlier space: they are left out.
+    before = np.concatenate(([0], np.cumsum(wanted)))
+    remaining = np.diff(before[[0, *np.cumsum(counts)]]).tolist()
     wanted = wanted[np.repeat(remaining, counts) > 0]
     records = [record for record, number in zip(records, remaining, strict=True) if number]
-    remaining = [number for number in remaining if number]
+    _check_space(records, space)
+    return _unpacked_rows(records, wanted, [number for number in remaining if number], space)
+
+
+def _note_damaged(
+    records: Sequence[Record], damaged_rows: np.ndarray, damaged: dict[int, str]
+) -> None:
+    """Add the rows of the mask `damaged_rows` to `damaged`, and log the new ones."""
+    if not damaged_rows.any():
+        return
+    names = [record.component for record in records]
+    component = np.repeat(np.array(names, dtype=object), [record.count for record in records])
+    for seq, name in zip(
+        numbers_of(records)[damaged_rows].tolist(), component[damaged_rows], strict=True
+    ):
+        if seq not in damaged:
+            _log.error("row %d of %s is damaged on the disk and left out", seq, name)
+        damaged[seq] = name
+
+
+def _check_space(records: Sequence[Record], space: Space) -> None:
+    """Raise ValueError if a record's rows are of another space."""
     inputs, outputs = len(space.inputs), len(space.outputs)
     for record in records:
-        loads, moves = (
-            len(column) // 8 // record.count for column in (record.wrench, record.displacement)
-        )
+        loads = len(record.wrench) // 8 // record.count
+        moves = len(record.displacement) // 8 // record.count
         if (loads, moves) != (inputs, outputs):
             raise ValueError(
                 f"row {record.seq} of {record.component!r} has {loads} loads and {moves} "
@@ -292,13 +299,20 @@ def noted_rows(
                 f"/table/{record.seq}"
             )
 
+
+def _unpacked_rows(
+    records: Sequence[Record], wanted: np.ndarray, counts: Sequence[int], space: Space
+) -> NotedRows:
+    """Return the `wanted` of the rows of the records, `counts` of each."""
+    inputs, outputs = len(space.inputs), len(space.outputs)
+
     def numbers(name: str, width: int) -> np.ndarray:
         blank = np.full(width, np.nan).tobytes()
         columns = ((getattr(record, name) or blank * record.count) for record in records)
         return unpacked(columns, width)[wanted]
 
     def texts(name: str) -> list[Any]:
-        pairs = zip(records, remaining, strict=True)
+        pairs = zip(records, counts, strict=True)
         return [*chain.from_iterable([getattr(record, name)] * count for record, count in pairs)]
 
     shapes = {
@@ -311,6 +325,7 @@ def noted_rows(
         for name, shape in shapes.items()
         if any(getattr(record, name) is not None for record in records)
     }
+    created = texts("created")
     rows = Rows.of(
         numbers("wrench", inputs),
         numbers("displacement", outputs),
@@ -318,7 +333,7 @@ def noted_rows(
         seq=numbers_of(records)[wanted],
         fingerprint=texts("fingerprint"),
         source=texts("source"),
-        session=(created := texts("created")),
+        session=created,
         **more,
     )
     return NotedRows(rows, texts("origin"), created)
@@ -337,23 +352,17 @@ def _keys(
     name = _part(component.encode())
     width, size = len(wrenches) // len(texts), len(displacements) // len(texts)  # bytes a row
     middle, unknown = _length(size), _part(b"")
-    hashers = {
-        pair: blake2b(
-            name + _part(pair[0].encode()) + _part(pair[1].encode()) + _length(width),
-            digest_size=KEY_BYTES,
-        )
-        for pair in dict.fromkeys(texts)
-    }
-    loads, moves = (
-        np.frombuffer(numbers, f"V{length}").tolist()
-        for numbers, length in ((wrenches, width), (displacements, size))
-    )
+    hashers = {}
+    for fingerprint, source in dict.fromkeys(texts):
+        start = name + _part(fingerprint.encode()) + _part(source.encode()) + _length(width)
+        hashers[fingerprint, source] = blake2b(start, digest_size=KEY_BYTES)
+    loads = np.frombuffer(wrenches, f"V{width}").tolist()
+    moves = np.frombuffer(displacements, f"V{size}").tolist()
     tails = [unknown] * len(texts)
     if uncertainties is not None:
         # An output with unknown uncertainty is NaN; 0 would mean exact.
-        blank = _NAN.tobytes() * (size // 8)
-        each = np.frombuffer(uncertainties, f"V{size}").tolist()
-        tails = [unknown if tail == blank else _part(tail) for tail in each]
+        columns = np.frombuffer(uncertainties, f"V{size}").tolist()
+        tails = [unknown if _is_unknown(column) else _part(column) for column in columns]
     keys = []
     for pair, load, move, tail in zip(texts, loads, moves, tails, strict=True):
         hasher = hashers[pair].copy()  # half the time of a new one
@@ -377,6 +386,29 @@ def _known(column: np.ndarray, needed: Callable[..., np.ndarray]) -> bytes | Non
     flat = column.reshape(len(column), -1)
     known = needed(np.isfinite(flat), axis=1)
     return _plain(np.where(known[:, None], flat, _NAN)).tobytes() if known.any() else None
+
+
+def _cut(column: bytes, start: int, end: int, count: int) -> bytes:
+    """Return the rows from position `start` to `end` of a column of `count` rows."""
+    return column[len(column) * start // count : len(column) * end // count]
+
+
+def _cut_if_known(column: bytes | None, start: int, end: int, count: int) -> bytes | None:
+    """Return a cut of a column, None where all of its numbers are unknown."""
+    cut = b"" if column is None else _cut(column, start, end, count)
+    return None if _is_unknown(cut) else cut
+
+
+def _is_unknown(numbers: bytes) -> bool:
+    """Return whether all of the stored numbers are NaN."""
+    return numbers == _NAN.tobytes() * (len(numbers) // 8)
+
+
+def _unpacked_if_known(column: bytes | None) -> Vector | None:
+    """Return a row's numbers; None if all are NaN, as in a record of which other rows have some."""
+    if not column or np.isnan(np.frombuffer(column)).all():
+        return None
+    return unpack_vector(column)
 
 
 def _part(content: bytes) -> bytes:

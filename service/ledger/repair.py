@@ -119,9 +119,8 @@ class Acknowledged:
         Edits share the rows' numbers, so that there may be fewer rows.
         """
         losses = [loss for _, loss in self._open_losses()]
-        jobs, lost_rows = (
-            sum(loss[name][1] - loss[name][0] + 1 for loss in losses) for name in ("jobs", "rows")
-        )
+        jobs = sum(loss["jobs"][1] - loss["jobs"][0] + 1 for loss in losses)
+        lost_rows = sum(loss["rows"][1] - loss["rows"][0] + 1 for loss in losses)
         last = max((loss["rows"][1] for loss in losses), default=0)
         select = "SELECT coalesce(sum(count), 0) FROM rows WHERE origin = 'table file' AND seq > ?"
         return Numbers(jobs, max(0, lost_rows - db.execute(select, (last,)).fetchone()[0]))
@@ -193,8 +192,8 @@ def salvage(
                     highest[name] = max(highest.get(name, 0), number)
         new.execute("PRAGMA foreign_keys = OFF")
         new.execute("BEGIN IMMEDIATE")
-        for component, some, written in spare:
-            _place(new, component, some, written)
+        for component, table_rows, written in spare:
+            _place(new, component, table_rows, written)
         read = {name: _copy(source, new, name, highest) for name in _TABLES}
         # Remove references to missing jobs and rows.
         new.execute("UPDATE rows SET job = NULL WHERE job NOT IN (SELECT id FROM jobs)")
@@ -263,12 +262,14 @@ def _copy(source: Connection, new: Connection, table: str, highest: dict[str, in
     return count
 
 
-def _place(db: Connection, component: str, some: Rows, now: float) -> None:
+def _place(db: Connection, component: str, table_rows: Rows, now: float) -> None:
     """Insert rows of a table file under their numbers in a lost ledger."""
-    gaps = np.flatnonzero(np.diff(some.seq) != 1) + 1
-    for run in np.split(np.arange(len(some)), gaps) if len(some) else ():
-        block = NotedRows(some.take(run), ["table file"] * len(run))
-        first, keys = int(some.seq[run[0]]), row_keys(component, block)
+    if not len(table_rows):
+        return
+    gaps = np.flatnonzero(np.diff(table_rows.seq) != 1) + 1
+    for run in np.split(np.arange(len(table_rows)), gaps):
+        block = NotedRows(table_rows.take(run), ["table file"] * len(run))
+        first, keys = int(table_rows.seq[run[0]]), row_keys(component, block)
         for record in records_of(component, block, keys, first, now):
             _restore_record(db, record)
 
@@ -285,10 +286,12 @@ def _restore_record(db: Connection, record: Record) -> int:
         record.seq + at not in used and key not in known
         for at, key in enumerate(keys[: record.count])
     ]
-    for same, positions in groupby(range(len(free)), free.__getitem__):
-        some = list(positions)
-        if same:
-            part = record if len(some) == record.count else record.part(some[0], some[-1] + 1)
+    for is_free, group in groupby(range(len(free)), free.__getitem__):
+        if is_free:
+            positions = list(group)
+            part = record
+            if len(positions) < record.count:
+                part = record.part(positions[0], positions[-1] + 1)
             db.execute(rows.INSERT, part)
             rows.enter(db, rows.row_entries(part))
             count += part.count
@@ -304,11 +307,14 @@ def rewrite(db: Connection, component: str, seq: int, copy: Rows) -> bool:
     if rows.numbered(db, [seq]):
         return False
     now = time.time()
-    damaged = next((record for _, record in rows.containing(db, [seq])), None)
-    job, created = (damaged.job, damaged.created) if damaged else (None, now)
+    job, created, note = None, now, "table file"
+    for _, damaged in rows.containing(db, [seq]):  # at most one record
+        job = damaged.job
+        if isinstance(damaged.created, float):
+            created = damaged.created
+        if damaged.is_sealed():
+            note = damaged.origin
     known = db.execute("SELECT id FROM jobs WHERE id = ?", (job,)).fetchone()
-    created = created if isinstance(created, float) else now
-    note = damaged.origin if damaged and damaged.is_sealed() else "table file"
     block = NotedRows(copy, [note])
     keys = row_keys(component, block)
     if rows.stored(db, keys).get(keys[0], seq) != seq:

@@ -96,17 +96,10 @@ def back_up(folder: Path, target: Path) -> Manifest:
             # Without compression: tables are digits that hardly shrink.
             zipfile.ZipFile(content, "w", zipfile.ZIP_STORED, allowZip64=True) as archive,
         ):
-            manifest, written = Manifest(time.time(), VERSION), {}
-            for name, path in _files(folder, Path(scratch) / LEDGER, {draft, target}):
-                # From one open file: a table that is replaced meanwhile is the complete earlier
-                # one. A draft that is gone by now is left out.
-                with (
-                    suppress(FileNotFoundError),
-                    path.open("rb") as file,
-                    archive.open(name, "w", force_zip64=True) as entry,
-                ):
-                    written[name] = _copied(file, entry)
-            archive.writestr(MANIFEST, json.dumps(asdict(replace(manifest, files=written))))
+            manifest = Manifest(time.time(), VERSION)
+            files = _files(folder, Path(scratch) / LEDGER, {draft, target})
+            manifest = replace(manifest, files=_archived(files, archive))
+            archive.writestr(MANIFEST, json.dumps(asdict(manifest)))
         manifest = verify(draft)
         sync(draft)
         draft.replace(target)
@@ -124,6 +117,23 @@ def back_up(folder: Path, target: Path) -> Manifest:
     return manifest
 
 
+def _archived(
+    files: Iterator[tuple[str, Path]], archive: zipfile.ZipFile
+) -> dict[str, tuple[int, str]]:
+    """Write files into an archive; return the length and digest of each."""
+    written = {}
+    for name, path in files:
+        # From one open file: a table that is replaced meanwhile is the complete earlier one. A
+        # draft that is gone by now is left out.
+        with (
+            suppress(FileNotFoundError),
+            path.open("rb") as file,
+            archive.open(name, "w", force_zip64=True) as entry,
+        ):
+            written[name] = _copied(file, entry)
+    return written
+
+
 def verify(source: Path) -> Manifest:
     """Read a backup and compare all files with their digests.
 
@@ -138,19 +148,7 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
     Raises BackupError if the backup is damaged, of a newer format, of another user, or has a file
     that backups never have.
     """
-    try:
-        status = source.stat()
-        archive = zipfile.ZipFile(source)
-    except FileNotFoundError:
-        raise BackupError(f"the file {source} does not exist; give the path of a backup") from None
-    except OSError as error:
-        problem = f"{source} cannot be read: {error.strerror or error}"
-        raise BackupError(f"{problem}; name a backup that this user may read") from error
-    except _UNREADABLE as error:
-        raise BackupError(
-            f"{source} is not a complete backup ({error}), because its writing or copying was cut "
-            "off. Use another backup; nothing was changed"
-        ) from error
+    archive, status = _opened(source)
     # Only its owner may read a backup; another user's backup was passed on.
     if status.st_uid not in (0, os.geteuid()):
         raise BackupError(
@@ -178,6 +176,28 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
             if copied != expected:
                 raise BackupError(f"{name} in {source} has a wrong digest; {_DAMAGED}")
     return manifest
+
+
+def _opened(source: Path) -> tuple[zipfile.ZipFile, os.stat_result]:
+    """Open a backup; return it and its file's status.
+
+    Raises BackupError if the file is missing, unreadable or incomplete.
+    """
+    try:
+        status = source.stat()
+        return zipfile.ZipFile(source), status
+    except FileNotFoundError:
+        raise BackupError(f"the file {source} does not exist; give the path of a backup") from None
+    except OSError as error:
+        raise BackupError(
+            f"{source} cannot be read: {error.strerror or error}; name a backup that this user may "
+            "read"
+        ) from error
+    except _UNREADABLE as error:
+        raise BackupError(
+            f"{source} is not a complete backup ({error}), because its writing or copying was cut "
+            "off. Use another backup; nothing was changed"
+        ) from error
 
 
 def reason_of(error: Exception) -> str:
@@ -242,7 +262,8 @@ def _files(folder: Path, copy: Path, excluded: set[Path]) -> Iterator[tuple[str,
 
     def held(name: str) -> Iterator[tuple[str, Path]]:
         place = folder / name
-        for path in [place] if place.is_file() else sorted(place.rglob("*")):
+        paths = [place] if place.is_file() else sorted(place.rglob("*"))
+        for path in paths:
             path_name = path.relative_to(folder).as_posix()
             if path.is_file() and HELD.fullmatch(path_name) and path not in excluded:
                 yield path_name, path

@@ -61,15 +61,14 @@ def restore(
         Ledger(draft / LEDGER).close()  # verifies it and updates its schema
         sync_tree(draft)
         present = _check_free(folder, overwrite=overwrite)  # a server may have started meanwhile
-        former = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
         if present:
+            former = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
             former.mkdir(0o700)
             aside = former
-        state = "The restore is not complete" + f". The former files are in {aside}" * bool(aside)
-        # The ledger and its log first.
-        for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):
-            if not entry.name.startswith(".before-restore-"):
-                entry.rename(former / entry.name)
+            state = f"The restore is not complete. The former files are in {aside}"
+            _move_aside(present, aside)
+        else:
+            state = "The restore is not complete"
         for entry in sorted(draft.iterdir(), key=lambda entry: entry.name == LEDGER):
             entry.rename(folder / entry.name)
         sync(folder)
@@ -93,6 +92,13 @@ def _source(source: Path | str, until: float) -> Callable[[Place], Manifest]:
         return lambda place: replica.unpack(source, place, until)
     verify(source)
     return lambda place: unpack(source, place)
+
+
+def _move_aside(present: list[Path], aside: Path) -> None:
+    """Move the files of a directory into `aside`, the ledger and its log first."""
+    for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):
+        if not entry.name.startswith(".before-restore-"):
+            entry.rename(aside / entry.name)
 
 
 def in_use(folder: Path) -> bool:

@@ -52,7 +52,7 @@ def start_recording(
     """
     component = _solvable(workspace, name)
     wrenches = store.recording(name).wrenches
-    return _start(workspace, component, wrenches, budget, beyond_range, "recording")
+    return _start(workspace, component, wrenches, budget, "recording", beyond_range=beyond_range)
 
 
 def start_envelope(
@@ -66,7 +66,8 @@ def start_envelope(
     envelope = store.envelope(name)
     wrenches = np.concatenate([envelope.lowest, envelope.highest])
     wrenches = np.unique(wrenches, axis=0) if len(wrenches) else wrenches
-    return _start(workspace, component, wrenches, len(wrenches), beyond_range, "envelope")
+    budget = len(wrenches)
+    return _start(workspace, component, wrenches, budget, "envelope", beyond_range=beyond_range)
 
 
 def start_resolving(
@@ -81,7 +82,7 @@ def start_resolving(
     wrenches = unsolved(component, others, np.empty((0, len(component.space.inputs))))
     if not len(wrenches):
         return StartedSolves([], reason=f"no row of {name!r} belongs to another setup")
-    return _start(workspace, component, wrenches, budget, beyond_range, "resolve")
+    return _start(workspace, component, wrenches, budget, "resolve", beyond_range=beyond_range)
 
 
 def _solvable(workspace: Workspace, name: str) -> Component:
@@ -104,8 +105,9 @@ def _start(
     component: Component,
     wrenches: Floats,
     budget: int,
-    beyond_range: bool,
     purpose: str,
+    *,
+    beyond_range: bool,
 ) -> StartedSolves:
     """Accept the jobs of wrenches, (n, inputs); a wrench that is queued costs no budget."""
     name, load_range, ledger = component.name, component.load_range, workspace.ledger
@@ -135,6 +137,23 @@ def _start(
     present = [jobs[key] for key in keys if key in jobs]
     queued = [job for job in present if job.status in ("waiting", "running")]
     failed, over_budget = status.count("failed"), len(fresh) - len(order)
+    reason = _unqueued(over_budget, failed, beyond)
+    if not len(unknown) and not reason:
+        any_known = solved.any() or covered.any()
+        reason = "the table covers all of them" if any_known else _NOTHING
+    return StartedSolves(
+        queued + [job for job in accepted if not job.is_final],
+        solved=int(solved.sum()),
+        covered=int(covered.sum()),
+        failed=failed,
+        beyond_range=beyond,
+        left=over_budget,
+        reason=reason,
+    )
+
+
+def _unqueued(over_budget: int, failed: int, beyond: int) -> str:
+    """Return why some wrenches get no job; an empty text if all do."""
     reasons = []
     if over_budget:
         reasons.append(f"{over_budget} exceed the budget; start again once these are solved")
@@ -147,12 +166,7 @@ def _start(
             f"{beyond} are outside the load range; to solve them nevertheless, start with "
             "beyond_range true (--beyond-range)"
         )
-    if not len(unknown) and not reasons:
-        any_known = solved.any() or covered.any()
-        reasons.append("the table covers all of them" if any_known else _NOTHING)
-    queued += [job for job in accepted if not job.is_final]
-    counts = int(solved.sum()), int(covered.sum()), failed, beyond, over_budget
-    return StartedSolves(queued, *counts, "; ".join(reasons))
+    return "; ".join(reasons)
 
 
 def _start_linear(

@@ -26,6 +26,7 @@ from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.answer import COVERED, OUTSIDE
 from wrenchbook.surrogate.table.rows import NEAR, Tolerance
+from wrenchbook.surrogate.table.space import Space
 
 Floats = NDArray[np.float64]
 Kind = Literal["recording", "envelope"]
@@ -141,44 +142,29 @@ class RecordingStore:
         with self._ledger.writing() as db:
             before = _tally(db, name, "recording")
             if block is not None and not _claim_block(db, name, "recording", block, wrenches):
-                return BlockResult(before, True, outside)
-            within, beyond = (
-                take(subset, points[indices], [keys[place] for place in indices.tolist()])
-                for subset, indices in zip(
-                    self._subsets_of(component, before, db),
-                    (np.flatnonzero(inside), np.flatnonzero(~inside)),
-                    strict=True,
-                )
-            )
+                return BlockResult(before, known=True, outside=outside)
+            subset_within, subset_beyond = self._subsets_of(component, before, db)
+            within = take(subset_within, *_chosen(points, keys, inside))
+            beyond = take(subset_beyond, *_chosen(points, keys, ~inside))
             after = Tally(
-                before.revision + 1,
-                before.offered + len(keys),
-                before.merged + within.merged + beyond.merged,
-                before.thinned + within.thinned + beyond.thinned,
-                before.outside + outside,
-                within.subset.radius,
-                within.subset.within,
-                beyond.subset.radius,
-                beyond.subset.within,
-                _packed_scale(scale),
+                revision=before.revision + 1,
+                offered=before.offered + len(keys),
+                merged=before.merged + within.merged + beyond.merged,
+                thinned=before.thinned + within.thinned + beyond.thinned,
+                outside=before.outside + outside,
+                radius=within.subset.radius,
+                within=within.subset.within,
+                radius_outside=beyond.subset.radius,
+                within_outside=beyond.subset.within,
+                scale=_packed_scale(scale),
             )
             first_place = {key: place for place, key in reversed(list(enumerate(keys)))}
             added = sorted(within.added + beyond.added, key=first_place.__getitem__)
-            db.executemany(
-                "DELETE FROM recorded WHERE component = ? AND wrench = ?",
-                [(name, key) for key in within.dropped + beyond.dropped],
-            )
-            db.executemany(
-                "INSERT INTO recorded (component, wrench) VALUES (?, ?)",
-                [(name, key) for key in added],
-            )
+            _replace_recorded(db, name, within.dropped + beyond.dropped, added)
             _save(db, name, "recording", after)
-        with self._lock:  # the block is on the disk from now on
-            self._subsets.pop(name, None)
-            self._subsets[name] = after.revision, (within.subset, beyond.subset)
-            while len(self._subsets) > MAX_SUBSETS:
-                del self._subsets[next(iter(self._subsets))]
-        return BlockResult(after, False, outside)
+        # The block is on the disk from now on.
+        self._remember(name, after.revision, (within.subset, beyond.subset))
+        return BlockResult(after, known=False, outside=outside)
 
     def widen(self, name: str, wrenches: Floats, block: BlockKey | None) -> BlockResult:
         """Add wrenches, shape (n, inputs), to a component's envelope; as `record`."""
@@ -189,7 +175,7 @@ class RecordingStore:
         with self._ledger.writing() as db:
             before = _tally(db, name, "envelope")
             if block is not None and not _claim_block(db, name, "envelope", block, wrenches):
-                return BlockResult(before, True, outside)
+                return BlockResult(before, known=True, outside=outside)
             after = replace(
                 before,
                 revision=before.revision + 1,
@@ -201,7 +187,7 @@ class RecordingStore:
                 [(name, *extreme) for extreme in _wider(acting, keys, _extremes(db, name))],
             )
             _save(db, name, "envelope", after)
-        return BlockResult(after, False, outside)
+        return BlockResult(after, known=False, outside=outside)
 
     def recording(self, name: str) -> RecordingState:
         """Return a component's recording.
@@ -222,9 +208,11 @@ class RecordingStore:
         with self._ledger.reading() as db:
             tally, extremes = _tally(db, name, "envelope"), _extremes(db, name)
         current = _of_width(extremes.values(), count)
-        inputs = range(count) if len(current) == 2 * count else ()
-        lowest, highest = ([extremes[start + load] for load in inputs] for start in (0, count))
-        return EnvelopeState(tally, unpacked(lowest, count), unpacked(highest, count))
+        if len(current) != 2 * count:
+            return EnvelopeState(tally, unpacked([], count), unpacked([], count))
+        lowest = unpacked([extremes[load] for load in range(count)], count)
+        highest = unpacked([extremes[count + load] for load in range(count)], count)
+        return EnvelopeState(tally, lowest, highest)
 
     def clear(self, name: str, kind: Kind) -> Tally:
         """Empty a component's recording or envelope, and return its earlier counts.
@@ -255,13 +243,40 @@ class RecordingStore:
             stretched = max(1.0, float((unpacked([tally.scale], len(scale))[0] / scale).max()))
         keys = _recorded(db, component.name, len(scale))
         wrenches = unpacked(keys, len(scale))
-        points, holds = scaled_loads(wrenches, scale), component.load_range.holds(wrenches)
-        inside, outside = (
-            (points[indices], [keys[place] for place in indices.tolist()])
-            for indices in (np.flatnonzero(holds), np.flatnonzero(~holds))
-        )
+        points, inside = scaled_loads(wrenches, scale), component.load_range.holds(wrenches)
+        within = Subset(*_chosen(points, keys, inside), tally.radius, tally.within * stretched)
         beyond = tally.radius_outside, tally.within_outside * stretched, MAX_OUTSIDE
-        return Subset(*inside, tally.radius, tally.within * stretched), Subset(*outside, *beyond)
+        return within, Subset(*_chosen(points, keys, ~inside), *beyond)
+
+    def _remember(self, name: str, revision: int, subsets: tuple[Subset, Subset]) -> None:
+        """Cache a recording's subsets as the newest; the oldest ones are dropped."""
+        with self._lock:
+            self._subsets.pop(name, None)
+            self._subsets[name] = revision, subsets
+            while len(self._subsets) > MAX_SUBSETS:
+                del self._subsets[next(iter(self._subsets))]
+
+
+def _chosen(
+    points: Floats, keys: list[bytes], mask: NDArray[np.bool_]
+) -> tuple[Floats, list[bytes]]:
+    """Return the points (n, inputs) and keys of a mask, shape (n,)."""
+    indices = np.flatnonzero(mask)
+    return points[indices], [keys[index] for index in indices.tolist()]
+
+
+def _replace_recorded(
+    db: Connection, component: str, dropped: list[bytes], added: list[bytes]
+) -> None:
+    """Delete the dropped wrenches of a recording and append the added ones."""
+    db.executemany(
+        "DELETE FROM recorded WHERE component = ? AND wrench = ?",
+        [(component, key) for key in dropped],
+    )
+    db.executemany(
+        "INSERT INTO recorded (component, wrench) VALUES (?, ?)",
+        [(component, key) for key in added],
+    )
 
 
 def _tally(db: Connection, component: str, kind: Kind) -> Tally:
@@ -382,21 +397,16 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
     if np.isnan(low).any():
         unknown = np.full(len(space.outputs), np.nan)
         return Bound(unknown, "unknown", "", "outside", None, "no wrench has come yet")
-    if 2 ** len(low) <= MAX_CORNERS:
-        corners = np.array(list(product(*zip(low, high, strict=True))))
-    else:
-        chosen = np.random.default_rng(0).random((MAX_CORNERS, len(low))) < 0.5
-        corners = np.where(chosen, low, high)
+    corners = _corners(low, high)
     with np.errstate(over="ignore"):
         centre = low / 2 + high / 2
     more = [centre[None], np.zeros((1, len(low))), envelope.lowest, envelope.highest]
     answers = table.packed.batch(np.concatenate([corners, *more]))
     coverage = int(answers.coverage.max(initial=COVERED))
     if table.linear and table.fit.complete:
-        ends = np.stack([table.fit.matrix * low, table.fit.matrix * high])  # (2, outputs, inputs)
-        most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
-        largest = np.abs([most, least]).max(axis=0) + answers.errors.max(axis=0)
-        largest = largest + np.abs(table.packed.batch(np.zeros((1, len(low)))).outputs[0])
+        largest = _largest_linear(table, low, high) + answers.errors.max(axis=0)
+        at_zero = table.packed.batch(np.zeros((1, len(low)))).outputs[0]
+        largest = largest + np.abs(at_zero)
         kind, formula = "bound", EXACT
     else:
         # NaN stays: with an unknown value at one point the largest is unknown.
@@ -405,16 +415,37 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
         kind, formula = "estimate", ESTIMATE.format(number)
     if np.isnan(largest).any():
         kind = "unknown"
-    negligible, reason = True, "" if kind == "bound" else "an estimate by the table, see formula"
-    if tolerance is None:
-        negligible = None
-        reason = "the component has no tolerance; ask with ?translation=...&rotation=..."
-    elif (largest > np.where(space.is_rotation, tolerance.rotation, tolerance.translation)).any():
-        negligible, reason = False, ""
-    elif kind == "unknown":
-        negligible = None
-        reason = "the table does not answer over all of the box; start the envelope's solves"
-    elif coverage == OUTSIDE and kind != "bound":
-        negligible = None
-        reason = "part of the box is outside the table, so fill it for an estimate there"
+    negligible, reason = _negligible(largest, space, tolerance, kind, coverage)
     return Bound(largest, kind, formula, COVERAGE[coverage], negligible, reason)
+
+
+def _corners(low: Floats, high: Floats) -> Floats:
+    """Return the corners of a box, or a random choice of `MAX_CORNERS` of them, (n, inputs)."""
+    if 2 ** len(low) <= MAX_CORNERS:
+        return np.array(list(product(*zip(low, high, strict=True))))
+    is_low = np.random.default_rng(0).random((MAX_CORNERS, len(low))) < 0.5
+    return np.where(is_low, low, high)
+
+
+def _largest_linear(table: ServedTable, low: Floats, high: Floats) -> Floats:
+    """Return the largest |C w| of the box of a linear table, shape (outputs,), m and rad."""
+    ends = np.stack([table.fit.matrix * low, table.fit.matrix * high])  # (2, outputs, inputs)
+    largest, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
+    return np.abs([largest, least]).max(axis=0)
+
+
+def _negligible(
+    largest: Floats, space: Space, tolerance: Tolerance | None, kind: str, coverage: int
+) -> tuple[bool | None, str]:
+    """Return whether the largest displacement is within the tolerance, and the reason."""
+    if tolerance is None:
+        return None, "the component has no tolerance; ask with ?translation=...&rotation=..."
+    if (largest > np.where(space.is_rotation, tolerance.rotation, tolerance.translation)).any():
+        return False, ""
+    if kind == "unknown":
+        return None, "the table does not answer over all of the box; start the envelope's solves"
+    if kind == "bound":
+        return True, ""
+    if coverage == OUTSIDE:
+        return None, "part of the box is outside the table, so fill it for an estimate there"
+    return True, "an estimate by the table, see formula"

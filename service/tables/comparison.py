@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Literal, NamedTuple
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.service.contract import Coverage
-from wrenchbook.service.ledger import ImportRecord
+from wrenchbook.service.ledger import ImportSpan
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.messages import FiniteArray, FloatArray, Message, Vector, left_out
 from wrenchbook.service.tables.build import build_table
@@ -32,7 +33,7 @@ MAX_LISTED = 500
 _OUTSIDE = NAMES.index("outside")
 _KINDS = "displacement", "expected", "residual", "bar", "uncertainty"
 Indices = NDArray[np.intp]
-Spans = Sequence[tuple[int, int, ImportRecord]]
+Spans = Sequence[ImportSpan]
 
 
 class DisagreeingRow(Message):
@@ -116,21 +117,28 @@ def _selection(
         if wanted is not None and not (measured & (of_import == wanted)).any():
             listed = np.unique(of_import[measured & (of_import > 0)])[-10:].tolist()
             known = ", ".join(map(str, listed))
-            raise UncomparableError(
-                f"the table has no measured rows of import {wanted}; "
-                + (f"its newest are {known}" if known else "import a file of measured rows first")
-            )
+            advice = f"its newest are {known}" if known else "import a file of measured rows first"
+            raise UncomparableError(f"the table has no measured rows of import {wanted}; {advice}")
     if number is not None and number == against:
         raise UncomparableError(f"import {number} cannot be its own reference; name another import")
     reference = ~measured if against is None else measured & (of_import == against)
     chosen = measured & ~reference & (number is None or of_import == number)
     inside = np.asarray(component.load_range.holds(rows.wrench))
     compared, used = np.flatnonzero(chosen & inside), np.flatnonzero(reference)
-    compared, available = compared[:: -(-len(compared) // MAX_COMPARED) or 1], len(used)
-    if against is not None:
-        used = used[:: -(-available // MAX_REFERENCE)]
-    counts = int(chosen.sum()), int((chosen & ~inside).sum())
-    return _Selection(of_import, *counts, compared, available, used)
+    return _Selection(
+        of_import=of_import,
+        measured=int(chosen.sum()),
+        beyond_range=int((chosen & ~inside).sum()),
+        compared=_even_choice(compared, MAX_COMPARED),
+        available=len(used),
+        used=used if against is None else _even_choice(used, MAX_REFERENCE),
+    )
+
+
+def _even_choice(indices: Indices, count: int) -> Indices:
+    """Return at most `count` of the indices, (n,), at equal distances."""
+    stride = math.ceil(len(indices) / count) or 1
+    return indices[::stride]
 
 
 class _Answers(NamedTuple):
@@ -189,22 +197,17 @@ def comparison(
     same.
     """
     selection, solved = _selection(component, rows, spans, number, against), against is None
-    some, reference = rows.take(selection.compared), rows.take(selection.used)
-    campaign, outputs = selection.of_import[selection.compared], component.space.output_names
-    answers, reason = _answers(component, some, reference, error, solved=solved), ""
-    if not len(reference):
-        reason = "there is no solved row; fill the table"
-    elif not len(some):
-        beside = "" if solved else f" beside those of import {against}"
-        reason = f"there is no measured row{beside}; import some"
-    stated = np.ascontiguousarray(some.uncertainty)  # contiguous for the JSON writer
-    scatter = np.where(np.isfinite(stated), stated, answers.noise)
-    columns = some.displacement, answers.expected, answers.bar, scatter
-
-    def summaries(at: NDArray[np.bool_]) -> dict[str, Any]:
-        numbers = zip(*(column[at].T for column in columns), strict=True)
-        return {name: _summary(*four) for name, four in zip(outputs, numbers, strict=True)}
-
+    compared, reference = rows.take(selection.compared), rows.take(selection.used)
+    campaign = selection.of_import[selection.compared]
+    answers = _answers(component, compared, reference, error, solved=solved)
+    stated = np.ascontiguousarray(compared.uncertainty)  # contiguous for the JSON writer
+    columns = _Columns(
+        outputs=component.space.output_names,
+        measured=compared.displacement,
+        expected=answers.expected,
+        bar=answers.bar,
+        scatter=np.where(np.isfinite(stated), stated, answers.noise),
+    )
     return Comparison(
         component=component.name,
         table_version=version,
@@ -218,35 +221,67 @@ def comparison(
         },
         measured=selection.measured,
         beyond_range=selection.beyond_range,
-        compared=len(some),
+        compared=len(compared),
         coverages={name: int((answers.coverage == code).sum()) for code, name in enumerate(NAMES)},
         noise=answers.noise,
-        reason=reason,
-        outputs=summaries(campaign >= 0),
+        reason=_incomparable(compared, reference, against),
+        outputs=columns.summaries(campaign >= 0),
         campaigns=[
             {
-                "import": each or None,
-                "rows": int((campaign == each).sum()),
-                "outputs": summaries(campaign == each),
+                "import": number or None,
+                "rows": int((campaign == number).sum()),
+                "outputs": columns.summaries(campaign == number),
             }
-            for each in np.unique(campaign).tolist()
+            for number in np.unique(campaign).tolist()
         ],
-        row=some.seq.tolist(),
-        campaign=[each or None for each in campaign.tolist()],
+        row=compared.seq.tolist(),
+        campaign=[number or None for number in campaign.tolist()],
         coverage=[NAMES[code] for code in answers.coverage.tolist()],
-        wrench=some.wrench,
-        displacement=some.displacement,
+        wrench=compared.wrench,
+        displacement=compared.displacement,
         expected=answers.expected,
-        residual=some.displacement - answers.expected,
+        residual=compared.displacement - answers.expected,
         bar=answers.bar,
         uncertainty=stated,
     )
 
 
+class _Columns(NamedTuple):
+    """Compared rows and their answers, (k, m) each, m and rad; NaN where unknown."""
+
+    outputs: Sequence[str]
+    measured: Floats
+    expected: Floats
+    bar: Floats
+    scatter: Floats
+
+    def summaries(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
+        """Return the differences of each output over the rows of a mask, (k,)."""
+        return {
+            name: _summary(
+                self.measured[mask, at],
+                self.expected[mask, at],
+                self.bar[mask, at],
+                self.scatter[mask, at],
+            )
+            for at, name in enumerate(self.outputs)
+        }
+
+
+def _incomparable(compared: Rows, reference: Rows, against: int | None) -> str:
+    """Return the reason for which there is no comparison; empty if there is one."""
+    if not len(reference):
+        return "there is no solved row; fill the table"
+    if len(compared):
+        return ""
+    beside = "" if against is None else f" beside those of import {against}"
+    return f"there is no measured row{beside}; import some"
+
+
 def _imports(seq: NDArray[np.int64], spans: Spans) -> NDArray[np.int64]:
     """Return the number of each row's import, (n,); 0 for rows without an import."""
-    none = [(0, 0, 0)]
-    first, last, number = np.array([(a, b, record.id) for a, b, record in spans] or none).T
+    bounds = [(span.first, span.last, span.record.id) for span in spans]
+    first, last, number = np.array(bounds or [(0, 0, 0)]).T
     at = np.searchsorted(first, seq, side="right") - 1
     return np.where((at >= 0) & (seq <= last[at]), number[at], 0)
 
@@ -259,17 +294,17 @@ def _bound(bar: Floats, scatter: Floats) -> Floats:
 def _summary(measured: Floats, expected: Floats, bar: Floats, scatter: Floats) -> dict[str, Any]:
     """Return the differences of one output, (n,) each, m or rad: None if unknown."""
     residual, bound = measured - expected, _bound(bar, scatter)
-    some = residual[np.isfinite(residual)]
+    known = residual[np.isfinite(residual)]
     factor, half_width, of_reference = scale_factor(measured, expected, bar, scatter)
     numbers = {
-        "mean": some.mean() if len(some) else np.nan,
-        "rms": np.sqrt(np.mean(some**2)) if len(some) else np.nan,
+        "mean": known.mean() if len(known) else np.nan,
+        "rms": np.sqrt(np.mean(known**2)) if len(known) else np.nan,
         "factor": factor,
         "half_width": half_width,
         "of_reference": of_reference,
     }
     return {
-        "compared": len(some),
+        "compared": len(known),
         "unanswered": int((np.isfinite(measured) & np.isnan(expected)).sum()),
         "beyond_bars": int((np.abs(residual) > bound).sum()),
         "bars_unknown": int((np.isfinite(residual) & np.isnan(bound)).sum()),
@@ -309,19 +344,6 @@ def disagreement(
     compared = np.isfinite(reply.residual) & np.isfinite(bound)
     ratio = np.abs(reply.residual) / np.maximum(bound, np.finfo(float).tiny)
     ratio = np.where(compared, ratio, 0.0)
-    inputs, outputs = component.space.input_names, component.space.output_names
-    outliers = [
-        DisagreeingRow(
-            row=reply.row[at],
-            wrench=dict(zip(inputs, reply.wrench[at].tolist(), strict=True)),
-            output=outputs[output],
-            measured=float(reply.displacement[at, output]),
-            expected=float(reply.expected[at, output]),
-            bar=float(bound[at, output]),
-            ratio=float(ratio[at, output]),
-        )
-        for at, output in np.argwhere(ratio > 1.0).tolist()
-    ]
     return Disagreement(
         component=component.name,
         table_version=version,
@@ -340,6 +362,28 @@ def disagreement(
             for name, summary in reply.outputs.items()
             if not reply.reason
         },
-        rows=sorted(outliers, key=lambda row: -row.ratio)[:MAX_LISTED],
+        rows=_outliers(component.space, reply, bound, ratio)[:MAX_LISTED],
         reason=reply.reason,
     )
+
+
+def _outliers(
+    space: Space, reply: Comparison, bound: Floats, ratio: Floats
+) -> list[DisagreeingRow]:
+    """Return the rows and outputs whose `ratio` of residual and `bound` (k, m) is above 1.
+
+    The largest ratio comes first.
+    """
+    rows = [
+        DisagreeingRow(
+            row=reply.row[at],
+            wrench=dict(zip(space.input_names, reply.wrench[at].tolist(), strict=True)),
+            output=space.output_names[output],
+            measured=float(reply.displacement[at, output]),
+            expected=float(reply.expected[at, output]),
+            bar=float(bound[at, output]),
+            ratio=float(ratio[at, output]),
+        )
+        for at, output in np.argwhere(ratio > 1.0).tolist()
+    ]
+    return sorted(rows, key=lambda row: -row.ratio)

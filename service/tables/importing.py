@@ -14,6 +14,7 @@ from wrenchbook.service.formats.options import Options, ParsedTable
 from wrenchbook.service.formats.read import ReadResult, read_block, read_untrusted
 from wrenchbook.service.formats.rig import Rig
 from wrenchbook.service.ledger import ImportOrigin, Ledger, NotedRows, row_keys
+from wrenchbook.service.ledger.imports import Loaded
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.findings.comparison import MAX_COMPARED_ROWS, comparison_findings
@@ -76,48 +77,67 @@ def import_files(
         # rows would take longer with each block.
         return read.pieces() if append else _with_stored_numbers(ledger, component, read)
 
-    if table is not None and not refused:
-        report["findings"] += _compared(read, table, report["findings"])
-    earlier = ledger.same_file(component.name, origin.digest) if origin.digest else None
-    if earlier is not None and not refused:
-        report["findings"].append(RigFinding("twice", TWICE.format(earlier)).body())
-    inserted, existing, restored, number = 0, 0, 0, None
-    held = component.load_range.holds
-    beyond = sum(int((~held(piece.wrench)).sum()) for piece in read.pieces())
-    if not refused and dry_run:
-        keys = [key for piece in pieces() for key in _keys(component, piece)]
-        distinct = set(keys)
-        inserted = len(distinct - ledger.known_rows(distinct))
-        existing = len(keys) - inserted
-    elif not refused:
-        findings = _findings_by_key(component, report["findings"], pieces)
-        origin = replace(origin, format=report["format"], rig=options.rig, findings=findings)
-        blocks = (NotedRows(piece, piece.note) for piece in pieces())
-        load = ledger.append_rows if append else ledger.import_rows
-        inserted, existing, number = load(component.name, blocks, origin)
-    if existing and not append:
+    loaded = Loaded(0, 0, None)
+    if not refused:
+        report["findings"] += _new_findings(ledger, read, table, component, origin)
+        if dry_run:
+            loaded = _dry_run(ledger, component, pieces())
+        else:
+            findings = _findings_by_key(component, report["findings"], pieces)
+            origin = replace(origin, format=report["format"], rig=options.rig, findings=findings)
+            blocks = (NotedRows(piece, piece.note) for piece in pieces())
+            load = ledger.append_rows if append else ledger.import_rows
+            loaded = load(component.name, blocks, origin)
+    restored = 0
+    if loaded.known and not append:
         again = (key for piece in pieces() for key in _keys(component, piece))
         keys = ledger.withdrawn_keys(component.name, again)
         restored = len(keys) if dry_run else ledger.restore_confirmed(component.name, keys)
-    if not inserted:  # all rows were stored before, so that none counts twice
+    if not loaded.new:  # all rows were stored before, so that none counts twice
         report["findings"] = [
             finding for finding in report["findings"] if finding["cause"] != "twice"
         ]
+    holds = component.load_range.holds
     rows = report.pop("rows")
     good = rows.pop("good")
     return {
-        "inserted": inserted,
-        "existing": existing,
+        "inserted": loaded.new,
+        "existing": loaded.known,
         "restored": restored,
-        "beyond_range": beyond,
+        "beyond_range": sum(int((~holds(piece.wrench)).sum()) for piece in read.pieces()),
         "dry_run": dry_run,
         "partial": partial,
-        "import": number,
+        "import": loaded.number,
         "rig": Rig.read(options.rig).as_json() if options.rig else None,
         "loaded": not refused and not dry_run,
         **report,
         "rows": {**rows, "loaded": 0 if refused or dry_run else good},
     }
+
+
+def _new_findings(
+    ledger: Ledger,
+    read: ReadResult,
+    table: ServedTable | None,
+    component: Component,
+    origin: ImportOrigin,
+) -> list[dict[str, Any]]:
+    """Return the findings of a file beside the component's table and its earlier imports."""
+    findings = []
+    if table is not None:
+        findings += _compared(read, table, read.report["findings"])
+    earlier = ledger.same_file(component.name, origin.digest) if origin.digest else None
+    if earlier is not None:
+        findings.append(RigFinding("twice", TWICE.format(earlier)).body())
+    return findings
+
+
+def _dry_run(ledger: Ledger, component: Component, pieces: Iterator[ParsedTable]) -> Loaded:
+    """Return the counts that an import of the pieces would have."""
+    keys = [key for piece in pieces for key in _keys(component, piece)]
+    distinct = set(keys)
+    new = len(distinct - ledger.known_rows(distinct))
+    return Loaded(new, len(keys) - new, None)
 
 
 def _keys(component: Component, piece: ParsedTable) -> list[bytes]:
@@ -132,10 +152,11 @@ def _findings_by_key(
     """Return findings as JSON whose rows are hexadecimal keys instead of positions in the file."""
     rows = [row for finding in findings for row in finding["rows"]]
     key_of: dict[int, str] = {}
-    for piece in pieces() if rows else ():
-        named = piece.take(np.isin(piece.seq, rows))
-        keys = [key.hex() for key in _keys(component, named)]
-        key_of |= zip(named.seq.tolist(), keys, strict=True)
+    if rows:
+        for piece in pieces():
+            named = piece.take(np.isin(piece.seq, rows))
+            keys = [key.hex() for key in _keys(component, named)]
+            key_of |= zip(named.seq.tolist(), keys, strict=True)
     stored = [
         {**finding, "rows": [], "keys": [key_of[row] for row in finding["rows"]]}
         for finding in findings
@@ -156,10 +177,8 @@ def _compared(
         return []
     stride = max(good // MAX_COMPARED_ROWS, 1)
     parts = [piece.take(np.arange(0, len(piece), stride)) for piece in read.pieces()]
-    wrench, moved = (
-        np.concatenate([getattr(part, name)[part.source != "fea"] for part in parts])
-        for name in ("wrench", "displacement")
-    )
+    wrench = np.concatenate([part.wrench[part.source != "fea"] for part in parts])
+    moved = np.concatenate([part.displacement[part.source != "fea"] for part in parts])
     inside = table.load_range.holds(wrench)
     replies = table.packed.batch(wrench[inside], without_rows=True)
     solves = set(table.sources) == {"fea"}
@@ -203,16 +222,16 @@ def _with_stored_numbers(
     for piece in read.pieces():
         numbers = np.hstack((piece.wrench, piece.displacement, piece.uncertainty))
         total, size = _sums(numbers, inputs)
-        # `open_`: rows with further stored rows of almost the same sum, none of which was equal.
+        # `unmatched`: rows with further stored rows of almost the same sum, none of them equal.
         first = np.searchsorted(sums, total - 2.0 * SAME * size)
         end = np.searchsorted(sums, total + 2.0 * SAME * size, side="right")
-        open_ = np.flatnonzero(first < end)
+        unmatched = np.flatnonzero(first < end)
         for step in range(_MAX_TRIED):
-            candidates, received = stored[order[first[open_] + step]], numbers[open_]
+            candidates, received = stored[order[first[unmatched] + step]], numbers[unmatched]
             same = np.abs(candidates - received) <= SAME * np.abs(received)
             same = np.all(same | (np.isnan(candidates) & np.isnan(received)), axis=1)
-            numbers[open_[same]] = candidates[same]
-            open_ = open_[~same & (first[open_] + step + 1 < end[open_])]
+            numbers[unmatched[same]] = candidates[same]
+            unmatched = unmatched[~same & (first[unmatched] + step + 1 < end[unmatched])]
         wrench, displacement, uncertainty = np.hsplit(numbers, [inputs, inputs + outputs])
         known = {"uncertainty": uncertainty} if any(piece.uncertainty.strides) else {}
         yield replace(piece, wrench=wrench, displacement=displacement, **known)

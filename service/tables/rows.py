@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from wrenchbook.service.contract import CONTRACT
-from wrenchbook.service.ledger import ImportRecord, Ledger, NotedRows, packed, unpacked
+from wrenchbook.service.ledger import ImportSpan, Ledger, NotedRows, packed, unpacked
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.meta import TableMeta
@@ -29,10 +29,8 @@ class ExportRows:
     numbers, `spans`, in order; empty for a solve.
     """
 
-    def __init__(
-        self, stored: NotedRows, spans: Sequence[tuple[int, int, ImportRecord]] = ()
-    ) -> None:
-        rows, firsts = stored.rows, [first for first, *_ in spans]
+    def __init__(self, stored: NotedRows, spans: Sequence[ImportSpan] = ()) -> None:
+        rows, firsts = stored.rows, [span.first for span in spans]
         self.wrench, self.displacement = rows.wrench, rows.displacement
         self.uncertainty, self.compliance = rows.uncertainty, rows.compliance
         self.curvature = rows.curvature
@@ -42,7 +40,8 @@ class ExportRows:
         self.who: list[str] = []
         for seq in self.seq:
             at = bisect_right(firsts, seq) - 1
-            self.who.append(spans[at][2].who if at >= 0 and seq <= spans[at][1] else "")
+            is_imported = at >= 0 and seq <= spans[at].last
+            self.who.append(spans[at].record.who if is_imported else "")
 
 
 def iso_time(seconds: float) -> str:

@@ -90,7 +90,9 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
 
     def largest(kind: str, names: tuple[str, ...]) -> dict[str, LargestError | None]:
         """Return the largest error bars by name; None where unknown."""
-        values, steps, times = (history[kind][of].ravel() for of in ("value", "step", "time"))
+        errors = history[kind]
+        values, steps = errors["value"].ravel(), errors["step"].ravel()
+        times = errors["time"].ravel()
         return {
             names[k]: LargestError(float(values[k]), int(steps[k]), began + float(times[k]))
             if steps[k]
@@ -99,13 +101,8 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
         }
 
     covered = float(history["covered"]) / count if count else None
-    stiff, remedy = _stiff_axes(joint, outputs, loads), ""
-    if stiff or (covered is not None and covered < 1.0):
-        remedy = joint._more_rows()
-        if joint._method is None and joint._packed.answers_by() == "linear":
-            remedy = "more solves do not help a linear part; use a finer mesh or nonlinear = true"
-        if joint._warned_beyond:
-            remedy = f"widen the load range, which a pose of the steps exceeds; {remedy}"
+    stiff = _stiff_axes(joint, outputs, loads)
+    is_uncovered = covered is not None and covered < 1.0
     return JointReport(
         component=joint._name,
         steps=count,
@@ -116,9 +113,19 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
         stored=float(history["stored"]) if count else None,
         energy_drift=energy_drift if np.isfinite(energy_drift) else None,
         stiff=stiff,
-        remedy=remedy,
+        remedy=_remedy(joint) if stiff or is_uncovered else "",
         covered_at=covered_at,
     )
+
+
+def _remedy(joint: Joint) -> str:
+    """Return how the table of a joint becomes accurate enough."""
+    remedy = joint._more_rows()
+    if joint._method is None and joint._packed.answers_by() == "linear":
+        remedy = "more solves do not help a linear part; use a finer mesh or nonlinear = true"
+    if joint._warned_beyond:
+        remedy = f"widen the load range, which a pose of the steps exceeds; {remedy}"
+    return remedy
 
 
 def _stiff_axes(
@@ -128,7 +135,8 @@ def _stiff_axes(
     history, packed = joint._history, joint._packed
     allowed = FORCE_ERROR * packed.load_scale[joint._at]
     tolerance = packed.arrays["space/tolerance"][joint._at]
-    moved, pulled = (history[kind]["value"].ravel() for kind in ("pose_error", "wrench_error"))
+    moved = history["pose_error"]["value"].ravel()
+    pulled = history["wrench_error"]["value"].ravel()
     # Contribution of each displacement to a load's error bar, by the stiffness of the last step.
     added = np.nan_to_num(np.abs(joint._stiffness) * moved)
     # If nothing is known, the load's own displacement.

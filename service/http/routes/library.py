@@ -152,7 +152,7 @@ async def write_notes(name: str, request: Request) -> Response:
 @router.get("/imports", summary="List imports, newest first", response_model=Imports)
 def list_imports(name: str, workspace: Opened) -> Response:
     records = workspace.ledger.imports(workspace.library[name].name)
-    versions = {record.id: last for _, last, record in workspace.ledger.import_spans(name)}
+    versions = {span.record.id: span.last for span in workspace.ledger.import_spans(name)}
     findings: list[Any] = workspace.ledger.findings(name)
     withdrawn = workspace.ledger.withdrawn_counts(name)
     return json_reply(
@@ -262,11 +262,10 @@ def get_stiffness(
     loads = [item.name for item in space.inputs if item.kind != "scalar"]
     ends = _two_loads(between)
     if number is not None:
-        spans = workspace.ledger.import_spans(name)
         masks = [
-            (first <= rows.seq) & (rows.seq <= last)
-            for first, last, record in spans
-            if record.id == number
+            (span.first <= rows.seq) & (rows.seq <= span.last)
+            for span in workspace.ledger.import_spans(name)
+            if span.record.id == number
         ]
         if not masks:
             raise UnknownImportError(
