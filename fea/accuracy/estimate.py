@@ -45,6 +45,9 @@ _BEFORE = 0.98
 it snaps through. `_SAFETY` covers the last 2 %.
 """
 
+_ALIKE = 0.99
+"""Part of the largest rotation from which a corner counts as turning an interface as much."""
+
 _LINEAR = 0.94
 """Upper bound of remainder over load at the smallest part, relative to that at the corner: at 1 the
 remainder grows with the load from the start, and b is infinite.
@@ -96,15 +99,20 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     other.component = replace(
         solver.component, analysis=replace(solver.component.analysis, nonlinear=True)
     )
-    # The corners that turn, or else move, each interface most, and their opposites.
+    # The corners that turn, or else move, each interface most, and their opposites. Of corners that
+    # turn it alike, the most loaded: a pull along a beam turns nothing, and stiffens its bending.
     corners, zero = loads.corners(), solver.component.at_rest
     moved = (corners @ compliance.T).reshape(len(corners), -1, 2, PER_INTERFACE // 2)
     moves, turns = np.moveaxis(np.linalg.norm(moved, axis=3), 2, 0)
     size = np.where(turns.any(axis=0), turns, moves)
-    chosen = size[:, size.any(axis=0)].argmax(axis=0).tolist() or [0]
+    largest = np.abs(corners).max(axis=0)
+    one_over = np.divide(1.0, largest, out=np.zeros(len(largest)), where=largest > 0)
+    loaded = np.abs(corners) @ one_over
+    alike = (size >= _ALIKE * size.max(axis=0)) & size.any(axis=0)
+    chosen = np.where(alike, loaded[:, None], 0.0).argmax(axis=0)
     scaled, why = np.full((len(_PARTS), len(compliance)), np.nan), ""
     lowest = np.inf
-    for index in {min(index, len(corners) - 1 - index) for index in chosen}:
+    for index in {min(index, len(corners) - 1 - index) for index in chosen.tolist()}:
         pair = corners[index], corners[len(corners) - 1 - index]
         factors = list(solver.buckling(pair[0] + zero))
         if not np.allclose(pair[1], -pair[0]):

@@ -32,7 +32,8 @@ def deck_of(mesh, sets):
 def two_cantilevers(folder):
     """Write a bundle of two beams apart, with an interface each.
 
-    At the corner of the range that turns `a` most, the loads of `b` cancel.
+    The loads of `b` begin at zero, so it has none at one of two opposite corners. It is pulled 0.1
+    mm beside its axis, so at the corner that turns it most it is not pulled.
     """
     beams = [box("hex20", (8, 2, 2), (0.4, *ends)) for ends in ((0.02, 0.01), (0.01, 0.02))]
     mesh = together(beams[0], moved(beams[1], [0.0, 0.1, 0.0]))
@@ -43,9 +44,11 @@ def two_cantilevers(folder):
     text += '[[material]]\nregion = "all"\nyoungs_modulus = 70e9\npoisson_ratio = 0.3\n'
     loads = {"a": ((100, 20, 9), (1, 0.5, 0.5)), "b": ((100, 9, 20), (1, 0.5, 1.9))}
     for name, largest in loads.items():
-        force, moment = ([[0, size] for size in sizes] for sizes in largest)
+        low = -1 if name == "a" else 0
+        force, moment = ([[low * size, size] for size in sizes] for sizes in largest)
         text += f'[[interface]]\nname = "{name}"\nsection = "{name}_x1"\ncoupling = "rigid"\n'
         text += f"range = {{force = {force}, moment = {moment}}}\n"
+    text += "point = [0.4, 0.1051, 0.01]\n"
     (folder / "component.toml").write_text(text)
     return folder
 

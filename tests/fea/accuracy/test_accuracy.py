@@ -347,9 +347,9 @@ def test_a_coarser_mesh_of_half_the_compliance_is_not_used_for_the_remainder():
 
 
 def test_the_bar_of_two_branches_holds_the_errors_of_either(tmp_path):
-    """The corner that turns one beam most hardly bends the other, whose bar was a third."""
+    """A pull stiffens the bending of one beam, at neither of two corners that turn it most."""
     beams = Solver(read_bundle(two_cantilevers(tmp_path)))
-    wrenches = np.outer([0.5, 1.0], beams.component.bundle.acting.high * (np.arange(12) != 11))
+    wrenches = np.outer([0.5, 1.0], beams.component.bundle.acting.high)
     assert (bars_over_errors(beams, wrenches) > 1).all()
 
 
