@@ -71,6 +71,12 @@ def test_a_deck_goes_from_file_to_the_answer_of_a_component_written_by_hand(tmp_
     np.testing.assert_allclose(answer, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
 
 
+def test_the_deck_of_the_page_becomes_a_component_that_lacks_a_moment(tmp_path):
+    result = propose(SHIPPED.parent / "decks" / "bracket.inp", tmp_path / "bracket", "mm")
+    assert result["check"]["ok"]
+    assert [line.partition(":")[0] for line in result["decide"]] == ['range at "Surf-1"']
+
+
 DECKS = {
     "patran.bdf": (cards.HERE / "patran.bdf").read_text("utf-8"),
     "archive.cdb": (cards.HERE / "archive.cdb").read_text("utf-8"),
