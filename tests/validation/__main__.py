@@ -82,7 +82,7 @@ def headline(results: list[tuple[Case, Finding]], seconds: float) -> str:
     return (
         f"{len(findings)} quantities: {_summary([f.verdict for f in findings])}. The largest error "
         f"is {worst.error / (worst.tolerance or 1.0):.0%} of its tolerance ({worst.quantity}). The "
-        f"run took {seconds:.0f} s."
+        f"run took {seconds:.0f} s of processor time."
     )
 
 
@@ -147,7 +147,7 @@ def main(arguments: list[str] | None = None) -> int:
         _plain(options.topic, results)
     if options.update is not None:
         page = options.update.read_text(encoding="utf-8")
-        table = f"{headline(results, time.perf_counter() - started)}\n\n{markdown(results)}"
+        table = f"{headline(results, time.process_time())}\n\n{markdown(results)}"
         options.update.write_text(replace_table(page, table), encoding="utf-8")
     verdicts = [finding.verdict for _, finding in results]
     if not (options.markdown or options.json):

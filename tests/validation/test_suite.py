@@ -129,7 +129,8 @@ def test_the_headline_names_the_error_nearest_to_its_tolerance():
     near = Finding("near", "", 1.0, 1.01, 0.02)
     results = [(CASES[0], one) for one in (Finding("far", "", 1.0, 1.01, 0.1), near)]
     assert validate.headline(results, 7.2) == (
-        "2 quantities: 2 pass. The largest error is 50% of its tolerance (near). The run took 7 s."
+        "2 quantities: 2 pass. The largest error is 50% of its tolerance (near). The run took 7 s "
+        "of processor time."
     )
 
 
