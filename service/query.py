@@ -258,7 +258,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     if query.on_thin != "queue":
         if beyond:
             raise BeyondRangeError(
-                f"{beyond}. Nothing was queued. To solve it nevertheless, ask with beyond_range "
+                f"{beyond}. Nothing was queued. To solve it nevertheless, set beyond_range to "
                 "true (--beyond-range).",
                 coverage="outside",
             )
@@ -416,8 +416,8 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
         first = query._replace(wrench=tuple(wrenches[uncovered[0]].tolist()))
         reason = _also(answer(table, first).reason, soon)
         raise NotCoveredError(
-            f"{len(uncovered)} of {len(wrenches)} wrenches are not covered, the first is number "
-            f"{uncovered[0]}: {reason}. {_other_ways(component)}",
+            f"{len(uncovered)} of {len(wrenches)} wrenches are not covered. The first is "
+            f"number {uncovered[0]}: {reason}. {_other_ways(component)}",
             query.tolerance or table.tolerance,
             reason=reason,
             uncovered=uncovered.tolist(),
@@ -432,9 +432,9 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
     if beyond.any() and query.on_thin == "wait":
         first = int(uncovered[beyond][0])
         raise BeyondRangeError(
-            f"{int(beyond.sum())} wrenches are outside the load range, the first is number "
-            f"{first}: {why_beyond(component.load_range, acting[first])}. Nothing was queued. To "
-            "solve them nevertheless, ask with beyond_range true (--beyond-range).",
+            f"{int(beyond.sum())} wrenches are outside the load range. The first is number "
+            f"{first}: {why_beyond(component.load_range, acting[first])}. Nothing was queued. "
+            "To solve them nevertheless, set beyond_range to true (--beyond-range).",
             beyond=uncovered[beyond].tolist(),
         )
     place_jobs = workspace.submission.queue

@@ -188,7 +188,7 @@ class Sandbox:
         try:
             server = self._free.get(timeout=WAIT_S)
         except queue.Empty:
-            why = f"{AT_ONCE} other files, the limit, have been read for {WAIT_S:g} s"
+            why = f"{AT_ONCE} other files, the limit, are still being read after {WAIT_S:g} s"
             raise SandboxBusyError(why + "; send this file again in a minute") from None
         try:
             yield server
@@ -235,7 +235,7 @@ class _ForkServer:
                     return int(connection.recv_bytes())
             except (EOFError, OSError):
                 self.close()
-            except BaseException:  # its reply would be taken for that of the next request
+            except BaseException:  # the child's reply would be taken for that of the next request
                 self.close()
                 raise
             else:

@@ -136,18 +136,18 @@ def check_engine(name: str, scheduler: str | None) -> None:
     """
     why = None
     if name not in ("local", "dask"):
-        why = f"the engine must be local or dask, not {name!r}"
+        why = f"--engine must be local or dask, not {name!r}"
     elif name == "local":
-        why = scheduler and "the engine local has no scheduler; add --engine dask"
+        why = scheduler and "--engine local has no --scheduler; add --engine dask"
     elif not scheduler:
-        why = "the engine dask needs --scheduler tcp://HOST:8786 (or tls://)"
+        why = "--engine dask needs a scheduler; add --scheduler tcp://HOST:8786 (or tls://)"
     elif "://" not in scheduler:
-        why = f"{scheduler!r} is not an address; write tcp://{scheduler}"
+        why = f"--scheduler {scheduler!r} lacks tcp:// or tls://; write tcp://{scheduler}"
     elif scheduler.split("://")[0] not in _SCHEMES:
         begins = " or ".join(f"{scheme}://" for scheme in _SCHEMES)
-        why = f"{scheduler!r} must begin with {begins} to be a Dask scheduler"
+        why = f"--scheduler {scheduler!r} must begin with {begins}"
     elif find_spec("distributed") is None:
-        why = "the engine dask is not installed; run: pip install wrenchbook[cluster]"
+        why = "--engine dask lacks its package; run: pip install 'wrenchbook[cluster]'"
     if why:
         raise SettingsError(why)
 
@@ -161,11 +161,11 @@ def check_copies(settings: Settings) -> None:
         scheme, separator, path = (getattr(settings, name) or "file://").partition("://")
         why = ""  # without the URL, which may contain a password
         if not separator:
-            why = "is no URL"
+            why = "is not a URL"
         elif scheme == "file" and path[:1] not in ("", "/"):
-            why = f"file://{path} has no absolute path"
+            why = f"file://{path} has a relative path"
         elif scheme in ("http", "https"):
-            why = f"{scheme}:// is a server's and no storage's"
+            why = f"{scheme}:// is the address of a server, not of a storage"
         if why:
             raise SettingsError(
                 f"{name}: "
@@ -175,7 +175,7 @@ def check_copies(settings: Settings) -> None:
         folder = Path(path).resolve()
         inside = folder.is_relative_to(settings.data.resolve())
         if scheme == "file" and path and (inside or (folder / "ledger.sqlite").exists()):
-            raise SettingsError(f"{name}: {folder} is in a data directory; name another folder")
+            raise SettingsError(f"{name}: {folder} is in a data directory; name one outside")
     if settings.read_only and (settings.replicate or settings.backup_every):
         copying = "replicate" if settings.replicate else "backup_every"
         raise SettingsError(f"{copying}: a server with read_only makes no copies; remove {copying}")
@@ -203,7 +203,7 @@ def _read(file: Path, names: Iterable[str], *, named: bool) -> dict[str, Any]:
     except FileNotFoundError:
         if named:
             raise SettingsError(
-                f"there is no file {file}; create it, or leave --config out"
+                f"the file {file} does not exist; create it, or leave --config out"
             ) from None
         return {}
     except NotADirectoryError:

@@ -173,7 +173,7 @@ class Submission:
         return component
 
     def refusal(self, component: Component) -> str:
-        """Return why `queue` has placed no job: its limit, or the caller's quota."""
+        """Return the reason why `queue` has placed no job: its limit, or the caller's quota."""
         setup, why = (component.name, component.fingerprint), "the caller's quota is used up"
         if self._open(*setup, component.load_range.scale).queries >= self.queue_limit:
             why = f"{self.queue_limit} jobs of queries are open (serve --queue-limit)"

@@ -354,7 +354,7 @@ class Workspace:
         return checked and max(0.0, time.time() - checked)
 
     def refusal(self, path: str = "") -> str:
-        """Return why a read-only server refuses a write to a path, and which server accepts it."""
+        """Return the refusal of a write to a path, with the server that accepts the write."""
         send = f"Send it to {self.copies.get('followed', {}).get('server', 'the main server')}"
         if path.startswith("/v1/keys"):  # keys of the main server are not valid here
             send = f"Change its keys on its machine: wrenchbook keys --data {self.settings.data}"

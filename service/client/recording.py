@@ -53,7 +53,7 @@ class RecordingCalls(Connection):
         return self._send_blocks(name, "recording", wrenches)
 
     def recording(self, name: str) -> Recording:
-        """Return what is recorded of a component.
+        """Return the recorded wrenches of a component, with their counts.
 
         Raises ProblemError (404) if there is no such component.
         """

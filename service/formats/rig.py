@@ -124,7 +124,7 @@ class Rig:
                 f"name: must be a string, not {str(name)[:100]}; put it in quotation marks"
             )
         if len(name) > _MAX_NAME:
-            raise RigError(f"name: has {len(name)} characters, at most {_MAX_NAME}; shorten it")
+            raise RigError(f"name: has {len(name)} characters, over {_MAX_NAME}; shorten it")
         if problem := text_problem(name):
             raise RigError(f"name: {problem}")
         cell = values.get("load_cell", "")
@@ -321,7 +321,7 @@ def _axes(value: Any) -> Array:
         parts = [_PART.fullmatch(part) for part in value.lower().split(",")]
         signed = {m[1]: _AXES[m[3]] * (-1.0 if m[2] == "-" else 1.0) for m in parts if m}
         if len(parts) != 3 or len(signed) != 3:
-            raise RigError(f"frame: {value[:100]!r} must have the form x=-y,y=x,z=z")
+            raise RigError(f"frame: {value[:100]!r} must have a form such as x=-y,y=x,z=z")
         axes = np.stack([signed[axis] for axis in "xyz"])
     else:
         axes = _numbers("frame", value, 9).reshape(3, 3)

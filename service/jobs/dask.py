@@ -40,7 +40,7 @@ from wrenchbook.service.jobs.dask_files import (
 from wrenchbook.service.jobs.dask_worker import TOPIC, probe
 
 _log = logging.getLogger(__name__)
-# They log each lost connection with a traceback; the engine logs it in one line.
+# These loggers report a lost connection with a traceback; the engine does in one line.
 for _name in ("distributed.client", "distributed.batched"):
     logging.getLogger(_name).setLevel(logging.CRITICAL)
 
@@ -199,7 +199,7 @@ class DaskEngine(attempts.Listeners):
         try:
             self._loop.run_forever()
         finally:
-            # It sends the client's remaining messages: cancellations. Dask's own tasks may not end.
+            # `_connect` sends the client's remaining cancellations. Dask's own tasks may not end.
             for tasks in ({following}, asyncio.all_tasks(self._loop)):
                 for task in tasks:
                     task.cancel()
@@ -233,7 +233,7 @@ class DaskEngine(attempts.Listeners):
                     await self._follow(client)
                 finally:
                     self._client = None
-                    with contextlib.suppress(Exception):  # its scheduler may be gone
+                    with contextlib.suppress(Exception):  # the client's scheduler may be gone
                         closing: Any = client.close()
                         await asyncio.wait_for(closing, CLOSE_SECONDS / 2)
                 why = "the connection to it was lost"

@@ -120,7 +120,7 @@ def _supervise(worker: Worker, attempt: Attempt, engine: LocalEngine) -> bool:
                     }
                     worker.log_event(TOPIC, event)
             if worker.status in (distributed.Status.closing, distributed.Status.closed):
-                raise distributed.Reschedule  # its process ends with this thread
+                raise distributed.Reschedule  # the worker's process ends with this thread
             if (known := worker.state.tasks.get(key)) and known.state == "cancelled":
                 engine.cancel(attempt)
             changed.wait(POLL_SECONDS)

@@ -193,7 +193,7 @@ class Dispatcher:
     def start(self) -> None:
         """Take over the attempts of dead dispatchers, then run jobs until `stop`."""
         if self._thread is not None:
-            raise RuntimeError("the dispatcher runs already")
+            raise RuntimeError("the dispatcher is already running; call stop first")
         self._stopping.clear()
         self._version, self._may_claim, self._changed = None, True, True
         self._next_poll = self._next_sweep = self._next_heartbeat = 0.0

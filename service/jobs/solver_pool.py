@@ -106,7 +106,7 @@ class LocalEngine(attempts.Listeners):
         self._kill_after: dict[Path, float] = {}
         self._began: dict[Path, float] = {}
         self._overdue: set[Path] = set()
-        self._solvers: list[SolverProcess] = []  # those longest without work first
+        self._solvers: list[SolverProcess] = []  # the solver longest without work is first
         self._processes: set[int] = set()
         self._changed = threading.Condition()
 
@@ -117,7 +117,7 @@ class LocalEngine(attempts.Listeners):
             return frozenset(self._processes)
 
     def submit(self, attempt: Attempt) -> None:
-        """Give the attempt to a solver: one that has its component, any other, or a new one."""
+        """Give the attempt to a solver with its component, else to any free or a new solver."""
         lock = flock.take(attempt.folder / LOCK)
         if lock is None:
             why = (
@@ -133,7 +133,7 @@ class LocalEngine(attempts.Listeners):
                         solver.answered.wait(TAKEN_SECONDS)
                         if solver.has_taken:
                             return
-                    # It must not begin late after another solver's attempt.
+                    # The attempt must not begin late, after another solver's attempt.
                     with self._changed:
                         solver.attempt = None
                         self._drop(solver)
@@ -311,7 +311,7 @@ class LocalEngine(attempts.Listeners):
             attempt, solver.attempt = solver.attempt, None
             if stays and solver in self._solvers and len(self._solvers) <= self.slots:
                 self._solvers.remove(solver)
-                self._solvers.append(solver)  # those longest without work are first
+                self._solvers.append(solver)  # the solver longest without work is first
             else:
                 self._drop(solver)
             self._changed.notify_all()

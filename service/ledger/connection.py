@@ -162,10 +162,10 @@ def open_file(path: Path) -> Connection:
         if lost and log.exists() and log.stat().st_size:
             # SQLite would delete the log, and with it what it holds.
             raise LedgerFileError(
-                f"there is {log.name} without {path}: the ledger's file was moved or deleted. "
-                "Nothing was changed. Put the file back; if it is lost, wrenchbook doctor --repair "
-                f"--data {path.parent} creates it from the tables and moves the log aside"
-            )  # Earlier versions let all users read it. A group with access keeps it.
+                f"{log.name} is there, but {path} was moved or deleted; nothing was changed. Put "
+                "this file back; if it is lost, create it from the tables with: wrenchbook "
+                f"doctor --repair --data {path.parent}"
+            )
         with suppress(FileExistsError):
             os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
         # Earlier versions let everybody read it. A group that was let in stays.

@@ -106,11 +106,11 @@ def import_rows(
     while (lock := _take_lock(ledger)) is None:  # one import of this ledger in all processes
         if time.monotonic() > deadline:
             raise ImportRunningError(
-                "another large table is still being imported after "
-                f"{_PATIENCE_SECONDS:.0f} s; nothing was loaded. Send this one later"
+                f"another large table is still being imported after {_PATIENCE_SECONDS:.0f} s; "
+                "nothing was loaded. Send this one again in a minute"
             )
     try:
-        _drop_hidden(ledger)  # those of a killed process
+        _drop_hidden(ledger)  # the hidden rows of a killed process
         try:
             with ledger.reading() as db:
                 start = sequences(db).get("rows", 0)

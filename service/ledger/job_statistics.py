@@ -31,7 +31,7 @@ class Statistics:
 
 
 class Ahead(NamedTuple):
-    """Jobs of one component that start before another: their number, and the time of one, s."""
+    """Jobs of one component that start before another: their number, and s per solve."""
 
     component: str
     waiting: int
@@ -108,7 +108,8 @@ def charged(db: Connection, component: str, quota: Quota | None) -> str:
         if db.execute(open_, (actor,)).fetchone()[0] >= quota.open_jobs:
             raise QuotaError(
                 f"{actor} would exceed its quota of {quota.open_jobs} open jobs (serve "
-                "--actor-jobs). Nothing was queued; send fewer wrenches, wait, or cancel some",
+                "--actor-jobs). Nothing was queued; send fewer wrenches, wait, or cancel "
+                "open jobs",
                 solve_seconds(db, component) or UNKNOWN_SECONDS,
             )
     if quota.solver_seconds is not None:
@@ -120,9 +121,10 @@ def charged(db: Connection, component: str, quota: Quota | None) -> str:
         ).fetchone()
         if (spent or 0.0) >= quota.solver_seconds:
             raise QuotaError(
-                f"{actor} has used {spent or 0.0:.0f} s of its quota of {quota.solver_seconds:g} "
-                "solver seconds in 24 hours (serve --actor-seconds). Nothing was queued; ask again "
-                "later, or have the quota raised",
+                f"{actor} has used {spent or 0.0:.0f} s of its quota of "
+                f"{quota.solver_seconds:g} solver seconds in 24 hours (serve "
+                "--actor-seconds). Nothing was queued; ask again later, or ask the operator "
+                "for a larger quota",
                 max(1.0, (first or now) + DAY_SECONDS - now),
             )
     return actor

@@ -370,7 +370,7 @@ def get(db: Connection, job_id: int) -> JobRecord:
     """
     jobs = _select(db, "WHERE id = ?", (job_id,))
     if not jobs:
-        raise UnknownJobError(f"there is no job {job_id}; see GET /v1/jobs")
+        raise UnknownJobError(f"there is no job {job_id}; list all with GET /v1/jobs")
     return jobs[0]
 
 
@@ -473,7 +473,7 @@ def _moved(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRec
         if job.status == "done":
             row = f"DELETE /v1/components/{job.component}/table/{job.row}"
             possible = f"withdraw its row to solve again: {row}"
-        raise InvalidTransitionError(f"job {job.id} is {job.status}: cannot {event} it; {possible}")
+        raise InvalidTransitionError(f"cannot {event} job {job.id}: it is {job.status}; {possible}")
     return _save(db, replace(job, status=status, **changes))
 
 

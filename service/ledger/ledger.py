@@ -327,7 +327,7 @@ class Ledger:
         return remove
 
     def trouble(self) -> str | None:
-        """Return why the file can be neither read nor written now; None if it can."""
+        """Return the reason why the file can be neither read nor written now; None if it can."""
         try:
             self._check_usable()
         except LedgerUnavailableError as error:
@@ -461,7 +461,7 @@ class Ledger:
 
     def _check_open(self) -> None:
         if self._closed:
-            raise LedgerError(f"the ledger {self.path} is closed: the server is stopping")
+            raise LedgerError(f"the ledger {self.path} is closed; try again once the server runs")
 
 
 def _numbers(connection: Connection) -> Numbers:

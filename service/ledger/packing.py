@@ -74,7 +74,7 @@ class Record(NamedTuple):
     """
 
     seq: int  # number of the first row
-    count: int  # of rows, as the column  # pyright: ignore[reportIncompatibleMethodOverride]
+    count: int  # number of rows, named as the column  # pyright: ignore[reportIncompatibleMethodOverride]
     component: str
     fingerprint: str
     source: str

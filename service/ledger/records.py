@@ -20,7 +20,7 @@ class JobRecord:
 
     id: int  # grows with the order of acceptance
     component: str
-    fingerprint: str  # of the setup for which the job was accepted
+    fingerprint: str  # fingerprint of the setup for which the job was accepted
     wrench: Vector  # N, N·m
     status: Status
     priority: int  # waiting jobs of a higher priority start first, of equal priority the oldest
@@ -48,7 +48,7 @@ class JobRecord:
 
     @property
     def is_queued(self) -> bool:
-        """Whether it is in the queue of its engine: no solver has begun. `local` has no queue."""
+        """Whether the job is in its engine's queue: no solver has begun. `local` has no queue."""
         return (
             self.status == "running" and self.began is None and self.engine not in (None, "local")
         )

@@ -182,7 +182,7 @@ def salvage(
     _pad(damaged)
     try:
         source = connect(damaged)
-    except USE_ERRORS:  # its first page, the schema, is damaged
+    except USE_ERRORS:  # the first page, with the schema, is damaged
         source = connect(damaged.with_name("nothing.sqlite"))
     new = open_file(target)
     try:
@@ -254,7 +254,7 @@ def _copy(source: Connection, new: Connection, table: str, highest: dict[str, in
                 ranges += [(middle + 1, last), (first, middle)]
             continue
         for record in records:
-            with suppress(*USE_ERRORS, TypeError, ValueError):  # its values are damaged
+            with suppress(*USE_ERRORS, TypeError, ValueError):  # a record with damaged values
                 if table == "rows":
                     values = dict(zip(common, record, strict=True))
                     count += _restore_record(new, Record(**{**_OLDER, **values}))

@@ -257,7 +257,8 @@ def withdraw(db: Connection, component: str, seq: int, *, withdrawn: bool = True
     """
     if not any(record.component == component for _, record in containing(db, [seq])):
         raise UnknownRowError(
-            f"the table of {component!r} has no row {seq}; see GET /v1/components/{component}/table"
+            f"the table of {component!r} has no row {seq}; list its rows with GET "
+            f"/v1/components/{component}/table"
         )
     if is_withdrawn(db, seq) == withdrawn:
         state = "withdrawn" if withdrawn else "in the table"
@@ -381,7 +382,7 @@ def get(db: Connection, seq: int) -> LedgerRow:
     if rows:
         return rows[seq]
     if not list(containing(db, [seq])):
-        raise UnknownRowError(f"there is no row {seq}; see GET /v1/components/NAME/table")
+        raise UnknownRowError(f"there is no row {seq}; list all with GET /v1/components/NAME/table")
     raise DamagedRowError(
         f"row {seq} is damaged on the disk and is not used; restore the ledger from a backup, or "
         "ask for its wrench again to have it solved anew"
@@ -464,7 +465,7 @@ def count_rows(db: Connection, component: str) -> int:
 
 
 def known_rows(db: Connection, keys: Iterable[bytes]) -> set[bytes]:
-    """Return those of some rows' keys that are in the ledger."""
+    """Return the given keys whose rows are in the ledger."""
     return set(stored(db, list(keys)))
 
 
@@ -503,7 +504,7 @@ def digest(db: Connection, component: str, until: int) -> str:
 
 
 def edits(db: Connection, component: str, until: int) -> list[RowEdit]:
-    """Return the newest edit, up to a seq, of each of a component's rows that had one."""
+    """Return the newest edit, up to the seq `until`, of each edited row of a component."""
     # With max(), SQLite returns that record's columns.
     select = (
         "SELECT row, withdrawn, created, max(seq) FROM edits"
@@ -527,7 +528,7 @@ def _records(db: Connection, where: str, values: Any) -> Iterator[Record]:
 def containing(
     db: Connection, seqs: Iterable[int], condition: str = SHOWN
 ) -> Iterator[tuple[int, Record]]:
-    """Yield those of some rows that meet the condition, by number, each with its record."""
+    """Yield the given rows that meet the condition, in order, each with the record that has it."""
     record = None
     where = f"seq > ? AND seq <= ? AND {condition} ORDER BY seq DESC LIMIT 1"
     for seq in sorted(seqs):

@@ -209,7 +209,9 @@ def checked(folder: Path) -> Iterator[Part]:
     try:
         yield Part({"report": json.dumps(check.report(folder))})
     except OSError as error:  # an error of the bundle's files, not of this machine's disk
-        raise RuntimeError(f"{error.filename} cannot be read: {error.strerror}") from error
+        raise RuntimeError(
+            f"{error.filename} cannot be read ({error.strerror}); let the server's user read it"
+        ) from error
 
 
 def surface(folder: Path) -> Iterator[Part]:

@@ -116,7 +116,7 @@ class Library:
         return self._version
 
     def broken(self) -> dict[str, str]:
-        """Return why a folder of the library is no usable component, by the folder's name."""
+        """Return by folder of the library the reason why its component cannot be used."""
         broken, touches = self._broken.items(), CALLER.get().touches
         return {folder.name: reason for folder, reason in broken if touches(folder.name)}
 

@@ -72,8 +72,8 @@ def remove_rig(ledger: Ledger, name: str) -> None:
         before = _stored(db, name)
         if before is None:
             if (SHIPPED / f"{name}.toml").is_file():
-                why = f"the rig {name!r} is part of the program and stays; wrenchbook rig list "
-                raise ShippedRigError(f"{why}shows which are stored")
+                why = f"the rig {name!r} is part of the program, so it stays; wrenchbook rig list "
+                raise ShippedRigError(f"{why}shows the rigs that can be removed")
             raise UnknownRigError(f"there is no rig {name!r}; list them with: wrenchbook rig list")
         db.execute("DELETE FROM rigs WHERE name = ?", (name,))
         note(db, "rig.remove", name, before=before)

@@ -79,10 +79,10 @@ def back_up(folder: Path, target: Path) -> Manifest:
     """
     folder, target = folder.absolute(), target.absolute()
     if not (folder / LEDGER).is_file():
-        raise BackupError(f"{folder} is not a data directory: it has no {LEDGER}; name another one")
+        raise BackupError(f"{folder} has no {LEDGER}, so it is no data directory; name another")
     root, real = folder.resolve(), target.parent.resolve() / target.name
     if real.is_relative_to(root) and HELD.fullmatch(real.relative_to(root).as_posix()):
-        problem = f"{target} is in a folder of backups, so each would contain the earlier"
+        problem = f"{target} is among the files to back up, so each backup would hold the last"
         raise BackupError(f"{problem}. Name a file outside of {folder}. No backup was made")
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
@@ -138,7 +138,7 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
         status = source.stat()
         archive = zipfile.ZipFile(source)
     except FileNotFoundError:
-        raise BackupError(f"there is no file {source}; name a backup") from None
+        raise BackupError(f"the file {source} does not exist; give the path of a backup") from None
     except OSError as error:
         problem = f"{source} cannot be read: {error.strerror or error}"
         raise BackupError(f"{problem}; name a backup that this user may read") from error
@@ -172,12 +172,12 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
                 problem = f"{name} in {source} cannot be read ({error}); {_DAMAGED}"
                 raise BackupError(problem) from error
             if copied != expected:
-                raise BackupError(f"{name} in {source} is not as it was written; {_DAMAGED}")
+                raise BackupError(f"{name} in {source} has a wrong digest; {_DAMAGED}")
     return manifest
 
 
 def reason_of(error: Exception) -> str:
-    """Return why a manifest of JSON cannot be read, without Python's own words."""
+    """Return the reason why a manifest cannot be read, without Python's own words."""
     if isinstance(error, KeyError):
         return f"the member {error} is missing"
     if isinstance(error, ValueError) and not isinstance(error, UnicodeDecodeError):
@@ -196,9 +196,9 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
     except _UNREADABLE as error:
         there = MANIFEST in archive.namelist()
         problem = f"in its {MANIFEST} {reason_of(error)}" if there else f"it has no {MANIFEST}"
-        raise BackupError(f"{source} is a zip, but no backup: {problem}; name a backup") from error
+        raise BackupError(f"{source} is a zip, but no backup: {problem}; name another") from error
     if kind != FORMAT:
-        raise BackupError(f"{source} is a {str(kind)[:60]!r}, not a {FORMAT!r}; name a backup")
+        raise BackupError(f"{source} is a {str(kind)[:60]!r}, not a {FORMAT!r}; name another")
     if schema > SCHEMA:
         raise BackupError(
             f"{source} was written by a newer wrenchbook ({fields.get('program')}, form {schema}; "
@@ -219,7 +219,7 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
             "changed. Nothing was restored; use another backup"
         )
     if LEDGER not in held:
-        raise BackupError(f"{source} has no {LEDGER}, so it is not a backup; name a backup")
+        raise BackupError(f"{source} has no {LEDGER}, so it is no backup; name another file")
     return Manifest(created, ledger_schema, held, skipped=tuple(sorted(skipped)))
 
 

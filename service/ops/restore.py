@@ -82,7 +82,7 @@ def restore(
     finally:
         shutil.rmtree(draft, ignore_errors=True)
         if is_new:
-            with suppress(OSError):  # it has the restored files
+            with suppress(OSError):  # the folder has the restored files
                 folder.rmdir()
     return manifest, aside
 

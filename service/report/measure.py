@@ -56,9 +56,9 @@ def measure(
     if not solved.any():
         kinds = {failure["kind"] for level in levels for failure in level["failures"]}
         raise ValueError(
-            f"none of the {count} wrenches could be solved ({', '.join(sorted(kinds))}); solve one "
-            f"with: wrenchbook solve {bundle.name} --force FX FY FZ, or lower the range in "
-            "component.toml"
+            f"none of the {count} wrenches could be solved ({', '.join(sorted(kinds))}); lower "
+            f"the range in component.toml, or see the cause with: wrenchbook solve {bundle.name} "
+            "--force FX FY FZ"
         )
     reference, same_mesh = displacements[-1][solved], displacements[index_of_own][solved]
     # An error is relative to the range of its output, or to a minimum if that is near zero.

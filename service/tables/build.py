@@ -153,7 +153,7 @@ class TableBuilder:
         self._save(math.inf)
 
     def faults(self) -> dict[str, str]:
-        """Return why a component's table differs from the ledger, by its name."""
+        """Return by component the reason why its table differs from the ledger."""
         return {**self._store.caveats, **self._unwritten, **self._faults}
 
     def _follow(self) -> None:

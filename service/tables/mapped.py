@@ -258,11 +258,11 @@ class MappedTables:
         return self._tables.copy()
 
     def faults(self) -> dict[str, str]:
-        """Return why a component's table differs from the ledger, by its name."""
+        """Return by component the reason why its table differs from the ledger."""
         return {**self._status.faults, **self._unread}
 
     def trouble(self) -> str | None:
-        """Return why no job runs, as far as this process knows."""
+        """Return the reason why no job runs, as far as this process knows."""
         if not self._state.is_locked_by_builder():
             return "the process that runs them has ended; it is started again"
         return self._status.trouble

@@ -153,7 +153,7 @@ def prune(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event)
                 folder.rmdir()
                 removed += 1
             except OSError:
-                continue  # it has a later attempt
+                continue  # the job has a later attempt
     if removed:
         log.info("the folders of %d ended jobs were removed", removed)
     return removed

@@ -111,7 +111,7 @@ def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
                     why + f". Examine the data with: wrenchbook doctor --data {data}"
                 )
     except BaseException:
-        for former in folder.glob("wrenchbook-*.failed"):  # it is tried again every minute
+        for former in folder.glob("wrenchbook-*.failed"):  # only the newest one stays
             former.unlink(missing_ok=True)
         file.rename(file.with_suffix(".failed"))
         raise

@@ -233,7 +233,7 @@ def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     kind = keyword.option("TYPE").upper()
     if kind == "DCOUP3D":  # its node as a set, by which *DISTRIBUTING COUPLING names it
         if len(keyword.rows) != 1 or len(keyword.rows[0]) < 2:
-            raise MeshFileError("of type DCOUP3D must have one line: its number and its node")
+            raise MeshFileError("of type DCOUP3D needs exactly one row: its number and its node")
         add_weighted(deck, keyword.frame, keyword.option("ELSET"), keyword.rows[0][1])
     elif kind in NODES:
         take_elements(reader, deck, keyword)
@@ -257,7 +257,7 @@ def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:
     if keyword.word == "ELASTIC" and kind in ("ENGINEERINGCONSTANTS", "ORTHO"):
         values = [real(each) for row in keyword.rows for each in row if each][:9]
         if len(values) < 9:
-            raise MeshFileError(f"has {len(values)} constants; write all nine")
+            raise MeshFileError(f"has {len(values)} of nine constants; write all nine")
         if kind == "ORTHO":  # stresses over strains, from which engineering constants follow
             c11, c12, c22, c13, c23, c33, *shears = values
             try:
@@ -298,12 +298,12 @@ def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
     number, angle = numbers(keyword, 1, 2)
     if kind != "COORDINATES" or system not in ("RECTANGULAR", "CYLINDRICAL"):
         raise MeshFileError(
-            f"has SYSTEM={system} and DEFINITION={kind}; write RECTANGULAR or CYLINDRICAL, and "
-            "COORDINATES"
+            f"has SYSTEM={system} and DEFINITION={kind}; write RECTANGULAR or CYLINDRICAL as "
+            "SYSTEM, and COORDINATES as DEFINITION"
         )
     if system == "CYLINDRICAL":
         if angle:
-            raise MeshFileError(f"turns a cylinder by {angle:g} degrees; leave the angle out")
+            raise MeshFileError(f"turns a cylinder by {angle:g} degrees; write 0 as angle")
         if np.array_equal(first, second):
             at = point_text(first)
             raise MeshFileError(f"has both points of its axis at {at}; write two different points")
@@ -364,7 +364,7 @@ def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
             if not first.isdigit():
                 types = ", ".join(_BOUNDARY_TYPES)
                 raise MeshFileError(
-                    f'has "{first}" of {target}; write a freedom, 1 to 6, or {types}'
+                    f'has "{first}" as freedom of {target}; write 1 to 6, or {types}'
                 )
             held = set(range(whole(first) - 1, min(whole(last or first), 6)))
             if held and real(value or "0"):
@@ -378,7 +378,7 @@ def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
     labels = named(deck, deck.node_sets, name, frame)
     single = name.rpartition(".")[2].isdigit()
     if single and labels[0] not in deck.nodes:
-        raise MeshFileError(f"names a node {name} that is not defined above; add its *NODE there")
+        raise MeshFileError(f"names node {name}, which is not defined above; add its *NODE there")
     return "" if single else set_key(deck, deck.node_sets, name, frame), labels
 
 
@@ -412,7 +412,7 @@ def _take_weighted(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     name = f"{keyword.option('ELSET')}_nodes"
     for target, *weights in keyword.rows:
         if len(weights) != 1:
-            raise MeshFileError(f"has no weight of {target}; write a node or set, and its weight")
+            raise MeshFileError(f"has no weight for {target}; write a node or set, and its weight")
         add_weighted(deck, keyword.frame, name, target, *weights)
     ref = _node(deck, keyword, "ELSET")
     reader.couplings.append(Coupling(keyword, keyword.frame.key(name), ref, kind="distributed"))
@@ -447,7 +447,7 @@ def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     distance = real(keyword.options.get("POSITION TOLERANCE", "0")) or None
     for row in keyword.rows:
         if len(row) < 2:
-            raise MeshFileError(f'names "{row[0]}" alone; write secondary and main surface')
+            raise MeshFileError(f'names only "{row[0]}"; write secondary and main surface')
         keys = {keyword.frame.key(name) for name in row[:2]}
         if nodal := (keys & deck.node_sets.keys()) - deck.surfaces.keys():
             raise MeshFileError(f'names "{min(nodal)}", a set of nodes; name a surface of faces')
@@ -463,11 +463,11 @@ def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         reader.lack(keyword, "has an amplitude, which is left out; check the values")
     for row in keyword.rows:
         if len(row) < 3:
-            raise MeshFileError(f'has "{", ".join(row)}"; write node or set, freedom and value')
+            raise MeshFileError(f'has the row "{", ".join(row)}"; write node/set, freedom, value')
         target, freedom, value = row[:3]
         key, labels = _target(deck, target, keyword.frame)
         if not 1 <= whole(freedom) <= 6:
-            raise MeshFileError(f"acts on freedom {freedom} of {target}; write a freedom 1 to 6")
+            raise MeshFileError(f"acts on freedom {freedom} of {target}; write 1 to 6")
         for label in labels:
             entry = label, whole(freedom) - 1
             # The forces of one step add up.

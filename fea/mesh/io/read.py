@@ -111,8 +111,8 @@ def _read_silently(path: Path) -> meshio.Mesh:
     """Read a file by meshio, without its output and its ending of the interpreter."""
     if not path.name.lower().endswith(tuple(meshio.extension_to_filetypes)):
         raise MeshFileError(
-            f'has the ending "{path.suffix}" of no known mesh format; export the mesh as .msh '
-            "(gmsh), .vtu (VTK) or .inp (Abaqus, CalculiX)"
+            f'has the ending "{path.suffix}", which no mesh format has; export it as .msh (gmsh), '
+            ".vtu (VTK) or .inp (Abaqus, CalculiX)"
         )
     output = io.StringIO()
     try:

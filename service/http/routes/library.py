@@ -270,7 +270,8 @@ def get_stiffness(
         ]
         if not masks:
             raise UnknownImportError(
-                f"{name!r} has no import {number} with rows; see GET /v1/components/{name}/imports"
+                f"{name!r} has no import {number} with rows; list its imports with GET "
+                f"/v1/components/{name}/imports"
             )
         rows = rows.take(np.any(masks, axis=0))
     # By default the load that these rows vary most, relative to its range.
