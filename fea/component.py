@@ -50,10 +50,10 @@ cancel.
 class AttachedInterface:
     """An interface, or a bushing, with the nodes of its section in the mesh."""
 
-    key: str  # its key in the bundle: ``interface``, ``interface[1]``, ``supports.bushing[0]``
+    key: str  # key in the bundle: ``interface``, ``interface[1]``, ``supports.bushing[0]``
     name: str  # empty for a single interface
-    section: InterfaceSection  # its nodes with their area weights
-    point: Array  # its reference point, shape (3,), m
+    section: InterfaceSection  # nodes of the interface with their area weights
+    point: Array  # reference point, shape (3,), m
     axes: Array  # shape (3, 3), row i is the direction of its frame's axis i
     coupling: str
     locked: tuple[str, ...]
@@ -270,7 +270,8 @@ def _mesh_source(bundle: Bundle) -> MeshSource:
     lacking = next((name for name, value in tables.items() if not value), None)
     if bundle.mesh is not None and lacking is None:
         return bundle.mesh
-    message = f"is missing; to solve this component, add a [{lacking}]"
+    brackets = "[[material]]" if lacking == "material" else f"[{lacking}]"
+    message = f"is missing, so the component cannot be solved; add {brackets}"
     if lacking == "mesh" and bundle.deck is not None:
         message = "is missing; name a component with a [mesh], not a [deck]"
     raise BundleError([BundleProblem(lacking or "mesh", message)])
@@ -358,7 +359,7 @@ def _material_numbers(
         before = np.concatenate([block[c] for block, c in zip(numbers, cells, strict=True)])
         if (taken := before[before >= 0]).size:
             other = f'material[{taken[0]}], "{materials[taken[0]].region}"'
-            message = f'"{material.region}" has {taken.size} cells of {other}; give each cell one'
+            message = f'"{material.region}" has {taken.size} cells of {other}; remove them from one'
             problems.append(BundleProblem(key, message))
         for block, chosen in zip(numbers, cells, strict=True):
             block[chosen] = i
@@ -371,8 +372,9 @@ def _material_numbers(
         pairs = zip(mesh.blocks, numbers, strict=True)
         nodes = np.concatenate([block.nodes[number < 0, 0] for block, number in pairs])
         message = (
-            f"{count} cells have no material, one of them near {point_text(mesh.points[nodes[0]])} "
-            'm; add a [[material]] with region = "all", or with their region'
+            f"{count} cells have no material, one of them near "
+            f'{point_text(mesh.points[nodes[0]])} m; add a [[material]] with region = "all", or '
+            "one with the region of these cells"
         )
         problems.append(BundleProblem("material", message))
     for block in numbers:
@@ -488,7 +490,7 @@ def _weights(
         weights = np.zeros(len(nodes))
         weights[np.searchsorted(nodes, ids[inside])] = sizes[inside]
         if sizes[~inside].any():
-            message = f"nodes in no solid cell: {(~inside).sum()}; remove their weights"
+            message = f"{(~inside).sum()} weighted nodes are in no solid cell; remove their weights"
         elif not weights.sum() > 0:
             total = f"the deck weights add up to {weights.sum():g}, not above 0"
             message = f'{total}; correct them, or write "area" or "equal"'
@@ -523,7 +525,7 @@ def _free_sliding(
     off = np.abs(projectors[shared] @ (moved @ attached.axes)[:, :, None]).max()
     slide = f"{shared.sum()} of its nodes slide by [supports]"
     if attached.coupling == "distributed":
-        message = f"{slide}, which are all, so their mean is not free; let fewer nodes slide"
+        message = f"{slide}, which is all of them, so their mean is not free; let fewer nodes slide"
         problems.append(BundleProblem(attached.where, message))
     elif off > _ZERO * max(np.abs(arms).max(), 1.0):
         message = f"{slide}, but its free motions would move them off; let none of them slide"

@@ -58,7 +58,7 @@ _NO_LENGTH = 1e-300  # m: replaces a length of 0 in a divisor
 class Measure:
     """One measure of the shape of cells."""
 
-    name: str  # its key in the report
+    name: str  # key of the measure in the report
     # From points of shape (n, 3), m, and a block of m cells to the values, shape (m,), no unit
     of: Callable[[Array, CellBlock], Array]
     # limit, larger_is_worse: the limit of a bad cell, and on which side of it cells are bad
@@ -303,7 +303,7 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     problems += tie_warnings(component) + bolt_warnings(component)
     for number, material in enumerate(component.bundle.materials if component.bundle else ()):
         if material.thermal_expansion is not None and component.temperature is None:
-            message = "has no effect without [inputs.temperature]; add that, or leave this key out"
+            message = "has no effect without [inputs.temperature]; add it, or leave this key out"
             problems.append(BundleProblem(f"material[{number}].thermal_expansion", message))
     return problems
 
@@ -447,7 +447,7 @@ def section_warnings(component: ComponentModel) -> list[BundleProblem]:
     rigid_cells = [
         block.nodes[np.isin(block.nodes, constrained).all(axis=1), 0] for block in mesh.blocks
     ]
-    corners = np.concatenate(rigid_cells)  # one node of each
+    corners = np.concatenate(rigid_cells)  # one node of each rigid cell
     if corners.size:
         message = (
             f"{corners.size} cells cannot deform, such as one near "
@@ -470,7 +470,7 @@ def support_warnings(component: ComponentModel) -> list[BundleProblem]:
         return []
     message = (
         f"has no complete face (nodes: {len(nodes)}); an elastic body has no finite displacement "
-        "at a point load, so the answer depends on the mesh size. Fix faces"
+        "at a point load, so the answer depends on the mesh size. Fix the nodes of a face"
     )
     only_fixed = len(nodes) == len(component.fixed_nodes)
     return [BundleProblem("supports.fixed" if only_fixed else "supports", message)]

@@ -103,9 +103,11 @@ def number(word: str, where: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise OutputError(f'{where} has "{word}" in the place of a number.') from None
+        raise OutputError(
+            f'{where} has "{word}", which is not a number; check model and output.'
+        ) from None
     if not math.isfinite(value):
-        raise OutputError(f'{where} has "{word}", which is not finite; check the model.')
+        raise OutputError(f'{where} has "{word}", which is not finite; check the supports.')
     return value
 
 
@@ -216,10 +218,10 @@ def _last(path: Path, name: str, node_set: str) -> tuple[str, tuple[float, ...]]
         )
     if len(rows) > 1:
         count = f"{len(rows)} nodes of the set"
-        raise OutputError(f'{name} has {count} "{node_set}"; leave one node in the set.')
+        raise OutputError(f'{name} has {count} "{node_set}", but must have one; leave one in it.')
     if len(rows[0]) != 3:
         missing = f"with {len(rows[0])} of 3 displacements"
-        raise OutputError(f'{name} ends within the set "{node_set}", {missing}; look at the log.')
+        raise OutputError(f'{name} ends within the set "{node_set}", {missing}; see log.txt.')
     return time, tuple(number(word, f'{name}, set "{node_set}",') for word in rows[0])
 
 
@@ -258,9 +260,9 @@ class NumbersReader(DeckReader):
         try:
             texts = (run.folder / name).read_text(encoding="utf-8").replace(",", " ").split()
         except OSError as error:
-            raise OutputError(f"The command wrote no {name} to read ({error.strerror}).") from None
+            raise OutputError(f"The command wrote no {name} ({error.strerror}).") from None
         except UnicodeDecodeError:
-            raise OutputError(f"{name} is not UTF-8 text; let the command write text.") from None
+            raise OutputError(f"{name} is not UTF-8 text; let the command write UTF-8.") from None
         if len(texts) != 6:
             six = "six, translation and rotation vector"
             raise OutputError(f"{name} has {len(texts)} numbers; the command must write {six}.")

@@ -94,7 +94,7 @@ def checked_wrench(
         return inputs
     given = str(inputs.tolist() if inputs.size else values)[:100]
     if len(names) == 1 and not further:
-        raise ValueError(f"a wrench must be six finite numbers (force, moment), not {given}")
+        raise ValueError(f"a wrench must be six finite numbers in N and N·m, not {given}")
     order = [f"force (N) and moment (N·m){name and ' of ' + name}" for name in names]
     order += [", ".join(further)] if further else []
     which = ", then ".join(order)
@@ -109,7 +109,7 @@ def _in_order(
     for name in wrench:
         if name not in every:
             known = ", ".join(filter(None, every)) or "six numbers in a list, without a name"
-            raise ValueError(f'"{name}" is unknown; give {known}{suggest(name, every)}')
+            raise ValueError(f'"{name}" is no input here; give {known}{suggest(name, every)}')
     values: list[object] = []
     for name in names:
         loads = np.ravel(np.asarray(wrench.get(name, np.zeros(PER_INTERFACE)), dtype=object))
@@ -119,6 +119,6 @@ def _in_order(
         values += loads.tolist()
     for name in further:
         if name not in wrench:
-            raise ValueError(f'"{name}" is missing; give its value, a number')
+            raise ValueError(f'the input "{name}" is missing; give its value, a number')
         values.append(wrench[name])
     return values

@@ -237,6 +237,7 @@ class Events:
         return self.feed.listen(component, last_id, {"tables": versions})
 
     async def _poll(self) -> None:
+        """Publish changes while somebody listens, and `LINGER_S` longer."""
         loop = asyncio.get_running_loop()
         self._last, used = None, loop.time()
         while self.feed.listeners or loop.time() - used < LINGER_S:

@@ -279,6 +279,10 @@ class Keyring:
             os.close(descriptor)
 
     def _read(self) -> None:
+        """Read the keys from their file.
+
+        Raises KeysUnavailableError if the file cannot be read or is damaged.
+        """
         stamp = self._file_stamp()
         try:
             keys = [] if stamp is None else _stored_keys(self._path.read_bytes())

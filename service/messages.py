@@ -1,8 +1,8 @@
 """Replies of the server, a dataclass each.
 
-A route returns it, OpenAPI shows it, the client reads it. A field of `left_out` is in a reply
-unless it has its default. All quantities are SI; arrays have NaN where JSON has null. No
-dependency but numpy: simulators import it.
+A route returns it, OpenAPI describes it, the client reads it. A reply leaves out a field of
+`left_out` that has its default. All quantities are SI; arrays have NaN where JSON has null. This
+file only depends on numpy: simulators import it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Part = Literal["translation", "rotation"]
 
 
 class FloatArray:
-    """Marks a field as an array of floats: `shape` of its JSON, None where it varies."""
+    """Marks a field as an array of floats: `shape` of its JSON, None for a variable length."""
 
     number: ClassVar[tuple[dict[str, Any], Any]] = (
         {"anyOf": [{"type": "number"}, {"type": "null"}]},
@@ -53,14 +53,14 @@ class FloatArray:
         return schema
 
     def read(self, values: Any) -> Vector:
-        """Return the array of JSON, NaN for null, that is not written to by mistake."""
+        """Return the array of JSON values, NaN for null, as a read-only array."""
         array = np.array(values, dtype=self.number[1])
         if not array.size and len(self.shape) == 2:
             array = array.reshape(0, self.shape[1] or 6)
         array.flags.writeable = False
         return array
 
-    # As pydantic calls them.
+    # Names that pydantic calls.
     def __get_pydantic_core_schema__(self, *_: Any) -> dict[str, Any]:
         return {"type": "any"}
 
@@ -75,7 +75,7 @@ class IntArray(FloatArray):
 
 
 class FiniteArray(FloatArray):
-    """Marks a field as an array of floats, none of which is null."""
+    """Marks a field as an array of floats without null."""
 
     number: ClassVar = {"type": "number"}, np.float64
 
@@ -89,7 +89,7 @@ Slopes = Matrix | None
 
 
 def left_out(*, default: Any) -> Any:
-    """Return a field that a reply has only where it differs from its default."""
+    """Return a field that a reply leaves out if it has its default."""
     return field(default=default, metadata={"left_out": True})
 
 
@@ -97,7 +97,7 @@ def left_out(*, default: Any) -> Any:
     frozen_default=True, eq_default=False, kw_only_default=True, field_specifiers=(field, left_out)
 )
 class Message:
-    """A reply; each subclass is a frozen dataclass, whose fields are keywords."""
+    """A reply; each subclass is a frozen dataclass with keyword fields."""
 
     _left_out: ClassVar[list[tuple[str, Any]]]
 
@@ -124,9 +124,9 @@ class Message:
 
     @classmethod
     def read(cls, body: Mapping[str, Any], **more: Any) -> Self:
-        """Return the message of its JSON; None where it lacks a field without a default.
+        """Return the message of its JSON; None for a missing field without a default.
 
-        `more` are fields that the JSON has not, or has in another form.
+        `more` are fields that the JSON lacks, or has in another form.
         """
         parts: dict[str, Any] = {
             item.name: None
@@ -142,7 +142,7 @@ class Message:
 
     @property
     def raw(self) -> dict[str, Any]:
-        """The reply as it came."""
+        """The reply as received."""
         return self.__dict__.get("_raw", {})
 
 
@@ -240,7 +240,7 @@ class Recording(Gathered, RecordingCounts):
 
 
 class _BoundKind(FloatArray):
-    """`Envelope.bound`, of which the client has the kind alone."""
+    """`Envelope.bound`, of which the client only has the kind."""
 
     def schema(self) -> dict[str, Any]:
         text = {"anyOf": [{"type": "string"}, {"type": "null"}]}

@@ -44,8 +44,8 @@ _ON_THIN: dict[str, OnThin] = {word: word for word in get_args(OnThin)}
 class Query(NamedTuple):
     """A query of the main call, of a batch or of DirectFEA; a tuple takes a third of the time.
 
-    `on_thin` "solve" uses no table; without `method` or `tolerance` the component's apply.
-    A batch has its wrenches beside it: its `wrench` is empty.
+    `on_thin` "solve" uses no table; without `method` or `tolerance` the component's apply. A batch
+    has its wrenches separately: its `wrench` is empty.
     """
 
     wrench: tuple[float, ...]
@@ -67,7 +67,7 @@ class RefusedError(Exception):
 
 
 class NotCoveredError(RefusedError):
-    """The table does not cover the wrench, and the query takes no other answer."""
+    """The table does not cover the wrench, and the query accepts no other answer."""
 
     def __init__(self, message: str, limit: Tolerance | None, **facts: Any) -> None:
         tolerance = None
@@ -78,7 +78,7 @@ class NotCoveredError(RefusedError):
 
 
 class BeyondRangeError(RefusedError):
-    """The wrench is outside the load range, and the query did not say that it may be."""
+    """The wrench is outside the load range, and the query does not allow that."""
 
 
 class SolveFailedError(RefusedError):
@@ -97,11 +97,11 @@ class SolveFailedError(RefusedError):
 
 @dataclass(slots=True)
 class Outcome:
-    """The kernel's reply, and the solve that gave it or will.
+    """The kernel's reply, and the solve that gave it or will give it.
 
-    `unsolved`: a solve was requested and has not answered. `began`: when the request that has the
-    job began, s since the epoch; later jobs are new. `row`: the ledger's number of the row that
-    a solve gave, `notes` those of its solver. `details`: further fields of the reply.
+    `unsolved`: a solve was requested and is not done. `began`: the begin of the request that has
+    the job, s since the epoch; later jobs are new. `row`: the ledger's number of a solve's row,
+    `notes` those of its solver. `details`: further fields of the reply.
     """
 
     component: str
@@ -118,9 +118,9 @@ class Outcome:
 
 @dataclass(slots=True)
 class BatchOutcome:
-    """The kernel's replies to wrenches; `jobs` of those not covered by their place.
+    """The kernel's replies to wrenches; `jobs`: those of uncovered wrenches, by their index.
 
-    `derivatives` (k, outputs, inputs) has NaN where du/dw is not known; `tolerance` is that of the
+    `derivatives` (k, outputs, inputs) has NaN where du/dw is unknown; `tolerance` is that of the
     error bars; `began` as in `Outcome`.
     """
 
@@ -136,7 +136,7 @@ class BatchOutcome:
 
     @property
     def unsolved(self) -> bool:
-        """Whether a solve that was requested has not answered."""
+        """Whether a requested solve is not done."""
         return any(queued.job is None or not queued.job.is_final for queued in self.jobs.values())
 
 
@@ -151,12 +151,12 @@ def plain_query(fields: Any) -> Query | None:
     if type(force) is not list or type(moment) is not list or len(force) != 3 or len(moment) != 3:
         return None
     numbers = (*force, *moment)
-    # Finite loads that are too large together: pydantic finds the one that is, if any.
+    # Finite loads that are too large together: pydantic finds the one that is too large, if any.
     if not _NUMBERS.issuperset(map(type, numbers)) or hypot(*numbers) > LARGEST_LOAD:
         return None
     word = fields.get("on_thin", "queue")
     on_thin = _ON_THIN.get(word) if type(word) is str else None
-    # Adding zero makes floats of all, and 0 of -0.
+    # Adding zero converts all to floats, and -0 to 0.
     return Query(tuple([number + 0.0 for number in numbers]), on_thin) if on_thin else None
 
 
@@ -172,7 +172,10 @@ def answer(table: ServedTable, query: Query) -> Reply:
 
 
 def answered(workspace: Workspace, name: str, query: Query) -> Outcome:
-    """Return the answer of a component's newest table; raises UnknownComponentError."""
+    """Return the answer of a component's newest table.
+
+    Raises UnknownComponentError if there is no such component.
+    """
     table = workspace.tables.surrogate(name)
     if query.on_thin == "solve":
         return Outcome(name, table, _NOTHING, 0.0)
@@ -188,9 +191,9 @@ def answered(workspace: Workspace, name: str, query: Query) -> Outcome:
 
 
 def answered_at_once(workspace: Workspace, name: str, query: Query) -> tuple[Outcome, bool]:
-    """Return the table's answer, and whether that completes the reply to a plain query.
+    """Return the table's answer, and whether it completes the reply to a plain query.
 
-    It is not where that needs a solve, another thread or a refusal.
+    It does not if the reply needs a solve, another thread or a refusal.
     """
     outcome = answered(workspace, name, query)
     table, coverage = outcome.table, outcome.reply.coverage
@@ -207,10 +210,11 @@ def answered_at_once(workspace: Workspace, name: str, query: Query) -> tuple[Out
 async def answer_or_submit(
     workspace: Workspace, name: str, query: Query, outcome: Outcome | None = None
 ) -> Outcome:
-    """Return the answer of a component's table or, where that is too thin, of a solve.
+    """Return the answer of a component's table or, if the table is too thin, of a solve.
 
-    `outcome` is the table's answer if it is known already. Raises UnknownComponentError, and what
-    `submit` does.
+    `outcome` is the table's answer if it is known already.
+
+    Raises UnknownComponentError if there is no such component, and the errors of `submit`.
     """
     if outcome is None and (query.detail or query.method is not None):
         outcome = await run_in_threadpool(answered, workspace, name, query)
@@ -228,13 +232,13 @@ async def answer_or_submit(
 def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     """Return the outcome of a query that the table does not cover: a newer row's answer, or a job.
 
-    Raises NotCoveredError if the query takes only covered answers, BeyondRangeError if it waits for
-    a solve outside the load range, NoSetupError if nothing can be solved, SolveFailedError if the
-    solve of this wrench failed, TableBehindError if only rows that are being built can answer.
+    Raises NotCoveredError if the query accepts only covered answers, BeyondRangeError if it waits
+    for a solve outside the load range, NoSetupError if nothing can be solved, SolveFailedError if
+    the solve of this wrench failed, TableBehindError if only rows that are being built can answer.
     """
     name, outcome.began = outcome.component, time.time()
     if outcome.table.needs_compliance:
-        workspace.surrogate(name)  # has its solves queued
+        workspace.surrogate(name)  # queues its solves
     component = workspace.library[name]
     # Jobs and statistics leave out the loads on locked freedoms.
     query = query._replace(wrench=tuple(acting_wrench(query.wrench, component.idle)))
@@ -254,7 +258,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     if query.on_thin != "queue":
         if beyond:
             raise BeyondRangeError(
-                f"{beyond}. Nothing was queued. To solve it nevertheless, ask with beyond_range "
+                f"{beyond}. Nothing was queued. To solve it nevertheless, set beyond_range to "
                 "true (--beyond-range).",
                 coverage="outside",
             )
@@ -281,7 +285,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
 def _uncovered(workspace: Workspace, component: Component, query: Query, outcome: Outcome) -> Rows:
     """Count a query that the table does not cover, complete the reason, and refuse it for `reject`.
 
-    Returns the rows that no table holds yet.
+    Returns the rows that no table has yet.
     """
     table, reply = outcome.table, outcome.reply
     count, rows = workspace.unbuilt(component.name, table)
@@ -305,22 +309,22 @@ def _uncovered(workspace: Workspace, component: Component, query: Query, outcome
 
 
 def _other_ways(component: Component) -> str:
-    """Name the values of on_thin that answer a wrench which the table does not cover."""
+    """Return the values of on_thin that answer a wrench which the table does not cover."""
     solve = "'queue' or 'wait' for a solve, or " if component.has_fea else ""
     return f"Ask with on_thin {solve}'estimate' for the best guess."
 
 
 def job_link(job: JobRecord, since: float | None = None) -> dict[str, Any]:
-    """Return the short form of a job, as displacement answers carry it.
+    """Return the short form of a job in displacement answers.
 
-    `since`, the start of the request that queued it, s, adds whether the request has queued it.
+    `since`, the start of a request, s, adds whether this request has queued the job.
     """
     new = {} if since is None else {"new": job.created >= since}
     return {"id": job.id, "status": job.status, "url": f"/v1/jobs/{job.id}", **new}
 
 
 def fields_of(outcome: Outcome) -> dict[str, Any]:
-    """Return the fields of a `messages.Displacement`, as its JSON has them."""
+    """Return the fields of a `messages.Displacement` in the form of its JSON."""
     table, reply = outcome.table, outcome.reply
     value, error, names = reply.outputs, reply.error, outcome.table.interfaces
     fields: dict[str, Any] = {"component": outcome.component}
@@ -373,11 +377,12 @@ def answer_many(name: str, table: ServedTable, wrenches: Floats, query: Query) -
 async def answer_or_submit_many(
     workspace: Workspace, name: str, wrenches: Floats, query: Query
 ) -> BatchOutcome:
-    """Return the answers of a component's table to wrenches and, where that is too thin, of solves.
+    """Return the answers of a component's table to wrenches or, if it is too thin, of solves.
 
-    `queue` places wrenches as those of a loop; `wait` gives each an exact solve. Either adds
-    no more open jobs than queries may have. Raises UnknownComponentError, and what `submit_many`
-    does.
+    `queue` places wrenches as those of a loop; `wait` gives each an exact solve. Either adds no
+    more open jobs than queries may have.
+
+    Raises UnknownComponentError if there is no such component, and the errors of `submit_many`.
     """
     outcome = await run_in_threadpool(submit_many, workspace, name, wrenches, query)
     open_jobs = {queued.job.id for queued in outcome.jobs.values() if queued.job}
@@ -390,9 +395,9 @@ async def answer_or_submit_many(
 def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query) -> BatchOutcome:
     """Return the table's answers, those of newer rows, and the jobs of other wrenches.
 
-    Raises NotCoveredError if the query takes only covered answers, BeyondRangeError if it waits for
-    solves outside the load range, NoSetupError if nothing can be solved, TableBehindError if only
-    rows that are being built can answer.
+    Raises NotCoveredError if the query accepts only covered answers, BeyondRangeError if it waits
+    for solves outside the load range, NoSetupError if nothing can be solved, TableBehindError if
+    only rows that are being built can answer.
     """
     table = workspace.surrogate(name)
     outcome = answer_many(name, table, wrenches, query)
@@ -411,8 +416,8 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
         first = query._replace(wrench=tuple(wrenches[uncovered[0]].tolist()))
         reason = _also(answer(table, first).reason, soon)
         raise NotCoveredError(
-            f"{len(uncovered)} of {len(wrenches)} wrenches are not covered, the first is number "
-            f"{uncovered[0]}: {reason}. {_other_ways(component)}",
+            f"{len(uncovered)} of {len(wrenches)} wrenches are not covered. The first is "
+            f"number {uncovered[0]}: {reason}. {_other_ways(component)}",
             query.tolerance or table.tolerance,
             reason=reason,
             uncovered=uncovered.tolist(),
@@ -427,9 +432,9 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
     if beyond.any() and query.on_thin == "wait":
         first = int(uncovered[beyond][0])
         raise BeyondRangeError(
-            f"{int(beyond.sum())} wrenches are outside the load range, the first is number "
-            f"{first}: {why_beyond(component.load_range, acting[first])}. Nothing was queued. To "
-            "solve them nevertheless, ask with beyond_range true (--beyond-range).",
+            f"{int(beyond.sum())} wrenches are outside the load range. The first is number "
+            f"{first}: {why_beyond(component.load_range, acting[first])}. Nothing was queued. "
+            "To solve them nevertheless, set beyond_range to true (--beyond-range).",
             beyond=uncovered[beyond].tolist(),
         )
     place_jobs = workspace.submission.queue
@@ -445,20 +450,21 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
 
 
 def known_slopes(derivative: Floats) -> Floats | None:
-    """du/dw (outputs, inputs) in one piece, as orjson needs it; None if nothing of it is known."""
+    """Return du/dw (outputs, inputs) in contiguous form for orjson; None if it is unknown."""
     return None if np.isnan(derivative).all() else np.ascontiguousarray(derivative)
 
 
 def _also(reason: str, more: str) -> str:
-    """Two reasons in one text; either may be empty."""
+    """Return two reasons as one text; either may be empty."""
     return f"{reason}; {more}" if reason and more else reason or more
 
 
 def _being_built(component: Component, table: ServedTable, count: int) -> str:
     """Return the number of rows that are being built into a table, as text; "" if none.
 
-    Raises TableBehindError if the table has no rows, and no solve can answer in their place: one
-    with rows answers, or refuses, by its own version, however fast further rows come.
+    A table with rows answers, or refuses, by its own version, for any rate of new rows.
+
+    Raises TableBehindError if the table has no rows, and no solve can answer in their place.
     """
     if not count:
         return ""
@@ -477,7 +483,7 @@ def _rows_at(component: Component, rows: Rows, wrenches: Floats) -> list[Rows | 
 
 
 def _table_of_row(workspace: Workspace, name: str, row: Rows | int) -> ServedTable:
-    """Return a table of one row, or of its number: the kernel has one law for it and for all."""
+    """Return a table of one row, or of a row's number, from which the kernel answers as usual."""
     component, newest = workspace.library[name], workspace.tables.surrogate(name)
     if isinstance(row, int):
         stored = workspace.ledger.row(row)
@@ -489,7 +495,7 @@ def _table_of_row(workspace: Workspace, name: str, row: Rows | int) -> ServedTab
 
 
 def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: Rows | int) -> Outcome:
-    """Return the answer of a row that no table holds yet."""
+    """Return the answer of a row that no table has yet."""
     name, job = outcome.component, outcome.job
     table, query = _table_of_row(workspace, name, row), query._replace(method=None)
     notes = workspace.notes(job) if job else []
@@ -501,7 +507,10 @@ def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: Rows | in
 
 
 def _ended(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
-    """Return the answer of the outcome's job if it has ended; raises SolveFailedError."""
+    """Return the answer of the outcome's job if it has ended.
+
+    Raises SolveFailedError if it failed.
+    """
     job = outcome.job
     assert job is not None
     if job.status == "failed":
@@ -510,7 +519,7 @@ def _ended(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
 
 
 def _describe(workspace: Workspace, query: Query, outcome: Outcome) -> None:
-    """Add the derivative and the details that a query asks for."""
+    """Add the derivative and the details that a query requests."""
     table, reply, details = outcome.table, outcome.reply, outcome.details
     options = query.wrench, table.limits(query.tolerance), query.method
     if query.derivatives:
@@ -560,9 +569,9 @@ def _take_rows(
     *,
     anew: bool = False,
 ) -> None:
-    """Put the rows of the jobs that are done in the place of the table's answers.
+    """Replace the table's answers by the rows of done jobs.
 
-    The jobs are read `anew` where they have been waited for.
+    The jobs are read again with `anew`, after a wait for them.
     """
     wrenches = workspace.library[outcome.component].acting(wrenches)
     jobs = {placement.job.id: placement.job for placement in outcome.jobs.values() if placement.job}
@@ -585,7 +594,7 @@ def _take_row(
     place: int,
     row: Rows | int,
 ) -> None:
-    """Put a row's answer in the place of the table's answer to a wrench."""
+    """Replace the table's answer to a wrench by a row's answer."""
     table, wrench = _table_of_row(workspace, outcome.component, row), wrenches[place, None]
     limits = table.limits(query.tolerance)
     new, replies = table.packed.batch(wrench, limits), outcome.replies

@@ -1,11 +1,11 @@
-"""Parsers of untrusted files run here: each in a process with limits on memory, time and files.
+"""The sandbox of parsers of untrusted files: processes with limits on memory, time and files.
 
 A fork server imports parsers once, and forks for each request; a fork sets its limits before it
 opens the file. It returns JSON and plain arrays in a file of bounded size, never a pickle: at worst
 its numbers are wrong.
 
-The fork server is not that of `multiprocessing`, whose processes run the caller's main module again
-before anything else: half a second for the command line, where a fork takes 20 ms.
+The fork server is not that of `multiprocessing`, whose processes first run the caller's main module
+again: half a second for the command line, while a fork takes 20 ms.
 """
 
 from __future__ import annotations
@@ -42,15 +42,16 @@ from numpy.lib import format as npy
 log = logging.getLogger(__name__)
 
 MIB: Final = 1 << 20
-AT_ONCE: Final = 2  # each file may take a core and its memory
-WAIT_S: Final = 60.0  # for a free place
-ELAPSED: Final = 10.0  # times a limit of processor time: a busy machine must not refuse a good file
-GRACE_S: Final = 15.0  # after a parser's own deadline: imports and the fork on a busy machine
-_OPEN_FILES: Final = 64  # pipes, the file, what an HDF5 or a zip opens in addition
+AT_ONCE: Final = 2  # parsers at once: each file may take a core and its memory
+WAIT_S: Final = 60.0  # wait for a free place
+# Wall time allowed per second of processor time: a busy machine must not refuse a good file.
+ELAPSED: Final = 10.0
+GRACE_S: Final = 15.0  # addition to a parser's own deadline: imports and the fork on a busy machine
+_OPEN_FILES: Final = 64  # pipes, the file, and further files that an HDF5 or a zip opens
 _DISK_ERRORS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
-MAX_HEAD: Final = 256 * MIB  # JSON of a part: the notes and names of a million rows
+MAX_HEAD: Final = 256 * MIB  # bytes of a part's JSON: the notes and names of a million rows
 MAX_PARTS: Final = 100_000
-_KINDS: Final = {  # of errors by the signal that ended the parser; else a crash
+_KINDS: Final = {  # kinds of errors by the signal that ended the parser; any other is a crash
     signal.SIGPROF: "time",
     signal.SIGXCPU: "time",
     signal.SIGALRM: "elapsed",
@@ -80,10 +81,10 @@ _ONE_THREAD: Final = {  # forking a multi-threaded process can deadlock
 class Limits:
     """Resource limits of one file.
 
-    `memory` are bytes in addition to what the process has when it begins: a million rows of a table
-    with tangents are 350 MB, at most two copies at a time. `seconds` are of processor time, and
-    `ELAPSED` times as many may pass; `output` are the bytes of each file that the process writes,
-    its result included.
+    `memory`: bytes in addition to the process's own at its start: a million rows of a table with
+    tangents are 350 MB, with at most two copies at a time. `seconds`: processor time, with
+    `ELAPSED` times as much wall time; `output`: bytes of each file that the process writes,
+    including its result.
     """
 
     memory: int = 1024 * MIB
@@ -112,8 +113,7 @@ class SandboxBusyError(RuntimeError):
 class Part:
     """JSON fields, and arrays of plain numbers by name.
 
-    The arrays of a result are read-only views of its file; their pages come into memory as they
-    are read.
+    The arrays of a result are read-only views of its file; their pages are read on first use.
     """
 
     fields: Mapping[str, Any] = field(default_factory=dict)
@@ -123,13 +123,13 @@ class Part:
 class Sandbox:
     """Runs parsers, `AT_ONCE` at a time, each in a process forked for one file.
 
-    With `keep` the processes that have imported the parsers stay for the next file. A fork takes
-    20 ms, the imports a second.
+    With `keep` the processes that have imported the parsers stay for the next file. A fork takes 20
+    ms, the imports a second.
     """
 
     def __init__(self, *, keep: bool = True) -> None:
         self._keep = keep
-        # The last one that was free is taken first: a second one starts only if two files meet.
+        # The last freed one is used first, so that a second one only starts for simultaneous files.
         self._free: queue.LifoQueue[_ForkServer] = queue.LifoQueue()
         for _ in range(AT_ONCE):
             self._free.put(_ForkServer())
@@ -144,12 +144,12 @@ class Sandbox:
     ) -> list[Part]:
         """Run a parser on an untrusted file in a subprocess with resource limits; return its parts.
 
-        It blocks, so it is not for an event loop. `function` is ``module:name`` of a function that
+        It blocks: do not call it in an event loop. `function` is ``module:name`` of a function that
         takes the file's path and `arguments` (JSON values) and yields `Part`. Its module is
         imported once in the fork server, which then calls its ``warm_up()`` if there is one.
 
-        Raises `SandboxError` if the file exceeds a limit or the parser fails, `SandboxBusyError` if
-        no place becomes free within a minute, and OSError if the disk is full or cannot be written.
+        Raises SandboxError if the file exceeds a limit or the parser fails, SandboxBusyError if no
+        place becomes free within a minute, and OSError if the disk is full or cannot be written.
         """
         limits = limits or Limits()
         with self.place() as server, tempfile.NamedTemporaryFile(prefix="wrenchbook-") as answer:
@@ -172,7 +172,7 @@ class Sandbox:
             return parts
 
     def warm_up(self, *modules: str) -> None:
-        """Start a fork server, which imports these modules while the caller goes on."""
+        """Start a fork server that imports these modules in the background."""
         with self.place() as server:
             server.start(*modules)
 
@@ -184,11 +184,11 @@ class Sandbox:
 
     @contextlib.contextmanager
     def place(self) -> Iterator[_ForkServer]:
-        """Take a fork server, once one is free within a minute."""
+        """Yield a fork server, once one is free within a minute."""
         try:
             server = self._free.get(timeout=WAIT_S)
         except queue.Empty:
-            why = f"{AT_ONCE} other files, the limit, have been read for {WAIT_S:g} s"
+            why = f"{AT_ONCE} other files, the limit, are still being read after {WAIT_S:g} s"
             raise SandboxBusyError(why + "; send this file again in a minute") from None
         try:
             yield server
@@ -235,7 +235,7 @@ class _ForkServer:
                     return int(connection.recv_bytes())
             except (EOFError, OSError):
                 self.close()
-            except BaseException:  # its reply would be taken for that of the next request
+            except BaseException:  # the child's reply would be taken for that of the next request
                 self.close()
                 raise
             else:
@@ -279,7 +279,7 @@ def _write(file: BinaryIO, head: Mapping[str, Any], arrays: Mapping[str, np.ndar
 
 
 def _read(descriptor: int) -> tuple[list[Part], dict[str, Any]]:
-    """Return the parts of a result, and how it ended if it is an error."""
+    """Return the parts of a result, and its end if it is an error."""
     parts: list[Part] = []
     if not os.fstat(descriptor).st_size:
         return parts, {"signal": 0}
@@ -306,6 +306,10 @@ def _read(descriptor: int) -> tuple[list[Part], dict[str, Any]]:
 
 
 def _read_array(content: mmap.mmap) -> np.ndarray:
+    """Read the next array in .npy format, without pickles.
+
+    Raises ValueError if its type or shape is not a number array's.
+    """
     file: Any = content
     npy.read_magic(file)
     shape, _, dtype = npy.read_array_header_1_0(file)
@@ -321,7 +325,7 @@ def _read_array(content: mmap.mmap) -> np.ndarray:
 
 
 def serve(number: str, *modules: str) -> None:
-    """Import modules, then fork for each request that comes over the connection of that number."""
+    """Import modules, then fork for each request on the connection with that number."""
     for module in modules:
         _imported(module)
     connection = Connection(int(number))
@@ -339,7 +343,7 @@ def serve(number: str, *modules: str) -> None:
 
 @functools.cache
 def _imported(module: str) -> ModuleType:
-    """Return a module, imported and warmed up before the forks, so that it is done once."""
+    """Return a module, imported and warmed up once before the forks."""
     loaded = importlib.import_module(module)
     getattr(loaded, "warm_up", lambda: None)()
     return loaded
@@ -349,7 +353,7 @@ def _parse(request: dict[str, Any]) -> NoReturn:
     """Run the requested function within its limits, and end the process."""
     try:
         try:
-            os.dup2(1, 2)  # what a file makes a parser print is not for the server's log
+            os.dup2(1, 2)  # the output of a parser on a file is not for the server's log
             set_limits(Limits(**request["limits"]))
             module, _, name = request["function"].partition(":")
             file = () if request["file"] is None else (Path(request["file"]),)
@@ -377,9 +381,9 @@ def _described(error: BaseException) -> dict[str, Any]:
 
 
 def set_limits(limits: Limits) -> None:
-    """Limit this process and its children, for good.
+    """Limit this process and its children permanently.
 
-    The kernel ends the process at the deadline, whatever code it runs then.
+    The kernel ends the process at the deadline, in any code.
     """
     _lower(resource.RLIMIT_CORE, 0)
     _lower(resource.RLIMIT_FSIZE, limits.output)
@@ -400,7 +404,7 @@ def _lower(limit: int, to: int) -> None:
     hard = resource.getrlimit(limit)[1]
     if hard != resource.RLIM_INFINITY:
         to = min(to, hard)
-    # macOS refuses some limits; time, files and the deadline hold there all the same.
+    # macOS refuses some limits; those of time, files and the deadline work there too.
     with contextlib.suppress(*((ValueError, OSError) if sys.platform == "darwin" else ())):
         resource.setrlimit(limit, (to, to))
 

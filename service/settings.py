@@ -1,7 +1,7 @@
 """The settings of a server: options of `serve`, variables of the environment, keys of a file.
 
 ``queue_limit`` is the option ``--queue-limit``, the variable ``WRENCHBOOK_QUEUE_LIMIT`` and the key
-``queue_limit``. The option wins over the variable, that over the file.
+``queue_limit``. The option has priority over the variable, and the variable over the file.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from annotated_types import Ge, Le
 from wrenchbook.service.files.program import usable_cores
 
 PREFIX = "WRENCHBOOK_"
-FILE = "wrenchbook.toml"  # in the data directory, unless --config names another
-# Variables of other commands and of tests; all others that begin so are taken for settings.
+FILE = "wrenchbook.toml"  # settings file in the data directory, unless --config names another
+# Variables of other commands and of tests; all others with this prefix are settings.
 OTHERS = frozenset(
     {"SERVER", "KEY", "OWN_KEY", "MEMORY_MARGIN", "PARDISO", "SOLVE", "FUZZ"}
     | {"KILLS", "SOAK", "SOAK_KILLS", "SOAK_SEEDS", "BENCH_ROUNDS", "BENCH_UNKNOWNS"}
 )
-_SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")  # that Dask connects to other machines by
+_SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")  # schemes by which Dask connects to other machines
 _DONE, _FAILED = "folders of done attempts are kept", "folders of failed and cancelled ones"
 Count = Annotated[int, Ge(0)]
 Days = Annotated[float, Ge(0)]
@@ -84,16 +84,18 @@ class Settings:
 
 
 class SettingsError(ValueError):
-    """A file, a variable or an option has a setting that there is not, or a wrong value."""
+    """A file, a variable or an option has an unknown setting, or a wrong value."""
 
 
 def read_settings(
     options: Mapping[str, Any], config: Path | None
 ) -> tuple[Settings, dict[str, str]]:
-    """Merge options, environment and file; return the settings, and where each comes from.
+    """Merge options, environment and file; return the settings, and the origin of each.
 
-    `options` are those of the command line alone. `config` is the file; without it that of the data
-    directory, if there is one. Raises `SettingsError`.
+    `options` are those of the command line alone. `config` is the file; by default that of the data
+    directory, if there is one.
+
+    Raises SettingsError if a setting is unknown or a value is wrong.
     """
     from pydantic import TypeAdapter, ValidationError  # no other command waits for its import
 
@@ -128,36 +130,42 @@ def read_settings(
 
 
 def check_engine(name: str, scheduler: str | None) -> None:
-    """Raise SettingsError, before anything is opened, for an engine that cannot be."""
+    """Check the engine before anything is opened.
+
+    Raises SettingsError if its name, scheduler or package is wrong.
+    """
     why = None
     if name not in ("local", "dask"):
-        why = f"the engine must be local or dask, not {name!r}"
+        why = f"--engine must be local or dask, not {name!r}"
     elif name == "local":
-        why = scheduler and "the engine local has no scheduler; add --engine dask"
+        why = scheduler and "--engine local has no --scheduler; add --engine dask"
     elif not scheduler:
-        why = "the engine dask needs --scheduler tcp://HOST:8786 (or tls://)"
+        why = "--engine dask needs a scheduler; add --scheduler tcp://HOST:8786 (or tls://)"
     elif "://" not in scheduler:
-        why = f"{scheduler!r} is not an address; write tcp://{scheduler}"
+        why = f"--scheduler {scheduler!r} lacks tcp:// or tls://; write tcp://{scheduler}"
     elif scheduler.split("://")[0] not in _SCHEMES:
         begins = " or ".join(f"{scheme}://" for scheme in _SCHEMES)
-        why = f"{scheduler!r} must begin with {begins} to be a Dask scheduler"
+        why = f"--scheduler {scheduler!r} must begin with {begins}"
     elif find_spec("distributed") is None:
-        why = "the engine dask is not installed; run: pip install wrenchbook[cluster]"
+        why = "--engine dask lacks its package; run: pip install 'wrenchbook[cluster]'"
     if why:
         raise SettingsError(why)
 
 
 def check_copies(settings: Settings) -> None:
-    """Raise SettingsError for a replica or backup that cannot be."""
+    """Check the settings of replica and backups.
+
+    Raises SettingsError if they contradict each other or cannot work.
+    """
     for name in ("replicate", "read_only"):
         scheme, separator, path = (getattr(settings, name) or "file://").partition("://")
-        why = ""  # without the URL, which may hold a password
+        why = ""  # without the URL, which may contain a password
         if not separator:
-            why = "is no URL"
+            why = "is not a URL"
         elif scheme == "file" and path[:1] not in ("", "/"):
-            why = f"file://{path} has no absolute path"
+            why = f"file://{path} has a relative path"
         elif scheme in ("http", "https"):
-            why = f"{scheme}:// is a server's and no storage's"
+            why = f"{scheme}:// is the address of a server, not of a storage"
         if why:
             raise SettingsError(
                 f"{name}: "
@@ -167,14 +175,14 @@ def check_copies(settings: Settings) -> None:
         folder = Path(path).resolve()
         inside = folder.is_relative_to(settings.data.resolve())
         if scheme == "file" and path and (inside or (folder / "ledger.sqlite").exists()):
-            raise SettingsError(f"{name}: {folder} is in a data directory; name another folder")
+            raise SettingsError(f"{name}: {folder} is in a data directory; name one outside")
     if settings.read_only and (settings.replicate or settings.backup_every):
         copying = "replicate" if settings.replicate else "backup_every"
         raise SettingsError(f"{copying}: a server with read_only makes no copies; remove {copying}")
 
 
 def as_file(settings: Settings, origins: Mapping[str, str]) -> str:
-    """Write settings as a file that says the same, with where each comes from."""
+    """Return settings as a file with the same meaning, with the origin of each."""
     lines = []
     for name, origin in origins.items():
         value = getattr(settings, name)
@@ -186,12 +194,16 @@ def as_file(settings: Settings, origins: Mapping[str, str]) -> str:
 
 
 def _read(file: Path, names: Iterable[str], *, named: bool) -> dict[str, Any]:
+    """Return the settings of a file; none if it does not exist and was not `named`.
+
+    Raises SettingsError if the file cannot be read or has unknown settings.
+    """
     try:
         values = tomllib.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
         if named:
             raise SettingsError(
-                f"there is no file {file}; create it, or leave --config out"
+                f"the file {file} does not exist; create it, or leave --config out"
             ) from None
         return {}
     except NotADirectoryError:

@@ -1,7 +1,7 @@
-"""Which solves become jobs: one wrench's, a fill's many, and those of a simulator's loop.
+"""The choice of solves that become jobs: of one wrench, of a fill, and of a simulator's loop.
 
-A simulator in a loop of 1 kHz asks for wrenches that hardly differ. Its solves are keyed after
-rounding, join open jobs near by, and are limited in number, so that the loop can ask on without
+A simulator in a loop of 1 kHz queries wrenches that hardly differ. Its solves are keyed after
+rounding, join open jobs nearby, and are limited in number, so that the loop can continue without
 flooding the queue. Loads on locked freedoms are in no job: see `Component.acting`.
 """
 
@@ -22,9 +22,9 @@ from wrenchbook.service.settings import Settings
 
 Floats = NDArray[np.float64]
 
-GRAINS = 1e6  # to a load's scale: two wrenches that round to the same grains are one job
-JOIN_DISTANCE = 0.05  # of a load's scale: an open job as near as this is joined
-MAX_FAILED = 100_000  # failed jobs that a fill leaves out: more than anyone lets happen
+GRAINS = 1e6  # grains of a load's scale: two wrenches that round to the same grains are one job
+JOIN_DISTANCE = 0.05  # part of a load's scale: an open job within this distance is joined
+MAX_FAILED = 100_000  # failed jobs that a fill leaves out: more than any user lets happen
 BLOCK = 65_536  # differences of wrenches computed at once, 3 MB
 
 
@@ -36,7 +36,7 @@ class NoSetupError(ValueError):
 class Placement:
     """The job of a wrench, or the reason why it has none: ``queue-limit`` or ``beyond-range``.
 
-    `exact`: the job solves this very wrench (as rounded), not one near by.
+    `exact`: the job solves this wrench (as rounded), not one nearby.
     """
 
     job: JobRecord | None
@@ -60,7 +60,7 @@ class _Open:
         """Return the open job's index within `radius` of each point (n, inputs); -1 for none."""
         if not self.jobs or not radius:
             return np.full(len(scaled), -1)
-        # The tree's bound is exclusive, but a job at just the radius, to rounding, is joined.
+        # The tree's bound is exclusive, but a job exactly at the radius is joined.
         bound = radius * (1 + 1e-12)
         _, place = self._tree.query(scaled, p=np.inf, distance_upper_bound=bound)
         return np.where(place < len(self.jobs), place, -1)
@@ -88,9 +88,11 @@ class Submission:
     def accept(
         self, name: str, wrench: tuple[float, ...], *, urgent: bool, asked_by: str
     ) -> JobRecord:
-        """Accept the job of exactly this wrench, whatever is queued; raises NoSetupError.
+        """Accept the job of exactly this wrench, whatever is queued.
 
-        An urgent one, which a caller waits for, starts before those of a fill.
+        An urgent one, for which a caller waits, starts before those of a fill.
+
+        Raises NoSetupError if the component cannot be solved.
         """
         component = self.solvable(name)
         acting = component.acting(np.array(wrench)).tolist()
@@ -102,9 +104,11 @@ class Submission:
     def fill(
         self, name: str, wrenches: Floats, *, urgent: bool = False, asked_by: str = "fill"
     ) -> list[JobRecord]:
-        """Accept a job for each different wrench (n, inputs), without a limit; raises NoSetupError.
+        """Accept a job for each different wrench (n, inputs), without a limit.
 
         All are accepted in one transaction. Urgent ones start before those of a fill.
+
+        Raises NoSetupError if the component cannot be solved.
         """
         component = self.solvable(name)
         return self._ledger.accept_many(
@@ -117,14 +121,16 @@ class Submission:
         )
 
     def queue(self, name: str, wrenches: Floats) -> list[Placement]:
-        """Find or accept the jobs of queries' wrenches (n, inputs); raises NoSetupError.
+        """Find or accept the jobs of queries' wrenches (n, inputs).
 
-        Each is rounded to whole grains, takes the job there is for it, else joins the open job
-        within `JOIN_DISTANCE`, else becomes a job unless `queue_limit` of them are open. A linear
+        Each is rounded to whole grains, takes its existing job, else joins the open job within
+        `JOIN_DISTANCE`, else becomes a job unless `queue_limit` of them are open. A linear
         component's open job serves every wrench: any solve gives its compliance.
+
+        Raises NoSetupError if the component cannot be solved.
         """
         component = self.solvable(name)
-        # Divided at the end, not multiplied: a decimal wrench then stays the decimal it is.
+        # Divided at the end, not multiplied: a decimal wrench then stays the same decimal.
         per_unit = GRAINS / component.load_range.scale
         rounded = np.round(component.acting(wrenches) * per_unit) / per_unit
         return self._place(component, rounded, np.inf if component.linear else JOIN_DISTANCE)
@@ -132,7 +138,7 @@ class Submission:
     def each(self, name: str, wrenches: Floats) -> list[Placement]:
         """Find or accept the job of exactly each wrench, (n, inputs), up to the limit.
 
-        Raises NoSetupError.
+        Raises NoSetupError if the component cannot be solved.
         """
         component = self.solvable(name)
         return self._place(component, component.acting(wrenches), 0.0)
@@ -151,9 +157,9 @@ class Submission:
         return unpacked(waiting, len(part.space.inputs))
 
     def solvable(self, name: str, why: str = "") -> Component:
-        """Return a component that solves can be queued for; raises NoSetupError for any other.
+        """Return a component for which solves can be queued; `why`: a part of the error's message.
 
-        `why` the table does not answer a query is part of its text.
+        Raises NoSetupError for any other component.
         """
         component = self._library[name]
         if not component.has_fea:
@@ -167,21 +173,21 @@ class Submission:
         return component
 
     def refusal(self, component: Component) -> str:
-        """Return why `queue` has placed no job: its limit, or the caller's quota."""
+        """Return the reason why `queue` has placed no job: its limit, or the caller's quota."""
         setup, why = (component.name, component.fingerprint), "the caller's quota is used up"
         if self._open(*setup, component.load_range.scale).queries >= self.queue_limit:
             why = f"{self.queue_limit} jobs of queries are open (serve --queue-limit)"
         return f"no solve is queued: {why}; ask again when jobs have ended"
 
     def _place(self, component: Component, wrenches: Floats, radius: float) -> list[Placement]:
-        """Place wrenches as they are: their jobs, open ones within `radius`, new ones.
+        """Place wrenches without rounding: their jobs, open ones within `radius`, new ones.
 
-        What is new is chosen in the transaction that accepts it, so that the limit holds however
-        many processes queue at once.
+        New ones are chosen in the transaction that accepts them, so that the limit holds for any
+        number of processes.
         """
         setup, scale = (component.name, component.fingerprint), component.load_range.scale
         keys = packed(wrenches)
-        # A cancelled job is to be asked for anew.
+        # A cancelled job can be requested again.
         jobs = {
             key: job
             for key, job in self._ledger.jobs_for(*setup, set(keys)).items()
@@ -228,7 +234,7 @@ class Submission:
         return placements
 
     def _open(self, name: str, fingerprint: str, scale: Floats) -> _Open:
-        """Return the open jobs, read again only when something was committed."""
+        """Return the open jobs, read again only after a commit."""
         key, version = (name, fingerprint), self._ledger.version()
         with self._lock:
             known = self._known.get(key)
@@ -245,7 +251,7 @@ def spread(scaled: Floats, radius: float, count: int) -> list[int]:
     picked: list[int] = []
     start = 0
     while start < len(scaled) and len(picked) < count:
-        # In blocks: where points lie apart, the first few are enough and the rest is never read.
+        # In blocks: if points are far apart, the first few are enough and the rest is never read.
         stop = start + max(1, BLOCK // max(len(picked), 64))
         free = np.arange(start, min(stop, len(scaled)))
         if picked:

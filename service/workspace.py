@@ -1,4 +1,4 @@
-"""An opened data directory, as a web worker has it: library, ledger, tables, queue."""
+"""An opened data directory of a web worker: library, ledger, tables, queue."""
 
 from __future__ import annotations
 
@@ -54,16 +54,18 @@ from wrenchbook.surrogate.table.rows import Rows, Tolerance
 log = logging.getLogger(__name__)
 
 MAX_UNBUILT = 500  # rows searched for a wrench: a loop reads them at each uncovered query
-CATCH_UP_S = 25.0  # below the patience of clients and proxies, usually 30 s
+CATCH_UP_S = 25.0  # below the timeouts of clients and proxies, usually 30 s
 
-POLL_S = 0.02  # between polls: PRAGMA data_version, or the date of a file, takes microseconds
-TROUBLE_S = 1.0  # before a listener that failed is called again
+POLL_S = 0.02  # interval of polls: PRAGMA data_version, or the date of a file, takes microseconds
+TROUBLE_S = 1.0  # pause before a failed listener is called again: its cause, as a full disk, lasts
 
 Stamp = Callable[[], object]
 
 
 @dataclass(eq=False)
 class _Entry:
+    """A listener, the function of its stamp, and the stamp of its last call."""
+
     listener: Callable[[], object]
     stamp: Stamp
     last: object
@@ -71,11 +73,11 @@ class _Entry:
 
 
 class Watcher:
-    """The one thread of a process that notices changes by other processes.
+    """The only thread of a process that notices changes by other processes.
 
     It calls listeners after commits of any process, at once after those of its own ledger.
 
-    Files of the data directory that are no part of the ledger are watched along: see `on_change`.
+    It also watches files of the data directory that are no part of the ledger: see `on_change`.
     """
 
     def __init__(self, ledger: Ledger) -> None:
@@ -102,7 +104,7 @@ class Watcher:
     def on_change(
         self, listener: Callable[[], object], stamp: Stamp | None = None
     ) -> Callable[[], None]:
-        """Call `listener` after each commit, or whenever what `stamp` returns has changed.
+        """Call `listener` after each commit, or whenever the result of `stamp` has changed.
 
         It is called in the watcher's thread and must be quick; a listener that fails is called
         again. Returns a function that ends the subscription.
@@ -126,6 +128,7 @@ class Watcher:
             return None
 
     def _run(self) -> None:
+        """Call each listener whose stamp has changed, until the watcher is stopped."""
         while not self._stopping.is_set():
             self._wake.wait(POLL_S)
             self._wake.clear()
@@ -153,7 +156,7 @@ class Workspace:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._jobs_folder = settings.data / "jobs"
-        # A full disk or a damaged file does not keep the existing tables from answering.
+        # On a full disk or with a damaged file the existing tables still answer.
         self.copies: dict[str, Any] = {}  # the status of replica and backups
         read_only = self.refusal if settings.read_only else None
         self.ledger = Ledger(settings.data / "ledger.sqlite", patient=True, read_only=read_only)
@@ -190,10 +193,10 @@ class Workspace:
 
     def start(self) -> None:
         """Map the tables, and watch for changes by other processes."""
-        # Threads of small matrix products only wait for each other, the more the busier the cores.
+        # Threads of small matrix products only wait for each other, longer on busier cores.
         threadpool_limits(limits=1)
         with suppress(LedgerUnavailableError):
-            self.ledger.drop_abandoned()  # what a server left that was killed during an import
+            self.ledger.drop_abandoned()  # remains of a server that was killed during an import
         self.watcher.on_change(self.tables.wake, self.tables.stamp)
         self.watcher.on_change(self._read_copies, partial(inode, self.settings.data / STATUS))
         self._read_copies()
@@ -203,7 +206,7 @@ class Workspace:
             self.query_counts.start()
 
     def close(self) -> None:
-        """Stop."""
+        """Stop watching, mapping and counting, and close the ledger."""
         self.watcher.stop()
         self.reports.close()
         self.shapes.close()
@@ -215,8 +218,8 @@ class Workspace:
     def surrogate(self, name: str) -> ServedTable:
         """Return the newest table of a component for a query.
 
-        A linear component whose 6x6 compliance is not known has the solves that give it queued,
-        once a version of its table.
+        For a linear component whose 6x6 compliance is unknown the missing solves are queued, once
+        for each version of its table.
         """
         table = self.tables.surrogate(name)
         if table.needs_compliance:
@@ -226,15 +229,15 @@ class Workspace:
     def solver_error(self, name: str) -> SolverError | None:
         """Return the solver error of a component, for a row that was added just now.
 
-        The estimate is kept before the row is; the table's version with both may still be built.
+        The estimate is stored before the row; the table's version with both may still be building.
         """
         known = self.tables.surrogate(name).solver_error
         return known or self.errors.read(name, self.library[name].fingerprint)
 
     def unbuilt(self, name: str, table: ServedTable) -> tuple[int, Rows]:
-        """How many rows the next version adds to a table, and the first `MAX_UNBUILT` of them.
+        """Return how many rows the next version adds, and the first `MAX_UNBUILT` of them.
 
-        No rows where the ledger cannot be read: an answer needs no ledger.
+        No rows if the ledger cannot be read: an answer needs no ledger.
         """
         component = self.library[name]
         setup = {"space": component.space, "fingerprint": component.fingerprint}
@@ -246,19 +249,19 @@ class Workspace:
         return 0, Rows.empty(component.space)
 
     async def newest(self, name: str, seconds: float) -> ServedTable:
-        """Return the table once it holds all rows there are now, or after `seconds` as it is.
+        """Return the table once it has all present rows, or after `seconds` its present version.
 
-        Raises UnknownComponentError.
+        Raises UnknownComponentError if there is no such component.
         """
-        self.tables.surrogate(name)  # a name that is unknown ends here
+        self.tables.surrogate(name)  # raises for an unknown name
         await self.caught_up(name, seconds)
         return self.surrogate(name)
 
     async def caught_up(self, name: str, seconds: float) -> bool:
-        """Return whether a table holds all rows there are now, after at most `seconds`.
+        """Return whether a table has all present rows, after at most `seconds`.
 
-        It waits on threads of asyncio's own, few: on those that queue a loop's wrenches, forty
-        such readers would hold the loop up for as long as a table is built.
+        It waits on asyncio's own few threads: on those that queue a loop's wrenches, forty such
+        readers would block the loop while a table is built.
         """
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
@@ -266,8 +269,8 @@ class Workspace:
     def deformed(self, name: str, wrench: NDArray[np.float64]) -> Deformed:
         """Return a component's deformed surface under a wrench (6,), N and N·m, from files.
 
-        Raises UnknownComponentError, NoFieldsError if no row has a surface, and TooFarError for a
-        wrench far beyond the load range.
+        Raises UnknownComponentError if there is no such component, NoFieldsError if no row has a
+        surface, and TooFarError for a wrench far beyond the load range.
         """
         table = self.surrogate(name)
         component, solver = self.library[name], self.solver_error(name)
@@ -288,15 +291,17 @@ class Workspace:
         *,
         for_joint: bool = False,
     ) -> tuple[Design, list[JobRecord]]:
-        """Design one round of solves on all rows there are, and accept them.
+        """Design one round of solves on all present rows, and accept them.
 
-        With `need`, what a scene needs of the table, the fill follows the scene's plan; `for_joint`
-        as of `next_wrenches`. Raises NoSetupError, and TableBehindError if the table does not hold
-        all rows yet: a design on an older one would pay for what is known.
+        With `need`, a scene's requirements on the table, the fill follows the scene's plan;
+        `for_joint` as of `next_wrenches`.
+
+        Raises NoSetupError if the component cannot be solved, and TableBehindError if the table
+        lacks rows: a design on an older version would repeat known solves.
         """
         self.submission.solvable(name)
-        # First open jobs, then known rows: a solve that ends between the two is in both.
-        # The other way round it would be in neither, and be solved twice.
+        # First open jobs, then known rows: a solve that ends between the two is in both. In the
+        # opposite order it would be in neither, and be solved twice.
         pending = self.submission.pending_wrenches(name)
         surrogate = self.tables.caught_up(name, CATCH_UP_S).surrogate()
         if need is None:
@@ -344,14 +349,14 @@ class Workspace:
         return {k: v for k, v in broken.items() if touches(k)} | self.library.broken()
 
     def age(self) -> float | None:
-        """Return how old the state of a read-only server is at most, s; None elsewhere."""
+        """Return the largest age of a read-only server's state, s; None for other servers."""
         checked = self.copies.get("followed", {}).get("checked")
         return checked and max(0.0, time.time() - checked)
 
     def refusal(self, path: str = "") -> str:
-        """Return why a read-only server refuses a write of a path, and which server takes it."""
+        """Return the refusal of a write to a path, with the server that accepts the write."""
         send = f"Send it to {self.copies.get('followed', {}).get('server', 'the main server')}"
-        if path.startswith("/v1/keys"):  # those of the main server are not valid here
+        if path.startswith("/v1/keys"):  # keys of the main server are not valid here
             send = f"Change its keys on its machine: wrenchbook keys --data {self.settings.data}"
         why = "This server answers from a replica and accepts no writes; nothing was changed"
         return f"{why}. {send}"
@@ -360,7 +365,7 @@ class Workspace:
         self.copies = read_status(self.settings.data)
 
     def _on_checked(self, component: Component) -> None:
-        """Keep the estimate of an upload's check before another process can build its table."""
+        """Store the estimate of an upload's check before another process can build its table."""
         estimate = solver_error_of(component.folder, component.fingerprint)
         known = self.errors.read(component.name, component.fingerprint)
         # A later solve of an earlier component of this name and setup may have refined it.
@@ -368,11 +373,11 @@ class Workspace:
             self.errors.record(component.name, component.fingerprint, estimate)
 
     def _on_added(self, component: Component) -> None:
-        with suppress(TableBehindError):  # the ledger has rows of an earlier one of this name
+        with suppress(TableBehindError):  # the ledger has rows of an earlier component of this name
             self.surrogate(component.name)
 
     def _ask_compliance(self, name: str, table: ServedTable) -> None:
-        """Queue the solves of a linear component's compliance, once a version of its table."""
+        """Queue the solves of a linear component's compliance, once for a version of its table."""
         component = self.library[name]
         setup = component.fingerprint, table.version
         if (
@@ -385,7 +390,8 @@ class Workspace:
         try:
             pending = self.submission.pending_wrenches(name)
             design = next_wrenches(table.surrogate(), 6, pending=pending)
-            with acting_as(SERVER):  # the caller may only read, and has not asked for them
+            # The caller may have read access only, and has not requested them.
+            with acting_as(SERVER):
                 self.submission.fill(name, design.wrenches, urgent=True)
         except LedgerUnavailableError:
             del self._compliance_requested[name]  # the next query tries again

@@ -8,7 +8,7 @@ from tests.messages import messages
 @pytest.mark.parametrize(
     ("package", "place", "text"),
     [
-        ("service/cli", "exit 2", "give --start or --clear, not both"),
+        ("service/cli", "exit 2", "--start and --clear exclude each other; give one of them"),
         ("service/http", "403", "Host {name[:100]!r} is not allowed"),
         ("service", "409", "{name!r} is a table of measured rows"),
         ("fea/mesh/cad", "422, check: exit 1", "there is no body {number}"),

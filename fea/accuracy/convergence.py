@@ -171,7 +171,9 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
     for path in finer_meshes:
         source = bundle.mesh
         if source is None:
-            raise ValueError("the component has no [mesh] to refine; name one that has")
+            raise ValueError(
+                "the component has no [mesh] to refine; name a component with a [mesh]"
+            )
         try:
             solvers.append(Solver(build(bundle, read_grouped(path, source))))
         except BundleError as error:
@@ -192,8 +194,8 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
             nodes = len(fine_solver.component.uncut_mesh.points)
             message = f"the mesh of {nodes} nodes, of {1e3 * fine:.4g} mm, is not finer than"
             raise ValueError(
-                f"{message} the {1e3 * coarse:.4g} mm of the mesh before; give one with cells at "
-                "most 0.9 times as large"
+                f"{message} the {1e3 * coarse:.4g} mm of the mesh before; give a mesh with cells "
+                "at most 0.9 times as large"
             )
     compliance = np.array([solver.linear.compliance for solver in solvers])
     return Study([len(solver.component.uncut_mesh.points) for solver in solvers], sizes, compliance)

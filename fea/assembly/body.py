@@ -397,7 +397,7 @@ class Tangent:
         order = self._body.dissection.nodes
         displacements = np.zeros_like(loads)
         columns = self._body.movable.released(loads)[order].reshape(3 * order.size, loads.shape[2])
-        if not columns.any():  # as at rest: no factor needed
+        if not columns.any():  # as at rest: then no factor is needed
             return displacements
         displacements[order] = self.factor.solve(columns).reshape(order.size, 3, loads.shape[2])
         if rough or not self._single:

@@ -47,7 +47,8 @@ __all__ = ["Bundle", "BundleError", "BundleProblem", "bundle_of", "read_bundle"]
 FILE_NAME = "component.toml"
 
 _LINE = re.compile(r"\(at line (\d+), column (\d+)\)")  # place of a mistake in tomllib's messages
-_END = "(at end of document)"  # its place if the file ends too early
+_END = "(at end of document)"  # place of a mistake if the file ends too early
+_LONG = re.compile(r"(?<![0-9_])[0-9_]{4301}")  # an integer that Python refuses
 _MAX_BYTES = 256 * 1024  # bytes: a geometry file with hundreds of faces chosen by number
 # Begins at the start of a word, so that a long word is scanned once.
 _LONG_KEY = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){32}""")
@@ -100,7 +101,8 @@ def _syntax_problem(reason: str, text: str) -> BundleProblem:
     lines, at = text.splitlines() or [""], _LINE.search(reason)
     if at is None and _END not in reason:  # Python's own refusal of a too long integer
         message = "has an integer of more than 4300 digits; write it with an exponent, such as 2e9"
-        return BundleProblem(FILE_NAME, message)
+        place = next((i for i, line in enumerate(lines, 1) if _LONG.search(line)), None)
+        return BundleProblem(f"line {place}" if place else FILE_NAME, message)
     number, place = (int(at[1]), f"column {at[2]}") if at else (len(lines), "at its end")
     reason = reason.replace(at[0] if at else _END, "").strip()
     line = shown(lines[number - 1].strip())
@@ -191,12 +193,12 @@ class _Reader:
             count = len(loads.low) + len(further)
             if count > ALL_INPUTS:
                 parts = f"{len(interfaces)} interfaces and {len(further)} further inputs"
-                message = f"{parts} are {count} inputs, at most {ALL_INPUTS} fit; leave some out"
+                message = f"{parts} are {count} inputs, more than {ALL_INPUTS}; leave some out"
                 self.wrong("interface", message)
             vary = len(further) + int((loads.low < loads.high).sum())
             if vary > MAX_INPUTS:
                 zero = f"write 0 in the ranges for {vary - MAX_INPUTS} or more loads"
-                self.wrong("interface", f"{vary} inputs vary, at most {MAX_INPUTS} may; {zero}")
+                self.wrong("interface", f"{vary} inputs vary, more than {MAX_INPUTS}; {zero}")
         return {
             "name": self.read("name"),
             "title": self.read("title"),
@@ -265,7 +267,7 @@ class _Reader:
         measured = "mesh" not in self.table and "deck" not in self.table
         interfaces = self.read_each("interface", MeasuredInterface if measured else NamedInterface)
         if len(interfaces) == 1:
-            message = "is the only one; write [interface] without a name, or add another"
+            message = "is a list of one; write [interface] without a name, or add another"
             self.wrong("interface", message)
         first_of: dict[str, int] = {}
         held = [i for i, interface in enumerate(interfaces) if interface and interface.held]
@@ -405,7 +407,7 @@ class _Reader:
             self.wrong("inputs.temperature.field", message)
         for i, interface in enumerate(interfaces):
             if interface is not None and interface.name in names:
-                message = f'"{interface.name}" is the name of an input; choose another'
+                message = f'"{interface.name}" is also the name of an input; choose another'
                 self.wrong(f"interface[{i}].name", message)
         for i, material in enumerate(materials if TEMPERATURE in names else ()):
             if material is not None and material.thermal_expansion is None:

@@ -62,7 +62,7 @@ def estimate(component: ComponentModel) -> Cost:
     assembly = _ENTRY_SECONDS * entries + _ORDER_SECONDS * count * np.log2(count + 1)
     factorisation = operations / _OPERATIONS_PER_SECOND
     precision = _SINGLE_PRECISION if numbers > SINGLE_NUMBERS else 1.0
-    factors = 2 if component.bolts else 1  # one more while bolts are tightened
+    factors = 2 if component.bolts else 1  # a second factor while bolts are tightened
     linear = factors * (assembly + precision * factorisation)
     # Whether some cells have the pressure as a separate unknown.
     projects = bool({"hex20", "hex27"} & set(component.mesh.cell_counts)) and any(

@@ -76,7 +76,11 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     if bodies.count == 1:
         mechanism = f"the part is a mechanism, {_motions_text(component, motions[0])}"
         if len(component.sliding[0]) or component.bushings:
-            return [BundleProblem("supports", f"{mechanism}; support these motions as well")]
+            return [
+                BundleProblem(
+                    "supports", f"{mechanism}; add a support under [supports] that stops this"
+                )
+            ]
         message = f"{mechanism}; fix at least three points that are not on one line"
         return [BundleProblem("supports.fixed", message)]
     problems = []
@@ -90,7 +94,7 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
         )
         problems.append(BundleProblem("mesh", message))
     if len(loose) > _MAX_REPORTED:
-        message = f"{len(loose) - _MAX_REPORTED} more parts are free; hold or join them too"
+        message = f"{len(loose) - _MAX_REPORTED} more parts are free; support or join them too"
         problems.append(BundleProblem("mesh", message))
     return problems
 

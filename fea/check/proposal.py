@@ -84,7 +84,7 @@ class _Proposal:
                 return cases[name.upper()]
             names = ", ".join(f'"{case.name}"' for case in cases.values() if case.name)
             there = f"name one of {names}" if names else "it has no steps, so leave --case out"
-            raise BundleError([BundleProblem("case", f'the deck has no "{name}"; {there}')])
+            raise BundleError([BundleProblem("case", f'the deck has no case "{name}"; {there}')])
         case = self.deck.cases[-1]
         alike: dict[str, list[str]] = {}
         for other in self.deck.cases:
@@ -309,7 +309,9 @@ def propose(
     or another deck of this name.
     """
     if (folder / FILE_NAME).exists():
-        raise BundleError([BundleProblem(str(folder), f"has a {FILE_NAME}; name a new folder")])
+        raise BundleError(
+            [BundleProblem(str(folder), f"has a {FILE_NAME} already; name a new folder")]
+        )
     text, skipped, decide = _deck_text(file)
     deck = folder / f"{file.stem}.inp"
     try:
@@ -372,7 +374,8 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
             return "\n".join(translated.lines()), skipped, translated.decide
         if file.suffix.lower() != ".inp":
             raise MeshFileError(
-                f"is not an .inp, {', '.join(_TRANSLATORS)}; write [mesh] by hand: {_FACES}"
+                f"is neither an .inp nor one of {', '.join(_TRANSLATORS)}; write [mesh] by hand: "
+                f"{_FACES}"
             )
         return text, [], []
     except OSError as error:

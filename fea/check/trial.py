@@ -200,7 +200,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[Bundle
     warnings = []
     if without_density:
         names = ", ".join(f'"{name}"' for name in without_density)
-        message = f"has no density for {names}, whose mass counts as 0; write it in kg/m^3"
+        message = f"has no density for {names}, whose mass counts as 0; write density, in kg/m^3"
         warnings.append(BundleProblem("material", message))
     try:
         vibration = solver.vibration(carried)
@@ -378,7 +378,8 @@ def _yielding(component: ComponentModel, stresses: list[LargestStress]) -> list[
             continue
         if material.law == "orthotropic":
             message = (
-                "is compared with von Mises stress, which suits isotropic ones only; leave it out"
+                "is compared with von Mises stress, which suits isotropic materials only; leave "
+                "it out"
             )
             problems.append(BundleProblem(key, message))
         for stress in stresses:

@@ -141,7 +141,7 @@ class _Attachment(NamedTuple):
     nodes: Array  # shape (s,): nodes of the section
     # (3, 3): turns a vector of the body to the interface's axes; None if they are the same.
     rotation: Array | None
-    freedoms: slice  # of this interface among all
+    freedoms: slice  # place of this interface's freedoms among all
     chosen: Array  # indices of the section's border that are unknowns: locked freedoms are not
     border: Array  # indices of these in the complete border
 

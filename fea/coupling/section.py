@@ -84,7 +84,7 @@ class InterfaceSection:
     # corners of quad8 facets are negative, as they must be for a constant traction. Of any scale
     # where the bundle has `weights` of another kind.
     weights: Array
-    area: float  # of the section's facets, m^2
+    area: float  # area of the section's facets, m^2
     centre: Array  # the area centre, shape (3,), m
     # False where a bare node group has no area: then every node has the same weight, their sum is
     # 1, and `area` has no meaning.

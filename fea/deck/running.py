@@ -88,7 +88,7 @@ def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tup
     result = _run(deck, run, reader_named(deck.output["reader"]), progress)
     displacement = np.array(result.displacement, dtype=float)
     if displacement.shape != (6,) or not np.isfinite(displacement).all():
-        message = f"The reader returned {result.displacement} in the place of six finite numbers."
+        message = f"The reader returned {result.displacement}, which is not six finite numbers."
         raise bad_output(message, folder)
     return np.concatenate([displacement[:3] * metres, displacement[3:]]), result.unknowns
 

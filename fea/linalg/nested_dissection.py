@@ -252,6 +252,10 @@ class _Builder:
     def _add(
         self, cells: Array, children: tuple[int, ...], nodes: Array, uses: Array
     ) -> tuple[int, Array, Array]:
+        """Add a substructure, and eliminate the free nodes whose `uses` are all within it.
+
+        Return its number, its boundary nodes and their uses in it.
+        """
         nodes, inverse = np.unique(nodes, return_inverse=True)
         uses = np.bincount(inverse, weights=uses, minlength=nodes.size).astype(np.int64)
         is_free = self.free[nodes]
@@ -263,6 +267,7 @@ class _Builder:
         return len(self.parts) - 1, nodes[~complete], uses[~complete]
 
     def finish(self) -> Dissection:
+        """Put the eliminated nodes in order, and find each boundary in its parent."""
         order = np.concatenate(self.eliminated)
         positions = np.full(self.free.size, -1, dtype=np.int64)
         positions[order] = np.arange(order.size)

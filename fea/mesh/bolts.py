@@ -29,7 +29,7 @@ _LEVEL = 1e-9  # part of the shank's length: a cell whose middle is in the plane
 class BoltCut:
     """A bolt with its cut."""
 
-    key: str  # its key in the bundle: ``bolt[0]``
+    key: str  # key in the bundle: ``bolt[0]``
     bolt: Bolt
     nodes: Array  # shape (k,), int64: nodes of the cut, on its lower side
     slip: int  # the point whose displacement is the shift of the upper side against the lower

@@ -83,7 +83,7 @@ TRIANGLES: dict[str, tuple[tuple[int, int, int], ...]] = {
 class Face:
     """A face of a geometry file, or a connected smooth part of a mesh's surface."""
 
-    number: int  # its number in ``faces = [...]``
+    number: int  # number of the face in ``faces = [...]``
     kind: str  # gmsh's kind, such as "Plane", "Cylinder" or "BSpline surface"; "Curved" for a mesh
     area: float  # m^2
     centre: tuple[float, float, float]  # area centre, m

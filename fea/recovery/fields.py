@@ -47,7 +47,7 @@ class SolveFields:
     materials: Array  # shape (p,), int32, index into `regions`
     regions: tuple[str, ...]  # the materials' regions
     largest: float  # von Mises stress over all integration points, Pa
-    largest_at: tuple[float, float, float]  # its point, m
+    largest_at: tuple[float, float, float]  # point of the largest value, m
     largest_region: str
     weight: bool = False  # whether self-weight or preload of bolts acts
 

@@ -255,6 +255,8 @@ class LoadPath:
         return float(self._direction @ np.concatenate(advance))
 
     def _reporter(self, target: float) -> Report:
+        """Return the function that a balance at the load factor `target` calls per iteration."""
+
         def report(iteration: int, norm: float) -> None:
             self.history.append(Iteration(target, iteration, norm))
             if self._progress is not None:

@@ -61,11 +61,11 @@ class Riding:
         for name in ("mass", "inertia", "centre"):
             values = np.ravel(getattr(self, name)).tolist()
             if not np.isfinite(values).all():
-                raise ValueError(f"the {name} must be finite, not {values}")
+                raise ValueError(f"the {name} must have finite numbers only, not {values}")
         if self.mass < 0:
             raise ValueError(f"the mass must be 0 or more, not {self.mass:g} kg")
         if not np.array_equal(self.inertia, self.inertia.T):
-            raise ValueError("the inertia must be symmetric; give xx, yy, zz, xy, xz, yz instead")
+            raise ValueError("the inertia must be symmetric; give its xx, yy, zz, xy, xz, yz")
         moments = np.linalg.eigvalsh(self.inertia)
         if moments[0] < -_MOMENT_ROUNDOFF * max(moments[2], 0.0):
             least = f"the least principal moment of inertia is {moments[0]:.4g} kg·m^2"
@@ -93,7 +93,7 @@ class Riding:
             raise ValueError(f"the inertia must be {wanted}, not {moments.size} numbers")
         if position.shape != (3,):
             raise ValueError(
-                f"the centre of mass must be 3 numbers x,y,z in m, not {position.size}"
+                f"the centre of mass must be 3 numbers x,y,z in m, not {position.size} numbers"
             )
         tensor = np.diag(moments[:3])
         if len(moments) == 6:

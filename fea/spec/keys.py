@@ -97,9 +97,9 @@ class MistakesError(ValueError):
 def _text(value: str) -> str:
     """Return a text of one line that is not blank and has no control character."""
     if steering := STEERING.search(value):
-        raise ValueError(f"must be one line of printable characters, without {steering[0]!r}")
+        raise ValueError(f"must be one line of printable characters; remove {steering[0]!r}")
     if not value.strip():
-        raise ValueError("must not be empty; write a word or more")
+        raise ValueError("must not be blank; write at least one letter or digit")
     return value
 
 
@@ -255,13 +255,13 @@ def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
     for number, length in enumerate(np.hypot.reduce(axes, axis=1).tolist(), start=1):
         if abs(length - 1.0) > 0.5 * _ORTHONORMAL:  # the square differs by twice as much
             raise ValueError(
-                f"{wanted}; direction {number} has length {length:.8g}: divide it by it"
+                f"{wanted}; direction {number} has length {length:.8g}: divide it by this length"
             )
     for i, j in combinations(range(3), 2):
         if abs(cosine := float(axes[i] @ axes[j])) > _ORTHONORMAL:
             angle = f"{math.degrees(math.acos(max(-1.0, min(cosine, 1.0)))):.6g} degrees"
             raise ValueError(
-                f"{wanted}; directions {i + 1} and {j + 1} are at {angle}: correct one"
+                f"{wanted}; directions {i + 1} and {j + 1} are at {angle}: correct one of them"
             )
     if np.linalg.det(axes) < 0.0:
         raise ValueError("must be right-handed, but z is against x cross y; reverse one direction")
@@ -353,7 +353,7 @@ def _problems(kind: Any, where: str, entry: Mapping[str, Any]) -> Iterator[Bundl
             named = bool(known) and not named and get_origin(known[0].annotation) is Mapping
     unit = extra_of(info).get("unit") or "no unit"
     if entry["type"] == "literal_error":
-        path = re.sub(r"\[\d+\]$", "", path)  # of the list
+        path = re.sub(r"\[\d+\]$", "", path)  # path of the list
     if entry["type"] == "value_error":
         error = entry["ctx"]["error"]
         if isinstance(error, MistakesError):

@@ -40,7 +40,7 @@ def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
     """Refuse coefficients, 1/K, that lack their factor of 1e-6."""
     if (most := max(map(abs, expansion))) > _LARGEST_EXPANSION:
         end = f"{_LARGEST_EXPANSION:g} 1/K, not {most:g}"
-        raise ValueError(f"must be at most {end} (aluminium has 23e-6)")
+        raise ValueError(f"must be at most {end}; for aluminium write 23e-6")
     return expansion
 
 

@@ -54,7 +54,7 @@ def _second_order(order: int) -> int:
 
 
 def _listed(points: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return one point, or several, as several in a fixed order."""
+    """Return the points of a value that is one point or a list of points, in a fixed order."""
     return tuple(sorted(points)) if points and isinstance(points[0], tuple) else (points,)
 
 
@@ -77,7 +77,7 @@ class Selector:
     def __post_init__(self) -> None:
         if not any(getattr(self, way) not in (None, ()) for way in self.ways):
             listed = f"{', '.join(self.ways[:-1])} or {self.ways[-1]}"
-            raise MistakesError((self.ways[0], f"has no choice; write {listed}"))
+            raise MistakesError((self.ways[0], f"is missing; write {listed}"))
 
 
 def _box(corners: tuple[Any, Any]) -> tuple[Any, Any]:

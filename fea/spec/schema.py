@@ -292,7 +292,7 @@ class Joint(Attached):
             message = "contradicts rigid = true, which has no stiffness; leave one of the two out"
             raise MistakesError(("stiffness", message))
         if self.rigid and self.coupling != "rigid":
-            message = f'is "{self.coupling}", but a rigid joint needs "rigid"; write that'
+            message = f'is "{self.coupling}", but rigid = true needs coupling = "rigid"; write that'
             raise MistakesError(("coupling", message))
 
 

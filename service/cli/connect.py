@@ -100,7 +100,10 @@ def by_name(option: str, form: str, values: list[str] | None) -> list[tuple[str,
 def in_folder(file: Path | None) -> Path | None:
     """Refuse an output file whose folder does not exist, before anything is solved or served."""
     if file is not None and not file.parent.is_dir():
-        raise typer.BadParameter(f"there is no folder {file.parent}; create it first")
+        raise typer.BadParameter(
+            f"the folder {file.parent} for {file.name} does not exist; create it first, or name a "
+            "file in another folder"
+        )
     return file
 
 
@@ -119,4 +122,6 @@ def refuse_alone(needed: str, options: Mapping[str, object]) -> None:
     """Refuse options by name that have a value although the option `needed` has none."""
     names = ", ".join(name for name, value in options.items() if value)
     if names:
-        raise typer.BadParameter(f"{names} needs {needed}; add it, or leave {names} out")
+        raise typer.BadParameter(
+            f"{names} has an effect only with {needed}; add {needed}, or leave {names} out"
+        )

@@ -35,7 +35,9 @@ def jobs(
 ) -> None:
     """List jobs, newest first, or follow their changes."""
     if follow and (status is not None or after is not None):
-        raise typer.BadParameter("--follow shows all changes; leave --status and --after out")
+        raise typer.BadParameter(
+            "--follow shows the changes of all jobs; leave --status and --after out"
+        )
     with connected(server, data) as client:
         if follow:
             follow_jobs(Screen(), client, component, as_json=as_json)

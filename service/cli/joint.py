@@ -113,12 +113,13 @@ def _moving(name: str, facts: dict[str, Any], interface: str | None = None) -> t
     at = moving[0] if interface is None and len(moving) == 1 else interface
     if interface is not None and moving == [""]:
         raise typer.BadParameter(
-            f"{name} has one interface, without a name; leave out --interface {interface}"
+            f"{name} has a single interface, which has no name; leave --interface {interface} out"
         )
     if at is None or at not in moving:
         has = f"{name} has no interface {at!r} that moves; it" if interface else name
         raise typer.BadParameter(
-            f"{has} moves at {', '.join(moving)}; name the one of the tip: --interface {moving[0]}"
+            f"{has} moves at {', '.join(moving)}; name the interface of the tip, for example: "
+            f"--interface {moving[0]}"
         )
     of = slice(first := FREEDOMS * [*parts].index(at), first + FREEDOMS)
     matrix = (facts.get("vibration") or {}).get("condensed_mass") or []

@@ -121,12 +121,12 @@ def _make_folder(folder: Path) -> None:
     except OSError as error:
         raise _refused(
             f"the data directory {folder} cannot be created: {error.strerror}; name another with "
-            "--data, or create it for the user that serves"
+            "--data, or create it and give it to the user that runs the server"
         ) from error
     if paths := not_writable(folder):
         raise _refused(
-            f"{paths[0]} cannot be read and written; name another directory with --data, or make "
-            f"it readable and writable for user {os.getuid()}"
+            f"this user cannot read and write {paths[0]}; name another data directory with "
+            f"--data, or make this one readable and writable for user {os.getuid()}"
         )
 
 
@@ -215,9 +215,13 @@ def restore(
 
     source = file if "://" in file else Path(file)
     if isinstance(source, Path) and not source.is_file():
-        raise typer.BadParameter(f"there is no file {file}; name a backup, or a replica's URL")
+        raise typer.BadParameter(
+            f"the file {file} does not exist; give the path of a backup, or the URL of a replica"
+        )
     if isinstance(source, Path) and at:
-        raise typer.BadParameter(f"--at needs a replica's URL, but {file} is a file; leave it out")
+        raise typer.BadParameter(
+            f"--at chooses a time of a replica, but {file} is a backup; leave --at out"
+        )
     until = at.replace(tzinfo=UTC).timestamp() if at else float("inf")
     manifest, former = restored(source, data, overwrite=overwrite, until=until)
     skipped, state, option = manifest.skipped, manifest.state, _data_option(data)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -255,7 +256,10 @@ def fill(
     data: Data = None,
 ) -> None:
     """Solve the wrenches where the table's error bar is largest, in rounds of 24."""
-    tolerance = _tolerance(tolerance_translation or translation, tolerance_rotation or rotation)
+    tolerance = _tolerance(
+        translation if tolerance_translation is None else tolerance_translation,
+        rotation if tolerance_rotation is None else tolerance_rotation,
+    )
     if moment_range is None:
         refuse_alone("--moment-range MX MX MY MY MZ MZ", {"--force-range": force_range})
     if force_range is None:
@@ -334,6 +338,8 @@ def components(as_json: AsJson = False, server: Server = DEFAULT_SERVER, data: D
 
 def main() -> None:
     """Run the command line; an expected error is one message on stderr and status 1."""
+    # As at Ctrl-C, the command cancels its solves and ends its temporary server.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         # The help would otherwise show the path of the program.
         app(prog_name="wrenchbook")
@@ -362,14 +368,17 @@ def _tolerance(translation: float | None, rotation: float | None) -> dict[str, f
         return None
     if translation is None or rotation is None:
         missing = "--tolerance-translation M" if translation is None else "--tolerance-rotation RAD"
-        raise typer.BadParameter(f"a tolerance has two numbers; add {missing}")
+        raise typer.BadParameter(f"a tolerance needs translation and rotation; add {missing}")
+    if min(translation, rotation) <= 0:
+        sizes = f"{translation:g} m and {rotation:g} rad"
+        raise typer.BadParameter(f"a tolerance must be above 0, not {sizes}; give larger numbers")
     return {"translation": translation, "rotation": rotation}
 
 
 def _loads(
     force: Three | None, moment: Three | None, load: list[str] | None, further: list[str] | None
 ) -> dict[str, Any]:
-    """Return the loads of a call; a component with one interface and no load has the zero one."""
+    """Return the loads of a call: zero if none is given for a component with one interface."""
     if load is None and further is None and force is None:
         force = ZERO
     loads: dict[str, list[float]] = {}
@@ -377,8 +386,8 @@ def _loads(
         numbers = [number(f"--load {name}", part) for part in text.split(",")]
         if len(numbers) not in (3, 6):
             raise InvalidArgument(
-                f"--load {name} needs 3 numbers (a force) or 6 (force and moment) with commas, not "
-                f"the {len(numbers)} of {text!r}"
+                f"--load {name} needs 3 numbers (force) or 6 (force and moment), separated by "
+                f"commas, but {text!r} has {len(numbers)}"
             )
         loads[name] = numbers + [0.0] * (6 - len(numbers))
     inputs = further_inputs(further)

@@ -101,7 +101,7 @@ def follow(
             if time.monotonic() > deadline:
                 raise RuntimeError(
                     f"{len(jobs) - len(done)} of {len(jobs)} solves have not ended after "
-                    f"{seconds:g} s; they continue while a server is up. See: wrenchbook jobs "
+                    f"{seconds:g} s. The server continues them; list them with: wrenchbook jobs "
                     f"--component {jobs[0].component}"
                 )
     return list(done.values())
@@ -120,8 +120,8 @@ def follow_report(out: Console, client: Client, name: str) -> None:
             progress.update(task, completed=state["fraction"], note=state["message"])
             if state["state"] == "failed":
                 raise RuntimeError(
-                    f"the report of {name} could not be made: {state['message']}. Correct this, "
-                    f"and run again: wrenchbook report {name}"
+                    f"the report of {name} could not be made: {state['message']}. Correct the "
+                    f"cause, then run again: wrenchbook report {name}"
                 )
             if state["state"] != "running":
                 return
@@ -161,8 +161,8 @@ def fill(
             plain(out, f"job {job.id} failed: {job_state(job)}", style="red")
         if len(failed) == len(ended):
             raise RuntimeError(
-                f"all {len(failed)} solves of this round failed, with the causes above; to list "
-                f"them: wrenchbook jobs --component {name} --status failed"
+                f"all {len(failed)} solves of this round failed; their causes are above. To list "
+                f"the jobs: wrenchbook jobs --component {name} --status failed"
             )
     now = client.component(name)
     out.print(f"{spent} solves; {name} has {now['rows']} rows.")

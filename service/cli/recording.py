@@ -104,10 +104,11 @@ def resolve(
 
 def _check(start: bool, clear: bool) -> None:
     if start and clear:
-        raise typer.BadParameter("give --start or --clear, not both")
+        raise typer.BadParameter("--start and --clear exclude each other; give one of them")
 
 
 def _follow(client: Client, started: Started, as_json: bool) -> None:
+    """Show the solves of a start until they end, then its counts."""
     jobs = list(started.jobs)
     if jobs:
         jobs = progress.follow(Screen(stderr=as_json), client, jobs)

@@ -235,7 +235,7 @@ def job_table(jobs: Sequence[Job]) -> Table:
 
 
 def _after_name(name: str, numbers: Iterable[float]) -> str:
-    """Return numbers after a name: of an interface, or empty for the only one."""
+    """Return numbers after the name of their interface, which is empty if there is only one."""
     return " ".join(filter(None, (name, *(f"{number:g}" for number in numbers))))
 
 

@@ -239,13 +239,17 @@ def export_table(
     units = {quantity: unit for quantity, unit in units.items() if unit is not None}
     curves = {"others": bushing} if bushing else {}
     if curves and format_ != "csv":
-        raise typer.BadParameter(f"--bushing writes CSV; name a file that ends in .csv, not {file}")
+        raise typer.BadParameter(
+            f"--bushing writes CSV, but {file} has another ending; name a file that ends in .csv"
+        )
     if curves and (units or table_version is not None):
         others = ", ".join(f"--{option}" for option in units) or "--table-version"
-        raise typer.BadParameter(f"--bushing is of the newest table, in SI; leave out {others}")
+        raise typer.BadParameter(f"--bushing writes the newest table in SI; leave {others} out")
     format_ = "bushing" if curves else format_
     if to_stdout and as_json:
-        raise typer.BadParameter("--json describes a written file; name a file instead of -")
+        raise typer.BadParameter(
+            "--json describes a written file, but - writes none; leave --json out"
+        )
     if platforms is not None:  # checked before a server is called or started
         from wrenchbook.service.fmu.export import platforms_of
 
@@ -360,11 +364,13 @@ def rig(
     verb = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}[action]
     if (action == "list") == bool(name) or (action == "add") != (file is not None):
         form = {"list": "list", "add": "add NAME FILE.toml"}.get(action, f"{action} NAME")
-        raise typer.BadParameter(f"other arguments are needed: wrenchbook rig {form}")
+        raise typer.BadParameter(
+            f"wrenchbook rig {action} needs other arguments; write: wrenchbook rig {form}"
+        )
     if name and not RIG_NAME.fullmatch(name):
         raise typer.BadParameter(
-            f"the name {name!r} must begin with a letter or digit, and have at most 64 letters, "
-            "digits and .-_"
+            f"the rig's name {name!r} must begin with a letter or digit, and have at most 64 "
+            "letters, digits, '.', '_' and '-'"
         )
     content = None if file is None else file.read_bytes()
     with connected(server, data) as client:

@@ -158,8 +158,8 @@ class Evaluator:
         array = self._framework.array(values)
         if not array.shape or array.shape[-1] != count:
             raise InvalidArgument(
-                f"{name} of {self._host.name} must have the shape ({count},) or (k, {count}) in "
-                f"the order of table.space, not {tuple(array.shape)}"
+                f"{name} must have the shape ({count},) or (k, {count}) for {self._host.name}, "
+                f"with columns in the order of table.space, not {tuple(array.shape)}"
             )
         return array
 
@@ -311,7 +311,7 @@ def jax_joint(
         if [array.shape for array in arrays] != expected:
             raise InvalidArgument(
                 f"memory, poses, velocities and inverse_masses must have the shapes {expected}, "
-                f"not {[array.shape for array in arrays]}"
+                f"in this order, not {[array.shape for array in arrays]}"
             )
         results = [((*lead, *shapes[name]), kind) for name in REPLIED[:-1]]
         results += [((*lead, *shapes["coverage"]), np.int32), (lead, np.int32)]

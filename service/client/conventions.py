@@ -65,7 +65,8 @@ def moved(
         if not is_rotation or np.linalg.det(axes) < 0.0:  # a mirror changes the sign of moments
             raise InvalidArgument(
                 "rotation must be a right-handed rotation matrix of shape (3, 3), not "
-                f"{axes.tolist()}; of a quaternion it is Rotation.from_quat(q).as_matrix() of scipy"
+                f"{axes.tolist()}; from a quaternion q (x, y, z, w) make it with scipy: "
+                "Rotation.from_quat(q).as_matrix()"
             )
         force, moment = axes @ force, axes @ moment
     if point is not None:
@@ -239,9 +240,10 @@ def _number(message: Message, name: str, axis: str) -> float:
     if member is None:
         missing = name if vector is None else f"{name}.{axis}"
         raise InvalidArgument(
-            f"the message has no {missing!r}; give force and torque, each with x, y, z"
+            f"the message has no {missing!r}; give a message with force and torque, each with x, "
+            "y and z"
         )
     try:
         return float(member)
     except (TypeError, ValueError):
-        raise InvalidArgument(f"{name}.{axis} must be a float, as 1.5 is, not {member!r}") from None
+        raise InvalidArgument(f"{name}.{axis} must be a float, like 1.5, not {member!r}") from None

@@ -168,7 +168,8 @@ def required(module: str, user: str, install: str) -> Any:
     except ModuleNotFoundError as error:
         name = (error.name or module).partition(".")[0]  # the module, or a module that it imports
         raise MissingPackage(
-            f"{user} needs the package {name!r}, not installed here; run: pip install {install}",
+            f"{user} needs the package {name!r}, which is not installed; run: pip install "
+            f"{install}",
             name=name,
         ) from error
 

@@ -57,7 +57,7 @@ class Job(JobLink):
 
     @property
     def ended(self) -> bool:
-        """Whether it is done, failed or cancelled."""
+        """Whether the job is done, failed or cancelled."""
         return self.status in ENDED
 
     @property
@@ -88,7 +88,7 @@ class Answer(Protocol):
 
     @property
     def job(self) -> Job | None:
-        """The job of its solve, if there is one."""
+        """The job that solves the wrench, or None."""
 
 
 class Round(Queued):
@@ -256,7 +256,7 @@ class JobCalls(Connection):
         outputs: Sequence[str] | None = None,
         for_joint: bool = False,
     ) -> Iterator[Round]:
-        """Fill a table round by round, each designed on what the one before has found.
+        """Fill a table round by round, each designed with the results of the round before.
 
         Parameters
         ----------
@@ -299,12 +299,12 @@ def _path(job: Job | int | Answer) -> str:
     number: Any = job if isinstance(job, Job) else getattr(job, "job", job)
     if number is None:
         raise InvalidArgument(
-            "this answer has no job: it is complete, or no solve was queued (its `reason` says "
-            "why); there is nothing to wait for"
+            "this answer has no job to wait for: it is complete, or no solve was queued. Read "
+            "its attribute reason"
         )
     try:
         return f"/v1/jobs/{number.id if isinstance(number, Job) else int(number)}"
     except (TypeError, ValueError):
         raise InvalidArgument(
-            f"a job must be a Job, its number, or an answer with a job, not {job!r}"
+            f"job must be a Job, the number of a job, or an answer that has a job, not {job!r}"
         ) from None

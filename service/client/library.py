@@ -65,8 +65,8 @@ def check_readable(file: str | Path) -> None:
     suffix = Path(file).suffix.lower()
     if suffix in _NOT_READ:
         raise InvalidArgument(
-            f"{file} ends in {suffix}, which cannot be read; send CSV, XLSX, XLS, Parquet, JSON, "
-            "HDF5, MAT, LVM or TDMS, gzipped or not"
+            f"{file} ends in {suffix}, which is not the ending of a table; send CSV, XLSX, XLS, "
+            "Parquet, JSON, HDF5, MAT, LVM or TDMS, gzipped or not"
         )
 
 
@@ -139,7 +139,9 @@ class LibraryCalls(Connection):
         if not bundle.is_dir():
             archive = bundle.read_bytes()
         elif not (bundle / "component.toml").is_file():
-            raise FileNotFoundError(f"{bundle} has no component.toml; name the folder that has it")
+            raise FileNotFoundError(
+                f"the folder {bundle} has no component.toml; name the folder that holds this file"
+            )
         else:
             buffer = io.BytesIO()
             # A zip has no date before 1980, which files of archives and containers have.
@@ -492,7 +494,7 @@ def _profile(rig: str | Path) -> str:
 
 def _known(format_: str) -> str:
     if format_ not in _FORMATS:
-        raise InvalidArgument(f"the format must be one of {', '.join(_FORMATS)}, not {format_!r}")
+        raise InvalidArgument(f"format must be one of {', '.join(_FORMATS)}, not {format_!r}")
     return format_
 
 

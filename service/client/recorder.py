@@ -142,20 +142,20 @@ class Recorder:
         if shape != (inputs,):
             form = "six numbers, force then moment" if default else f"{inputs} numbers"
             raise InvalidArgument(
-                f"a wrench must be {form}, not of shape {shape}; for a component with another "
-                "number of inputs create the Recorder with inputs=NUMBER"
+                f"a wrench must be {form}, but this one has the shape {shape}; for a component "
+                "with another number of inputs create the Recorder with inputs=NUMBER"
             )
         checked = single_wrench(wrench) if default else many_wrenches(np.stack([wrench]), None)
         packed = checked.astype("<f8").tobytes()
         with self._changed:
             if self._closing:
-                raise RecorderError("the recorder is closed; create a new one")
+                raise RecorderError("the Recorder is closed; create a new Recorder")
             self._check_failed()
             if self._count >= MAX_PENDING:
                 raise RecorderError(
                     f"the wrench was not recorded, because {self._count} wrenches wait for the "
-                    f"server ({self._trouble or 'it is slow'}). Slow the loop or call flush(); "
-                    "`unsent` returns those not sent"
+                    f"server ({self._trouble or 'it is slow'}). Slow the loop, or call flush(); "
+                    "`unsent` returns the wrenches not sent"
                 )
             if not self._open:
                 self._opened_at = time.monotonic()
@@ -193,14 +193,14 @@ class Recorder:
             self._check_failed()
             raise ServerTimeout(
                 f"{self._count} wrenches are not recorded after {timeout_s:g} s: "
-                f"{self._trouble or 'the server is slow'}. They are kept and sent when it answers; "
-                "check the server"
+                f"{self._trouble or 'the server is slow'}. The Recorder keeps them and sends them "
+                "when the server answers; check that it runs"
             )
 
     def start(
         self, timeout_s: float = 30.0, *, budget: int | None = None, beyond_range: bool = False
     ) -> Started:
-        """LM_start: `flush`, then queue the solves of what is recorded.
+        """LM_start: `flush`, then queue the solves of the recorded wrenches.
 
         Raises
         ------
@@ -237,8 +237,8 @@ class Recorder:
         if self.pending:
             why = self.trouble or f"the server has not acknowledged them in {timeout_s:g} s"
             raise RecorderError(
-                f"{self.pending} wrenches of {self.component!r} were not recorded: {why}. "
-                "`unsent` returns them; give them to a new Recorder once this is corrected"
+                f"{self.pending} wrenches of {self.component!r} were not recorded: {why}. Correct "
+                "this, then give the wrenches that `unsent` returns to a new Recorder"
             ) from cause
 
     def _send_all(self) -> None:
@@ -294,8 +294,8 @@ class Recorder:
         if self._failed:
             raise RecorderError(
                 f"the server refused the recording of {self.component!r}: {self._trouble}. "
-                f"{self._count} wrenches are not stored; correct this, and give what `unsent` "
-                "returns to a new Recorder"
+                f"{self._count} wrenches are not stored. Correct this, then give the wrenches "
+                "that `unsent` returns to a new Recorder"
             ) from self._trouble
 
     def _at_exit(self) -> None:

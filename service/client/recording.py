@@ -1,4 +1,4 @@
-"""Recordings (LM_direct) and envelopes (LM_max): what a loop has met, and its solves (LM_start)."""
+"""Recordings (LM_direct) and envelopes (LM_max) of a loop's wrenches; their solves (LM_start)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,10 @@ class RecordingCalls(Connection):
         return self._send_blocks(name, "recording", wrenches)
 
     def recording(self, name: str) -> Recording:
-        """Return what is recorded of a component; raises ProblemError (404)."""
+        """Return the recorded wrenches of a component, with their counts.
+
+        Raises ProblemError (404) if there is no such component.
+        """
         return Recording.read(self.call_json("GET", component_path(name, "recording")))
 
     def clear_recording(self, name: str) -> int:

@@ -89,7 +89,7 @@ class Displacement(messages.Displacement):
         loads: Mapping[str, Json] | None = None,
         **more: Any,
     ) -> Self:
-        """Make one from the reply to `wrench`, shape (6,), N and N·m, or to the wire's loads."""
+        """Make an answer from the reply to `wrench`, shape (6,), N and N·m, or to `loads`."""
         shared = {name: value for name, value in body.items() if name != "displacements"}
         parts = {
             name: cls.read(shared | part, wrench_of((loads or {}).get(name, {})))
@@ -164,8 +164,8 @@ class Displacement(messages.Displacement):
         if self.interfaces:
             name = next(iter(self.interfaces))
             raise InvalidArgument(
-                f"{self.component} has several interfaces; use the answer at one of them, such as "
-                f"answer.interfaces[{name!r}]"
+                f"{self.component} has several interfaces, so its answer has no single value; "
+                f"read one interface, such as answer.interfaces[{name!r}]"
             )
         if self.translation is None or self.rotation is None:
             if self.job:
@@ -243,7 +243,7 @@ class Displacements(messages.Displacements):
 
     @classmethod
     def read(cls, body: Mapping[str, Any], wrenches: Vector | None = None, **more: Any) -> Self:
-        """Make one from the reply to `wrenches`, shape (n, inputs), SI."""
+        """Make the answers from the reply to `wrenches`, shape (n, inputs), SI."""
         jobs = body.get("jobs") or ()
         blocks: dict[str, Any] = {
             "displacements": _stacked(body["displacements"], (6,)),
@@ -268,7 +268,7 @@ class Displacements(messages.Displacements):
 
     @classmethod
     def read_binary(cls, component: str, wrenches: Vector, reply: Response) -> Self:
-        """Make one from the binary reply to `wrenches`, shape (n, 6), N and N·m.
+        """Make the answers from the binary reply to `wrenches`, shape (n, 6), N and N·m.
 
         The reply is float64, shape (n, 2 m + 1): displacement and error bars of m outputs, m and
         rad, then coverage as 0, 1 or 2 for `COVERAGE`; with derivatives shape (n, m, inputs)

@@ -35,7 +35,7 @@ class ComponentPlan(Plan):
 
 
 class Scene:
-    """What one simulation needs: its components, loads that can occur, outputs it reads.
+    """Needs of one simulation: its components, loads that can occur, outputs it reads.
 
     Parameters
     ----------
@@ -63,8 +63,8 @@ class Scene:
     def __init__(self, components: Mapping[str, Mapping[str, Json]]) -> None:
         if not isinstance(components, Mapping) or not components:
             raise SceneError(
-                "the scene has no component; write [components.NAME] with force and moment, each "
-                f"such as {_SPANS}; in Python Scene({{NAME: {{'force': ..., 'moment': ...}}}})"
+                "the scene has no component; add [components.NAME] with force and moment, each "
+                f"such as {_SPANS}, or in Python Scene({{NAME: {{'force': ..., 'moment': ...}}}})"
             )
         self.components = {str(name): _checked(name, need) for name, need in components.items()}
 
@@ -94,7 +94,7 @@ class Scene:
         return name in self.components
 
     def wanted(self, name: str) -> Document:
-        """Return what ``Client.fill`` and ``fill_until`` take: range, outputs, tolerance.
+        """Return the parameters of ``Client.fill`` and ``fill_until``: range, outputs, tolerance.
 
         Raises
         ------
@@ -109,7 +109,7 @@ class Scene:
         }
 
     def component(self, name: str) -> Document:
-        """Return what it needs of one component, as the wire has it.
+        """Return the needs of one component, in the form of the request.
 
         Raises
         ------
@@ -117,7 +117,7 @@ class Scene:
             If the scene has no such component.
         """
         if name not in self.components:
-            raise SceneError(f"the scene has no component {name!r}; it has {', '.join(self)}")
+            raise SceneError(f"the scene has no component {name!r}; name one of: {', '.join(self)}")
         return self.components[name]
 
     @overload
@@ -125,7 +125,7 @@ class Scene:
     @overload
     def plan(self, client: AsyncClient) -> Coroutine[Any, Any, dict[str, ComponentPlan]]: ...
     def plan(self, client: Connection | AsyncClient) -> object:
-        """Return what the scene needs of each component, and what that saves.
+        """Return the plan of each component: the rows that the scene needs, and those it saves.
 
         The call of an `AsyncClient` is awaited.
 
@@ -151,7 +151,7 @@ class Scene:
         }
 
     def query(self, name: str) -> str:
-        """Return one component's need as a query parameter."""
+        """Return one component's needs as a query parameter."""
         return json.dumps(self.component(name), sort_keys=True)
 
 
@@ -159,7 +159,9 @@ def _checked(name: str, need: Json) -> Document:
     """Return one component's requirements in the form of the request."""
     where = f"components.{name}"
     if not isinstance(need, Mapping):
-        raise SceneError(f"{where}: must be a table of {', '.join(_FIELDS)}, not {need!r}")
+        raise SceneError(
+            f"{where} is {need!r}, but must be a table; write [{where}] with force and moment"
+        )
     _refuse_unknown(where, need, _FIELDS)
     loads, further, outputs = (need.get(field) for field in ("loads", "inputs", "outputs"))
     if loads is None:
@@ -188,20 +190,20 @@ def _refuse_unknown(where: str, keys: Iterable[object], known: Sequence[str]) ->
     unknown = [str(key) for key in keys if key not in known]
     if unknown:
         place = f"{where}: " if where else ""
-        raise SceneError(f"{place}unknown key {', '.join(unknown)}; use {', '.join(known)}")
+        raise SceneError(f"{place}{', '.join(unknown)} is not a key here; use {', '.join(known)}")
 
 
 def _ordered_outputs(where: str, outputs: Json) -> list[str]:
     """Return the names of outputs, ``uz`` or ``left.uz``, by interface and in table order."""
     if not isinstance(outputs, Sequence) or isinstance(outputs, str) or not outputs:
-        raise SceneError(f'{where}: write a list such as ["uz", "ry"], not {outputs!r}')
+        raise SceneError(f'{where} is {outputs!r}; write a list of outputs, such as ["uz", "ry"]')
     places = set()
     for name in map(str, outputs):
         interface, _, output = name.rpartition(".")
         if output not in OUTPUTS:
             raise SceneError(
-                f"{where}: {name!r} is no output; use {', '.join(OUTPUTS)}, of several interfaces "
-                "INTERFACE.uz"
+                f"{where}: {name!r} is not an output; use {', '.join(OUTPUTS)}, with several "
+                "interfaces in the form INTERFACE.uz"
             )
         places.add((interface, OUTPUTS.index(output)))
     return [f"{k}.{OUTPUTS[place]}".lstrip(".") for k, place in sorted(places)]
@@ -209,7 +211,7 @@ def _ordered_outputs(where: str, outputs: Json) -> list[str]:
 
 def _named(where: str, value: Json) -> Mapping[str, Json]:
     if not isinstance(value, Mapping):
-        raise SceneError(f"{where}: must be a table of values by name, not {value!r}")
+        raise SceneError(f"{where} is {value!r}, but must be a table of values, {{NAME = VALUE}}")
     return value
 
 
@@ -221,14 +223,14 @@ def _wrench(where: str, need: Json, parts: Iterable[str]) -> Document:
         spans, place = need.get(part), f"{where}.{part}"
         if spans is None:
             raise SceneError(
-                f"{place} is missing; write three [low, high], such as {_SPANS}: [0, 0] where no "
-                "load can occur"
+                f"{place} is missing; write a range [low, high] for x, y and z, such as {_SPANS}, "
+                "with [0, 0] where no load can occur"
             )
         listed = isinstance(spans, Sequence | np.ndarray) and not isinstance(spans, str)
         if not listed or len(spans) != 3:
             raise SceneError(
-                f"{place}: write three loads (x, y, z), each [low, high] or a number, such as "
-                f"{_SPANS}, not {spans!r}"
+                f"{place} is {spans!r}, but must have three loads (x, y, z), each [low, high] or "
+                f"a number, such as {_SPANS}"
             )
         body[part] = [_span(f"{place}.{k}", span) for k, span in enumerate(spans)]
     return body
@@ -241,13 +243,13 @@ def _span(where: str, span: Json) -> list[float]:
     except ValueError:  # lists of different lengths
         ends = np.asarray("")
     if ends.dtype.kind not in "fiu" or ends.shape not in ((), (2,)) or not np.isfinite(ends).all():
-        raise SceneError(f"{where}: must be [low, high], or one finite number, not {span!r}")
+        raise SceneError(f"{where} must be [low, high] or one finite number, not {span!r}")
     if ends.shape == () and ends < 0.0:
         raise SceneError(
-            f"{where}: a single number is the largest value of both signs, and must not be "
-            f"negative; write {-ends:g}, or [{ends:g}, 0] for this sign alone"
+            f"{where} is {ends:g}, but a single number must be 0 or more, because it stands for "
+            f"both signs; write {-ends:g}, or [{ends:g}, 0] for the negative sign alone"
         )
     low, high = (-ends, ends) if ends.shape == () else ends
     if low > high:
-        raise SceneError(f"{where}: the low end {low:g} must not be above the high end {high:g}")
+        raise SceneError(f"{where}: the low end {low:g} is above the high end {high:g}; swap them")
     return [float(low) + 0.0, float(high) + 0.0]

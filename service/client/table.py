@@ -124,7 +124,7 @@ class Table:
 
     @property
     def space(self) -> Space:
-        """Its inputs and outputs: names, units, interfaces."""
+        """Inputs and outputs of the table: names, units, interfaces."""
         return self.packed.space
 
     @property
@@ -256,8 +256,8 @@ class Table:
         if "force" in body and space.several:
             names = ", ".join(f"{name!r}: WRENCH" for name in space.several)
             raise InvalidArgument(
-                f"{self.name} has several interfaces; instead of force and moment give "
-                f"loads={{{names}}}"
+                f"{self.name} has several interfaces, so force and moment are ambiguous; give "
+                f"loads={{{names}}} instead"
             )
         by_name = {"": body} if "force" in body else body.get("loads", {})
         wrenches = {name: wrench_of(load) for name, load in by_name.items()}
@@ -360,8 +360,9 @@ class Table:
             locked = f"no load moves the locked freedoms {', '.join(names[still])}"
             cause = locked if still.any() else "it is singular"
             raise InvalidArgument(
-                f"the derivative of {self.name} at this wrench has no inverse: {cause}. Invert the "
-                "part of it that moves, from answer(..., derivatives=True).derivative"
+                f"the derivative of {self.name} at this wrench has no inverse: {cause}. Take "
+                "answer(..., derivatives=True).derivative, and invert the rows and columns of "
+                "the freedoms that move"
             ) from None
 
     def error_parts(
@@ -408,8 +409,8 @@ class Table:
         """
         if self._client is None:
             raise InvalidArgument(
-                f"the table of {self.name} comes from a file, without a server to ask; get the "
-                f"newest version with client.download({self.name!r})"
+                f"the table of {self.name} was opened from a file and has no server to ask; get "
+                f"the newest version with client.download({self.name!r})"
             )
         with self._fetching:
             fetched = _fetch(self._client, self.name, self._scene, self._now[1])
@@ -506,7 +507,7 @@ class DownloadCalls(Connection):
         """
         if not (scene is None or isinstance(scene, Scene)):
             raise InvalidArgument(
-                f"scene= must be a Scene, such as Scene.read('scene.toml'), not {scene!r}"
+                f"scene must be a Scene, such as Scene.read('scene.toml'), not {scene!r}"
             )
         try:
             kernel()  # an error must come before the download

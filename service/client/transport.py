@@ -104,7 +104,8 @@ class Connection:
             hostname.encode("idna")  # as a connection does; UnicodeError is a ValueError
         except (TypeError, ValueError):  # no text, no port, an empty label
             raise InvalidArgument(
-                f"{url!r} is not a server address; write for example http://127.0.0.1:8000"
+                f"{url!r} is not the address of a server; write http:// or https://, the host and "
+                "the port, such as http://127.0.0.1:8000"
             ) from None
         if not (isinstance(timeout, Real) and 0.0 < timeout <= MAX_TIMEOUT_S):
             limits = f"above 0 s and at most {MAX_TIMEOUT_S:,.0f} s"
@@ -118,7 +119,8 @@ class Connection:
         self._key = key.strip()
         if not (self._key.isascii() and self._key.isprintable()) or " " in self._key:
             raise InvalidArgument(  # which does not show it
-                f"the key in {origin} contains blanks or characters other than ASCII; copy it again"
+                f"the key in {origin} contains blanks or characters other than ASCII, which no "
+                "key has; copy the key again"
             )
         https = parts.scheme == "https"
         self._kind = http.client.HTTPSConnection if https else http.client.HTTPConnection
@@ -320,7 +322,7 @@ class Connection:
 
     def _require_wanted(self) -> None:
         if self._abandoned:
-            raise WrenchbookError("the iteration was cancelled; start it again")
+            raise WrenchbookError("the iteration was cancelled; start a new one")
 
     def _head(
         self, method: str, path: str, query: Mapping[str, object] | None, fields: Mapping[str, str]
@@ -340,8 +342,8 @@ class Connection:
         unprintable = next((line for line in lines if not line.isprintable()), None)
         if unprintable is not None:
             raise InvalidArgument(
-                f"the line {unprintable!r} of the request has a character that is not printable, "
-                "such as a line end; remove it from this argument"
+                "an argument puts a character that is not printable, such as a line end, into "
+                f"the request's line {unprintable!r}; remove this character"
             )
         return "\r\n".join([*lines, "", ""]).encode("latin-1")
 
@@ -349,18 +351,18 @@ class Connection:
         """Return the error of a failed connection: its cause, and what to do about that cause."""
         why = str(error) or type(error).__name__
         if isinstance(error, ConnectionResetError | BrokenPipeError | http.client.IncompleteRead):
-            text = f"{self.url} ended the connection before its reply ({why}); try again"
+            text = f"{self.url} closed the connection before its reply ({why}); repeat the request"
         elif isinstance(error, socket.gaierror):
-            text = f"no host has the name {self._host!r} of {self.url} ({why}); correct the address"
+            text = f"no host has the name {self._host!r} ({why}); correct the address {self.url}"
         elif isinstance(error, ssl.SSLError):
             text = (
                 f"no encrypted connection to {self.url} ({why}); write http:// if the server has "
-                "no TLS, else name its certificate in the variable SSL_CERT_FILE"
+                "no TLS, otherwise name its certificate in the environment variable SSL_CERT_FILE"
             )
         elif isinstance(error, http.client.HTTPException):
             text = (
-                f"the answer from {self.url} is not HTTP ({type(error).__name__}: {why}); correct "
-                "host and port"
+                f"the answer from {self.url} is not HTTP ({type(error).__name__}: {why}), so "
+                "another program answers there; correct host and port"
             )
         else:
             text = f"no answer from {self.url} ({why}); start a server with: wrenchbook serve"

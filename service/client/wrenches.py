@@ -62,8 +62,8 @@ def single_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
         for name, part in (("force", first), ("moment", second)):
             if part.shape != (3,):
                 raise InvalidArgument(
-                    f"{name} must be three numbers (x, y, z), not of shape {part.shape}; a wrench "
-                    "of six numbers goes into force, without moment"
+                    f"{name} must be three numbers (x, y, z), but has the shape {part.shape}; to "
+                    "give a wrench of six numbers, pass it as force and leave moment out"
                 )
         wrench = np.concatenate([first, second])
     _require_finite(wrench[None, :], "")
@@ -87,7 +87,9 @@ def loads_body(
     body: Document = {}
     is_wrench = force is not None or moment is not None
     if is_wrench and loads is not None:
-        raise InvalidArgument("loads by interface have both; leave force= and moment= out")
+        raise InvalidArgument(
+            "loads already gives force and moment of each interface; leave force= and moment= out"
+        )
     if is_wrench:
         body = _parts(single_wrench(np.zeros(3) if force is None else force, moment))
     elif loads is not None:
@@ -97,7 +99,8 @@ def loads_body(
             unknown = [repr(key) for key in parts if key not in ("force", "moment")]
             if unknown:
                 raise InvalidArgument(
-                    f"loads[{name!r}] can have force and moment only, not {', '.join(unknown)}"
+                    f"loads[{name!r}] has the key {', '.join(unknown)}, but only force and moment "
+                    "are allowed; remove the others"
                 )
             try:
                 wrench = single_wrench(parts.get("force", np.zeros(3)), parts.get("moment"))
@@ -106,7 +109,7 @@ def loads_body(
             body["loads"][name] = _parts(wrench)
     elif inputs is None:
         raise InvalidArgument(
-            "no load is given; give force=[Fx, Fy, Fz] in N, moment=[Mx, My, Mz] in N·m, or "
+            "the call has no load; give force=[Fx, Fy, Fz] in N, moment=[Mx, My, Mz] in N·m, or "
             "loads={INTERFACE: [Fx, Fy, Fz, Mx, My, Mz]}"
         )
     for name, value in _mapping("inputs", inputs or {}).items():
@@ -141,8 +144,8 @@ def many_wrenches(wrenches: ArrayLike, inputs: int | None = len(LOADS)) -> Vecto
     if block.ndim != 2 or block.shape[1] < len(LOADS) or inputs not in (None, block.shape[1]):
         width = f"{len(LOADS)} or more" if inputs is None else inputs
         raise InvalidArgument(
-            f"wrenches must have shape (n, {width}), a line a wrench, not {block.shape}; a single "
-            "wrench goes in brackets: [wrench]"
+            f"wrenches must have the shape (n, {width}), one wrench in each row, not "
+            f"{block.shape}; put a single wrench in brackets: [wrench]"
         )
     _require_finite(block, "wrench {}: ")
     return block
@@ -189,7 +192,7 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
     try:
         block = np.asarray(values)
     except ValueError:
-        raise InvalidArgument(f"{name} has rows of different lengths; make them equal") from None
+        raise InvalidArgument(f"{name} has rows of different lengths; make all equal") from None
     if block.dtype.kind not in "fiu" and block.size:
         for at, item in np.ndenumerate(np.asarray(values, dtype=object)):
             if isinstance(item, bool | np.bool) or not isinstance(item, Real):
@@ -198,7 +201,7 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
                 raise InvalidArgument(f"{place} is {item!r:.80}, not a number; give {remedy}")
         raise InvalidArgument(f"{name} has the type {block.dtype}; convert it to float64")
     if "numpy.ma" in sys.modules and np.ma.is_masked(values):  # np.ma takes 8 ms to load
-        raise InvalidArgument(f"{name} must be numbers, but some are masked; fill or remove these")
+        raise InvalidArgument(f"{name} must be numbers, but has masked ones; fill or remove them")
     return block.astype(float)
 
 

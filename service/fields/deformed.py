@@ -120,7 +120,7 @@ class DeformedSurfaces:
         if too_far.any():
             load = int(too_far.argmax())
             ends = f"{component.space.input_names[load]} {low[load]:.6g} to {high[load]:.6g}"
-            raise TooFarError(f"{beyond}, too far away for a surface; ask for {ends}")
+            raise TooFarError(f"{beyond}, too far away for a surface; give a load within {ends}")
         if component.linear:
             shape = self._linear(component, rows, acting)
         else:

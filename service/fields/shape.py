@@ -149,7 +149,7 @@ class Deformed:
     stress: LargestStress | None  # None between rows with too many integration points
     source: str
     rows: tuple[int, ...] = ()  # numbers (`seq`) of the rows used
-    coverage: str = "covered"  # or thin, outside
+    coverage: str = "covered"  # covered, thin or outside
     reason: str = ""
     # (v, 3, 6), m/m and m/rad: motion of vertices by motions of the interface.
     follows: Floats | None = None

@@ -152,6 +152,7 @@ def _add(
     attributes: dict[str, str],
     variability: str = "continuous",
 ) -> None:
+    """Append a variable of modelDescription.xml; its reference is its place in the file."""
     variable = ElementTree.SubElement(
         root,
         "ScalarVariable",
@@ -231,8 +232,8 @@ def platforms_of(text: str) -> tuple[str, ...]:
     unknown = [name for name in names if name not in PLATFORMS]
     if unknown:
         raise UnknownPlatformError(
-            f"platforms must be all or some of {', '.join(PLATFORMS)}, not "
-            f"{', '.join(map(repr, unknown))}"
+            f"platforms names {', '.join(map(repr, unknown))}, for which no FMU can be compiled; "
+            f"write all, or some of {', '.join(PLATFORMS)} with commas between"
         )
     # Any platform: one compiler serves all.
     build.compiler_command(next(iter(build.PLATFORMS.values())))

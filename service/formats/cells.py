@@ -188,7 +188,7 @@ def cell_text(value: Any, label: str) -> str:
     text = value.isoformat() if hasattr(value, "isoformat") else str(value)
     if len(text) > MAX_TEXT:
         problem = f"a text in the column {quoted(label)} has {len(text):,} characters"
-        raise ContentError(f"{problem}, at most {MAX_TEXT:,} are read; shorten it")
+        raise ContentError(f"{problem}, more than {MAX_TEXT:,}; shorten it")
     return text
 
 
@@ -264,7 +264,7 @@ def si_factor(unit: str, quantity: Quantity) -> float:
         known = next((factor for name, factor, _ in quantity.scales if name == unit), None)
         if known is None:
             examples = ", ".join(quantity.examples)
-            raise UnitError(f"[{unit[:_LONGEST]}] must be a unit of {quantity.name}: {examples}")
+            raise UnitError(f"[{unit[:_LONGEST]}] is no unit of {quantity.name}; write {examples}")
         return known
     if parts is None or len(unit) > _LONGEST:
         raise UnitError(f"the unit [{unit[:_LONGEST]}] cannot be read; {_offer(quantity, unit)}")
@@ -302,7 +302,7 @@ def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, f
         chosen[quantity] = (unit, si_factor(unit, quantity))
     if others:
         names = ", ".join(quantity.name for quantity in QUANTITIES)
-        raise UnitError(f"no unit can be chosen for {', '.join(others)}; choose units for {names}")
+        raise UnitError(f"{', '.join(others)} is no quantity with a unit; choose units of {names}")
     return chosen
 
 

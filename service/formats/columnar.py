@@ -204,18 +204,18 @@ def _vectors(values: dict[str, Any]) -> dict[str, Array]:
     if not columns:  # a single row, or none
         scalars = {n: v for n, v in values.items() if isinstance(v, int | float)}
         columns = {name: np.array([value]) for name, value in scalars.items()}
-    form = "needs numeric vectors of one length, one a column"
+    form = "must hold numeric vectors of one length, one for each column"
     each = "save each column as a variable of its own, such as fx_N = A(:, 1)"
     if not columns:
-        raise ContentError(f"{form}: it has no numbers; {each}")
+        raise ContentError(f"{form}, but has no numbers; {each}")
     for name, column in columns.items():
         if column.ndim != 1 or column.dtype.kind not in "iufb":
             kind = f"shape {column.shape}, type {column.dtype}"
-            raise ContentError(f"{form}: {name} is not a numeric vector ({kind}); {each}")
+            raise ContentError(f"{form}, but {name} is not one ({kind}); {each}")
     if len({len(column) for column in columns.values()}) > 1:
         lengths = ", ".join([f"{n} {len(c)}" for n, c in columns.items()][:_MAX_NAMED])
-        only = "save those of the table alone: save('t.mat', 'fx_N', 'ux_mm')"
-        raise ContentError(f"{form}: their lengths are {lengths}; {only}")
+        only = "save only those of the table: save('t.mat', 'fx_N', 'ux_mm')"
+        raise ContentError(f"{form}, but their lengths are {lengths}; {only}")
     return columns
 
 
@@ -256,7 +256,7 @@ def _tdms_pieces(
         raise ContentError(f"its group has {len(channels)} channels, but {most}")
     if len(lengths) != 1:
         sizes = ", ".join(f"{c.name} {len(c)}" for c in channels[:_MAX_NAMED])
-        raise ContentError(f"the lengths of its channels differ: {sizes}; resample them to one")
+        raise ContentError(f"its channels differ in length ({sizes}); resample them to one time")
     labels = [with_unit(c.name, c.properties.get("unit_string", ""), columns) for c in channels]
     waveform = ("start_time", "start_offset", "increment")
     times = {

@@ -182,7 +182,7 @@ class Columns:
         lower = lower.strip().removeprefix("(").removesuffix(")")
         if not lower:
             example = self.examples(name)
-            raise UnitError(f"[{unit}] must be a unit over a unit; write for example {example}")
+            raise UnitError(f"[{unit}] must be a quotient of units; write for example {example}")
         return si_factor(upper.strip(), output) / si_factor(lower, load)
 
     def unit_of_curvature(self, name: str) -> str:

@@ -388,6 +388,7 @@ def records_of(
 
 
 def _blank_records(lines: Iterator[str], first: int, width: int) -> Iterator[Record]:
+    """Yield the records of lines whose `width` cells are separated by blanks, with line numbers."""
     before = first - 1
     for number, line in enumerate(lines, first):
         cells = line.split()

@@ -195,8 +195,8 @@ def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Opti
             rows += [" "]
         if len(rows) > 1 and rows[0] in _OTHER_DELIMITERS:
             raise ValueError(
-                f"{line.strip()[:80]} may be separated by blanks or by commas. For commas write "
-                "the line sep=, before the first; otherwise replace the blanks by ;"
+                f"blanks or commas may separate the cells of {line.strip()[:80]}. For commas put "
+                "the line sep=, before the first line; for blanks replace them by ;"
             )
         if rows:
             return rows[0]
@@ -411,7 +411,7 @@ def _add_column(
         header.ignored.append(bare.label)
         return
     if sign < 0 and name not in (*columns.loads, *columns.displacement):
-        raise UnitError(f"{name} may have no minus sign, as loads have; write {text}")
+        raise UnitError(f"only loads and displacements take a minus sign, not {name}; write {text}")
     if name in header.columns:
         first = quoted(header.columns[name].label)
         message = f"{name} is there twice, also as {first}; leave one out with ignore (--ignore)"
@@ -448,7 +448,7 @@ def _reading(label: str, below: str, preamble: Preamble, columns: Columns) -> Re
     if len(fits) > 1:
         names = sorted(fits)
         example = f"--column '{label}={names[0]} [{fits[names[0]].unit}]'"
-        raise UnitError(f"can mean {' or '.join(names)}; name one by mapping, such as {example}")
+        raise UnitError(f"can mean {' or '.join(names)}; choose one, for example with {example}")
     # With brackets, or as a bare name, the label is a column and its unit is the mistake.
     if problem and (split(label)[1] or any(not meaning.unit for meaning in meanings)):
         raise problem

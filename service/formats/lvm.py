@@ -81,7 +81,7 @@ def _rows(
                 yield line, labels
             elif labels != first:
                 message = f"has {', '.join(labels)}, but the first has {', '.join(first)}"
-                raise ValueError(f"the segment of line {line} {message}; save each as a file")
+                raise ValueError(f"the segment of line {line} {message}; save each in its own file")
             first = labels
         elif values := {cells[at].strip() for at in more_x if at < len(cells)} - {"", key}:
             message = f"the channels have different times, {key} is {', '.join(sorted(values))}"
@@ -129,7 +129,7 @@ def _segment(
         problem = f"X0 and Delta_X differ between its channels: {pairs}"
         raise ValueError(f"{problem}; resample them to one time")
     if not (clocks or has_x):
-        raise ValueError("it has no X column, nor X0 and Delta_X; export it with one X column")
+        raise ValueError("it has no X column, nor X0 and Delta_X; export it with an X column")
     if has_x:
         return labels, None
     ((x0, delta_x),) = clocks

@@ -56,7 +56,7 @@ _SMALL_SHIFT = 0.01  # part of the moment's range: the default tolerance of an o
 _FEW_ROWS = 0.1  # part of the rows: outliers and corners of the load range alone are not enough
 _AXES = dict(zip("xyz", np.eye(3), strict=True))
 _PART = re.compile(r"\s*([xyz])\s*=\s*([+-]?)\s*([xyz])\s*")
-_MARK = ", rig "  # in a row's source, before the rig's name
+_MARK = ", rig "  # stands in a row's source before the rig's name
 _DONE = (
     "is already in the interface frame, as a solve, a tangent or an earlier import with a rig; "
     "load such rows without frame, load_point, displacement_point, load_cell and rig"
@@ -124,7 +124,7 @@ class Rig:
                 f"name: must be a string, not {str(name)[:100]}; put it in quotation marks"
             )
         if len(name) > _MAX_NAME:
-            raise RigError(f"name: has {len(name)} characters, at most {_MAX_NAME}; shorten it")
+            raise RigError(f"name: has {len(name)} characters, over {_MAX_NAME}; shorten it")
         if problem := text_problem(name):
             raise RigError(f"name: {problem}")
         cell = values.get("load_cell", "")
@@ -321,7 +321,7 @@ def _axes(value: Any) -> Array:
         parts = [_PART.fullmatch(part) for part in value.lower().split(",")]
         signed = {m[1]: _AXES[m[3]] * (-1.0 if m[2] == "-" else 1.0) for m in parts if m}
         if len(parts) != 3 or len(signed) != 3:
-            raise RigError(f"frame: {value[:100]!r} must have the form x=-y,y=x,z=z")
+            raise RigError(f"frame: {value[:100]!r} must have a form such as x=-y,y=x,z=z")
         axes = np.stack([signed[axis] for axis in "xyz"])
     else:
         axes = _numbers("frame", value, 9).reshape(3, 3)
@@ -339,6 +339,10 @@ def _axes(value: Any) -> Array:
 
 
 def _numbers(name: str, value: Any, count: int) -> Array:
+    """Return the `count` numbers of the profile's entry `name`, a list or a text.
+
+    Raises RigError if there are not as many finite numbers, or one is too large.
+    """
     try:
         values = re.split(r"[,;\s]+", value.strip()) if isinstance(value, str) else value
         numbers = np.array(values, dtype=float).ravel()

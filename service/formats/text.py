@@ -428,6 +428,7 @@ class _Conversion:
         return values / rate if column is sequence and rate else values
 
     def _check_complete(self, block: Array, names: tuple[str, ...], kind: str) -> None:
+        """Refuse rows of a block, shape (rows, names), with some but not all cells empty."""
         if not any(block.strides):
             return
         missing = np.isnan(block)

@@ -32,6 +32,7 @@ MAX_SHEET_ROWS = 1_048_575  # rows of a sheet below the header (ECMA-376)
 ABOUT_SHEET = "about"  # sheet of an export's metadata; it has no rows
 _BLOCK = 1 << 20
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_SAVE_AGAIN = "save it again from a spreadsheet program"
 _ENCRYPTED = 1  # the flag of an encrypted member (APPNOTE.TXT, 4.4.4)
 # ST_Xstring (ECMA-376, 22.9.2.19): characters that XML 1.0 lacks, and texts that look like escapes.
 _UNFIT = re.compile("[\x00-\x08\x0b-\x0d\x0e-\x1f\ufffe\uffff]|_(?=x[0-9A-Fa-f]{4}_)")
@@ -203,7 +204,7 @@ def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Rec
         width = max((at for at, value in enumerate(row, start=1) if value is not None), default=0)
         if width > most:
             place = f"row {number} of the sheet {sheet.title}"
-            raise ContentError(f"{place} has {width} columns, at most {most} fit; remove some")
+            raise ContentError(f"{place} has {width} columns, over {most}; remove some")
         cells = [_text(value) for value in row[:most]]
         if not any(cells):
             continue
@@ -217,6 +218,7 @@ def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Rec
 
 
 def _text(value: Any) -> str:
+    """Return a cell's value as the text that CSV would have."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -244,17 +246,20 @@ def _check_entries(entries: Sequence[zipfile.ZipInfo]) -> None:
     Raises ContentError if it is not.
     """
     if len(entries) > MAX_MEMBERS:
-        raise ContentError(f"has {len(entries)} members, over {MAX_MEMBERS}; save it again")
+        raise ContentError(
+            f"holds {len(entries):,} files, more than the {MAX_MEMBERS:,} of a workbook; "
+            f"{_SAVE_AGAIN}"
+        )
     names: set[str] = set()
     for entry in entries:
         name, method = entry.filename, entry.compress_type
         if name in names:
-            raise ContentError(f"has two members of the name {name}; save it again")
+            raise ContentError(f"holds two files {name}, so it is damaged; {_SAVE_AGAIN}")
         names.add(name)
         if entry.flag_bits & _ENCRYPTED:
             raise ContentError(f"is encrypted ({name}); save it without a password")
         if method not in _METHODS:
-            raise ContentError(f"has the unknown compression {method} in {name}; save it again")
+            raise ContentError(f"packs {name} by the unknown method {method}; {_SAVE_AGAIN}")
 
 
 def entry_sizes(path: Path, most: int) -> dict[str, int]:

@@ -345,7 +345,7 @@ class AccessControl:
                 "many wrenches at once with POST .../displacements."
             )
             retry = {"Retry-After": str(ceil(seconds))}
-            raise HttpProblemError(429, "rate", "The key is used too often", why, headers=retry)
+            raise HttpProblemError(429, "rate", "The key has too many requests", why, headers=retry)
         length = head.get(b"content-length", b"0")
         key = permission.key
         if key is not None and length.isdigit() and int(length[:20]) > key.megabytes << 20:
@@ -404,8 +404,8 @@ class AccessControl:
         secret = secret.strip()
         if word.lower() != "bearer" or not secret:
             why = "This server needs a key, and the request has none."
-            if sent:  # it may be a secret, so it is not quoted
-                why = "The header Authorization of the request is not Bearer and a key."
+            if sent:  # the text may be a secret, so it is not quoted
+                why = "The request's header Authorization is not of the form Bearer KEY."
             raise _no_key(why)
         permission = self._permissions.get(secret)
         if permission is None:
@@ -413,10 +413,10 @@ class AccessControl:
             is_server_key = bool(server_key) and compare_digest(secret.encode(), server_key)
             key = self._server_key if is_server_key else self.keyring.find(secret)
             if key is None:
-                raise _no_key("The key of the request is unknown here: mistyped, or revoked.")
+                raise _no_key("This server has no such key: it is mistyped, or was revoked.")
             if not key.is_valid():
                 end = iso_time(key.expires or 0.0)
-                raise _no_key(f"The key {key.name!r} of the request expired at {end}.")
+                raise _no_key(f"The key {key.name!r} expired at {end}.", "The key has expired")
             stored = None if is_server_key else self.keyring
             permission = self._permissions[secret] = Permission(key, self._rates, stored)
         return permission
@@ -503,17 +503,18 @@ def _check_kind(path: str, head: Mapping[bytes, bytes]) -> None:
             f"The content type is {kind.decode('latin-1')[:100] or 'missing'}. Send the header "
             f"Content-Type: {b' or '.join(accepted).decode()} (curl: --json, or -H)."
         )
-        raise HttpProblemError(415, "media-type", "Not a form this call takes", why)
+        raise HttpProblemError(415, "media-type", "The content type is not accepted", why)
 
 
-def _no_key(why: str) -> HttpProblemError:
+def _no_key(why: str, title: str = "A key is needed") -> HttpProblemError:
+    """Return the 401 of a call without a valid key: `why`, and how to send and create a key."""
     why = (
         f"{why} Send the header Authorization: Bearer KEY (client: key=; commands: variable "
         "WRENCHBOOK_KEY). The server's operator creates a key with: wrenchbook keys add NAME "
         f"{_DATA}"
     )
     headers = {"WWW-Authenticate": 'Bearer realm="wrenchbook"'}
-    return HttpProblemError(401, "key", "A key is needed", why, headers=headers)
+    return HttpProblemError(401, "key", title, why, headers=headers)
 
 
 def sending(send: Send, path: str, origin: bytes | None) -> Send:

@@ -102,7 +102,9 @@ class WrenchBody(Body):
     @model_validator(mode="after")
     def _require_loads(self) -> WrenchBody:
         if self.is_empty():
-            raise ValueError("give 'force', 'moment' or both, each a list of three numbers")
+            raise ValueError(
+                "the load is missing; give 'force', 'moment' or both, each a list of three numbers"
+            )
         return self
 
     def is_empty(self) -> bool:
@@ -288,7 +290,7 @@ class BlockKey(Body):
     @model_validator(mode="after")
     def _both_or_none(self) -> BlockKey:
         if (self.client is None) != (self.sequence is None):
-            raise ValueError("give 'client' and 'sequence' together, or neither")
+            raise ValueError("'client' and 'sequence' belong together; give both, or neither")
         return self
 
 

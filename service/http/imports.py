@@ -151,7 +151,7 @@ def _pairs(text: str) -> dict[str, str]:
             why = f"maps the column {column[:100]!r} to {name!r:.100}, which is not a string"
             raise ValueError(why + f"; write {_MAPPING_FORM}")
     if len(pairs) > _MAX_COLUMNS:
-        raise ValueError(f"names {len(pairs)} columns, at most {_MAX_COLUMNS} fit; leave some out")
+        raise ValueError(f"names {len(pairs)} columns, more than {_MAX_COLUMNS}; leave some out")
     return pairs
 
 

@@ -181,8 +181,8 @@ def problem_of(error: Exception) -> HttpProblemError:
         title, link = f"The solve failed: {error.kind}", job_link(error.job)
         return HttpProblemError(424, "solve-failed", title, str(error), job=link, **error.facts)
     if isinstance(error, OSError) and error.errno in _FULL:
-        detail = f"{error.strerror}, on the disk of the data directory or of temporary files "
-        detail += "(TMPDIR). Make room there, then send the request again."
+        detail = f"{error.strerror}: the disk of the data directory or of temporary files "
+        detail += "(TMPDIR) is full. Make room there, then send the request again."
         return HttpProblemError(507, "disk", "The disk is full", detail)
     kind = next((kind for kind in type(error).__mro__ if kind in _NAMED), None)
     if kind is None:

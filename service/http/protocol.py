@@ -169,6 +169,7 @@ class FastPath:
         return known
 
     def _read(self, start: bytes) -> Head | None:
+        """Return the head of a plain request that its key admits; None for any other request."""
         line = _FIRST_LINE.match(start)
         if line is None or len(start) > _MAX_PLAIN_HEAD:
             return None
@@ -255,7 +256,7 @@ class FastPathProtocol(HttpToolsProtocol):
         if self.root_path or config.access_log or self.limit_concurrency is not None:
             self._fast = None  # uvicorn alone logs and counts
         self._partial = b""  # a query of the fast path until its whole body has arrived
-        self._known: dict[str, Any] = {}  # for the scope of the query that has arrived
+        self._known: dict[str, Any] = {}  # the arrived query's entries of the scope
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore
         """Begin a connection; close it if there are too many."""
@@ -428,10 +429,13 @@ class FastPathProtocol(HttpToolsProtocol):
         self._since = self.loop.time()
 
     def _count(self, size: int) -> None:
-        """Count bytes of a head; the parser raises an error for too many."""
+        """Count bytes of a head.
+
+        Raises ValueError if the head is too long.
+        """
         self._head_bytes += size
         if self._head_bytes > MAX_HEAD_BYTES:
-            raise ValueError(f"the head is longer than {MAX_HEAD_BYTES} bytes; send fewer fields")
+            raise ValueError(f"the head has more than {MAX_HEAD_BYTES} bytes; send fewer headers")
 
     def _answer(self, fast: FastPath, data: bytes) -> bool:
         """Answer one complete query, or wait for the rest of its body; False for other requests."""

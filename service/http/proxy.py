@@ -89,11 +89,11 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
         scopes[group] = SCOPES[SCOPES.index(word)]
     listed = [part.strip() for part in (settings.trust_proxy_from or "").split(",") if part.strip()]
     if not listed:
-        raise SettingsError("--trust-proxy-user needs its address; add --trust-proxy-from ADDRESS")
+        raise SettingsError("--trust-proxy-user needs an address; add --trust-proxy-from ADDRESS")
     try:
         networks = tuple(ip_network(part) for part in listed)
     except ValueError as error:
-        raise SettingsError(f"--trust-proxy-from: {error}; write such as 10.0.0.0/8") from None
+        raise SettingsError(f"--trust-proxy-from: {error}; write for example 10.0.0.0/8") from None
     return ProxyTrust(user.lower().encode(), networks, (groups or "").lower().encode(), scopes)
 
 
@@ -104,9 +104,9 @@ def _check_header(option: str, header: str | None) -> None:
     """
     remedy = f"write the header that the proxy sets, such as X-Forwarded-{option.capitalize()}"
     if header and header.lower() in _OF_CALLERS:
-        raise SettingsError(f"--trust-proxy-{option}: callers send {header!r} themselves; {remedy}")
+        raise SettingsError(f"--trust-proxy-{option}: {header!r} comes from callers; {remedy}")
     if header and not _HEADER.fullmatch(header):
-        raise SettingsError(f"--trust-proxy-{option}: {header!r} is no header's name; {remedy}")
+        raise SettingsError(f"--trust-proxy-{option}: {header!r} is no valid header; {remedy}")
 
 
 def _refused(why: str) -> HttpProblemError:

@@ -283,7 +283,7 @@ def zipped(folder: Path) -> IO[bytes]:
     file: Any = tempfile.SpooledTemporaryFile(_MAX_TEXT)  # noqa: SIM115 (closed by the reader)
     room, missing = MAX_BYTES, []
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in sorted(folder.rglob("*")):  # it does not follow links
+        for path in sorted(folder.rglob("*")):  # rglob does not follow links
             if path.is_dir() and not path.is_symlink():
                 continue
             name = path.relative_to(folder).as_posix()

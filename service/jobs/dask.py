@@ -40,7 +40,7 @@ from wrenchbook.service.jobs.dask_files import (
 from wrenchbook.service.jobs.dask_worker import TOPIC, probe
 
 _log = logging.getLogger(__name__)
-# They log each lost connection with a traceback; the engine logs it in one line.
+# These loggers report a lost connection with a traceback; the engine does in one line.
 for _name in ("distributed.client", "distributed.batched"):
     logging.getLogger(_name).setLevel(logging.CRITICAL)
 
@@ -48,23 +48,24 @@ for _name in ("distributed.client", "distributed.batched"):
 # solve of 10 ms. Scheduler and workers keep the order of priorities.
 TASKS_A_THREAD = 2
 CLOSE_SECONDS = 5.0
-CANCEL_SECONDS = 2.0  # for the scheduler to be reachable before an attempt counts as cancelled
+CANCEL_SECONDS = 2.0  # time for the scheduler to be reachable before an attempt counts as cancelled
 # Also the time for which the client tries to reconnect before it is replaced.
 CONNECT_SECONDS = 10.0
 AWAY_SECONDS = (0.2, 5.0)  # pause before the first reconnection, and the longest one
-ROSTER_SECONDS = 1.0  # between requests for the list of workers
+# Interval of requests for the list of workers: a new one is used within a second.
+ROSTER_SECONDS = 1.0
 ROSTER_SECONDS_A_WORKER = 0.002  # addition for each worker: a reply has some kB for each
 ANSWER_SECONDS = 10.0  # a scheduler that takes longer counts as unreachable
 # Time for a probe of a worker before it is repeated: the call to a worker that has just registered
 # may be lost, and modules that a slow worker has imported stay imported.
 PROBE_SECONDS = 3.0
-PROBE_AGAIN_SECONDS = 20.0  # between probes of an unfit worker
-WAIT_SECONDS = 0.1  # between searches for a worker that fits an attempt
+PROBE_AGAIN_SECONDS = 20.0  # interval of probes of an unfit worker, which its user may repair
+WAIT_SECONDS = 0.1  # interval of searches for a worker that fits a waiting attempt
 # An attempt that killed this number of workers is treated as the cause and fails: KILLED_TIMES
 # times the `distributed.scheduler.allowed-failures` + 1 (4) after which Dask gives a task up.
 KILLED_TIMES = 5
 FAULTS = 10  # exceptions in a worker's part of the engine before the attempt fails
-AGAIN_SECONDS = 1.0  # before a retry after an error of this machine or of the connection
+AGAIN_SECONDS = 1.0  # pause before a retry after an error of this machine or of the connection
 SENT_BUNDLES = 20  # components that workers keep in memory
 # Resources a worker may declare: ``--resources "wrenchbook_memory=8e9 wrenchbook_cores=4"``.
 MEMORY, CORES = "wrenchbook_memory", "wrenchbook_cores"
@@ -133,7 +134,7 @@ class DaskEngine(attempts.Listeners):
 
     @property
     def trouble(self) -> str | None:
-        """The obstacle to solving attempts: no scheduler, no worker fit or large enough."""
+        """The obstacle to solving attempts: no scheduler, or no worker fit and large enough."""
         waits = (task.waits for task in tuple(self._tasks.values()))
         return self._unreachable or next((why for why in waits if why), None)
 
@@ -192,12 +193,13 @@ class DaskEngine(attempts.Listeners):
     # -- the connection, in the engine's own thread -------------------------------------------
 
     def _run_loop(self, scheduler: str) -> None:
+        """Run the event loop of the engine's thread until it is stopped, then cancel its tasks."""
         asyncio.set_event_loop(self._loop)
         following = self._loop.create_task(self._connect(scheduler))
         try:
             self._loop.run_forever()
         finally:
-            # It sends the client's remaining messages: cancellations. Dask's own tasks may not end.
+            # `_connect` sends the client's remaining cancellations. Dask's own tasks may not end.
             for tasks in ({following}, asyncio.all_tasks(self._loop)):
                 for task in tasks:
                     task.cancel()
@@ -231,7 +233,7 @@ class DaskEngine(attempts.Listeners):
                     await self._follow(client)
                 finally:
                     self._client = None
-                    with contextlib.suppress(Exception):  # its scheduler may be gone
+                    with contextlib.suppress(Exception):  # the client's scheduler may be gone
                         closing: Any = client.close()
                         await asyncio.wait_for(closing, CLOSE_SECONDS / 2)
                 why = "the connection to it was lost"
@@ -285,6 +287,7 @@ class DaskEngine(attempts.Listeners):
             await asyncio.sleep(max(ROSTER_SECONDS, ROSTER_SECONDS_A_WORKER * len(self._workers)))
 
     async def _probe(self, client: Client, workers: list[_Worker]) -> None:
+        """Ask workers for their version and fitness, and suspend those that do not fit."""
         addresses = [worker.address for worker in workers]
         try:
             probes = client.run(probe, workers=addresses, on_error="return")
@@ -322,6 +325,7 @@ class DaskEngine(attempts.Listeners):
         task.run = self._create_task(self._run(task))
 
     async def _cancel(self, name: str) -> None:
+        """Cancel an attempt in the scheduler, whoever submitted it, and write its outcome."""
         task = self._tasks.get(name)
         if task and task.run:
             task.run.cancel()

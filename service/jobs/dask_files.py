@@ -51,7 +51,9 @@ def write_files(files: Files, folder: Path) -> None:
     """
     for name in files:
         if not name or name.startswith("/") or "\\" in name or ".." in name.split("/"):
-            raise BadPayloadError(f"the file name {name!r} leads out of its folder")
+            raise BadPayloadError(
+                f"the file name {name!r} leads out of the component's folder; rename the file"
+            )
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

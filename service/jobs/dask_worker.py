@@ -24,13 +24,14 @@ TOPIC = "wrenchbook-progress"  # topic of the workers' progress events on the sc
 FREE_BYTES = 64 * 1024 * 1024  # free space for a solver's files: with less a worker is unfit
 BUNDLES = 50  # components that a worker keeps on its disk
 BUNDLE_SECONDS = 3600.0  # a solver has read its bundle long before
-POLL_SECONDS = 0.1  # between a worker's polls of a running solver
-REPORT_SECONDS = 1.0  # between two progress events of an attempt
-REPEAT_SECONDS = 30.0  # before the same progress is sent again
+POLL_SECONDS = 0.1  # pause between a worker's polls of a running solver: short against a solve
+REPORT_SECONDS = 1.0  # pause between two progress events of an attempt: a page shows no more
+# Time after which unchanged progress is sent again, for a server that has just connected.
+REPEAT_SECONDS = 30.0
 # A kill of a solver and then its worker, or of a machine, is not the job's fault: the death of a
 # solver counts if its worker outlives it by this time.
 OUTLIVE_SECONDS = 1.0
-GRACE_SECONDS = 5.0  # between SIGTERM and SIGKILL of a solver
+GRACE_SECONDS = 5.0  # time between SIGTERM and SIGKILL of a solver, in which it writes its outcome
 
 _solvers: list[LocalEngine] = []  # the engine of this process, at most one
 _solvers_lock = threading.Lock()
@@ -119,7 +120,7 @@ def _supervise(worker: Worker, attempt: Attempt, engine: LocalEngine) -> bool:
                     }
                     worker.log_event(TOPIC, event)
             if worker.status in (distributed.Status.closing, distributed.Status.closed):
-                raise distributed.Reschedule  # its process ends with this thread
+                raise distributed.Reschedule  # the worker's process ends with this thread
             if (known := worker.state.tasks.get(key)) and known.state == "cancelled":
                 engine.cancel(attempt)
             changed.wait(POLL_SECONDS)

@@ -55,22 +55,26 @@ if TYPE_CHECKING:  # only a server with a cluster has Dask, and waits for its im
 
 _log = logging.getLogger(__name__)
 
-# Between polls for changes without an event: commits of other processes, the end of solvers that
-# another dispatcher started, and the grace period of solvers that must end.
+# Pause between polls for changes without an event: commits of other processes, the end of solvers
+# that another dispatcher started, and the grace period of solvers that must end.
 POLL_SECONDS = 0.02
-RECOVER_SECONDS = 1.0  # between checks of all attempts, and for jobs whose dispatcher has died
-TROUBLE_SECONDS = 1.0  # before a failed action is tried again: a full disk, no more processes
+# Pause between checks of all attempts and of jobs of dead dispatchers: a query a second costs
+# little.
+RECOVER_SECONDS = 1.0
+# Pause before a failed action is repeated: a full disk or a process limit lasts.
+TROUBLE_SECONDS = 1.0
 # A death counts once its dispatcher has outlived it by this time: if the solver and then the server
 # die, by a kill of both or of the machine, the job is not the cause.
 OUTLIVE_SECONDS = 1.0
-START_AGAIN_SECONDS = 5.0  # before the next attempt of a job whose solver could not begin
+START_AGAIN_SECONDS = 5.0  # pause before the next attempt of a job whose solver could not begin
 STOP_SECONDS = 15.0  # time that `stop` waits for solvers to end
 MAX_CLAIMED = 100  # jobs claimed in one transaction, which then takes a few milliseconds
 ORPHANS = 200  # cancelled jobs examined at start-up for solvers that still run
 # A dispatcher never takes over attempts of another engine, whose state it cannot see. But if no
 # dispatcher of that engine returns within this time, the job waits again, for any engine.
 ABANDONED_SECONDS = 60.0
-HEARTBEAT_SECONDS = 2.0  # between the heartbeats of a dispatcher that has attempts
+# Interval of the heartbeats of a dispatcher with attempts: each is a commit.
+HEARTBEAT_SECONDS = 2.0
 # Four missed heartbeats. With a check a second, a lost lease is detected within ten seconds.
 LEASE_SECONDS = 8.0
 
@@ -189,7 +193,7 @@ class Dispatcher:
     def start(self) -> None:
         """Take over the attempts of dead dispatchers, then run jobs until `stop`."""
         if self._thread is not None:
-            raise RuntimeError("the dispatcher runs already")
+            raise RuntimeError("the dispatcher is already running; call stop first")
         self._stopping.clear()
         self._version, self._may_claim, self._changed = None, True, True
         self._next_poll = self._next_sweep = self._next_heartbeat = 0.0
@@ -247,6 +251,7 @@ class Dispatcher:
     # -- the loop ---------------------------------------------------------------------------
 
     def _loop(self) -> None:
+        """Repeat `_step` until the dispatcher is stopped, after a pause if it fails."""
         while not self._stopping.is_set():
             self._wake.clear()
             try:
@@ -264,6 +269,7 @@ class Dispatcher:
                 self._wake.wait(POLL_SECONDS)
 
     def _step(self, lease: Lease) -> None:
+        """Look once for changes, follow the attempts, and claim jobs for free slots."""
         now = time.monotonic()
         if now >= self._next_sweep:
             self._sweep(lease)
@@ -292,6 +298,7 @@ class Dispatcher:
             self._claim(lease, min(free, MAX_CLAIMED))
 
     def _sweep(self, lease: Lease) -> None:
+        """Stop orphaned solvers, adopt lost attempts, and poll every attempt."""
         if not self._orphans_stopped:
             for job in self._ledger.jobs(status="cancelled", limit=ORPHANS):
                 if not job.attempt or job.engine != self._engine.name:
@@ -401,6 +408,7 @@ class Dispatcher:
         self._may_claim = True
 
     def _poll(self, attempt: Attempt) -> None:
+        """Record the beginning and the end of an attempt in the ledger."""
         state = self._engine.poll(attempt)
         if state == "running" and not attempt.began:
             seconds = solver_seconds(attempt.folder) or 0.0
@@ -434,6 +442,7 @@ class Dispatcher:
         self._drop(attempt)
 
     def _claim(self, lease: Lease, limit: int) -> None:
+        """Claim up to `limit` jobs, and submit those whose component is unchanged."""
         jobs = self._ledger.claim_many(lease.name, self._engine.name, limit)
         self._may_claim = len(jobs) == limit
         # Registered from now on: after a failure below, the next poll finds attempts without a

@@ -365,7 +365,7 @@ def _checked(numbers: Mapping[str, Any], loads: int) -> Outcome:
             "bad_answer",
             "the solver's displacement has numbers that are not finite: "
             f"{numbers['displacement']!s:.200}",
-            "check the component's mesh and supports; see log.txt among the job's files",
+            "check mesh and supports of the component with: wrenchbook check FOLDER",
         )
     if outcome.compliance is not None:
         _require_form("compliance", outcome.compliance, outputs, loads)
@@ -383,7 +383,7 @@ def _require_form(name: str, values: Any, *shape: int) -> None:
     if not _has_form(values, *shape):
         form = " x ".join(map(str, shape))
         message = f"the solver's {name} must be a list of {form} numbers, not {values!s:.200}"
-        remedy = f"correct the function that {SOLVE_VARIABLE} names"
+        remedy = f"correct the function that the variable {SOLVE_VARIABLE} names"
         raise SolveRefusedError("bad_answer", message, remedy)
 
 

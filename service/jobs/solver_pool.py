@@ -32,7 +32,8 @@ LIVES = 200
 # Time for a waiting solver to confirm an attempt, which it does at once. Without a confirmation it
 # is stopped or damaged, and another one is started in its place.
 TAKEN_SECONDS = 5.0
-ENDING_SECONDS = 2.0  # between an attempt's result.json and its solver's message that it is free
+# Longest time between an attempt's result.json and its solver's message that it is free.
+ENDING_SECONDS = 2.0
 
 
 class SolverProcess:
@@ -105,7 +106,7 @@ class LocalEngine(attempts.Listeners):
         self._kill_after: dict[Path, float] = {}
         self._began: dict[Path, float] = {}
         self._overdue: set[Path] = set()
-        self._solvers: list[SolverProcess] = []  # those longest without work first
+        self._solvers: list[SolverProcess] = []  # the solver longest without work is first
         self._processes: set[int] = set()
         self._changed = threading.Condition()
 
@@ -116,7 +117,7 @@ class LocalEngine(attempts.Listeners):
             return frozenset(self._processes)
 
     def submit(self, attempt: Attempt) -> None:
-        """Give the attempt to a solver: one that has its component, any other, or a new one."""
+        """Give the attempt to a solver with its component, else to any free or a new solver."""
         lock = flock.take(attempt.folder / LOCK)
         if lock is None:
             why = (
@@ -132,7 +133,7 @@ class LocalEngine(attempts.Listeners):
                         solver.answered.wait(TAKEN_SECONDS)
                         if solver.has_taken:
                             return
-                    # It must not begin late after another solver's attempt.
+                    # The attempt must not begin late, after another solver's attempt.
                     with self._changed:
                         solver.attempt = None
                         self._drop(solver)
@@ -187,6 +188,7 @@ class LocalEngine(attempts.Listeners):
                 self._drop(solver)
 
     def _end_if_due(self, attempt: Attempt) -> None:
+        """Signal the solver of an attempt that was cancelled or is beyond its deadline."""
         folder, now = attempt.folder, time.monotonic()
         if folder in self._kill_after:
             late = now > self._kill_after[folder]
@@ -200,6 +202,7 @@ class LocalEngine(attempts.Listeners):
                 self._signal(attempt, signal.SIGKILL)
 
     def _signal(self, attempt: Attempt, number: int) -> None:
+        """Send a signal to the solver of an attempt, whichever server started it."""
         lock = attempt.folder / LOCK
         if not attempts.solver_began(attempt.folder):
             return  # there is no process to signal yet: `poll` repeats it
@@ -246,6 +249,7 @@ class LocalEngine(attempts.Listeners):
         return [solver for solver, attempt in at_work if (attempt.folder / OUTCOME).exists()]
 
     def _start(self, attempt: Attempt, lock: int, log: int, environment: Mapping[str, str]) -> None:
+        """Start a solver process with an attempt, whose open lock and log it takes over."""
         ours, theirs = socket.socketpair()
         with theirs:
             line = "--line", str(theirs.fileno())
@@ -302,11 +306,12 @@ class LocalEngine(attempts.Listeners):
             self._report(attempt.task)
 
     def _free(self, solver: SolverProcess, *, stays: bool) -> None:
+        """Take the attempt from a solver, which waits for the next one if it `stays`."""
         with self._changed:
             attempt, solver.attempt = solver.attempt, None
             if stays and solver in self._solvers and len(self._solvers) <= self.slots:
                 self._solvers.remove(solver)
-                self._solvers.append(solver)  # those longest without work are first
+                self._solvers.append(solver)  # the solver longest without work is first
             else:
                 self._drop(solver)
             self._changed.notify_all()

@@ -34,7 +34,7 @@ class Waiting:
 
 
 def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None) -> Waiting:
-    """Return why a waiting job waits.
+    """Return the reason why a job is not being solved yet.
 
     `slots`: number of solves at once here, 0 if other processes solve; `trouble`: the reason for
     which no job runs.
@@ -130,8 +130,8 @@ class Polls:
                 return jobs
             if len(self._waiters) > MAX_WAITERS:
                 raise TooManyPollsError(
-                    f"{MAX_WAITERS} callers already wait for jobs. Ask again in a few seconds, or "
-                    "follow all jobs with GET /v1/events"
+                    f"{MAX_WAITERS} callers wait for jobs, the limit of this server. Ask again in "
+                    "a few seconds, or follow all jobs with GET /v1/events"
                 )
             if self._polling is None or self._polling.done():
                 self._polling = asyncio.create_task(self._poll())

@@ -50,7 +50,7 @@ _REMEDIES = {
 }
 # Time for which a writer waits for another process: a bulk import takes seconds.
 BUSY_SECONDS = 30.0
-LOOK_AGAIN_SECONDS = 0.001  # between attempts: a tenth of a short transaction
+LOOK_AGAIN_SECONDS = 0.001  # pause between attempts: a tenth of a short transaction
 # The log is moved into the file each 1000 pages (4 MB) unless a reader prevents it; a longer log,
 # after a large import, is then truncated to this size.
 LOG_BYTES = 16 * 1024 * 1024
@@ -149,20 +149,22 @@ def begin(connection: Connection, statement: str = "BEGIN IMMEDIATE") -> None:
 def open_file(path: Path) -> Connection:
     """Open an intact ledger, or a new one, and upgrade its schema.
 
-    Raises LedgerFileError if it is foreign, damaged or of a newer schema, or cannot be written.
+    Raises LedgerFileError if the file is foreign, damaged or of a newer schema, or cannot be
+    written.
     """
     log = path.with_name(f"{path.name}-wal")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():
+            # SQLite would delete the log with its content.
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         lost = not path.exists() or path.stat().st_size == 0
         if lost and log.exists() and log.stat().st_size:
             # SQLite would delete the log, and with it what it holds.
             raise LedgerFileError(
-                f"there is {log.name} without {path}: the ledger's file was moved or deleted. "
-                "Nothing was changed. Put the file back; if it is lost, wrenchbook doctor --repair "
-                f"--data {path.parent} creates it from the tables and moves the log aside"
+                f"{log.name} is there, but {path} was moved or deleted; nothing was changed. Put "
+                "this file back; if it is lost, create it from the tables with: wrenchbook "
+                f"doctor --repair --data {path.parent}"
             )
         with suppress(FileExistsError):
             os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
@@ -172,6 +174,7 @@ def open_file(path: Path) -> Connection:
                 if file.stat().st_mode & 0o007:
                     file.chmod(0o600)
         connection = connect(path)
+        # SQLite does not wait by itself when two processes switch the journal at the same time.
         try:
             _check_schema(connection, path)
             check_integrity(connection, path)
@@ -193,7 +196,10 @@ def open_file(path: Path) -> Connection:
 
 
 def _check_schema(connection: Connection, path: Path) -> int:
-    """Return the schema's version; raises LedgerFileError if this program cannot read it."""
+    """Return the schema's version.
+
+    Raises LedgerFileError if this program cannot read it.
+    """
     owner, version = (
         connection.execute(f"PRAGMA {name}").fetchone()[0]
         for name in ("application_id", "user_version")
@@ -218,11 +224,13 @@ def _check_schema(connection: Connection, path: Path) -> int:
 
 
 def check_integrity(connection: Connection, path: Path) -> None:
-    """Refuse a damaged file: what is written into one may be gone at the next start.
+    """Refuse a damaged file: new content in it may be lost at the next start.
 
-    Of 300 ledgers with one to six random bytes changed, ``quick_check`` let 11 pass that lost what
-    they had accepted, this one none: it compares indices with their tables too. Keys of rows follow
-    from the rows: those that do not are written anew.
+    Of 300 ledgers with one to six random bytes changed, ``quick_check`` accepted 11 that had lost
+    acknowledged content, this check none: it compares indices with their tables too. Keys of rows
+    follow from the rows; wrong ones are written again.
+
+    Raises LedgerDamagedError if the file is damaged.
     """
     answer = connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
     if answer != "ok":
@@ -230,7 +238,7 @@ def check_integrity(connection: Connection, path: Path) -> None:
     try:
         connection.execute("BEGIN")
         if _keys_fit(connection):
-            return
+            return  # no other process has written them meanwhile
         connection.execute("ROLLBACK")
         connection.execute("BEGIN IMMEDIATE")
         if not _keys_fit(connection):  # no other process has written them meanwhile
@@ -242,6 +250,7 @@ def check_integrity(connection: Connection, path: Path) -> None:
             gone = ~np.isin(entered, np.concatenate([np.empty(0, np.int64), *spans]))
             if gone.any():
                 raise damaged_file(path, f"{int(gone.sum())} rows that have keys are not there")
+            # Arithmetic with a text.
             _log.error("%s: keys of rows are damaged; they are written anew from the rows", path)
             _write_keys(connection)
             connection.execute("COMMIT")
@@ -253,12 +262,13 @@ def check_integrity(connection: Connection, path: Path) -> None:
 
 
 def _keys_fit(connection: Connection) -> bool:
-    """Return whether `row_keys` has the keys of all rows, by sums.
+    """Return whether `row_keys` has the keys of all rows, by a comparison of sums.
 
     A row whose key is missing would be inserted again.
     """
     # Rows of an import that has not ended have no entries yet.
     hidden = "SELECT 1 FROM import_parts WHERE hidden = 1"
+    # Both halves of a hash separately: sums of 64-bit numbers would overflow.
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version != VERSION or connection.execute(hidden).fetchone():
         return True
@@ -277,7 +287,7 @@ def _keys_fit(connection: Connection) -> bool:
 def _entries(connection: Connection) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield the entries that `row_keys` should have, hashes (n,) and numbers (n,), in pieces.
 
-    Without those of records that have more or fewer keys than rows.
+    Records with more or fewer keys than rows are left out.
     """
     records = connection.execute("SELECT seq, count, key FROM rows")
     while some := records.fetchmany(1000):
@@ -291,7 +301,7 @@ def _entries(connection: Connection) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def _write_keys(connection: Connection) -> None:
-    """Write the keys of damaged records, where the seal confirms them, and `row_keys` anew."""
+    """Write the keys of damaged records again, where the seal confirms them, and `row_keys`."""
     records = map(Record._make, connection.execute(f"SELECT {', '.join(Record._fields)} FROM rows"))
     pairs = ((record, record.rekeyed()) for record in records)
     damaged = [(sound.key, sound.seq) for record, sound in pairs if sound is not record]
@@ -319,8 +329,9 @@ def with_remedy(error: Exception) -> str:
     return f"{error}; {remedy}" if remedy else str(error) or repr(error)
 
 
+# the other bits are the place of the error
 def is_damage(error: Exception) -> bool:
-    """Return whether an error is that of a damaged file; damaged text need not be UTF-8."""
+    """Return whether an error is that of a damaged file; damaged text may not be UTF-8."""
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the other bits: where it was noticed
     return isinstance(error, UnicodeDecodeError) or code in (
         sqlite3.SQLITE_CORRUPT,
@@ -329,7 +340,7 @@ def is_damage(error: Exception) -> bool:
 
 
 def _errno_of(error: Exception) -> int:
-    """Return the number of a disk's error; of SQLite's errors the one with the same remedy."""
+    """Return the number of a disk's error; for SQLite's errors the one with the same remedy."""
     code = getattr(error, "sqlite_errorcode", 0)
     if code == sqlite3.SQLITE_IOERR_WRITE:
         return errno.ENOSPC
@@ -337,6 +348,7 @@ def _errno_of(error: Exception) -> int:
         sqlite3.SQLITE_FULL: errno.ENOSPC,
         sqlite3.SQLITE_READONLY: errno.EROFS,
         sqlite3.SQLITE_IOERR: errno.EIO,
+        # The low byte is the error; the other bits are its place.
         sqlite3.SQLITE_BUSY: errno.EBUSY,
         sqlite3.SQLITE_CANTOPEN: errno.EACCES,
     }
@@ -345,7 +357,7 @@ def _errno_of(error: Exception) -> int:
 
 
 def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
-    """Return the error of the ledger for one of SQLite or the disk: its cause and remedy."""
+    """Return the ledger's error for an error of SQLite or the disk, with cause and remedy."""
     number = _errno_of(error)
     remedy = _REMEDIES.get(number, "check that its disk has space and is writable")
     kind = LedgerFullError if number in _FULL else LedgerUnavailableError
@@ -356,15 +368,17 @@ def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
 
 
 def _upgrade(connection: Connection) -> None:
+    """Bring the tables to the present schema, without a write if they have it already."""
+
     def version() -> int:
         return connection.execute("PRAGMA user_version").fetchone()[0]
 
     if version() == VERSION:
-        return  # without a write, so that a full disk can be read
+        return  # without a write, so that a ledger on a full disk can be read
     connection.execute("BEGIN IMMEDIATE")
-    while (before := version()) != VERSION:  # another process may upgrade it
+    while (before := version()) != VERSION:  # another process may have upgraded it meanwhile
         after, script = STEPS[before] if before else (VERSION, TABLES)
-        for statement in filter(str.strip, script.split(";\n")):  # a trigger has a ";" within
+        for statement in filter(str.strip, script.split(";\n")):  # a trigger has ";" within a line
             connection.execute(statement)
         connection.execute(f"PRAGMA user_version = {after}")
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -372,7 +386,7 @@ def _upgrade(connection: Connection) -> None:
 
 
 def _take_over(connection: Connection, folder: Path) -> None:
-    """Write the state that release 0.3 kept in files; an entry that is there wins."""
+    """Store the state that release 0.3 kept in files; an existing entry wins."""
     entries, read = earlier.read_files(folder)
     if not read:
         return

@@ -1,7 +1,7 @@
-"""Imports of large tables: many short transactions, shown by one.
+"""Imports of large tables: many short transactions, published by one.
 
-The rows are hidden until the last of them is in, so that jobs and other rows are accepted
-meanwhile. Rows that a killed process has left hidden are deleted.
+The rows are hidden until the last of them is written, so that jobs and other rows are accepted
+meanwhile. Hidden rows of killed processes are deleted.
 """
 
 from __future__ import annotations
@@ -35,15 +35,16 @@ from wrenchbook.service.ledger.records import (
 if TYPE_CHECKING:
     from wrenchbook.service.ledger.ledger import Ledger
 
-# Of one transaction, for which others wait: processor times in a ledger of 700,000 rows.
-ROWS_AT_ONCE = 50_000  # 26 ms
-KEYS_AT_ONCE = 20_000  # 13 to 18 ms: sorted, they share pages of the index
-RECORDS_DELETED = 5  # 42 ms: of 1,000 rows each, whose keys are on as many pages of the index
-APPENDED = "append"  # the format of an import that rows are appended to
-_PATIENCE_SECONDS = 120.0  # that an import waits for another one
+# Sizes of one transaction, for which others wait: processor times in a ledger of 700,000 rows.
+ROWS_AT_ONCE = 50_000  # rows: 26 ms
+KEYS_AT_ONCE = 20_000  # keys: 13 to 18 ms; sorted, they share pages of the index
+RECORDS_DELETED = 5  # records: 42 ms; 1,000 rows each, whose keys are on as many pages of the index
+APPENDED = "append"  # the format of an import to which rows are appended
+_PATIENCE_SECONDS = 120.0  # time for which an import waits for another one
 _COLUMNS = "component, created, who, filename, format, digest, note, rig, rows"
 _NAMES = "id", *_COLUMNS.split(", ")
-_VALUES = f":{', :'.join(_COLUMNS.split(', '))}, :findings"  # named as `ImportOrigin` names them
+# Placeholders with the names of `ImportOrigin`'s fields.
+_VALUES = f":{', :'.join(_COLUMNS.split(', '))}, :findings"
 _INSERT = f"INSERT INTO imports ({_COLUMNS}, findings) VALUES ({_VALUES})"
 _QUALIFIED = ", ".join(f"imports.{name}" for name in _NAMES)
 _ENDED = "NOT EXISTS (SELECT 1 FROM import_parts WHERE import = imports.id AND hidden = 1)"
@@ -60,13 +61,14 @@ class ImportOrigin:
     format: str = ""
     digest: str = ""  # SHA-256 of the file, hexadecimal
     note: str = ""
-    rig: str = ""  # TOML of the rig whose readings the file has; empty if of the interface
-    findings: str = "[]"  # JSON: objects with the hexadecimal `keys` of their rows, none if all
+    rig: str = ""  # TOML of the rig of the file's readings; empty for rows of the interface
+    # JSON: objects with the hexadecimal `keys` of their rows, none for all rows.
+    findings: str = "[]"
 
 
 @dataclass(frozen=True)
 class ImportRecord:
-    """One import: what it was, when (seconds since the epoch), and how many rows it brought."""
+    """One import: its origin, its time (seconds since the epoch), and the number of its rows."""
 
     id: int
     component: str
@@ -81,7 +83,7 @@ class ImportRecord:
 
 
 class Loaded(NamedTuple):
-    """How many rows were new and how many known; the import's number, None if it has no row."""
+    """Numbers of new and known rows; the import's number, None if it has no row."""
 
     new: int
     known: int
@@ -93,20 +95,22 @@ def import_rows(
 ) -> Loaded:
     """Insert the rows of a file, all or none.
 
-    They are hidden first, in file order and without their keys; the keys follow, sorted,
-    so that each page of the index is written once. If the process is killed in between, no row is
-    seen, and the next import or start deletes them. Raises ImportRunningError if another import has
-    been running for too long; nothing is loaded then.
+    They are first hidden, in file order and without their keys; the keys follow, sorted, so that
+    each page of the index is written once. If the process is killed in between, no row is visible,
+    and the next import or start deletes them.
+
+    Raises ImportRunningError if another import has been running for too long; nothing is loaded
+    then.
     """
     deadline = time.monotonic() + _PATIENCE_SECONDS
-    while (lock := _take_lock(ledger)) is None:  # one import of this ledger, of all processes
+    while (lock := _take_lock(ledger)) is None:  # one import of this ledger in all processes
         if time.monotonic() > deadline:
             raise ImportRunningError(
-                "another large table is still being imported after "
-                f"{_PATIENCE_SECONDS:.0f} s; nothing was loaded. Send this one later"
+                f"another large table is still being imported after {_PATIENCE_SECONDS:.0f} s; "
+                "nothing was loaded. Send this one again in a minute"
             )
     try:
-        _drop_hidden(ledger)  # of a killed process
+        _drop_hidden(ledger)  # the hidden rows of a killed process
         try:
             with ledger.reading() as db:
                 start = sequences(db).get("rows", 0)
@@ -126,7 +130,7 @@ def import_rows(
 def _insert_hidden(
     ledger: Ledger, component: str, blocks: Iterable[NotedRows], origin: ImportOrigin
 ) -> tuple[int | None, int, list[tuple[int, bytes]]]:
-    """Insert the new rows; return the import's number, the count of rows sent, and the parts."""
+    """Insert the new rows; return the import's number, the number of rows sent, and the parts."""
     number: int | None = None
     parts: list[tuple[int, bytes]] = []  # the first seq and the keys of rows inserted at once
     count, now = 0, time.time()
@@ -151,12 +155,12 @@ def _insert_hidden(
                 span = first, first + len(part_keys) - 1, number, component
                 db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 1)", span)
             parts.append((first, b"".join(part_keys)))
-            ledger.sync()  # else the next durable commit waits until all is synced
+            ledger.sync()  # otherwise the next durable commit waits until all is synced
     return number, count, parts
 
 
 def _enter_keys(ledger: Ledger, parts: Sequence[tuple[int, bytes]]) -> None:
-    """Enter the keys of hidden rows, in the order of their hashes."""
+    """Insert the keys of hidden rows, in the order of their hashes."""
     hashes = key_hashes(b"".join(named for _, named in parts))
     seqs = np.concatenate([first + np.arange(len(named) // KEY_BYTES) for first, named in parts])
     order = np.argsort(hashes)
@@ -168,7 +172,10 @@ def _enter_keys(ledger: Ledger, parts: Sequence[tuple[int, bytes]]) -> None:
 
 
 def _show(ledger: Ledger, component: str, number: int, origin: ImportOrigin, start: int) -> int:
-    """Show the rows that no other has inserted since seq `start`, and return their number."""
+    """Publish the rows that no other process has inserted since seq `start`.
+
+    Return their number.
+    """
     with ledger.writing() as db:
         rows.yield_to_others(db, component, start)
         (new,) = db.execute(f"SELECT coalesce(sum(count), 0) {_ROWS}", (number,)).fetchone()
@@ -188,8 +195,9 @@ def append_rows(
 ) -> Loaded:
     """Append rows to the import of this sender, component and file name; the first call makes it.
 
-    A block that is sent again changes nothing. Raises AppendError if the import has readings of
-    another rig, or all of its rows are withdrawn.
+    A block that is sent again changes nothing.
+
+    Raises AppendError if the import has readings of another rig, or all of its rows are withdrawn.
     """
     origin = replace(origin, format=APPENDED)
     names = "component = ? AND format = ? AND filename = ? AND who = ?"
@@ -228,7 +236,10 @@ def append_rows(
 
 
 def drop_abandoned(ledger: Ledger) -> None:
-    """Delete the hidden rows of imports whose process is gone; nothing while one runs."""
+    """Delete the hidden rows of imports whose process has ended.
+
+    Do nothing while an import runs.
+    """
     with ledger.reading() as db:
         if rows.first_hidden(db, None) is None:
             return
@@ -257,7 +268,7 @@ def stored_numbers(db: Connection, component: str, inputs: int, outputs: int) ->
 
 
 def imports(db: Connection, component: str, most: int = 1000) -> list[ImportRecord]:
-    """Return the imports of a component that have ended, newest first."""
+    """Return the finished imports of a component, newest first."""
     where = f"component = ? AND {_ENDED} ORDER BY id DESC LIMIT ?"
     records = db.execute(f"SELECT {_QUALIFIED} FROM imports WHERE {where}", (component, most))
     return [_record(values) for values in records]
@@ -273,21 +284,21 @@ def same_file(db: Connection, component: str, digest: str) -> ImportRecord | Non
 
 
 def import_of(db: Connection, seq: int) -> ImportRecord | None:
-    """Return the import that brought a row; None if it was solved."""
+    """Return the import of a row; None for a solved row."""
     where = "first <= ? AND last >= ? ORDER BY first DESC LIMIT 1"
     record = db.execute(f"SELECT {_QUALIFIED} {_PARTS} {where}", (seq, seq)).fetchone()
     return _record(record) if record else None
 
 
 def import_spans(db: Connection, component: str) -> list[tuple[int, int, ImportRecord]]:
-    """Return which rows each import of a component brought: first, last, and the import."""
+    """Return the rows of each import of a component: first, last, and the import."""
     where = "import_parts.component = ? AND hidden = 0 ORDER BY first"
     records = db.execute(f"SELECT first, last, {_QUALIFIED} {_PARTS} {where}", (component,))
     return [(first, last, _record(values)) for first, last, *values in records]
 
 
 def withdrawn_counts(db: Connection, component: str) -> Counter[int]:
-    """Return how many rows of each import of a component are withdrawn, by its number."""
+    """Return the number of withdrawn rows of each import of a component, by its number."""
     spans, counts = import_spans(db, component), Counter[int]()
     for seq in rows.withdrawn(db, component):
         at = bisect_right(spans, seq, key=itemgetter(0)) - 1
@@ -299,9 +310,8 @@ def withdrawn_counts(db: Connection, component: str) -> Counter[int]:
 def findings(db: Connection, component: str) -> list[dict[str, Any]]:
     """Return the findings of a component's imports that have rows in the table, newest first.
 
-    Each is as it was stored, without ``keys``; with ``import`` and ``filename``, and of the
-    rows that are not withdrawn ``rows``, their numbers (empty if all of the import are meant),
-    and ``count``.
+    Each is as stored, without ``keys``, and with ``import``, ``filename``, ``rows``, the numbers of
+    its rows that are not withdrawn (empty if the whole import is meant), and ``count``.
     """
     select = (
         f"SELECT id, filename, findings FROM imports WHERE component = ? AND {_ENDED}"
@@ -325,8 +335,9 @@ def edit_import(
 ) -> int:
     """Withdraw or restore the rows of an import, or those that its findings of a cause name.
 
-    Returns how many rows changed: those that are as requested already do not count. Raises
-    UnknownImportError if the component has no such import, or the import no such finding.
+    Returns the number of changed rows; rows that already are as requested do not count.
+
+    Raises UnknownImportError if the component has no such import, or the import no such finding.
     """
     select = f"SELECT findings FROM imports WHERE id = ? AND component = ? AND {_ENDED}"
     record = db.execute(select, (number, component)).fetchone()

@@ -9,13 +9,14 @@ from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.records import STATUSES, Quota, QuotaError
 
 _QUEUED = "status = 'running' AND began IS NULL AND coalesce(engine, 'local') != 'local'"
-# Upper ends of the histogram of solves, s: a small plate in a warm solver, a large nonlinear one.
+# Upper ends of the histogram of solves, s: a small plate in a warm solver to a large nonlinear
+# part.
 SOLVE_EDGES = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 1800.0, 7200.0)
-MAX_KINDS = 30  # of failures; a deck's own program may make up more, which count as "other"
-_BEGIN = "coalesce(began, started)"  # without the time in the queue of a cluster
-_RECENT = 20  # solves that estimate the time of the next
-UNKNOWN_SECONDS = 60.0  # of a solve, for Retry-After: no job of the component has ended yet
-DAY_SECONDS = 24 * 3600.0  # of a quota of solver seconds
+MAX_KINDS = 30  # kinds of failures; a deck's own program may add more, which count as "other"
+_BEGIN = "coalesce(began, started)"  # the time in the queue of a cluster does not count
+_RECENT = 20  # newest solves that estimate the time of the next
+UNKNOWN_SECONDS = 60.0  # time of a solve for Retry-After before any job of the component has ended
+DAY_SECONDS = 24 * 3600.0  # the period of a quota of solver seconds
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Statistics:
 
 
 class Ahead(NamedTuple):
-    """Jobs of one component that start before another: how many wait, how long one takes, s."""
+    """Jobs of one component that start before another: their number, and s per solve."""
 
     component: str
     waiting: int
@@ -38,7 +39,7 @@ class Ahead(NamedTuple):
 
 
 def counts(db: Connection, component: str | None = None) -> dict[str, int]:
-    """Return the number of jobs of each status; `JobRecord.is_queued` counts as waiting."""
+    """Return the number of jobs of each status; jobs in an engine's queue count as waiting."""
     where = "" if component is None else "WHERE component = :component"
     select = f"SELECT CASE WHEN {_QUEUED} THEN 'waiting' ELSE status END, count(*) FROM jobs"
     records = db.execute(f"{select} {where} GROUP BY 1", {"component": component})
@@ -55,7 +56,7 @@ def statistics(db: Connection) -> Statistics:
     if others := sum(number for _, number in kinds[MAX_KINDS:]):
         failures["other"] = others
     steps = " ".join(f"WHEN took <= {edge!r} THEN {n}" for n, edge in enumerate(SOLVE_EDGES))
-    # A clock that was set back makes a solve that ended before it began: it took no time.
+    # A clock that was set back lets a solve end before it began: it then took no time.
     solves = db.execute(
         f"SELECT CASE {steps} ELSE {len(SOLVE_EDGES)} END, count(*), sum(took) FROM"
         f" (SELECT max(finished - {_BEGIN}, 0.0) AS took FROM jobs WHERE status = 'done'"
@@ -70,8 +71,9 @@ def statistics(db: Connection) -> Statistics:
 
 
 def ahead(db: Connection, job_id: int, priority: int, now: float) -> list[Ahead]:
-    """Return the waiting jobs that start before one, by component, with the time of a solve."""
-    # Of each actor as many of a priority start before a job as are before it of its own actor.
+    """Return the waiting jobs that start before a job, by component, with the time of a solve."""
+    # Before a job start as many jobs of each actor with its priority as there are jobs of its own
+    # actor before it.
     records = db.execute(
         "WITH due AS (SELECT id, component, priority, row_number() OVER"
         " (PARTITION BY actor, priority ORDER BY id) AS turn FROM jobs WHERE status = 'waiting'"
@@ -94,7 +96,10 @@ def solve_seconds(db: Connection, component: str) -> float | None:
 
 
 def charged(db: Connection, component: str, quota: Quota | None) -> str:
-    """Return the caller as the actor of one more open job; raises QuotaError."""
+    """Return the caller as the actor of one more open job.
+
+    Raises QuotaError if the quota does not allow it.
+    """
     actor = CALLER.get().actor
     if quota is None or actor in (LOCAL, SERVER):
         return actor
@@ -103,7 +108,8 @@ def charged(db: Connection, component: str, quota: Quota | None) -> str:
         if db.execute(open_, (actor,)).fetchone()[0] >= quota.open_jobs:
             raise QuotaError(
                 f"{actor} would exceed its quota of {quota.open_jobs} open jobs (serve "
-                "--actor-jobs). Nothing was queued; send fewer wrenches, wait, or cancel some",
+                "--actor-jobs). Nothing was queued; send fewer wrenches, wait, or cancel "
+                "open jobs",
                 solve_seconds(db, component) or UNKNOWN_SECONDS,
             )
     if quota.solver_seconds is not None:
@@ -115,9 +121,10 @@ def charged(db: Connection, component: str, quota: Quota | None) -> str:
         ).fetchone()
         if (spent or 0.0) >= quota.solver_seconds:
             raise QuotaError(
-                f"{actor} has used {spent or 0.0:.0f} s of its quota of {quota.solver_seconds:g} "
-                "solver seconds in 24 hours (serve --actor-seconds). Nothing was queued; ask again "
-                "later, or have the quota raised",
+                f"{actor} has used {spent or 0.0:.0f} s of its quota of "
+                f"{quota.solver_seconds:g} solver seconds in 24 hours (serve "
+                "--actor-seconds). Nothing was queued; ask again later, or ask the operator "
+                "for a larger quota",
                 max(1.0, (first or now) + DAY_SECONDS - now),
             )
     return actor

@@ -27,11 +27,13 @@ from wrenchbook.service.ledger.records import (
     UnknownJobError,
 )
 
-# Seconds a job waits after its solver's first, second and third death; the fourth ends it.
-# The cause of deaths, such as a lack of memory, has often passed a minute or two later.
+# Seconds for which a job waits after its solver's first, second and third death; the fourth ends
+# it. The cause of deaths, such as a lack of memory, has often passed a minute or two later.
 BACKOFF_SECONDS = (1.0, 10.0, 100.0)
-_TASK_BYTES = 6  # random ones of a task key: of a million keys two are equal with 1 in 500
-FORGOTTEN_SECONDS = 24 * 3600.0  # leases of owners that were killed without a job are deleted then
+# Random bytes of a task key: two of a million keys are equal with a probability of 1 in 500.
+_TASK_BYTES = 6
+# Age at which leases of owners that were killed without a job are deleted.
+FORGOTTEN_SECONDS = 24 * 3600.0
 
 # The state machine: the status after an event. A done job is reopened if its row is withdrawn.
 TRANSITIONS: dict[tuple[Status, str], Status] = {
@@ -81,11 +83,13 @@ def accept(
 ) -> tuple[JobRecord, bool]:
     """Return the job for this wrench (packed, or N and N·m), and whether it is new.
 
-    There is one job for one (component, fingerprint, wrench), whatever its status. A waiting,
-    running, done or failed one is returned as it is (a waiting one with the higher of both
-    priorities). A cancelled one waits again (unless `reopen_cancelled` is false), and so does a
-    done one whose row was withdrawn or is damaged; it is then the caller's. Raises ValueError if
-    the wrench is not six or more finite numbers, and QuotaError.
+    There is one job for each (component, fingerprint, wrench), of any status. A waiting, running,
+    done or failed one is returned unchanged (a waiting one with the higher of both priorities). A
+    cancelled one waits again (unless `reopen_cancelled` is false), and so does a done one whose row
+    was withdrawn or is damaged; it then belongs to the caller.
+
+    Raises ValueError if the wrench is not six or more finite numbers, and QuotaError if the quota
+    does not allow the job.
     """
     key = wrench if isinstance(wrench, bytes) else pack_vector(wrench)
     where = "WHERE component = ? AND fingerprint = ? AND wrench = ?"
@@ -131,10 +135,10 @@ def accept_chosen(
     choose: Callable[[list[OpenJob]], Sequence[bytes]],
     **options: Any,
 ) -> list[JobRecord]:
-    """Accept the packed wrenches that `choose` picks once it has seen the open jobs.
+    """Accept the packed wrenches that `choose` picks after reading the open jobs.
 
-    Choosing and accepting are one transaction, so a limit on open jobs holds however many
-    processes accept at once. Those beyond the actor's quota are left out.
+    Choosing and accepting are one transaction, so that a limit on open jobs holds for any number of
+    processes. Wrenches beyond the actor's quota are left out.
     """
     accepted: list[JobRecord] = []
     for wrench in choose(open_jobs(db, component, fingerprint)):
@@ -152,8 +156,8 @@ def accept_chosen(
 def next_waiting(db: Connection, most: int) -> list[JobRecord]:
     """Return the waiting jobs that start next, at most `most`, in the order of their start.
 
-    The highest priority goes first. Of equal ones it is each actor's turn: next is the oldest job
-    of the actor whose last start is the longest ago.
+    The highest priority goes first. Among equal ones actors take turns: next is the oldest job of
+    the actor whose last start is the longest ago.
     """
     due = (
         "WHERE status = 'waiting' AND actor = ? AND coalesce(not_before, 0) <= ?"
@@ -161,9 +165,9 @@ def next_waiting(db: Connection, most: int) -> list[JobRecord]:
     )
     other = "SELECT min(actor) FROM jobs WHERE status = 'waiting' AND actor {} ?"
     last = "SELECT coalesce(max(started), 0) FROM jobs WHERE actor = ?"
-    queues: dict[str, list[JobRecord]] = {}  # by actor: the next job is the last
-    # By actor: the place of its last job picked here, 0 without one, and the time of its last
-    # start before. The actor with the smaller pair is next.
+    queues: dict[str, list[JobRecord]] = {}  # by actor: the next job is the last in the list
+    # By actor: the position of its last job in this choice, 0 without one, and the time of its last
+    # earlier start. The actor with the smaller pair is next.
     turns: dict[str, tuple[int, float]] = {}
     actor = db.execute(other.format(">="), ("",)).fetchone()[0]
     while actor is not None:
@@ -241,10 +245,11 @@ def commit(
 ) -> LedgerRow:
     """Write the row of a job and the job's end, exactly once.
 
-    A job that is done already keeps the row it has, and that row is returned. Its solver took
-    `seconds`, if known; other columns of `Rows` are `known` if not None. Raises StaleAttemptError
-    if the attempt is not the running one, ValueError if a number is not finite or a length is
-    wrong.
+    A job that is already done keeps its row, which is returned. Its solver took `seconds`, if
+    known; other columns of `Rows` are `known` if not None.
+
+    Raises StaleAttemptError if the attempt is not the running one, ValueError if a number is not
+    finite or a length is wrong.
     """
     job = get(db, job_id)
     if job.row is not None:
@@ -260,13 +265,13 @@ def commit(
 def fail(
     db: Connection, job_id: int, attempt: int, error: dict[str, str], seconds: float | None = None
 ) -> JobRecord:
-    """End a running attempt as failed; `error` holds kind, message and remedy."""
+    """End a running attempt as failed; `error` has kind, message and remedy."""
     job = _check_attempt(get(db, job_id), attempt)
     return _moved(db, job, "fail", owner=None, error=error, **_end(job, time.time(), seconds))
 
 
 def lose(db: Connection, job_id: int, attempt: int, cause: str = "") -> JobRecord:
-    """Record that an attempt's solver died: waiting for longer and longer, then failed.
+    """Record that an attempt's solver died: the job waits, longer each time, and then fails.
 
     `cause` describes the death.
     """
@@ -281,7 +286,7 @@ def lose(db: Connection, job_id: int, attempt: int, cause: str = "") -> JobRecor
 
 
 def release(db: Connection, job_id: int, attempt: int, *, delay: float = 0.0) -> JobRecord:
-    """Let the job of an attempt that the dispatcher ends wait again; it does not count as lost.
+    """Let the job of an attempt that the dispatcher ends wait again; the attempt is not lost.
 
     The next attempt starts after `delay` seconds.
     """
@@ -293,7 +298,7 @@ def release(db: Connection, job_id: int, attempt: int, *, delay: float = 0.0) ->
 def renew(db: Connection, job_id: int, attempt: int, fingerprint: str) -> JobRecord:
     """Let a claimed job of an earlier setup wait again, for the setup with this fingerprint.
 
-    If the new setup has a job of this wrench already, that one is accepted and this one cancelled.
+    If the new setup already has a job of this wrench, that job is accepted and this one cancelled.
     """
     job = _check_attempt(get(db, job_id), attempt)
     key = job.component, fingerprint, pack_vector(job.wrench)
@@ -321,7 +326,7 @@ def end_lease(db: Connection, owner: str) -> None:
 def cancel(db: Connection, job_id: int) -> JobRecord:
     """Cancel a waiting or running job; its dispatcher then stops the solver.
 
-    Raises NotPermittedError for a job of another actor, unless the caller is for admin.
+    Raises NotPermittedError for a job of another actor, unless the caller has the scope admin.
     """
     job, caller = get(db, job_id), CALLER.get()
     if not caller.admin and job.actor != caller.actor:
@@ -335,18 +340,22 @@ def cancel(db: Connection, job_id: int) -> JobRecord:
 
 
 def cancel_many(db: Connection, component: str | None, status: Status) -> int:
-    """Cancel all jobs of a status (of one component), and return how many there were.
+    """Cancel all jobs of a status (of one component), and return their number.
 
-    Those that the caller may cancel: its own, for admin all, of the components that it may touch.
+    The caller may cancel its own jobs, or with the scope admin all jobs of its components.
+
     Raises InvalidTransitionError if jobs of that status cannot be cancelled; then none is.
     """
     actor = None if CALLER.get().admin else CALLER.get().actor
-    jobs = listed(db, component, status, limit=-1, actor=actor)  # no limit, to SQLite
+    jobs = listed(db, component, status, limit=-1, actor=actor)  # no limit in SQLite
     return len([cancel(db, job.id) for job in jobs])
 
 
 def retry(db: Connection, job_id: int, quota: Quota | None = None) -> JobRecord:
-    """Let a failed or cancelled job wait again, as the caller's; raises QuotaError."""
+    """Let a failed or cancelled job wait again, as the caller's.
+
+    Raises QuotaError if the quota does not allow it.
+    """
     job = get(db, job_id)
     return _by_caller(db, job, "retry", actor=charged(db, job.component, quota), **_FRESH)
 
@@ -355,10 +364,13 @@ def retry(db: Connection, job_id: int, quota: Quota | None = None) -> JobRecord:
 
 
 def get(db: Connection, job_id: int) -> JobRecord:
-    """Return a job by its number; raises UnknownJobError."""
+    """Return a job by its number.
+
+    Raises UnknownJobError if there is none.
+    """
     jobs = _select(db, "WHERE id = ?", (job_id,))
     if not jobs:
-        raise UnknownJobError(f"there is no job {job_id}; see GET /v1/jobs")
+        raise UnknownJobError(f"there is no job {job_id}; list all with GET /v1/jobs")
     return jobs[0]
 
 
@@ -370,9 +382,9 @@ def listed(
     below: int | None = None,
     actor: str | None = None,
 ) -> list[JobRecord]:
-    """Return jobs, newest first, those of a number below `below` if given.
+    """Return jobs, newest first, with numbers below `below` if given.
 
-    Without those of components that the caller may not touch.
+    Jobs of components that the caller may not use are left out.
     """
     terms = {"component = ?": component, "status = ?": status, "id < ?": below, "actor = ?": actor}
     used = {term: value for term, value in terms.items() if value is not None}
@@ -399,7 +411,7 @@ def jobs_for(
 ) -> dict[bytes, JobRecord]:
     """Return the existing jobs for any of these packed wrenches, by wrench.
 
-    Without those whose row is withdrawn or damaged: they can be accepted again.
+    Jobs whose row is withdrawn or damaged are left out, as they can be accepted again.
     """
     jobs: dict[bytes, JobRecord] = {}
     for marks, part in rows.in_parts(wrenches):
@@ -415,7 +427,7 @@ def running(db: Connection) -> list[JobRecord]:
 
 
 def unfinished(db: Connection, after: int | None = None) -> list[JobRecord]:
-    """Return all open jobs, and with `after` also those that ended of a number above it."""
+    """Return all open jobs, and with `after` also ended ones with a number above it."""
     newer = "" if after is None else " OR id > ?"
     where = f"WHERE status IN ('waiting', 'running'){newer} ORDER BY id"
     return _select(db, where, () if after is None else (after,))
@@ -431,7 +443,7 @@ def attempts(db: Connection, job_ids: Iterable[int]) -> dict[int, tuple[Status, 
 
 
 def ended(db: Connection, job_ids: Iterable[int]) -> set[int]:
-    """Return those of these jobs that neither wait nor run."""
+    """Return which of some jobs neither wait nor run."""
     return {job for job, (status, *_) in attempts(db, job_ids).items() if status in FINAL}
 
 
@@ -450,7 +462,10 @@ def leases(db: Connection) -> dict[str, Heartbeat]:
 
 
 def _moved(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRecord:
-    """Write and return a job after an event; raises InvalidTransitionError."""
+    """Write and return a job after an event.
+
+    Raises InvalidTransitionError if its status does not allow the event.
+    """
     status = TRANSITIONS.get((job.status, event))
     if status is None:
         calls = [name for name in ("cancel", "retry") if (job.status, name) in TRANSITIONS]
@@ -458,7 +473,7 @@ def _moved(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRec
         if job.status == "done":
             row = f"DELETE /v1/components/{job.component}/table/{job.row}"
             possible = f"withdraw its row to solve again: {row}"
-        raise InvalidTransitionError(f"job {job.id} is {job.status}: cannot {event} it; {possible}")
+        raise InvalidTransitionError(f"cannot {event} job {job.id}: it is {job.status}; {possible}")
     return _save(db, replace(job, status=status, **changes))
 
 
@@ -478,7 +493,10 @@ def _save(db: Connection, job: JobRecord) -> JobRecord:
 
 
 def _check_attempt(job: JobRecord, attempt: int) -> JobRecord:
-    """Return the job; raises StaleAttemptError unless `attempt` is its running one."""
+    """Return the job of an attempt.
+
+    Raises StaleAttemptError unless `attempt` is its running one.
+    """
     if job.status != "running" or job.attempt != attempt:
         raise StaleAttemptError(
             f"job {job.id} is {job.status} at attempt {job.attempt}, so the report of attempt "
@@ -488,7 +506,7 @@ def _check_attempt(job: JobRecord, attempt: int) -> JobRecord:
 
 
 def _end(job: JobRecord, now: float, seconds: float | None) -> dict[str, Any]:
-    """Return the columns of a job that ends now, whose solver took `seconds` if that is known."""
+    """Return the columns of a job that ends now, whose solver took `seconds` if known."""
     return {"finished": now, "began": job.began if seconds is None else now - seconds}
 
 

@@ -48,7 +48,7 @@ from wrenchbook.service.ledger.repair import Acknowledged, Numbers
 from wrenchbook.surrogate.table.rows import Rows
 
 _log = logging.getLogger(__name__)
-CHECKPOINT_SECONDS = 0.2  # how long a checkpoint waits for readers, and writers for it
+CHECKPOINT_SECONDS = 0.2  # time that a checkpoint waits for readers, and writers for the checkpoint
 _LEVELS = {"done": logging.INFO, "failed": logging.WARNING, "cancelled": logging.INFO}
 
 Listener = Callable[[], object]
@@ -58,7 +58,7 @@ Method = Callable[Concatenate["Ledger", P], R]
 
 
 def _reads(function: Callable[Concatenate[Connection, P], R]) -> Method[P, R]:
-    """Return a function of a connection as a method that sees one committed state."""
+    """Return a function of a connection as a method that reads one committed state."""
 
     @wraps(function)
     def method(self: "Ledger", *arguments: P.args, **options: P.kwargs) -> R:
@@ -82,17 +82,19 @@ def _writes(function: Callable[Concatenate[Connection, P], R]) -> Method[P, R]:
 class Ledger:
     """Jobs and rows in one SQLite file, for many threads and several processes at once.
 
-    A method that returned has committed to disk; one that raised changed nothing. Its methods are
-    the functions of `jobs`, `rows` and `imports`, each in a transaction of its own;
-    all raise LedgerUnavailableError if the file cannot be used now. Readers never wait for the
-    writer (WAL); writers of this process wait for each other here and for other processes in
-    SQLite.
+    A method that has returned has committed to disk; one that raised has changed nothing. Its
+    methods are the functions of `jobs`, `rows` and `imports`, each in a transaction of its own.
+    Readers never wait for the writer (WAL); writers of this process wait for each other here and
+    for other processes in SQLite.
 
-    The file and its folder are made if there are none. A `patient` ledger continues without a file
-    that cannot be used now, on a full disk for example: `trouble` then returns the reason, and each
-    `writing` tries to open it again. Another raises LedgerFileError for it, and if the file is
-    foreign, damaged or of a newer schema. With `read_only`, which returns the remedy, each
-    `writing` raises ReadOnlyError.
+    The file and its folder are made if missing. A `patient` ledger continues without a file that
+    cannot be used now, on a full disk for example: `trouble` then returns the reason, and each
+    `writing` tries to open it again. With `read_only`, which returns the remedy, each `writing`
+    raises ReadOnlyError.
+
+    Raises LedgerFileError if the file is foreign, damaged or of a newer schema, or, unless
+    `patient`, cannot be used now. All methods raise LedgerUnavailableError if the file cannot be
+    used.
     """
 
     def __init__(
@@ -112,7 +114,7 @@ class Ledger:
         self._refused: LedgerFileError | None = None
         self._acknowledged = Acknowledged(self.path)
         self._frozen = False  # refused for writing, but still readable
-        self._logged = ""  # the error logged last
+        self._logged = ""  # the last logged error
         self._listeners: tuple[Listener, ...] = ()
         self._listeners_lock = threading.Lock()
         try:
@@ -182,7 +184,7 @@ class Ledger:
     audit = _reads(audit_sql.entries)
 
     def claim_many(self, owner: str, engine: str, most: int) -> list[JobRecord]:
-        """Start the next attempts of the next waiting jobs; without a write if none waits."""
+        """Start the next attempts of the next waiting jobs; write nothing if none waits."""
         with self.reading() as db:
             if not job_sql.next_waiting(db, 1):
                 return []
@@ -192,11 +194,12 @@ class Ledger:
     def insert_rows(
         self, component: str, rows: Rows, note: str | Sequence[str] = "", *, above: int = 0
     ) -> tuple[int, int]:
-        """Insert rows, all or none, and return how many were new and how many known.
+        """Insert rows, all or none, and return the numbers of new and known rows.
 
         A row of the same component, fingerprint, source, wrench, displacement and uncertainty is
-        known. New rows get a seq above `above`. Raises ValueError if a solve lacks an output or a
-        tangent is infinite.
+        known. New rows get a seq above `above`.
+
+        Raises ValueError if a solve lacks an output or a tangent is infinite.
         """
         unsolved = (rows.source == "fea") & np.isnan(rows.displacement).any(axis=1)
         if unsolved.any():
@@ -205,7 +208,7 @@ class Ledger:
             problem = f"row {at + 1} of {len(rows)} is a solve of the displacement {displacement}"
             raise ValueError(f"{problem}, but all outputs must be finite; solve it again")
         block = NotedRows(rows, [note] * len(rows) if isinstance(note, str) else note)
-        # Before the lock is taken: other writers wait for the insertion alone.
+        # Before the lock is taken: other writers wait for the insertion only.
         keys = row_keys(component, block)
         with self.writing() as db:
             new, known = row_sql.insert(db, component, block, keys, time.time(), above=above)
@@ -218,16 +221,16 @@ class Ledger:
     def table_at(
         self, component: str, version: int | None = None, **setup: Any
     ) -> Iterator[TableAt]:
-        """Give `rows.table_at`, whose lots are read meanwhile, as one committed state."""
+        """Yield `rows.table_at`, whose lots are read within the `with`, as one committed state."""
         with self.reading() as db:
             yield row_sql.table_at(db, component, version, **setup)
 
     @contextmanager
     def writing(self, *, durable: bool = True) -> Iterator[Connection]:
-        """Give the writing connection in a transaction that is committed at the end.
+        """Yield the writing connection in a transaction that is committed at the end.
 
-        Listeners are called once it is. Without `durable`, the sync is left to the next durable
-        transaction, which covers the complete log.
+        Listeners are called after the commit. Without `durable`, the sync is left to the next
+        durable transaction, which covers the complete log.
         """
         if self._read_only is not None:
             raise ReadOnlyError(self._read_only())
@@ -256,20 +259,21 @@ class Ledger:
         for listener in self._listeners if jobs or rows else ():
             try:
                 listener()
-            except Exception:  # the commit has happened, whatever a listener makes of it
+            except Exception:  # the commit has happened, whether or not a listener fails
                 _log.exception("a listener of the ledger failed")
 
     def sync(self) -> None:
-        """Sync what transactions that are not durable have written, without a lock on the ledger.
+        """Sync the content of transactions that are not durable, without a lock on the ledger.
 
-        Between two of them, so that a durable one of another writer does not wait for all of it.
+        Called between two of them, it keeps a durable transaction of another writer from waiting
+        for all of it.
         """
         with suppress(OSError):  # no log, or a disk that fails: the next durable commit fails
             sync(self.path.with_name(f"{self.path.name}-wal"))
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
-        """Give a reading connection; all its statements see one and the same committed state."""
+        """Yield a reading connection; all its statements read the same committed state."""
         with self.named_errors():
             self._check_open()
             frozen = self._frozen
@@ -296,7 +300,7 @@ class Ledger:
     def version(self) -> int:
         """Return a number that differs after any commit of this or another process.
 
-        Takes microseconds. Only equality of two numbers from the same Ledger means anything.
+        Takes microseconds. Only the equality of two numbers from the same Ledger has a meaning.
         """
         with self._watch_lock, self.named_errors():
             self._check_open()
@@ -310,8 +314,8 @@ class Ledger:
     def on_change(self, listener: Listener) -> Callable[[], None]:
         """Call `listener` after each commit of jobs or rows, in the thread that committed.
 
-        It must be quick. Returns a function that ends the subscription. Commits of other
-        processes are seen by polling `version`.
+        It must be quick. Returns a function that ends the subscription. Commits of other processes
+        are found by polling `version`.
         """
         with self._listeners_lock:
             self._listeners = (*self._listeners, listener)
@@ -323,7 +327,7 @@ class Ledger:
         return remove
 
     def trouble(self) -> str | None:
-        """Return why the file can be neither read nor written now; None if it can."""
+        """Return the reason why the file can be neither read nor written now; None if it can."""
         try:
             self._check_usable()
         except LedgerUnavailableError as error:
@@ -331,7 +335,7 @@ class Ledger:
         return None
 
     def losses(self) -> list[str]:
-        """Return the acknowledged jobs and rows that are gone, as sentences."""
+        """Return the lost acknowledged jobs and rows, as sentences."""
         return self._acknowledged.losses()
 
     def sizes(self) -> dict[str, int]:
@@ -340,7 +344,10 @@ class Ledger:
         return {name: file.stat().st_size if file.exists() else 0 for name, file in files.items()}
 
     def checkpoint(self) -> bool:
-        """Move the log into the file and empty it; False if another connection uses it just now."""
+        """Move the log into the file and empty it.
+
+        Return False if another connection uses it now.
+        """
         with self._write_lock, self.named_errors():
             writer = self._present_writer()
             writer.execute(f"PRAGMA busy_timeout = {round(1000 * CHECKPOINT_SECONDS)}")
@@ -351,11 +358,13 @@ class Ledger:
             return not busy
 
     def copy(self, target: Path, *, checked: bool = True) -> tuple[int, int, int]:
-        """Write all that is committed into a new file, by one read of SQLite's online backup.
+        """Write all committed content into a new file, by one read of SQLite's online backup.
 
-        In one step: taken in parts it would begin anew with each commit of another process. Returns
-        the numbers of its rows, of the highest row and of its jobs. Raises LedgerFileError if the
-        copy is damaged; one that is not `checked` need not last either.
+        In one step: in parts it would restart with each commit of another process. Returns the
+        numbers of its rows, of the highest row and of its jobs. A copy that is not `checked` is not
+        durable either.
+
+        Raises LedgerFileError if the copy is damaged.
         """
         with self.named_errors():
             self._check_open()
@@ -367,7 +376,8 @@ class Ledger:
                 source.backup(copy)
                 if checked:
                     check_integrity(copy, target)
-                copy.execute("PRAGMA journal_mode = DELETE")  # one file; WAL again once opened
+                # One file; it gets WAL again once opened.
+                copy.execute("PRAGMA journal_mode = DELETE")
                 return copy.execute(
                     "SELECT coalesce(sum(count), 0), coalesce(max(seq + count - 1), 0),"
                     " (SELECT count(*) FROM jobs) FROM rows"
@@ -380,7 +390,7 @@ class Ledger:
         self.checkpoint()  # while another connection reads, the next call shortens the log
 
     def close(self) -> None:
-        """Close all connections, one in use when it comes back; idempotent."""
+        """Close all connections, those in use when they are returned; idempotent."""
         with self._write_lock, self._watch_lock:
             if self._closed:
                 return
@@ -399,7 +409,7 @@ class Ledger:
             if is_damage(error):  # after one damaged page no other is trusted
                 self._refuse(damaged_file(self.path, str(error)))
             refusal = unavailable(self.path, error)
-            if str(refusal) != self._logged:  # once, however many requests follow
+            if str(refusal) != self._logged:  # once for any number of requests
                 self._logged = str(refusal)
                 _log.error("%s", refusal)
             raise refusal from error
@@ -409,6 +419,7 @@ class Ledger:
         self._frozen = can_be_read_frozen(self.path)
 
     def _open(self) -> None:
+        """Open the file, and skip the numbers of commits that it has lost."""
         if self._writer is not None:
             self._writer.close()
         self._writer = open_file(self.path)
@@ -424,6 +435,10 @@ class Ledger:
             self._idle.pop().close()
 
     def _present_writer(self) -> Connection:
+        """Return the writer, after another attempt to open a file that could not be used.
+
+        Raises LedgerUnavailableError if the file still cannot be used.
+        """
         self._check_open()
         if self._refused is not None:
             try:
@@ -437,7 +452,7 @@ class Ledger:
     def _check_usable(self) -> None:
         if self._refused is not None:
             raise LedgerUnavailableError(str(self._refused))
-        # SQLite goes on writing into a file that has been deleted.
+        # SQLite continues to write into a deleted file.
         if inode(self.path) != self._inode:
             raise LedgerUnavailableError(
                 f"the ledger {self.path} was deleted or replaced while the server runs, so nothing "
@@ -446,7 +461,7 @@ class Ledger:
 
     def _check_open(self) -> None:
         if self._closed:
-            raise LedgerError(f"the ledger {self.path} is closed: the server is stopping")
+            raise LedgerError(f"the ledger {self.path} is closed; try again once the server runs")
 
 
 def _numbers(connection: Connection) -> Numbers:

@@ -20,11 +20,11 @@ _log = logging.getLogger(__name__)
 
 _NAN = np.float64(np.nan)
 KEY_BYTES = 16
-# Rows of one record: 100 KB or so, read and written in well under a millisecond. A single row is
-# read with all its record.
+# Rows of one record: 100 KB or so, read and written in well under a millisecond. To read a single
+# row, its complete record is read.
 MAX_COUNT = 1000
 MIN_NUMBERS = 6
-"""Numbers of a wrench or displacement: six an interface, and further inputs."""
+"""Smallest number of a packed vector's numbers: those of one interface."""
 
 
 def pack_vector(values: Sequence[float]) -> bytes:
@@ -46,7 +46,7 @@ def unpack_vector(packed: bytes) -> Vector:
 
 
 def packed(wrenches: np.ndarray) -> list[bytes]:
-    """Return each wrench (n, inputs), N and N·m, as the ledger packs it; NaN is one NaN."""
+    """Return the packed form of each wrench (n, inputs), N and N·m; every NaN is the same NaN."""
     return np.frombuffer(_plain(wrenches).tobytes(), f"V{8 * wrenches.shape[1]}").tolist()
 
 
@@ -56,25 +56,25 @@ def unpacked(wrenches: Iterable[bytes], inputs: int = MIN_NUMBERS) -> np.ndarray
 
 
 def content_key(*parts: bytes) -> bytes:
-    """Return 16 bytes that are the same only for the same parts."""
+    """Return 16 bytes that are equal only for equal parts."""
     return blake2b(b"".join(map(_part, parts)), digest_size=KEY_BYTES).digest()
 
 
 def key_hashes(keys: bytes) -> np.ndarray:
-    """Return the first 8 bytes of each of the keys as a number, which `row_keys` has."""
+    """Return the first 8 bytes of each of the keys as a number, for `row_keys`."""
     return np.frombuffer(keys, ">i8")[::2].astype(np.int64)
 
 
 class Record(NamedTuple):
     """A record of the ledger's table `rows`: consecutive rows of one setup, source and note.
 
-    Bytes of `wrench` to `uncertainty` and of `key` are those of the rows, one after the other;
-    None where no row has the column. The key of a row leaves out what a table file may lack, the
-    seal covers that too.
+    Bytes of `wrench` to `uncertainty` and of `key` are those of the rows, one after the other; None
+    where no row has the column. The key of a row leaves out columns that a table file may lack; the
+    seal covers them too.
     """
 
-    seq: int  # of the first row
-    count: int  # of rows, as the column  # pyright: ignore[reportIncompatibleMethodOverride]
+    seq: int  # number of the first row
+    count: int  # number of rows, named as the column  # pyright: ignore[reportIncompatibleMethodOverride]
     component: str
     fingerprint: str
     source: str
@@ -90,12 +90,12 @@ class Record(NamedTuple):
     seal: bytes
 
     def part(self, first: int, end: int) -> Record:
-        """Return the rows of some places; a seal that does not fit stays so."""
+        """Return the rows from position `first` to `end`; a wrong seal stays wrong."""
         part = self._slice(first, end)
         return part._replace(seal=part.computed_seal()) if self.is_sealed() else part
 
     def _slice(self, first: int, end: int) -> Record:
-        """Return the rows of some places under the seal of all."""
+        """Return the rows from position `first` to `end` under the seal of all."""
 
         def cut(content: Any) -> Any:
             if not isinstance(content, bytes):
@@ -106,25 +106,26 @@ class Record(NamedTuple):
         return self._replace(seq=self.seq + first, count=end - first, **columns)
 
     def computed_seal(self) -> bytes:
-        """Return 16 bytes over the keys and what they leave out."""
+        """Return 16 bytes over the keys and the columns that keys leave out."""
         parts = self.key, self.compliance or b"", self.origin.encode()
-        third = () if self.curvature is None else (self.curvature,)  # rows of 0.2 have none
+        third = () if self.curvature is None else (self.curvature,)  # rows of version 0.2 have none
         return content_key(*parts, *third)
 
     def is_sealed(self) -> bool:
         """Return whether keys, compliance, curvature and note are as they were written."""
         try:
             return self.computed_seal() == self.seal
-        except (ValueError, TypeError, AttributeError):  # of another type
+        except (ValueError, TypeError, AttributeError):  # values of another type
             return False
 
     def rekeyed(self) -> Record:
-        """Return the record with the keys of its numbers, if the seal is of these: only then."""
+        """Return the record with recomputed keys, if the seal confirms them, else unchanged."""
         if self.is_sealed():
             return self
         try:
             record = self._replace(key=b"".join(self._computed_keys()))
-        except (ValueError, TypeError, AttributeError, ArithmeticError):  # of another type, length
+        # Values of another type, or a wrong length.
+        except (ValueError, TypeError, AttributeError, ArithmeticError):
             return self
         return record if record.is_sealed() else self
 
@@ -143,13 +144,13 @@ class Record(NamedTuple):
                 pairs = zip(self._computed_keys(), self.keys(), strict=True)
                 return [present == written for present, written in pairs]
         except (ValueError, TypeError, AttributeError):
-            pass  # of another type or length
+            pass  # a value of another type or length
         return [False] * self.count
 
     def row(self, seq: int) -> LedgerRow:
         """Return one of the rows, undamaged."""
         row = self._slice(seq - self.seq, seq - self.seq + 1)
-        # In a record of several rows a column that this one does not have is NaN.
+        # In a record of several rows a missing column of this row is NaN.
         compliance, curvature, uncertainty = (
             None if not column or np.isnan(np.frombuffer(column)).all() else unpack_vector(column)
             for column in (row.compliance, row.curvature, row.uncertainty)
@@ -175,10 +176,12 @@ _COLUMNS = "wrench", "displacement", "compliance", "curvature", "uncertainty"
 
 
 def row_keys(component: str, block: NotedRows) -> list[bytes]:
-    """Return the content key of each row; raises ValueError for an infinite tangent.
+    """Return the content key of each row.
 
-    Compliance and curvature are left out: a table that comes back from a file without them is
-    still the same table.
+    Compliance and curvature are left out: a table that comes back from a file without them is still
+    the same table.
+
+    Raises ValueError for an infinite tangent.
     """
     rows = block.rows
     if any(rows.compliance.strides) and (infinite := np.isinf(rows.compliance)).any():
@@ -257,8 +260,9 @@ def noted_rows(
 ) -> NotedRows:
     """Return the `wanted` of the rows of some records, without damaged ones.
 
-    Those of a setup, of all if None, and measured ones. Damaged ones are noted in `damaged`, by
-    number with their component, and logged once.
+    `fingerprint`: the setup whose rows and measured rows are returned; all rows if None. Damaged
+    rows are added to `damaged`, by number with their component, and logged once.
+
     Raises ValueError if a row is of another space.
     """
     counts = [record.count for record in records]
@@ -346,7 +350,7 @@ def _keys(
     )
     tails = [unknown] * len(texts)
     if uncertainties is not None:
-        # An output whose uncertainty is not known is NaN, which is not 0: exact.
+        # An output with unknown uncertainty is NaN; 0 would mean exact.
         blank = _NAN.tobytes() * (size // 8)
         each = np.frombuffer(uncertainties, f"V{size}").tolist()
         tails = [unknown if tail == blank else _part(tail) for tail in each]
@@ -359,7 +363,7 @@ def _keys(
 
 
 def _plain(numbers: np.ndarray) -> np.ndarray:
-    """Return numbers as they are stored: little-endian, no minus zero, one NaN."""
+    """Return numbers in their stored form: little-endian, no minus zero, one NaN."""
     return np.where(np.isnan(numbers), _NAN, np.asarray(numbers) + 0.0).astype("<f8")
 
 
@@ -369,7 +373,7 @@ def _known(column: np.ndarray, needed: Callable[..., np.ndarray]) -> bytes | Non
     None if no row has them.
     """
     if not column.size or (not any(column.strides) and np.isnan(column.flat[0])):
-        return None  # one NaN stands for all
+        return None  # a single NaN stands for all
     flat = column.reshape(len(column), -1)
     known = needed(np.isfinite(flat), axis=1)
     return _plain(np.where(known[:, None], flat, _NAN)).tobytes() if known.any() else None

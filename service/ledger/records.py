@@ -20,24 +20,25 @@ class JobRecord:
 
     id: int  # grows with the order of acceptance
     component: str
-    fingerprint: str  # of the setup that the job was accepted for
+    fingerprint: str  # fingerprint of the setup for which the job was accepted
     wrench: Vector  # N, N·m
     status: Status
-    priority: int  # waiting jobs of a higher one start first, of equal ones the oldest
+    priority: int  # waiting jobs of a higher priority start first, of equal priority the oldest
     attempt: int  # attempts started; the number of the current one while running
     lost: int  # attempts whose solver died since the job was accepted, reopened or retried
     owner: str | None  # the dispatcher of the running attempt
     created: float
-    started: float | None  # of the latest attempt
+    started: float | None  # start of the latest attempt
     finished: float | None
     error: dict[str, str] | None  # kind, message and remedy of a failed job
     row: int | None  # `seq` of the row of a done job
-    not_before: float | None = None  # a waiting job whose solver died is not started before
-    asked_by: str = ""  # which call it comes from, such as `query` or `fill`
-    engine: str | None = None  # that has the latest attempt
-    task: str | None = None  # the engine's key of it
+    not_before: float | None = None  # earliest start of a waiting job whose solver died
+    asked_by: str = ""  # the call that requested it, such as `query` or `fill`
+    engine: str | None = None  # the engine of the latest attempt
+    task: str | None = None  # the engine's key of the attempt
     began: float | None = None  # when a solver reported its begin; until then it is submitted
-    actor: str = ""  # that asked for it; empty if it was accepted before the ledger knew actors
+    # The actor that requested it; empty if it was accepted before the ledger had actors.
+    actor: str = ""
 
     @property
     def seconds(self) -> float | None:
@@ -47,19 +48,19 @@ class JobRecord:
 
     @property
     def is_queued(self) -> bool:
-        """True if it is in the queue of its engine: no solver has begun. `local` has no queue."""
+        """Whether the job is in its engine's queue: no solver has begun. `local` has no queue."""
         return (
             self.status == "running" and self.began is None and self.engine not in (None, "local")
         )
 
     @property
     def is_final(self) -> bool:
-        """True if nothing more happens to the job by itself."""
+        """Whether the job does not change any more by itself."""
         return self.status in FINAL
 
 
 class Quota(NamedTuple):
-    """The most that an actor may have: open jobs, and solver seconds of a day; None for any."""
+    """The limits of an actor: open jobs, and solver seconds of a day; None for no limit."""
 
     open_jobs: int | None = None
     solver_seconds: float | None = None
@@ -68,7 +69,7 @@ class Quota(NamedTuple):
 class Heartbeat(NamedTuple):
     """The heartbeat of an owner of attempts: its engine, their number, the time of the last, s.
 
-    An owner lives as long as the number grows. The time is for display: clocks can be set.
+    An owner lives as long as the number grows. The time is for display only, as clocks can be set.
     """
 
     engine: str
@@ -77,7 +78,7 @@ class Heartbeat(NamedTuple):
 
 
 class OpenJob(NamedTuple):
-    """A job that waits or runs, in short: its number, its packed wrench, its call."""
+    """A waiting or running job in short form: its number, its packed wrench, its call."""
 
     id: int
     wrench: bytes
@@ -103,9 +104,9 @@ class LedgerRow:
 
 
 class NotedRows(NamedTuple):
-    """Rows with each row's note and, of stored rows, the time of storing, seconds since the epoch.
+    """Rows with each row's note and, for stored rows, the time of storing, seconds since the epoch.
 
-    The numbers of rows that are to be stored do not count.
+    The numbers (`seq`) of rows that are to be stored are ignored.
     """
 
     rows: Rows
@@ -125,10 +126,11 @@ class RowEdit(NamedTuple):
 class RowChanges:
     """Changes of a component's rows after some seq, as one committed state."""
 
-    rows: Rows  # to add: new ones, and old ones that were restored
-    gone: frozenset[int]  # to remove before: those withdrawn, or restored and so in `rows`
-    last_seq: int  # up to here the changes are complete
-    complete: bool = True  # whether these are all changes; else read on from `last_seq`
+    rows: Rows  # rows to add: new ones, and restored old ones
+    # Rows to remove before: withdrawn ones, and restored ones, which are in `rows`.
+    gone: frozenset[int]
+    last_seq: int  # number up to which the changes are complete
+    complete: bool = True  # whether these are all changes; otherwise continue from `last_seq`
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,8 @@ class TableAt:
     """A component's table at a version, the number of the newest change in it."""
 
     version: int
-    known: tuple[bool, ...]  # any row has an uncertainty, tangents, a curvature, a note, a setup
+    # Whether any row has an uncertainty, tangents, a curvature, a note, a setup.
+    known: tuple[bool, ...]
     lots: Iterator[NotedRows]
 
 
@@ -145,11 +148,11 @@ class LedgerError(RuntimeError):
 
 
 class LedgerFileError(LedgerError):
-    """The file is not a ledger this program can read: foreign, damaged or newer."""
+    """The file is not a ledger that this program can read: foreign, damaged or newer."""
 
 
 class LedgerDamagedError(LedgerFileError):
-    """The file is a ledger, or was one, and its bytes are not those that were written."""
+    """The file is or was a ledger, but its bytes have changed."""
 
 
 class LedgerUnavailableError(LedgerError):
@@ -157,11 +160,11 @@ class LedgerUnavailableError(LedgerError):
 
 
 class LedgerBusyError(LedgerUnavailableError):
-    """The ledger gave no answer in time."""
+    """The ledger did not answer in time."""
 
 
 class ReadOnlyError(LedgerUnavailableError):
-    """The ledger is a replica's copy; the text names the server that takes writes."""
+    """The ledger is a replica's copy; the message names the server that accepts writes."""
 
 
 class LedgerFullError(LedgerUnavailableError):
@@ -177,15 +180,15 @@ class UnknownRowError(LedgerError, LookupError):
 
 
 class UnknownImportError(LedgerError, LookupError):
-    """The component has no import of this number, or the import no such finding."""
+    """The component has no import of this number, or the import has no such finding."""
 
 
 class InvalidTransitionError(LedgerError):
-    """The job's status does not allow this; see `TRANSITIONS`."""
+    """The job's status does not allow this event; see `TRANSITIONS`."""
 
 
 class QuotaError(LedgerError):
-    """The actor has as many open jobs or solver seconds as it may; nothing was changed."""
+    """The actor has reached its limit of open jobs or solver seconds; nothing was changed."""
 
     def __init__(self, message: str, retry_s: float) -> None:
         super().__init__(message)
@@ -193,15 +196,15 @@ class QuotaError(LedgerError):
 
 
 class StaleAttemptError(InvalidTransitionError):
-    """The report is of an attempt that is not the job's running one; drop it."""
+    """The report belongs to an attempt that is not the job's running one; drop it."""
 
 
 class DamagedRowError(LedgerError):
-    """The row on the disk is damaged; it is used nowhere."""
+    """The row on the disk is damaged, and is not used."""
 
 
 class RowStatusError(LedgerError):
-    """The row is withdrawn already, or is not."""
+    """The row already is withdrawn, or is not."""
 
 
 class BlockKeyError(LedgerError):
@@ -213,7 +216,7 @@ class AppendError(LedgerError):
 
 
 class ImportRunningError(LedgerError):
-    """Another import has the ledger for too long; nothing was loaded."""
+    """Another import has used the ledger for too long; nothing was loaded."""
 
 
 class UnknownVersionError(LedgerError, LookupError):

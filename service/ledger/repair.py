@@ -1,9 +1,9 @@
-"""Repair: which acknowledged jobs and rows are gone, and a new ledger from a damaged one.
+"""Repair: lost acknowledged jobs and rows, and a new ledger from a damaged one.
 
 SQLite cannot notice a WAL file that was cut off, deleted or replaced by an older copy: the ledger
-is whole, but older. After each commit the highest numbers are therefore written to a file next to
-the ledger. It is not synced: after a power cut it may be older than the ledger, never newer, so it
-reports no false loss.
+is intact, but older. After each commit the highest numbers are therefore written to a file beside
+the ledger. It is not synced: after a power failure it may be older than the ledger, never newer, so
+that it reports no false loss.
 """
 
 import json
@@ -32,7 +32,7 @@ from wrenchbook.service.ledger.packing import Record, records_of, row_keys
 from wrenchbook.service.ledger.records import NotedRows, RowEdit
 from wrenchbook.surrogate.table.rows import Rows
 
-_DIGEST = 8  # bytes
+_DIGEST = 8  # bytes of the digest of the acknowledged numbers
 _TABLES = (
     *("jobs", "rows", "edits", "gatherings", "recorded", "extremes", "blocks"),
     *("imports", "import_parts", "catalogue", "demand", "solver_errors", "rigs", "audit"),
@@ -41,17 +41,17 @@ _STORED = (
     "EXISTS (SELECT 1 FROM rows WHERE rows.seq = (SELECT max(seq) FROM rows WHERE seq <= row)"
     " AND row < rows.seq + count)"
 )
-_MAX_ROWID = 10_000_000  # where the highest number is unknown
-_OLDER = {"count": 1, "curvature": None}  # of records of earlier schemas
+_MAX_ROWID = 10_000_000  # assumed if the highest number is unknown
+_OLDER = {"count": 1, "curvature": None}  # values of columns that records of earlier schemas lack
 _MAX_NUMBER = 1 << 48  # larger numbers are damaged
-_HEAD_BYTES = 100  # of a file: https://www.sqlite.org/fileformat.html
+_HEAD_BYTES = 100  # bytes of a file's header: https://www.sqlite.org/fileformat.html
 _MAGIC = b"SQLite format 3\0"
-_MAX_BYTES = 1 << 34  # of a ledger; a damaged header may contain more
-_MAX_MISSES = 50_000  # failed reads, 20 µs each
+_MAX_BYTES = 1 << 34  # bytes of a ledger; a damaged header may state more
+_MAX_MISSES = 50_000  # failed reads, 20 µs each, before the repair gives up a table
 
 
 class Numbers(NamedTuple):
-    """The highest numbers used: of jobs, and of rows and edits."""
+    """The highest used numbers: of jobs, and of rows and edits."""
 
     jobs: int = 0
     rows: int = 0
@@ -60,7 +60,7 @@ class Numbers(NamedTuple):
 class Acknowledged:
     """The highest numbers that a ledger has acknowledged, in the file ``<ledger>-acknowledged``.
 
-    Losses are noted in ``<ledger>-lost``.
+    Losses are recorded in ``<ledger>-lost``.
     """
 
     def __init__(self, ledger: Path) -> None:
@@ -69,23 +69,23 @@ class Acknowledged:
         self._noted = Numbers()
 
     def note(self, numbers: Numbers) -> None:
-        """Write the numbers of a commit; an error of the disk is ignored: the commit is done."""
+        """Write the numbers of a commit; a disk error is ignored, as the commit is done."""
         if numbers.jobs <= self._noted.jobs and numbers.rows <= self._noted.rows:
             return
-        # Of two processes that write at once either's numbers stay, until the next commit.
+        # If two processes write at once, either's numbers stay until the next commit.
         self._noted = Numbers(*map(max, numbers, self.read()))
         text = b"%d %d\n" % self._noted
         content = text + blake2b(text, digest_size=_DIGEST).digest()
         with suppress(OSError):
             descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
             try:
-                # The numbers only grow, so the text never gets shorter; one write is atomic.
+                # The numbers only grow, so the text never becomes shorter; one write is atomic.
                 os.pwrite(descriptor, content, 0)
             finally:
                 os.close(descriptor)
 
     def read(self) -> Numbers:
-        """Return the numbers written last; zeros if the file is missing or damaged."""
+        """Return the last written numbers; zeros if the file is missing or damaged."""
         try:
             content = self._path.read_bytes()
         except OSError:
@@ -110,11 +110,11 @@ class Acknowledged:
         return noted
 
     def losses(self) -> list[str]:
-        """Return the losses that no repair has noted yet, as sentences."""
+        """Return the losses that no repair has handled yet, as sentences."""
         return [sentence for sentence, _ in self._open_losses()]
 
     def lost(self, db: Connection) -> Numbers:
-        """Return how many acknowledged jobs and rows are gone, without rows put back since.
+        """Return the numbers of lost acknowledged jobs and rows, without rows restored since.
 
         Edits share the rows' numbers, so that there may be fewer rows.
         """
@@ -127,19 +127,19 @@ class Acknowledged:
         return Numbers(jobs, max(0, lost_rows - db.execute(select, (last,)).fetchone()[0]))
 
     def close(self, move: Callable[[Path], Path]) -> None:
-        """Move the record of losses aside, so that it is reported no more."""
+        """Move the record of losses aside, so that it is no longer reported."""
         if self._losses.exists():
             move(self._losses)
 
     def _open_losses(self) -> list[tuple[str, dict[str, Any]]]:
-        """Return each loss, as a sentence and as it was noted."""
+        """Return each loss, as a sentence and as recorded."""
         try:
             lines = self._losses.read_text(encoding="utf-8").splitlines()
         except OSError:
             return []
         losses = []
         for line in lines:
-            with suppress(ValueError, KeyError, TypeError):  # a line that was cut short
+            with suppress(ValueError, KeyError, TypeError):  # an incomplete line
                 loss = json.loads(line)
                 when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(loss["seen"]))
                 parts = [
@@ -161,10 +161,10 @@ class Acknowledged:
 class Salvaged:
     """Counts of a salvage."""
 
-    read: dict[str, int]  # records, by table
-    reopened: int  # done jobs whose row is lost; they wait again
-    highest_job: int  # number ever used
-    # Upper bound on the acknowledged rows that are in neither copy: edits and abandoned imports use
+    read: dict[str, int]  # numbers of records, by table
+    reopened: int  # done jobs whose row is lost, which wait again
+    highest_job: int  # the highest number of a job that was ever used
+    # Upper bound of the acknowledged rows that are in neither copy: edits and abandoned imports use
     # numbers of rows as well.
     lost_rows: int
 
@@ -175,14 +175,14 @@ def salvage(
     """Write a new ledger from a damaged one, which is only read, and from the table files.
 
     Rows come from the table files first, which have digests: `spare` has the component, the rows
-    and the time of each. A done job whose row is nowhere waits again, and no number that was used,
-    or `noted` as acknowledged, is used again. `damaged` is a copy that no other process uses, with
-    its log next to it; `target` must not exist.
+    and the time of each. A done job without any copy of its row waits again, and no number that was
+    used, or `noted` as acknowledged, is used again. `damaged` is a copy that no other process uses,
+    with its log beside it; `target` must not exist.
     """
     _pad(damaged)
     try:
         source = connect(damaged)
-    except USE_ERRORS:  # its first page, the schema, is damaged
+    except USE_ERRORS:  # the first page, with the schema, is damaged
         source = connect(damaged.with_name("nothing.sqlite"))
     new = open_file(target)
     try:
@@ -196,7 +196,7 @@ def salvage(
         for component, some, written in spare:
             _place(new, component, some, written)
         read = {name: _copy(source, new, name, highest) for name in _TABLES}
-        # References to missing jobs and rows.
+        # Remove references to missing jobs and rows.
         new.execute("UPDATE rows SET job = NULL WHERE job NOT IN (SELECT id FROM jobs)")
         new.execute(f"DELETE FROM edits WHERE NOT {_STORED}")
         reopened = new.execute(
@@ -214,17 +214,21 @@ def salvage(
 
 
 def _pad(damaged: Path) -> None:
-    """Extend a truncated file to its length: SQLite reads no page of a shorter one."""
+    """Extend a truncated file to its length: SQLite reads no page of a shorter file."""
     with damaged.open("r+b") as file:
         head = file.read(_HEAD_BYTES)
         pages, size = int.from_bytes(head[28:32]), int.from_bytes(head[16:18])
-        size = 65536 if size == 1 else size  # as the format writes it
+        size = 65536 if size == 1 else size  # the format's code of 65536
         full_size = pages * size
         if head.startswith(_MAGIC) and damaged.stat().st_size < full_size < _MAX_BYTES:
-            file.truncate(full_size)  # sparse
+            file.truncate(full_size)  # a sparse file
 
 
 def _copy(source: Connection, new: Connection, table: str, highest: dict[str, int]) -> int:
+    """Copy the readable records of a table, and return their number.
+
+    highest: the highest used number of each table, where the search for records ends.
+    """
     columns = [name for _, name, *_ in new.execute(f"PRAGMA table_info({table})")]
     try:
         there = [name for _, name, *_ in source.execute(f"PRAGMA table_info({table})")]
@@ -250,7 +254,7 @@ def _copy(source: Connection, new: Connection, table: str, highest: dict[str, in
                 ranges += [(middle + 1, last), (first, middle)]
             continue
         for record in records:
-            with suppress(*USE_ERRORS, TypeError, ValueError):  # its values are damaged
+            with suppress(*USE_ERRORS, TypeError, ValueError):  # a record with damaged values
                 if table == "rows":
                     values = dict(zip(common, record, strict=True))
                     count += _restore_record(new, Record(**{**_OLDER, **values}))
@@ -260,7 +264,7 @@ def _copy(source: Connection, new: Connection, table: str, highest: dict[str, in
 
 
 def _place(db: Connection, component: str, some: Rows, now: float) -> None:
-    """Insert rows of a table file under the numbers that they had in a ledger that is gone."""
+    """Insert rows of a table file under their numbers in a lost ledger."""
     gaps = np.flatnonzero(np.diff(some.seq) != 1) + 1
     for run in np.split(np.arange(len(some)), gaps) if len(some) else ():
         block = NotedRows(some.take(run), ["table file"] * len(run))
@@ -270,7 +274,10 @@ def _place(db: Connection, component: str, some: Rows, now: float) -> None:
 
 
 def _restore_record(db: Connection, record: Record) -> int:
-    """Insert those rows of a record whose keys and numbers a new ledger lacks; return how many."""
+    """Insert those rows of a record whose keys and numbers a new ledger lacks.
+
+    Return their number.
+    """
     last = record.seq + record.count - 1
     used = {seq for seq, _ in rows.containing(db, range(record.seq, last + 1))}
     known, keys, count = rows.stored(db, record.keys()), record.keys(), 0
@@ -289,10 +296,10 @@ def _restore_record(db: Connection, record: Record) -> int:
 
 
 def rewrite(db: Connection, component: str, seq: int, copy: Rows) -> bool:
-    """Write a damaged row anew from another copy, with its own number, job, time and note.
+    """Write a damaged row again from another copy, with its own number, job, time and note.
 
-    The note is kept if the row's seal fits it. Returns False if the row is not damaged, or if
-    the same row has another number already: it was solved or loaded again.
+    The note is kept if it fits the row's seal. Returns False if the row is not damaged, or if the
+    same row already has another number because it was solved or loaded again.
     """
     if rows.numbered(db, [seq]):
         return False
@@ -308,7 +315,7 @@ def rewrite(db: Connection, component: str, seq: int, copy: Rows) -> bool:
         return False
     (record,) = records_of(component, block, keys, seq, created, known and known[0])
     rows.write_anew(db, record)
-    # Readers have passed this number; a withdrawal and its undoing make them read it again.
+    # Readers have passed this number; a withdrawal and its restoring make them read it again.
     withdrawn = rows.is_withdrawn(db, seq)
     rows.edit(db, component, [seq], withdrawn=not withdrawn, now=now)
     rows.edit(db, component, [seq], withdrawn=withdrawn, now=now)
@@ -317,9 +324,11 @@ def rewrite(db: Connection, component: str, seq: int, copy: Rows) -> bool:
 
 
 def replay(db: Connection, component: str, edits: Iterable[RowEdit]) -> int:
-    """Repeat edits that are newer than the ledger's of the same row; return how many rows changed.
+    """Repeat edits that are newer than the ledger's of the same row.
 
-    An edit of a row that is not there changes nothing.
+    Return the number of changed rows.
+
+    An edit of a missing row changes nothing.
     """
     newest = "SELECT created FROM edits WHERE row = ? ORDER BY seq DESC LIMIT 1"
     changed = 0

@@ -1,8 +1,8 @@
 """SQL of rows. Each function takes a connection inside the caller's transaction.
 
-A record of the table `rows` holds up to `packing.MAX_COUNT` consecutive rows; `row_keys` has the
-key of each row, unique. Rows and edits (a withdrawal, its undoing) are numbered by one sequence:
-one number says how far a reader has read.
+A record of the table `rows` has up to `packing.MAX_COUNT` consecutive rows; `row_keys` has the key
+of each row, unique. Rows and edits (a withdrawal, its restoring) are numbered by one sequence, so
+that one number states the position of a reader.
 """
 
 from __future__ import annotations
@@ -45,16 +45,16 @@ from wrenchbook.surrogate.table.space import DEFAULT, Input, Output, Space
 
 _log = logging.getLogger(__name__)
 
-MAX_CHANGES = 20_000  # rows returned at once
+MAX_CHANGES = 20_000  # rows returned at once: bounds memory
 _COLUMNS = ", ".join(Record._fields)
 INSERT = f"INSERT INTO rows ({_COLUMNS}) VALUES ({', '.join('?' * len(Record._fields))})"
-# Rows of an import that has not ended are hidden. Parts do not overlap, so the one that begins
-# last before a row is the only one that can contain it.
+# Rows of an unfinished import are hidden. Parts do not overlap, so that only the last part that
+# begins before a row can contain it.
 SHOWN = (
     "coalesce((SELECT part.last FROM import_parts part WHERE part.hidden = 1"
     " AND part.first <= rows.seq ORDER BY part.first DESC LIMIT 1), 0) < rows.seq"
 )
-# With max(), SQLite gives that record's columns: the newest edit of a row is the valid one.
+# With max(), SQLite returns that record's columns: the newest edit of a row is the valid one.
 _WITHDRAWN = (
     "SELECT row FROM (SELECT row, withdrawn, max(seq) FROM edits"
     " WHERE component = :component AND seq <= :until GROUP BY row) WHERE withdrawn"
@@ -65,7 +65,7 @@ _BETWEEN = (
     " AND seq + count - 1 > :after"
 )
 _EVER = 2**63 - 1
-_MAX_VALUES = 500  # of one statement; SQLite before 3.32 takes 999
+_MAX_VALUES = 500  # values of one statement; SQLite before 3.32 allows 999
 
 
 def in_parts(values: Iterable[Any]) -> Iterator[tuple[str, list[Any]]]:
@@ -89,7 +89,7 @@ def insert(
     above: int = 0,
     job: int | None = None,
 ) -> tuple[int, int]:
-    """Insert rows; return how many were new and how many known, by their keys.
+    """Insert rows; return the numbers of new and known rows, by their keys.
 
     New rows get a seq above `above`. A hidden row of a running import counts as new: the import
     loses it, see `yield_to_others`.
@@ -115,14 +115,14 @@ def number(
     now: float,
     job: int | None = None,
 ) -> int:
-    """Insert rows without entries in `row_keys` under the next numbers; return the first one."""
+    """Insert rows without entries in `row_keys` under the next numbers; return the first number."""
     first = _skip(db, len(keys)) - len(keys) + 1
     db.executemany(INSERT, records_of(component, block, keys, first, now, job))
     return first
 
 
 def stored(db: Connection, keys: Sequence[bytes], *, hidden: bool = False) -> dict[bytes, int]:
-    """Return the numbers of those rows that are in the ledger, by key; or of the hidden ones."""
+    """Return the numbers of existing rows by key; with `hidden` of hidden rows."""
     hashes = key_hashes(b"".join(keys)).tolist()
     seqs: list[int] = []
     for marks, some in in_parts(hashes):
@@ -137,7 +137,7 @@ def stored(db: Connection, keys: Sequence[bytes], *, hidden: bool = False) -> di
 
 
 def new_positions(keys: Sequence[bytes], known: Set[bytes]) -> Sequence[int]:
-    """Return the position of the first of each key that is not known."""
+    """Return the position of the first occurrence of each key that is not known."""
     if len(set(keys)) == len(keys) and known.isdisjoint(keys):
         return range(len(keys))
     positions: dict[bytes, int] = {}
@@ -168,7 +168,7 @@ def cut(db: Connection, seq: int) -> None:
 
 
 def enter(db: Connection, entries: Iterable[tuple[int, int]]) -> None:
-    """Enter the hashes of rows' keys, with their numbers: fast in the order of the hashes."""
+    """Insert the hashes of rows' keys, with their numbers: fast in the order of the hashes."""
     db.executemany("INSERT OR IGNORE INTO row_keys VALUES (?, ?)", entries)
 
 
@@ -198,7 +198,7 @@ def delete(db: Connection, first: int, last: int, most: int) -> int:
 
 
 def write_anew(db: Connection, record: Record) -> None:
-    """Put the record of one row in the place of a damaged one."""
+    """Replace the record of one damaged row."""
     cut(db, record.seq)
     db.execute(INSERT, record)
     enter(db, row_entries(record))
@@ -215,8 +215,9 @@ def add_solved(
 ) -> LedgerRow:
     """Insert the row of a job, or find the row of the same content, and return it.
 
-    A withdrawn row of the same content is restored, since the solve has confirmed it; a damaged
-    row is written again. An output whose uncertainty is not known is NaN, but not all of them.
+    A withdrawn row of the same content is restored, since the solve has confirmed it; a damaged row
+    is written again. An output with unknown uncertainty is NaN, but not all of them.
+
     Raises ValueError if a number is not finite or a length is wrong.
     """
     columns = {name: value for name, value in known.items() if value is not None}
@@ -229,7 +230,8 @@ def add_solved(
     if len(displacement) < MIN_NUMBERS:
         needs = f"needs {MIN_NUMBERS} or more numbers, not {len(displacement)}"
         raise ValueError(f"the displacement of job {job.id} {needs}")
-    inputs = (Input("", "", "scalar"),) * len(job.wrench)  # of the space only the counts matter
+    # Only the numbers of inputs and outputs matter.
+    inputs = (Input("", "", "scalar"),) * len(job.wrench)
     space = Space(inputs, (Output("", ""),) * len(displacement))
     columns |= {"source": source, "fingerprint": job.fingerprint}
     more = {name: [value] for name, value in columns.items()}
@@ -241,7 +243,7 @@ def add_solved(
         (record,) = records_of(job.component, block, keys, seq, now, job.id)
         write_anew(db, record)
         if not is_withdrawn(db, seq):
-            edit(db, job.component, [seq], withdrawn=True, now=now)  # so that readers read it again
+            edit(db, job.component, [seq], withdrawn=True, now=now)  # makes readers read it again
     if is_withdrawn(db, seq):
         edit(db, job.component, [seq], withdrawn=False, now=now)
     db.rows += 1
@@ -251,11 +253,12 @@ def add_solved(
 def withdraw(db: Connection, component: str, seq: int, *, withdrawn: bool = True) -> None:
     """Take a row out of the component's table, or back into it; it stays in the ledger.
 
-    Raises UnknownRowError if the component has no such row, RowStatusError if it is so already.
+    Raises UnknownRowError if the component has no such row, RowStatusError if it already is so.
     """
     if not any(record.component == component for _, record in containing(db, [seq])):
         raise UnknownRowError(
-            f"the table of {component!r} has no row {seq}; see GET /v1/components/{component}/table"
+            f"the table of {component!r} has no row {seq}; list its rows with GET "
+            f"/v1/components/{component}/table"
         )
     if is_withdrawn(db, seq) == withdrawn:
         state = "withdrawn" if withdrawn else "in the table"
@@ -273,14 +276,17 @@ def note_edit(
 
 
 def restore(db: Connection, component: str, seq: int) -> None:
-    """Bring a withdrawn row back into the component's table; raises as `withdraw` does."""
+    """Bring a withdrawn row back into the component's table.
+
+    Raises the errors of `withdraw`.
+    """
     withdraw(db, component, seq, withdrawn=False)
 
 
 def edit(
     db: Connection, component: str, seqs: Sequence[int], *, withdrawn: bool, now: float
 ) -> None:
-    """Withdraw or restore rows of a component, of which none is so already."""
+    """Withdraw or restore rows of a component, none of which already is so."""
     first = _skip(db, len(seqs)) - len(seqs) + 1
     edits = ((first + k, component, seq, withdrawn, now) for k, seq in enumerate(seqs))
     db.executemany("INSERT INTO edits VALUES (?, ?, ?, ?, ?)", edits)
@@ -293,7 +299,7 @@ def _skip(db: Connection, count: int = 0, least: int = 0) -> int:
         "INSERT INTO sqlite_sequence SELECT 'rows', 0 WHERE NOT EXISTS"
         " (SELECT 1 FROM sqlite_sequence WHERE name = 'rows')"
     )
-    # SQLite's AUTOINCREMENT counts records; the last one may have more rows than one.
+    # SQLite's AUTOINCREMENT counts records; the last record may have several rows.
     last = "coalesce((SELECT seq + count - 1 FROM rows ORDER BY seq DESC LIMIT 1), 0)"
     db.execute(
         f"UPDATE sqlite_sequence SET seq = max(max(seq, {last}) + ?, ?) WHERE name = 'rows'",
@@ -316,8 +322,8 @@ def row_changes(
 ) -> RowChanges:
     """Return the changes of a component's rows after a seq, without damaged rows.
 
-    Those of a setup's and measured rows if its fingerprint is given. Of new rows only the first
-    `most`; the changes then end with the last of them.
+    `fingerprint`: the setup whose rows and measured rows are returned. Only the first `most` new
+    rows are returned; the changes then end with the last of them.
     """
     newest = last_seq(db, component)
     touched = "SELECT row FROM edits WHERE component = ? AND seq > ? AND seq <= ?"
@@ -340,9 +346,9 @@ def table_at(
     space: Space = DEFAULT,
     fingerprint: str | None = None,
 ) -> TableAt:
-    """Return a component's table as it was at a version, now if None; read within `db`'s state.
+    """Return a component's table at a version, now if None; read it within `db`'s state.
 
-    Raises UnknownVersionError if the table has not come to that version yet.
+    Raises UnknownVersionError if the table has not reached that version yet.
     """
     newest = last_seq(db, component)
     if version is not None and not 0 <= version <= newest:
@@ -368,12 +374,15 @@ def table_at(
 
 
 def get(db: Connection, seq: int) -> LedgerRow:
-    """Return a row by its seq, withdrawn or not; raises UnknownRowError, DamagedRowError."""
+    """Return a row by its seq, withdrawn or not.
+
+    Raises UnknownRowError if there is none, DamagedRowError if it is damaged.
+    """
     rows = numbered(db, [seq])
     if rows:
         return rows[seq]
     if not list(containing(db, [seq])):
-        raise UnknownRowError(f"there is no row {seq}; see GET /v1/components/NAME/table")
+        raise UnknownRowError(f"there is no row {seq}; list all with GET /v1/components/NAME/table")
     raise DamagedRowError(
         f"row {seq} is damaged on the disk and is not used; restore the ledger from a backup, or "
         "ask for its wrench again to have it solved anew"
@@ -381,7 +390,7 @@ def get(db: Connection, seq: int) -> LedgerRow:
 
 
 def numbered(db: Connection, seqs: Iterable[int]) -> dict[int, LedgerRow]:
-    """Return those of some rows that are there and undamaged, by number."""
+    """Return the existing undamaged ones of some rows, by number."""
     rows: dict[int, LedgerRow] = {}
     last, sound = None, [False]
     for seq, record in containing(db, seqs):
@@ -393,7 +402,7 @@ def numbered(db: Connection, seqs: Iterable[int]) -> dict[int, LedgerRow]:
 
 
 def damaged(db: Connection) -> dict[int, str]:
-    """Return the damaged rows of the ledger, with the component they name. All rows are read."""
+    """Return the damaged rows of the ledger, with the component that they name. Reads all rows."""
     return {
         record.seq + at: str(record.component)
         for record in _records(db, "1 ORDER BY seq", ())
@@ -419,8 +428,9 @@ def first_hidden(db: Connection, component: str | None) -> int | None:
 def last_seq(db: Connection, component: str | None = None) -> int:
     """Return the number of the newest row, withdrawal or restoring (of one component), or 0.
 
-    During an import of a component, the newest before the first hidden row: readers have then not
-    passed the import's rows when they are shown, and a version is always one that the table had.
+    During an import of a component, return the newest before the first hidden row: readers have
+    then not passed the import's rows when these are published, and every version is one that the
+    table had.
     """
     where = "seq < :end" if component is None else "component = :component AND seq < :end"
     newest = ", ".join(
@@ -449,20 +459,20 @@ def count_new(db: Connection, component: str, fingerprint: str, after: int) -> i
 
 
 def count_rows(db: Connection, component: str) -> int:
-    """Return how many rows a component has, withdrawn ones and those of other setups too."""
+    """Return the number of a component's rows, with withdrawn ones and those of other setups."""
     select = f"SELECT coalesce(sum(count), 0) FROM rows WHERE component = ? AND {SHOWN}"
     return db.execute(select, (component,)).fetchone()[0]
 
 
 def known_rows(db: Connection, keys: Iterable[bytes]) -> set[bytes]:
-    """Return those of these rows' keys that are in the ledger."""
+    """Return the given keys whose rows are in the ledger."""
     return set(stored(db, list(keys)))
 
 
 def of_other_setups(db: Connection, component: str, fingerprint: str) -> dict[bytes, int]:
-    """Return how many rows of other setups have each wrench (packed), the oldest first.
+    """Return the number of rows of other setups at each wrench (packed), the oldest first.
 
-    They are in no table. Measured rows, of no setup, and withdrawn ones do not count.
+    They are in no table. Measured rows, which have no setup, and withdrawn ones do not count.
     """
     where = f"component = ? AND fingerprint <> '' AND fingerprint <> ? AND {SHOWN} ORDER BY seq"
     gone = withdrawn(db, component)
@@ -477,7 +487,7 @@ def of_other_setups(db: Connection, component: str, fingerprint: str) -> dict[by
 
 
 def digest(db: Connection, component: str, until: int) -> str:
-    """Return a digest of which rows a component has, and their edits, up to a seq."""
+    """Return a digest of a component's rows and their edits, up to a seq."""
     total, values = blake2b(digest_size=16), (component, until)
     where = "WHERE component = ? AND seq <= ? ORDER BY seq"
     for first, keys in db.execute(f"SELECT seq, key FROM rows {where}", values):
@@ -494,8 +504,8 @@ def digest(db: Connection, component: str, until: int) -> str:
 
 
 def edits(db: Connection, component: str, until: int) -> list[RowEdit]:
-    """Return the newest edit, up to a seq, of each of a component's rows that had one."""
-    # With max(), SQLite gives that record's columns.
+    """Return the newest edit, up to the seq `until`, of each edited row of a component."""
+    # With max(), SQLite returns that record's columns.
     select = (
         "SELECT row, withdrawn, created, max(seq) FROM edits"
         " WHERE component = ? AND seq <= ? GROUP BY row"
@@ -518,7 +528,7 @@ def _records(db: Connection, where: str, values: Any) -> Iterator[Record]:
 def containing(
     db: Connection, seqs: Iterable[int], condition: str = SHOWN
 ) -> Iterator[tuple[int, Record]]:
-    """Yield those of these rows that meet the condition, by number, each with its record."""
+    """Yield the given rows that meet the condition, in order, each with the record that has it."""
     record = None
     where = f"seq > ? AND seq <= ? AND {condition} ORDER BY seq DESC LIMIT 1"
     for seq in sorted(seqs):
@@ -543,10 +553,10 @@ def _read(
     space: Space,
     fingerprint: str | None,
 ) -> tuple[NotedRows, int | None]:
-    """Return the first `most` rows of the numbers `after` + 1 to `until`, and the number to go on.
+    """Return the first `most` rows with numbers from `after` + 1 to `until`, and where to continue.
 
-    Without the rows `gone`, damaged ones and those of another setup (see `noted_rows`). The second
-    value is the number of the last row read, None if there are no further ones.
+    The rows `gone`, damaged ones and those of another setup (see `noted_rows`) are left out. The
+    second value is the number of the last row read, None if there are no further ones.
     """
     values = {"component": component, "after": after, "until": until}
     records, count = [], 0

@@ -1,18 +1,18 @@
 """The SQL of the ledger's tables, and the steps from the schemas of released versions."""
 
-APPLICATION_ID = 0x77726E63  # "wrnc": tells a ledger from other programs' SQLite files
-VERSION = 16  # of TABLES; raise it, and add a step from the previous one, with each change
+APPLICATION_ID = 0x77726E63  # "wrnc": distinguishes a ledger from other programs' SQLite files
+VERSION = 16  # version of TABLES; each change raises it and adds a step from the previous version
 
-# `wrench`, `displacement` and their kin are float64, little-endian, of any number of loads and
-# outputs; see packing.py.
+# `wrench`, `displacement` and similar columns are float64, little-endian, of any number of loads
+# and outputs; see packing.py.
 _WRENCH = "wrench BLOB NOT NULL CHECK (length(wrench) >= 48 AND length(wrench) % 8 = 0)"
 _CURVATURE = """curvature BLOB CHECK (length(curvature) * 6
         = length(wrench) * (length(wrench) / 8 + 1) * (length(wrench) / 8 + 2))"""  # until 13
 _RIG = "rig TEXT NOT NULL DEFAULT ''"
 _FINDINGS = "findings TEXT NOT NULL DEFAULT '[]'"
 
-# Notes on components and which are archived; JSON of the queries that no table covered, and of the
-# error of the solver of a setup.
+# Notes on components and archived ones; JSON of the queries that no table covered, and of the error
+# of the solver of a setup.
 _STATE = """
     CREATE TABLE catalogue (
         component TEXT PRIMARY KEY,
@@ -38,7 +38,7 @@ _RIGS = """
     CREATE TABLE rigs (name TEXT PRIMARY KEY, profile TEXT NOT NULL);
 """
 
-# Writes and their actors. REPLACE fires no trigger of DELETE, so that one of INSERT refuses it.
+# Writes and their actors. REPLACE fires no trigger of DELETE, so a trigger of INSERT refuses it.
 _ACTOR = "actor TEXT NOT NULL DEFAULT ''"
 _TURNS = """
     -- Waiting jobs start by priority and id of each actor in turn: the one whose last start is the
@@ -68,8 +68,8 @@ _AUDIT = f"""
 """
 
 # A record has consecutive rows, from `seq`, of one setup, source and note: the bytes of their
-# numbers and keys, one after the other. The key leaves out what a table file may lack, the seal
-# covers the complete record.
+# numbers and keys, one after the other. The key leaves out columns that a table file may lack; the
+# seal covers the complete record.
 _ROWS = """
     CREATE TABLE {name} (
         seq INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -92,7 +92,7 @@ _ROWS = """
         seal BLOB NOT NULL
     );
 """
-# The first 8 bytes of the key of each row. Different keys may have the same: `rows` decides.
+# The first 8 bytes of the key of each row. Different keys may share them: `rows` decides.
 _KEYS = """
     CREATE TABLE row_keys (hash INTEGER, seq INTEGER, PRIMARY KEY (hash, seq)) WITHOUT ROWID;
 """
@@ -229,9 +229,9 @@ TABLES = f"""
     {_AUDIT}
 """
 
-# By the schema version of a file: the version that the script leads to, and the script. 8 is that
-# of release 0.2, 12 that of 0.3. A CHECK is text of the schema alone, changed as
-# sqlite.org/lang_altertable.html, section 7, has it: wrenches and displacements had six numbers.
+# By the schema version of a file: the version after the script, and the script. 8 is that of
+# release 0.2, 12 that of 0.3. A CHECK is text of the schema alone, changed as in
+# sqlite.org/lang_altertable.html, section 7: wrenches and displacements had six numbers.
 STEPS = {
     8: (
         12,
@@ -254,7 +254,7 @@ STEPS = {
         """,
     ),
     12: (13, _STATE),
-    # A record of `rows` was one row, its key unique there; jobs and edits referred to it.
+    # A record of `rows` was one row, with a unique key; jobs and edits referred to it.
     13: (
         14,
         f"""

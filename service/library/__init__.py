@@ -1,1 +1,1 @@
-"""The components a server knows: shipped ones and uploaded bundles."""
+"""The components of a server: shipped ones and uploaded bundles."""

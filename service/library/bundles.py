@@ -25,19 +25,21 @@ from wrenchbook.service.library.component import Component
 from wrenchbook.service.sandbox import MIB, Limits, Part, Sandbox, SandboxError, run
 from wrenchbook.surrogate.table.hdf5 import TableFileError, leads_out
 
-MAX_BUNDLE_BYTES: Final = 512 * 1024 * 1024  # a mesh of some million cells
-MAX_FILES: Final = 1000  # a component is its component.toml, a mesh, and what a deck includes
+MAX_BUNDLE_BYTES: Final = 512 * 1024 * 1024  # bytes: a mesh of some million cells
+# Files: a component is its component.toml, a mesh, and files that a deck includes.
+MAX_FILES: Final = 1000
 MAX_PROBLEMS: Final = 1000
-PICTURE_VERTICES: Final = 2000  # a small picture shows no more; 80 kB of JSON
-MAX_FACE_TRIANGLES: Final = 200_000  # 6 MB of JSON; beyond that a browser turns them in jerks
-# The largest mesh of a generator, two million cells, takes 3 GB; a solve of half of that is days.
+PICTURE_VERTICES: Final = 2000  # vertices of a small picture, which shows no more; 80 kB of JSON
+# Triangles: 6 MB of JSON; a browser rotates more only with delays.
+MAX_FACE_TRIANGLES: Final = 200_000
+# The largest mesh of a generator, two million cells, takes 3 GB; a solve of half of it takes days.
 CHECK: Final = Limits(memory=2048 * MIB, seconds=300.0, output=MAX_BUNDLE_BYTES)
-# Pieces of 1 MiB, the archive's list of files, and a component.toml that is small.
+# Pieces of 1 MiB, the archive's list of files, and a small component.toml.
 UNPACK: Final = Limits(memory=256 * MIB, seconds=120.0, output=MAX_BUNDLE_BYTES)
 _MODULE: Final = "wrenchbook.service.library.bundles"
 CHECKER: Final = f"{_MODULE}:checked"
 _PIECE: Final = 1 << 20
-# Errors of the disk; all others are the archive's fault.
+# Errors of the disk; all others are the archive's.
 _OF_THE_DISK: Final = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EACCES)
 _CANNOT_UNPACK: Final = (
     "The zip cannot be unpacked: {why}. Zip the folder again, without a password, with the usual "
@@ -45,10 +47,11 @@ _CANNOT_UNPACK: Final = (
 )
 _TOO_LARGE: Final = "The unpacked zip is larger than the limit of {} MiB. Leave large files out."
 _NO_REPORT: Final = "The mesh check stopped ({why}). Check it with: wrenchbook check FOLDER"
-# Of a component.toml: the first table, below the top-level keys; the lines of these keys.
+# Patterns of a component.toml: the first table, below the top-level keys; the lines of these keys.
 _FIRST_TABLE = re.compile(r"^\s*\[", re.MULTILINE)
 _LINE = {key: re.compile(rf"^[ \t]*{key}[ \t]*=.*$", re.MULTILINE) for key in ("name", "title")}
-# Slots apart from those of `run`: a check may take minutes. It imports 75 MB, so none stays.
+# Slots separate from those of `run`: a check may take minutes. It imports 75 MB, so no process
+# stays.
 _checks: Final = Sandbox(keep=False)
 
 
@@ -62,8 +65,8 @@ def unpack(archive: BinaryIO, incoming: Path, *, complete: bool = True) -> tuple
 
     Without `complete` its component.toml may lack entries, and the deck is not required.
 
-    Raises BundleError if the archive or its component.toml has mistakes or takes too much to be
-    read, SandboxBusyError if too many others are being read, OSError if the disk is full.
+    Raises BundleError if the archive or its component.toml has mistakes or is too large to be read,
+    SandboxBusyError if too many others are being read, OSError if the disk is full.
     """
     copy, target = incoming / "bundle.zip", incoming / "bundle"
     target.mkdir()
@@ -82,10 +85,10 @@ def unpack(archive: BinaryIO, incoming: Path, *, complete: bool = True) -> tuple
 
 
 def check_mesh(folder: Path) -> dict[str, Any]:
-    """Build the bundle's mesh and resolve its groups, in a subprocess; return the report.
+    """Build the bundle's mesh and find its groups, in a subprocess; return the report.
 
-    Raises BundleError with every problem or with what ended the check, SandboxBusyError if too
-    many others are being checked.
+    Raises BundleError with every problem or with the cause of the check's end, SandboxBusyError if
+    too many others are being checked.
     """
     try:
         (part,) = _checks.run(CHECKER, folder, None, CHECK)
@@ -121,7 +124,7 @@ def surface_of(folder: Path, _fingerprint: str) -> dict[str, Any]:
 
 @lru_cache(maxsize=8)
 def faces_of(folder: Path, _fingerprint: str = "") -> bytes:
-    """Return as JSON ``faces`` of a bundle's mesh, numbered, and the plotly ``figure`` of them.
+    """Return as JSON the numbered ``faces`` of a bundle's mesh, and their plotly ``figure``.
 
     Raises BundleError if no surface can be read or drawn, SandboxBusyError as `surface_of`.
     """
@@ -177,13 +180,13 @@ def toml_text(text: str) -> str:
 def unpacked(archive: Path, target: str, complete: bool) -> Iterator[Part]:
     """Unpack a bundle's zip into an empty folder and, if it is to be `complete`, read it.
 
-    Yields a part with ``problems``, each ``[where, message]``; without any also ``folder``, which
-    holds the bundle, relative to `target`, and ``deck``, whether it names a command.
+    Yields a part with ``problems``, each ``[where, message]``; without any also ``folder``, the
+    bundle's folder relative to `target`, and ``deck``, whether it names a command.
     """
     try:
         folder = extract(archive, Path(target))
         for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-            try:  # HDF5 files, as some meshes are, may have other files of this machine read
+            try:  # an HDF5 file, as some meshes are, may refer to other files of this machine
                 outside = leads_out(path)
             except TableFileError as error:
                 raise problem_at("bundle", f'"{path.name}" {error}') from None
@@ -201,12 +204,14 @@ def unpacked(archive: Path, target: str, complete: bool) -> Iterator[Part]:
 
 def checked(folder: Path) -> Iterator[Part]:
     """Yield a part with the ``report`` of `fea.check` on a bundle, as JSON text."""
-    # Imported here alone: no server imports finite elements.
+    # Imported in this function only: no server imports finite elements.
     check = importlib.import_module("wrenchbook.fea.check")
     try:
         yield Part({"report": json.dumps(check.report(folder))})
-    except OSError as error:  # of the bundle's files, not of this machine's disk
-        raise RuntimeError(f"{error.filename} cannot be read: {error.strerror}") from error
+    except OSError as error:  # an error of the bundle's files, not of this machine's disk
+        raise RuntimeError(
+            f"{error.filename} cannot be read ({error.strerror}); let the server's user read it"
+        ) from error
 
 
 def surface(folder: Path) -> Iterator[Part]:
@@ -224,13 +229,13 @@ def surface(folder: Path) -> Iterator[Part]:
 
 
 def faces(folder: Path) -> Iterator[Part]:
-    """Yield the reply of `faces_of`, ``json``, in bytes."""
+    """Yield the reply of `faces_of`, ``json``, as bytes."""
     reporting = importlib.import_module("wrenchbook.fea.check.reporting")
     commands = importlib.import_module("wrenchbook.fea.check.commands")
     problems: list[BundleProblem] = []
     surface = reporting.surface_in(folder, problems)
     if surface is None:
-        if not problems:  # of the TOML text itself
+        if not problems:  # mistakes of the TOML text itself
             problems = [BundleProblem(**each) for each in reporting.report(folder)["problems"]]
             problems = [each for each in problems if each.where.startswith(("component", "line"))]
         texts = [f"{each.where}: {each.message}" for each in problems]
@@ -247,7 +252,7 @@ def faces(folder: Path) -> Iterator[Part]:
 
 
 def extract(archive: Path, target: Path) -> Path:
-    """Unpack a bundle's zip and return the folder that holds component.toml.
+    """Unpack a bundle's zip and return the folder of its component.toml.
 
     Raises BundleError if it cannot be unpacked, leads out of the folder or is too large, OSError if
     the disk is full or cannot be written.
@@ -268,7 +273,7 @@ def extract(archive: Path, target: Path) -> Path:
             raise
         why = error.strerror or "it is damaged"
         raise problem_at("bundle", _CANNOT_UNPACK.format(why=why)) from None
-    except Exception as error:  # whatever zipfile comes to in a damaged archive
+    except Exception as error:  # any error of zipfile in a damaged archive
         raise problem_at("bundle", _CANNOT_UNPACK.format(why=str(error)[:200])) from None
     folders = sorted(path.parent for path in target.rglob("component.toml"))
     if not folders:

@@ -1,4 +1,4 @@
-"""Notes on components, and which components are archived, in the ledger's database."""
+"""Notes on components, and archived components, in the ledger's database."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wrenchbook.service.ledger.audit import note
 
 @dataclass(frozen=True)
 class CatalogueCard:
-    """The entry of a component; an archived one is left out of the list and answers all the same.
+    """The entry of a component; an archived one is not listed but still answers.
 
     Its fields are in the order of the table's columns.
     """
@@ -25,16 +25,16 @@ class CatalogueCard:
 
 
 class Catalogue:
-    """The cards of a data directory, by component."""
+    """The entries of a data directory, by component."""
 
     def __init__(self, ledger: Ledger) -> None:
         self._ledger = ledger
         self._lock = threading.Lock()
-        self._version: int | None = None  # the ledger's when the cards were read
+        self._version: int | None = None  # the ledger's version when the entries were read
         self._cards: dict[str, CatalogueCard] = {}
 
     def __getitem__(self, name: str) -> CatalogueCard:
-        with self._lock, suppress(LedgerError):  # without the ledger, as they were read last
+        with self._lock, suppress(LedgerError):  # without the ledger, the last read entries
             version = self._ledger.version()
             if version != self._version:
                 with self._ledger.reading() as db:
@@ -44,7 +44,10 @@ class Catalogue:
         return self._cards.get(name, CatalogueCard())
 
     def change(self, name: str, **fields: Any) -> CatalogueCard:
-        """Change a component's entry, on disk for good; raises LedgerUnavailableError."""
+        """Change a component's entry durably.
+
+        Raises LedgerUnavailableError if the ledger cannot be written.
+        """
         with self._ledger.writing() as db:
             row = db.execute("SELECT * FROM catalogue WHERE component = ?", (name,)).fetchone()
             before = _card(row) if row else CatalogueCard()

@@ -1,4 +1,4 @@
-"""A component as the service sees it: its data, the report of its check, and its errors."""
+"""A component for the service: its data, the report of its check, and its errors."""
 
 from __future__ import annotations
 
@@ -34,14 +34,15 @@ UNTIGHTENED = (
 FileStamp = tuple[tuple[int, int] | None, ...]
 
 
-@dataclass(frozen=True, eq=False)  # its arrays have no one truth; read anew, it is another
+# Arrays have no single truth value; a component that is read again is another one.
+@dataclass(frozen=True, eq=False)
 class Component:
-    """One component as the service sees it; the mesh stays with the solver.
+    """One component for the service; the mesh stays with the solver.
 
     Its fingerprint was read from `files` when they had the `stamp` (see `file_stamp`). `idle` are
-    the loads that act on a locked freedom of an interface. `yield_strengths`, Pa, are by a
-    material's region, of those whose bundle has one. `mesh` is the table of component.toml whose
-    file has the mesh; of decks those that the mesh reader knows.
+    the loads that act on a locked freedom of an interface. `yield_strengths`, Pa, are those stated
+    in the bundle, by the material's region. `mesh` is the table of component.toml whose file has
+    the mesh; for decks only if the mesh reader knows the format.
     """
 
     name: str
@@ -62,9 +63,9 @@ class Component:
     def acting(self, wrenches: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return wrenches, shape (..., 6), N and N·m, without the loads on locked freedoms.
 
-        No answer depends on these: the guide takes them, and the compliance's columns for them are
-        zero. So they are in no job's key and no row, and lie beyond no range. Tables leave them out
-        by themselves.
+        No answer depends on these loads: the guide takes them, and the compliance's columns for
+        them are zero. So they are in no job's key and no row, and never exceed the range. Tables
+        leave them out by themselves.
         """
         return acting(wrenches, self.idle)
 
@@ -72,7 +73,8 @@ class Component:
     def acting_range(self) -> LoadRange:
         """The load range, N and N·m, with loads on locked freedoms at 0.
 
-        A design varies no other load: it would have several wrenches of which the queue keeps one.
+        A design must not vary these loads: it would have several wrenches of which the queue keeps
+        one.
         """
         if not self.idle:
             return self.load_range
@@ -85,12 +87,12 @@ class Component:
         return self.load_range.space
 
     def is_as_read(self) -> bool:
-        """Return whether no file has changed since; takes microseconds."""
+        """Return whether no file has changed since it was read; takes microseconds."""
         return file_stamp(self.files) == self.stamp
 
 
 def file_stamp(files: Iterable[Path]) -> FileStamp:
-    """Return time of change (ns) and size (bytes) of each file, None for one that is missing."""
+    """Return time of change (ns) and size (bytes) of each file, None for a missing file."""
     stamps: list[tuple[int, int] | None] = []
     for path in files:
         try:
@@ -101,12 +103,12 @@ def file_stamp(files: Iterable[Path]) -> FileStamp:
     return tuple(stamps)
 
 
-MAX_QUOTED = 64  # characters of a requested name in a refusal: no component has more
-MAX_NAMES = 20  # in a refusal; those most like the requested one, if there are more
+MAX_QUOTED = 64  # characters of a requested name in a message: no component has more
+MAX_NAMES = 20  # names in a message: those most like the requested one, if there are more
 
 
 class UnknownComponentError(KeyError):
-    """No component of that name; carries the names there are."""
+    """No component has that name; the error has the existing names."""
 
     def __init__(self, name: str, known: list[str]) -> None:
         super().__init__(name)
@@ -126,11 +128,11 @@ class UnknownComponentError(KeyError):
 
 
 class ComponentExistsError(ValueError):
-    """A component of that name is there already; nothing was changed."""
+    """A component of that name exists already; nothing was changed."""
 
 
 class BrokenComponentError(UnknownComponentError):
-    """The component's folder is there and cannot be used; carries the reason."""
+    """The component's folder exists but cannot be used; the error has the reason."""
 
     def __init__(self, name: str, known: list[str], reason: str) -> None:
         super().__init__(name, known)
@@ -154,7 +156,10 @@ class OneWrenchError(ValueError):
 
 
 def require_single_wrench(name: str, space: Space) -> None:
-    """Raise a OneWrenchError for a component of several interfaces or further inputs."""
+    """Check that a component has one interface and no further inputs.
+
+    Raises OneWrenchError if it has others.
+    """
     if not space.is_default:
         raise OneWrenchError(name, space)
 
@@ -164,7 +169,7 @@ class LibraryUnavailableError(OSError):
 
 
 def component_of(bundle: Bundle, *, shipped: bool) -> Component:
-    """Return the component that a checked bundle describes."""
+    """Return the component of a checked bundle."""
     limit, further = bundle.tolerance, bundle.further
     named = [bundle.mesh.file] if bundle.mesh else []
     named += [entry.field for entry in further]
@@ -204,16 +209,16 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
     )
 
 
-CHECK_FILE = "check.json"  # in a bundle: findings of its check at the upload
+CHECK_FILE = "check.json"  # file in a bundle: findings of its check at the upload
 
 
 def interface_of(component: Component) -> dict[str, Any] | None:
-    """Return the interface of a component in SI; None of several, or without finite elements.
+    """Return the interface of a component in SI; None with several, or without finite elements.
 
-    It has ``section``, ``point`` (shape (3,), m; None for the section's area centre, until a check
-    has found it), ``axes`` (shape (3, 3), one axis a row), ``coupling``, ``locked`` and ``moment``,
-    a text. With self-weight or further inputs ``displacement`` says what a displacement is relative
-    to; with self-weight there is ``gravity`` (shape (3,), m/s^2, in the mesh's axes).
+    It has ``section``, ``point`` (shape (3,), m; None for the section's area centre until a check
+    has computed it), ``axes`` (shape (3, 3), one axis a row), ``coupling``, ``locked`` and
+    ``moment``, a text. With self-weight or further inputs ``displacement`` states the zero of
+    displacements; with self-weight there is ``gravity`` (shape (3,), m/s^2, in the mesh's axes).
     """
     interfaces = interfaces_of(component)
     return next(iter(interfaces.values())) if len(interfaces) == 1 else None
@@ -222,7 +227,8 @@ def interface_of(component: Component) -> dict[str, Any] | None:
 def interfaces_of(component: Component) -> Mapping[str, dict[str, Any]]:
     """Return each interface of a component by its name; see `interface_of`.
 
-    Of several each has also ``held``: whether it is the reference of all displacements.
+    With several interfaces each also has ``held``: whether it is the reference of all
+    displacements.
     """
     return _interfaces(component.folder, component.fingerprint)
 
@@ -246,11 +252,11 @@ def solver_error_of(folder: Path, fingerprint: str) -> dict[str, Any] | None:
 
 
 def vibration_of(folder: Path, fingerprint: str) -> dict[str, Any] | None:
-    """Return mass and first natural frequency as the check of a bundle found them.
+    """Return mass and first natural frequency from the check of a bundle.
 
-    By itself, without what it will carry: ``mass`` (kg), ``first_frequency`` (Hz), ``motion`` (six
-    numbers, m and rad), ``condensed_mass`` (6 x 6, kg to kg·m^2). None where the bundle has no
-    density or no check of this setup has been stored.
+    For the component alone, without carried masses: ``mass`` (kg), ``first_frequency`` (Hz),
+    ``motion`` (six numbers, m and rad), ``condensed_mass`` (6 x 6, kg to kg·m^2). None if the
+    bundle has no density or no check of this setup is stored.
     """
     report = _report(folder)
     return (report.get("vibration") if report.get("fingerprint") == fingerprint else None) or None
@@ -258,7 +264,7 @@ def vibration_of(folder: Path, fingerprint: str) -> dict[str, Any] | None:
 
 @lru_cache(maxsize=256)
 def _interfaces(folder: Path, _fingerprint: str) -> dict[str, dict[str, Any]]:
-    """Read once for each fingerprint: reading a bundle hashes its mesh."""
+    """Return the interfaces, read once for each fingerprint: reading a bundle hashes its mesh."""
     bundle, report = read_bundle(folder), _report(folder)
     gravity = bundle.analysis.gravity
     common: dict[str, Any] = {}
@@ -289,7 +295,7 @@ def _interfaces(folder: Path, _fingerprint: str) -> dict[str, dict[str, Any]]:
 
 
 def _report(folder: Path) -> dict[str, Any]:
-    """Return the stored report; an empty one where no check has been stored."""
+    """Return the stored report; an empty one if no check is stored."""
     try:
         report = json.loads((folder / CHECK_FILE).read_text("utf-8"))
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""The library: the components this server knows, shipped ones and those added by users."""
+"""The library: the components of this server, shipped ones and those added by users."""
 
 from __future__ import annotations
 
@@ -33,8 +33,9 @@ from wrenchbook.service.library.component import (
 
 log = logging.getLogger(__name__)
 
-POLL_SECONDS = 1.0  # between polls of files that were edited while no request reads them
-TICK_NS = 100_000_000  # ten ticks of the kernel: within one a folder's time of change may stay
+POLL_SECONDS = 1.0  # interval of polls for edited files while no request reads them
+# Ten ticks of the kernel: within a tick a folder's time of change may stay the same.
+TICK_NS = 100_000_000
 _DECKS_REFUSED = (
     "A deck names a command for the server's solvers, and this server accepts no uploaded decks. "
     "Ask its operator for serve --allow-decks, or to put the bundle's folder into the data "
@@ -53,12 +54,12 @@ _TAKEN = (
 class Library:
     """Components by name: those in the folder `local`, which users add, and the shipped ones.
 
-    A component in `local` may not take a shipped component's name. A bundle that cannot be read is
-    left out and named by `broken`. `allow_decks`: bundles with a deck, whose command solvers run,
+    A component in `local` must not have a shipped component's name. A bundle that cannot be read is
+    left out and listed by `broken`. `allow_decks`: bundles with a deck, whose command solvers run,
     may be added. `on_added` is called with each added component; `on_checked` with an upload, and
     `on_copy` with a component and its copy's name, before others see the new one: its OSError adds
     nothing. A new component becomes visible within the context `noted(name)`. A request sees the
-    components that its key may touch.
+    components that its key may use.
     """
 
     def __init__(
@@ -96,8 +97,8 @@ class Library:
     def version(self) -> int:
         """Return a number that differs after a component was added, changed or broken.
 
-        Files that no request reads are checked once in `POLL_SECONDS`, what other processes
-        have added at once.
+        Files that no request reads are checked once in `POLL_SECONDS`, additions by other processes
+        at once.
         """
         with contextlib.suppress(OSError):
             stamp = os.stat(self._local).st_mtime_ns  # noqa: PTH116 (fifty times a second)
@@ -115,7 +116,7 @@ class Library:
         return self._version
 
     def broken(self) -> dict[str, str]:
-        """Return why a folder of the library is no usable component, by the folder's name."""
+        """Return by folder of the library the reason why its component cannot be used."""
         broken, touches = self._broken.items(), CALLER.get().touches
         return {folder.name: reason for folder, reason in broken if touches(folder.name)}
 
@@ -131,20 +132,20 @@ class Library:
         return component
 
     def as_read(self, name: str) -> Component:
-        """Return a component as its files were when they were last read: no file is read now.
+        """Return a component in the state of its last reading: no file is read now.
 
-        Raises UnknownComponentError.
+        Raises UnknownComponentError if there is none.
         """
         component = self._components.get(name)
         return self[name] if component is None else component
 
     def _find(self, name: str) -> Component | None:
-        """Return a component as its files are now."""
+        """Return a component in the present state of its files."""
         component = self._components.get(name)
         return component if component is not None and component.is_as_read() else self._reread(name)
 
     def _reread(self, name: str, folder: Path | None = None) -> Component | None:
-        """Take up a component that was edited, or added by another process, on the disk."""
+        """Read a component again that was edited on the disk, or added by another process."""
         before = self._components.get(name)
         if folder is None and before:
             folder = before.folder
@@ -160,9 +161,11 @@ class Library:
     def add_zip(self, archive: BinaryIO, *, decks: bool = True) -> Component:
         """Add a component from a zip of its bundle folder.
 
-        `decks` is whether the sender may add a deck, if the server takes any. Nothing is changed by
-        a BundleError (the archive, its component.toml or its mesh has mistakes), a
-        ComponentExistsError (the name is taken) or a LibraryUnavailableError (the disk is full).
+        `decks`: whether the sender may add a deck, if the server takes any. An error changes
+        nothing.
+
+        Raises BundleError if the archive, its component.toml or its mesh has mistakes,
+        ComponentExistsError if the name is taken, and LibraryUnavailableError if the disk is full.
         """
         with self._incoming() as incoming:
             folder, has_deck = bundles.unpack(archive, incoming)
@@ -177,7 +180,10 @@ class Library:
         return component
 
     def faces_of_zip(self, archive: BinaryIO) -> bytes:
-        """Return `bundles.faces_of` a zip that needs no more than [mesh]; raises as `add_zip`."""
+        """Return `bundles.faces_of` for a zip that needs no more than [mesh].
+
+        Raises the errors of `add_zip`.
+        """
         with self._incoming() as incoming:
             return bundles.faces_of(bundles.unpack(archive, incoming, complete=False)[0])
 
@@ -185,7 +191,9 @@ class Library:
         """Add a component that has no finite-element setup, only rows loaded from outside.
 
         The entries are those of its component.toml: ``name``, ``title``, ``range`` or ``interface``
-        (a list of ``{"name", "range"}``), ``inputs`` and ``tolerance``, SI. Raises as `add_zip`.
+        (a list of ``{"name", "range"}``), ``inputs`` and ``tolerance``, SI.
+
+        Raises the errors of `add_zip`.
         """
         lines = [f"{key} = {bundles.toml_value(value)}" for key, value in entries.items()]
         with self._incoming() as incoming:
@@ -199,7 +207,7 @@ class Library:
     def add_copy(self, name: str, new: str, title: str | None) -> Component:
         """Add a component with the setup of another and a new name, without rows.
 
-        Raises UnknownComponentError if there is no component `name`, and as `add_zip` does.
+        Raises UnknownComponentError if there is no component `name`, and the errors of `add_zip`.
         """
         source = self[name]
         with self._incoming() as incoming:
@@ -211,7 +219,7 @@ class Library:
 
     @contextlib.contextmanager
     def _incoming(self) -> Iterator[Path]:
-        """Make a folder next to the library, so that a bundle can be moved in by one rename."""
+        """Make a folder beside the library, so that a bundle can be moved into it by one rename."""
         try:
             self._local.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(prefix=".incoming-", dir=self._local) as folder:
@@ -227,7 +235,7 @@ class Library:
     def _adopt(self, folder: Path, before: Callable[[str], None] = lambda _: None) -> Component:
         """Move a checked bundle into the library under its own name, in one step.
 
-        `before` is called with that name while nothing can see the component yet.
+        `before` is called with that name while the component is still invisible.
         """
         name = read_bundle(folder).name
         if not CALLER.get().touches(name):
@@ -246,7 +254,7 @@ class Library:
             before(name)
             with self._noted(name):
                 try:
-                    folder.rename(final)  # never into a folder that is there: shutil.move would
+                    folder.rename(final)  # never into an existing folder, as shutil.move would
                 except OSError as error:
                     if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
                         raise ComponentExistsError(_TAKEN.format(name=name)) from error
@@ -255,10 +263,10 @@ class Library:
             return self._register(final, shipped=False)
 
     def _try(self, folder: Path, *, shipped: bool) -> None:
-        """Register a folder's component, or note why that cannot be done."""
+        """Register a folder's component, or record why it cannot be registered."""
         try:
             self._register(folder, shipped=shipped)
-        except Exception as error:  # whatever a damaged file brings about is this component's
+        except Exception as error:  # any error of a damaged file belongs to this component
             reason = str(error) or repr(error)
             broken = {k: v for k, v in self._broken.items() if k != folder}
             if folder.is_dir():  # else it was removed
@@ -274,10 +282,11 @@ class Library:
             self._broken = {k: v for k, v in self._broken.items() if k != folder}
 
     def _register(self, folder: Path, *, shipped: bool) -> Component:
+        """Read the component of a folder, and add it to the library or replace it there."""
         started = time.time_ns()
         component = component_of(read_bundle(folder), shipped=shipped)
         if any(stamp and stamp[0] > started for stamp in component.stamp):
-            component = replace(component, stamp=())  # edited while it was read: to be read again
+            component = replace(component, stamp=())  # edited during the reading: to be read again
         name = component.name
         if not shipped and name != folder.name:  # it would answer in another component's place
             message = f'is "{name}", but the folder is "{folder.name}"; give both the same name'
@@ -291,7 +300,7 @@ class Library:
 
 
 def _bundle_folders(parent: Path) -> list[Path]:
-    """List the folders that hold a component.toml, leaving half-arrived ones out."""
+    """List the folders with a component.toml, without incomplete ones."""
     if not parent.is_dir():
         return []
     folders = (path.parent for path in parent.glob("*/component.toml"))

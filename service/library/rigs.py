@@ -1,4 +1,4 @@
-"""Profiles of test rigs, in the ledger's database; those that come with the program are files."""
+"""Profiles of test rigs, in the ledger's database; those of the program are files."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.ledger.connection import Connection
 
-MAX_RIGS = 1000  # stored: 8 MB; a laboratory has dozens
-MAX_NAMED = 20  # in a message
+MAX_RIGS = 1000  # stored profiles: 8 MB; a laboratory has dozens
+MAX_NAMED = 20  # profiles in a message: more would hide its remedy
 SHIPPED = Path(__file__).parents[1] / "formats" / "rigs"
 
 
 class UnknownRigError(LookupError):
-    """There is no profile of this name; the message lists those there are."""
+    """There is no profile of this name; the message lists the existing ones."""
 
 
 class ShippedRigError(ValueError):
@@ -31,9 +31,11 @@ def profiles(ledger: Ledger) -> dict[str, tuple[str, str]]:
 
 
 def rig_of(ledger: Ledger, rig: str) -> str:
-    """Return the TOML of a profile by its name, with it; a TOML as it is. Raises UnknownRigError.
+    """Return the TOML of a profile, with its name, by this name; a TOML is returned unchanged.
 
-    A stored profile takes the place of a shipped one.
+    A stored profile replaces a shipped one of the same name.
+
+    Raises UnknownRigError if there is no such profile.
     """
     if not NAME.fullmatch(rig):
         return rig
@@ -47,7 +49,10 @@ def rig_of(ledger: Ledger, rig: str) -> str:
 
 
 def store_rig(ledger: Ledger, name: str, profile: str) -> None:
-    """Store a profile, or replace it; RigError if there are MAX_RIGS."""
+    """Store a profile, or replace it.
+
+    Raises RigError if there are MAX_RIGS already.
+    """
     with ledger.writing() as db:
         others = db.execute("SELECT count(*) FROM rigs WHERE name != ?", (name,)).fetchone()[0]
         if others >= MAX_RIGS:
@@ -59,13 +64,16 @@ def store_rig(ledger: Ledger, name: str, profile: str) -> None:
 
 
 def remove_rig(ledger: Ledger, name: str) -> None:
-    """Remove a stored profile; UnknownRigError, ShippedRigError."""
+    """Remove a stored profile.
+
+    Raises UnknownRigError if there is none, and ShippedRigError if it is part of the program.
+    """
     with ledger.writing() as db:
         before = _stored(db, name)
         if before is None:
             if (SHIPPED / f"{name}.toml").is_file():
-                why = f"the rig {name!r} is part of the program and stays; wrenchbook rig list "
-                raise ShippedRigError(f"{why}shows which are stored")
+                why = f"the rig {name!r} is part of the program, so it stays; wrenchbook rig list "
+                raise ShippedRigError(f"{why}shows the rigs that can be removed")
             raise UnknownRigError(f"there is no rig {name!r}; list them with: wrenchbook rig list")
         db.execute("DELETE FROM rigs WHERE name = ?", (name,))
         note(db, "rig.remove", name, before=before)

@@ -1,7 +1,8 @@
 """Backups of a data directory in use: one zip whose last entry has the digest of every other.
 
-A zip's index is its end, so a truncated file is found at once. Changed content is found by the
-digests, which are compared once a backup is written and again before it is restored.
+A zip's index is its end, so that a truncated file is recognised at once. Changed content is
+recognised by the digests, which are compared after a backup is written and again before it is
+restored.
 """
 
 from __future__ import annotations
@@ -26,21 +27,21 @@ from wrenchbook.service.ledger.connection import with_remedy
 from wrenchbook.service.ledger.schema import VERSION
 
 FORMAT = "wrenchbook backup"
-SCHEMA = 2  # 1 held all files of the directory but attempts: keys and settings too
+SCHEMA = 2  # version 1 had all files of the directory but attempts: keys and settings too
 MANIFEST = "backup.json"
 LEDGER = "ledger.sqlite"
 PIECE = 1 << 20  # bytes in memory at once
 TABLES = "tables"
 _FOLDERS = ("components", "fields")
-# Of backups that release 0.3 made: the first start of the restored directory reads them.
+# Files in backups of release 0.3: the first start of the restored directory reads them.
 _EARLIER = (earlier.CATALOGUE, earlier.DEMAND), (earlier.SOLVER_ERRORS,)
-# All that a backup holds. Packed tables and reports are made again; keys and settings belong to
-# the directory, attempts' folders to the server. Names of drafts begin with a dot.
+# All files of a backup. Packed tables and reports are made again; keys and settings belong to the
+# directory, attempts' folders to the server. Names of drafts begin with a dot.
 HELD = re.compile(
     rf"{'|'.join(map(re.escape, (LEDGER, *_EARLIER[0])))}|{TABLES}/(?!\.)[^/]+\.h5|"
     rf"(?:{'|'.join((*_FOLDERS, *_EARLIER[1]))})(?:/(?!\.)[^/]+)+"
 )
-# What reading an entry or the manifest of a file that was damaged or changed raises.
+# Errors of reading an entry or the manifest of a damaged or changed file.
 _UNREADABLE = (
     *(KeyError, ValueError, TypeError, AttributeError, OverflowError),
     *(RuntimeError, EOFError, zipfile.BadZipFile),
@@ -49,7 +50,7 @@ _DAMAGED = "the backup is damaged and nothing was changed. Use another one"
 
 
 class BackupError(RuntimeError):
-    """A backup that cannot be made or used; the text says why and what to do."""
+    """A backup that cannot be made or used; the message has the cause and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -67,20 +68,21 @@ class Manifest:
 
 
 def back_up(folder: Path, target: Path) -> Manifest:
-    """Write everything of a data directory that cannot be rebuilt into one file, while it is used.
+    """Write all files of a data directory that cannot be rebuilt into one file, while it is used.
 
     Tables are copied before the ledger, so that none in the backup is newer than it, and the
-    library after it, so that no row is without its component. The backup is read again and
-    compared before the file gets its name. An existing file is replaced, but only by a complete
-    backup. Raises BackupError if there is nothing to back up, the ledger is damaged, or the file
-    cannot be written.
+    library after it, so that no row is without its component. The backup is read again and compared
+    before the file gets its name. Only a complete backup replaces an existing file.
+
+    Raises BackupError if there is nothing to back up, the ledger is damaged, or the file cannot be
+    written.
     """
     folder, target = folder.absolute(), target.absolute()
     if not (folder / LEDGER).is_file():
-        raise BackupError(f"{folder} is not a data directory: it has no {LEDGER}; name another one")
+        raise BackupError(f"{folder} has no {LEDGER}, so it is no data directory; name another")
     root, real = folder.resolve(), target.parent.resolve() / target.name
     if real.is_relative_to(root) and HELD.fullmatch(real.relative_to(root).as_posix()):
-        problem = f"{target} is in a folder of backups, so each would contain the earlier"
+        problem = f"{target} is among the files to back up, so each backup would hold the last"
         raise BackupError(f"{problem}. Name a file outside of {folder}. No backup was made")
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
@@ -92,7 +94,7 @@ def back_up(folder: Path, target: Path) -> Manifest:
         ):
             manifest, written = Manifest(time.time(), VERSION), {}
             for name, path in _files(folder, Path(scratch) / LEDGER, {draft, target}):
-                # From one open file: a table that is replaced meanwhile is the complete previous
+                # From one open file: a table that is replaced meanwhile is the complete earlier
                 # one. A draft that is gone by now is left out.
                 with (
                     suppress(FileNotFoundError),
@@ -119,7 +121,10 @@ def back_up(folder: Path, target: Path) -> Manifest:
 
 
 def verify(source: Path) -> Manifest:
-    """Read a backup and compare all files with their digests; raises BackupError."""
+    """Read a backup and compare all files with their digests.
+
+    Raises BackupError if they differ.
+    """
     return unpack(source, lambda _: Path(os.devnull).open("wb"))
 
 
@@ -127,13 +132,13 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
     """Copy each file of a backup to the file that `place` opens, and compare its digest.
 
     Raises BackupError if the backup is damaged, of a newer format, of another user, or has a file
-    that no backup holds.
+    that backups never have.
     """
     try:
         status = source.stat()
         archive = zipfile.ZipFile(source)
     except FileNotFoundError:
-        raise BackupError(f"there is no file {source}; name a backup") from None
+        raise BackupError(f"the file {source} does not exist; give the path of a backup") from None
     except OSError as error:
         problem = f"{source} cannot be read: {error.strerror or error}"
         raise BackupError(f"{problem}; name a backup that this user may read") from error
@@ -142,14 +147,15 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
             f"{source} is not a complete backup ({error}), because its writing or copying was cut "
             "off. Use another backup; nothing was changed"
         ) from error
-    # A backup is its owner's alone to read: one that comes from somebody else was passed on.
+    # Only its owner may read a backup; another user's backup was passed on.
     if status.st_uid not in (0, os.geteuid()):
         raise BackupError(
             f"{source} belongs to user {status.st_uid}, who may have changed it. If you trust it, "
             "copy it and restore the copy; nothing was changed"
         )
     with archive:
-        # So a small file cannot fill memory or disk: entries are neither compressed nor overlap.
+        # A small file cannot fill memory or disk: entries are neither compressed nor do they
+        # overlap.
         entries = archive.infolist()
         unpacked = sum(entry.file_size for entry in entries)
         if unpacked > status.st_size or any(entry.compress_type for entry in entries):
@@ -166,12 +172,12 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
                 problem = f"{name} in {source} cannot be read ({error}); {_DAMAGED}"
                 raise BackupError(problem) from error
             if copied != expected:
-                raise BackupError(f"{name} in {source} is not as it was written; {_DAMAGED}")
+                raise BackupError(f"{name} in {source} has a wrong digest; {_DAMAGED}")
     return manifest
 
 
 def reason_of(error: Exception) -> str:
-    """Return why a manifest of JSON cannot be read, in words of no Python error."""
+    """Return the reason why a manifest cannot be read, without Python's own words."""
     if isinstance(error, KeyError):
         return f"the member {error} is missing"
     if isinstance(error, ValueError) and not isinstance(error, UnicodeDecodeError):
@@ -180,15 +186,19 @@ def reason_of(error: Exception) -> str:
 
 
 def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
+    """Return the manifest of the archive `source`.
+
+    Raises BackupError if it is not a backup, damaged or newer than this program.
+    """
     try:
         fields: dict[str, Any] = json.loads(archive.read(MANIFEST))
         kind, schema = fields["format"], int(fields["schema"])
     except _UNREADABLE as error:
         there = MANIFEST in archive.namelist()
         problem = f"in its {MANIFEST} {reason_of(error)}" if there else f"it has no {MANIFEST}"
-        raise BackupError(f"{source} is a zip, but no backup: {problem}; name a backup") from error
+        raise BackupError(f"{source} is a zip, but no backup: {problem}; name another") from error
     if kind != FORMAT:
-        raise BackupError(f"{source} is a {str(kind)[:60]!r}, not a {FORMAT!r}; name a backup")
+        raise BackupError(f"{source} is a {str(kind)[:60]!r}, not a {FORMAT!r}; name another")
     if schema > SCHEMA:
         raise BackupError(
             f"{source} was written by a newer wrenchbook ({fields.get('program')}, form {schema}; "
@@ -209,7 +219,7 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
             "changed. Nothing was restored; use another backup"
         )
     if LEDGER not in held:
-        raise BackupError(f"{source} has no {LEDGER}, so it is not a backup; name a backup")
+        raise BackupError(f"{source} has no {LEDGER}, so it is no backup; name another file")
     return Manifest(created, ledger_schema, held, skipped=tuple(sorted(skipped)))
 
 
@@ -224,7 +234,7 @@ def _copied(file: IO[bytes], target: IO[bytes]) -> tuple[int, str]:
 
 
 def _files(folder: Path, copy: Path, excluded: set[Path]) -> Iterator[tuple[str, Path]]:
-    """Yield the files that backups hold, and a copy of the ledger made at its turn."""
+    """Yield the files of a backup, and a copy of the ledger made at its turn."""
 
     def held(name: str) -> Iterator[tuple[str, Path]]:
         place = folder / name

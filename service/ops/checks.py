@@ -1,4 +1,4 @@
-"""Checks of a data directory's files apart from ledger and tables, and what all checks return."""
+"""Checks of a data directory's files other than ledger and tables, and the result of all checks."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ from wrenchbook.service.ops.backup import LEDGER
 
 COMMAND = "wrenchbook doctor --repair"
 REPAIR = f"repair it with: {COMMAND}"
-LITTLE_BYTES = 512 * 1024 * 1024  # a log of the ledger, a large table twice, some hundred attempts
-FULL_BYTES = 1024 * 1024  # a commit's pages and an attempt's folder no longer fit
+# Free space: a log of the ledger, a large table twice, some hundred attempts.
+LITTLE_BYTES = 512 * 1024 * 1024
+# Free space below which a commit's pages and an attempt's folder do not fit.
+FULL_BYTES = 1024 * 1024
 _ASIDE = (
     *("*.damaged-*", "*.orphan-*", "*.settled-*", "tables/*.damaged-*", ".before-restore-*"),
     "fields/**/*.damaged-*",
@@ -38,13 +40,13 @@ class DataFinding:
 
 
 def move_aside(path: Path, why: str = "damaged") -> Path:
-    """Rename a file within its folder to a name that nothing reads; return the new path."""
+    """Rename a file within its folder to a name that no program reads; return the new path."""
     stamp = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{time.time_ns() % 10**6:06d}"
     return path.rename(path.with_name(f"{path.name}.{why}-{stamp}"))
 
 
 def is_full(folder: Path) -> bool:
-    """Return whether the disk has no room for another job; False if that is unknown."""
+    """Return whether the disk has no room for another job; False if unknown."""
     try:
         return shutil.disk_usage(folder).free < FULL_BYTES
     except OSError:
@@ -59,7 +61,7 @@ def not_writable(folder: Path) -> list[Path]:
 
 
 def check_disk(folder: Path) -> Iterator[DataFinding]:
-    """Find a disk that is nearly full, and files that cannot be read and written."""
+    """Report a nearly full disk, and files that cannot be read and written."""
     free = shutil.disk_usage(folder).free
     if free < LITTLE_BYTES:
         remedy = "make room; prune attempts' folders with serve --keep-days and --keep-count"
@@ -70,7 +72,7 @@ def check_disk(folder: Path) -> Iterator[DataFinding]:
 
 
 def check_side_files(folder: Path, *, repair: bool) -> Iterator[DataFinding]:
-    """Find unusable keys and settings, which only the owner can repair, and surfaces.
+    """Report unusable keys and settings, which only the owner can repair, and surfaces.
 
     With `repair`, surfaces, which the server writes again by itself, are moved aside.
     """
@@ -104,7 +106,7 @@ def check_side_files(folder: Path, *, repair: bool) -> Iterator[DataFinding]:
 
 
 def find_leftovers(folder: Path, ledger: Ledger) -> Iterator[DataFinding]:
-    """Find files of interrupted writes, copies moved aside, and attempts without a job."""
+    """Report files of interrupted writes, copies moved aside, and attempts without a job."""
     unfinished = [
         *(folder / "tables").glob(".*.tmp"),
         *(folder / "components").glob(".incoming-*"),

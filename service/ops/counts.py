@@ -28,7 +28,7 @@ from wrenchbook.service.files.lock import take
 log = logging.getLogger(__name__)
 
 FOLDER = "counts"
-WRITE_S = 0.5  # between writes: a killed process loses the counts of that time
+WRITE_S = 0.5  # interval of writes: a killed process loses the counts of this time
 
 # Upper ends of the histogram, s: from a single answer to a batch of a million.
 EDGES = (2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 0.1, 1.0, 10.0)
@@ -38,7 +38,7 @@ _EDGES_US = tuple(1e6 * edge for edge in EDGES)
 
 
 class Counts:
-    """Queries by coverage and method, their times, and requests. For the event loop alone.
+    """Queries by coverage and method, their times, and requests. Use it in the event loop only.
 
     Each entry is a list of numbers that add up over processes. Times are the counts of the buckets
     of `EDGES` or `REQUEST_EDGES`, then of longer ones, then the total time.
@@ -122,7 +122,7 @@ def cumulative(edges: Sequence[float], numbers: Sequence[float]) -> list[tuple[s
 class SharedCounts:
     """The counts of all processes of a server, each written to a file by its process.
 
-    No scrape of any process may see a count go down: each process writes its own counts before it
+    No scrape of any process may see a count decrease: each process writes its own counts before it
     returns the sum, and continues from its file after a restart. `counts` and event `listeners` are
     those of this process.
     """

@@ -1,7 +1,7 @@
 """The doctor: compares the ledger, the table files and all other files of a data directory.
 
 The ledger and the table files have the same rows; each is repaired from the other. Nothing is
-deleted: what is replaced is moved aside.
+deleted: replaced files are moved aside.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
         findings += _losses(ledger, repair=repair)
     except LedgerError as error:
         findings.append(DataFinding("fault", str(error)))
-    except OSError as error:  # a full disk, while something is written anew
+    except OSError as error:  # a full disk, while a file is written again
         remedy = "make room, or make the directory writable, and repeat the command"
         findings.append(DataFinding("fault", f"the check could not be completed: {error}", remedy))
     finally:
@@ -125,7 +125,7 @@ def _has_bytes(path: Path) -> bool:
 
 
 def _rebuilt(folder: Path, problem: str) -> list[DataFinding]:
-    """Replace a damaged ledger by the readable part of it and of the table files."""
+    """Replace a damaged ledger by its readable part and the table files."""
     path, tables = folder / LEDGER, folder / "tables"
     with tempfile.TemporaryDirectory(prefix=".repairing-", dir=folder) as scratch:
         copy, new = Path(scratch) / "damaged.sqlite", Path(scratch) / LEDGER
@@ -156,7 +156,7 @@ def _rebuilt(folder: Path, problem: str) -> list[DataFinding]:
 
 
 def _losses(ledger: Ledger, *, repair: bool) -> list[DataFinding]:
-    """Return acknowledged jobs and rows that are gone; with `repair` for the last time."""
+    """Return lost acknowledged jobs and rows; with `repair` for the last time."""
     losses = ledger.losses()
     if not repair or not losses:
         return [DataFinding("fault", loss, f"note it with: {COMMAND}") for loss in losses]
@@ -180,7 +180,7 @@ def _read_all(
 ) -> tuple[Tables, list[DataFinding]]:
     """Return the tables of all readable files, and findings on the others.
 
-    `count` returns how many rows of a component the ledger has.
+    `count` returns the number of a component's rows in the ledger.
     """
     tables: Tables = {}
     findings = []
@@ -209,6 +209,7 @@ def _read_all(
 
 
 def _damaged_rows(ledger: Ledger, tables: Tables, *, repair: bool) -> Iterator[DataFinding]:
+    """Report the ledger's damaged rows; with `repair`, write them again from the tables."""
     for seq, named in ledger.damaged_rows().items():
         text = f"row {seq} of {named} is damaged in the ledger"
         name = next((name for name, (rows, _) in tables.items() if seq in rows.seq), None)
@@ -232,17 +233,17 @@ def _damaged_rows(ledger: Ledger, tables: Tables, *, repair: bool) -> Iterator[D
 def _check_component(
     ledger: Ledger, component: Component, store: TableStore, tables: Tables, *, repair: bool
 ) -> Iterator[DataFinding]:
-    """Compare a component's table file with the ledger, and find rows of another setup of it."""
+    """Compare a component's table file with the ledger, and report its rows of another setup."""
     name, count = component.name, ledger.count_rows(component.name)
     text, known = "", tables.get(name)
     if known is None:
-        if count and store.written(name) is None:  # else `_read_all` has reported the damage
+        if count and store.written(name) is None:  # otherwise `_read_all` has reported the damage
             text = f"tables/{name}.h5 is not there; the ledger has {count} rows of it"
     elif not known[1].ledger or known[1].ledger != ledger.digest(name, known[1].last_seq):
         last = known[1].last_seq
         text = f"tables/{name}.h5 and the ledger do not have the same rows up to {last}"
     if text and repair:
-        store.load(component)  # puts rows that the file alone has back into the ledger
+        store.load(component)  # restores rows in the ledger that only the file has
         rows, last_seq = followed(ledger, component, Rows.empty(component.space), 0)
         store.save(component, rows, last_seq)
         back = ledger.count_rows(name) - count

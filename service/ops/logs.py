@@ -14,17 +14,17 @@ LogFormat = Literal["text", "json"]
 # Optional attributes of a record: `logger.info(..., extra={"job": 7})`.
 ABOUT: Final = ("job", "attempt", "component", "request_id", "actor")
 REQUEST_ID: ContextVar[str | None] = ContextVar("request_id", default=None)
-"""The id of the HTTP request that this context answers; None outside of requests."""
-REPEAT_S = 60.0  # a fault that lasts, such as a full disk, is one line a minute
-_MAX_REPEATS = 10_000  # texts remembered, 1 MB; that of a request has its id and never repeats
-_MAX_CHARACTERS = 20_000  # of a message or a traceback: log collectors limit lines
+"""The id of the HTTP request of this context; None outside of requests."""
+REPEAT_S = 60.0  # a lasting fault, such as a full disk, is one line a minute
+_MAX_REPEATS = 10_000  # remembered texts, 1 MB; that of a request has its id and never repeats
+_MAX_CHARACTERS = 20_000  # characters of a message or a traceback: log collectors limit lines
 
 
 class JsonLines(logging.Formatter):
     """A record as JSON on one line.
 
-    Keys: ``time`` (ISO 8601, UTC), ``level``, ``logger``, ``message``; where they are known
-    ``job``, ``attempt``, ``component`` and ``request_id``; ``exception`` with a traceback.
+    Keys: ``time`` (ISO 8601, UTC), ``level``, ``logger``, ``message``; if known ``job``,
+    ``attempt``, ``component`` and ``request_id``; ``exception`` with a traceback.
     """
 
     def format(self, record: logging.LogRecord) -> str:
@@ -45,7 +45,7 @@ class JsonLines(logging.Formatter):
 
 
 class TextLines(logging.Formatter):
-    """A record on a line, its time in UTC; a traceback follows on lines of its own."""
+    """A record on a line, with its time in UTC; a traceback follows on further lines."""
 
     converter = time.gmtime
     default_msec_format = "%s.%03dZ"

@@ -31,13 +31,14 @@ from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
 from wrenchbook.service.tables.coordinator_state import CoordinatorState
 from wrenchbook.surrogate.kernel.build import sources_hash
 
-# A component is a label and adds four series; GET /v1/components has the rest.
+# Components with their own series: a component is a label and adds four; GET /v1/components has the
+# rest.
 MAX_COMPONENTS = 200
-FRESH_S = 1.0  # age of cached ledger statistics: several scrapers cost one query
+FRESH_S = 1.0  # s, age of cached ledger statistics: several scrapers cost one query
 
 
 class MetricsSource(Protocol):
-    """The data that metrics read of an opened data directory: `service.workspace.Workspace`."""
+    """The parts of an opened data directory that metrics read: `service.workspace.Workspace`."""
 
     settings: Any
     ledger: Ledger
@@ -67,7 +68,7 @@ class Metrics(Collector):
         self._shared.stop()
 
     def text(self) -> bytes:
-        """Return Prometheus' text format. It reads the ledger: not for the event loop."""
+        """Return Prometheus' text format. It reads the ledger: do not call it in the event loop."""
         return generate_latest(self._registry)
 
     def collect(self) -> Iterator[Metric]:
@@ -112,7 +113,8 @@ class Metrics(Collector):
                 self._read_at = time.monotonic()
                 version = ledger.version()
                 if self._read is None or version != self._version:
-                    self._read = None  # what it was is not shown while the ledger cannot be read
+                    # Earlier numbers are not shown while the ledger cannot be read.
+                    self._read = None
                     self._read, self._version = ledger.statistics(), version
             usable = self._read is not None
         read = self._read

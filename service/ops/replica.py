@@ -88,7 +88,9 @@ class Manifest:
 def place_of(url: str) -> Place:
     """Return the storage of a URL as a mapping; raises ReplicaError."""
     if url.startswith(("http://", "https://")):
-        raise ReplicaError(f"{shown(url)} is not a replica; write the URL of serve --replicate")
+        raise ReplicaError(
+            f"{shown(url)} is a server; write the replica's URL (of serve --replicate)"
+        )
     try:
         import fsspec  # half a second that only servers with a replica wait
 
@@ -317,7 +319,9 @@ class Shipper:
         """Raise ReplicaError unless the place is as it was left: blocks may be missing now."""
         if self._replica.place.get(LATEST, b"") != self._pointer:
             place = f"{LATEST} in {self._replica.url}"
-            raise ReplicaError(f"another program changed {place}; stop it: one server ships there")
+            raise ReplicaError(
+                f"another program changed {place}; stop it: only one may write there"
+            )
 
     def collect(self) -> None:
         """Remove the manifests that need not stay, and the blocks that no manifest needs."""

@@ -22,8 +22,8 @@ from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
 from wrenchbook.service.tables.coordinator_state import LOCK
 
 Place = Callable[[str], IO[bytes]]
-_DRAFT = ".restoring"  # in the data directory, which may be a mount
-# Keys and settings are no part of a backup: those of the directory stay, whatever is restored.
+_DRAFT = ".restoring"  # folder of a restore within the data directory, which may be a mount
+# Keys and settings are no part of a backup: those of the directory stay after any restore.
 _STAYS = (_DRAFT, KEYS, f"{KEYS}.lock", USED, "wrenchbook.toml")
 
 
@@ -33,10 +33,12 @@ def restore(
     """Restore a backup, or the newest state of a replica's URL `until` then (s), into a directory.
 
     The backup is verified first, and the restored files before they replace others. Keys and
-    settings of the directory stay. Restored files are their owner's alone to read. With
-    `overwrite` the directory may have more than keys and settings: it is moved aside, into the
-    folder that is returned with the manifest. Raises BackupError if the backup is incomplete or too
-    new, or the directory not empty, in use or not writable.
+    settings of the directory stay. Only their owner can read restored files. With `overwrite` the
+    directory may have more than keys and settings: these files are moved aside, into the folder
+    that is returned with the manifest.
+
+    Raises BackupError if the backup is incomplete or too new, or the directory not empty, in use or
+    not writable.
     """
     folder = folder.absolute()
     unpacked = _source(source, until)
@@ -51,7 +53,7 @@ def restore(
     try:
         folder.mkdir(0o700, parents=True, exist_ok=True)
         _check_free(folder, overwrite=overwrite)
-        shutil.rmtree(draft, ignore_errors=True)  # of an interrupted restore
+        shutil.rmtree(draft, ignore_errors=True)  # remains of an interrupted restore
         draft.mkdir(0o700)
         manifest = unpacked(place)
         for path in filter(Path.is_dir, draft.rglob("*")):
@@ -80,7 +82,7 @@ def restore(
     finally:
         shutil.rmtree(draft, ignore_errors=True)
         if is_new:
-            with suppress(OSError):  # it has the restored files
+            with suppress(OSError):  # the folder has the restored files
                 folder.rmdir()
     return manifest, aside
 
@@ -94,13 +96,16 @@ def _source(source: Path | str, until: float) -> Callable[[Place], Manifest]:
 
 
 def in_use(folder: Path) -> bool:
-    """Return whether a server or a worker solves for a data directory now."""
+    """Return whether a server or a worker uses a data directory now."""
     owners = (folder / "jobs" / "owners").glob("*.lock")
     return any(lock.is_locked(file) for file in (*owners, folder / SHARED / LOCK))
 
 
 def _check_free(folder: Path, *, overwrite: bool) -> list[Path]:
-    """Return the directory's files that a restore replaces; refuse one in use, or not empty."""
+    """Return the directory's files that a restore replaces.
+
+    Refuse a directory in use, or not empty.
+    """
     present = sorted(entry for entry in folder.iterdir() if entry.name not in _STAYS)
     if in_use(folder):
         raise BackupError(f"a server or worker uses {folder}; stop it first. Nothing was changed")

@@ -1,4 +1,4 @@
-"""LM_start: the solves of what a recording, an envelope or another setup of a component holds."""
+"""LM_start: the solves of a recording's, an envelope's or another setup's wrenches."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NOTHING = "nothing is recorded yet; run a simulation with a Recorder or a Mount
 
 @dataclass(frozen=True)
 class StartedSolves:
-    """The jobs that wait or run for these wrenches, and counts of the others.
+    """The waiting or running jobs for these wrenches, and counts of the others.
 
     `solved` are rows of the table already, `covered` are covered by it, `failed` have failed
     before, `beyond_range` lie outside the load range, `left` exceed the budget. `reason` is empty
@@ -44,9 +44,11 @@ def start_recording(
 ) -> StartedSolves:
     """Queue the solves of recorded wrenches that the table does not cover.
 
-    The wrench farthest from all solved and queued ones comes first, so that a budget is spent
-    where it gains most. The recording is not changed. Raises UnknownComponentError, NoSetupError if
-    nothing can be solved for it, TableBehindError if the table does not hold all rows yet.
+    The wrench farthest from all solved and queued ones comes first, which gains most from a budget.
+    The recording is not changed.
+
+    Raises UnknownComponentError if there is no such component, NoSetupError if nothing can be
+    solved for it, TableBehindError if the table lacks rows.
     """
     component = _solvable(workspace, name)
     wrenches = store.recording(name).wrenches
@@ -56,9 +58,9 @@ def start_recording(
 def start_envelope(
     workspace: Workspace, name: str, store: RecordingStore, *, beyond_range: bool
 ) -> StartedSolves:
-    """Queue the solves of the wrenches that reached an envelope's extremes, covered or not.
+    """Queue the solves of the wrenches at an envelope's extremes, covered or not.
 
-    Raises as `start_recording` does.
+    Raises the errors of `start_recording`.
     """
     component = _solvable(workspace, name)
     envelope = store.envelope(name)
@@ -72,7 +74,7 @@ def start_resolving(
 ) -> StartedSolves:
     """Queue a solve for each wrench of rows of another setup that no row of the table has.
 
-    Raises as `start_recording` does.
+    Raises the errors of `start_recording`.
     """
     component = workspace.submission.solvable(name)
     others = workspace.ledger.of_other_setups(name, component.fingerprint)
@@ -83,7 +85,10 @@ def start_resolving(
 
 
 def _solvable(workspace: Workspace, name: str) -> Component:
-    """Return a component that wrenches can be solved for; raises NoSetupError."""
+    """Return a component whose wrenches can be solved.
+
+    Raises NoSetupError if they cannot.
+    """
     component = workspace.library[name]
     if not component.has_fea:
         raise NoSetupError(
@@ -153,7 +158,7 @@ def _start(
 def _start_linear(
     workspace: Workspace, component: Component, holds: NDArray[np.bool_]
 ) -> StartedSolves:
-    """Queue the solves of a linear component's compliance: it answers every wrench."""
+    """Queue the solves of a linear component's compliance, which answers every wrench."""
     if not len(holds):
         return StartedSolves([], reason=_NOTHING)
     inside = int(holds.sum())

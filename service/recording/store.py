@@ -1,4 +1,4 @@
-"""Recordings and envelopes: the wrenches that a simulator's loop has met, in the ledger's database.
+"""Recordings and envelopes: the wrenches of a simulator's loop, in the ledger's database.
 
 A recording keeps a thinned subset of its wrenches, an envelope the wrench at each extreme. A block
 is written in one transaction with its key, so that a block sent twice counts once.
@@ -31,9 +31,10 @@ Floats = NDArray[np.float64]
 Kind = Literal["recording", "envelope"]
 BlockKey = tuple[str, int]  # the client's name, and its number of the block
 
-BLOCKS_OF_A_CLIENT = 256  # keys kept: a client sends its blocks in order, one or a few at a time
-BLOCKS = 100_000  # keys kept in all, 10 MB: the newest
-MAX_SUBSETS = 32  # recordings whose subsets are in memory, some 2 MB each: those written to last
+# Stored keys of a client, which sends its blocks in order, one or a few at a time.
+BLOCKS_OF_A_CLIENT = 256
+BLOCKS = 100_000  # stored keys in all, 10 MB: the newest
+MAX_SUBSETS = 32  # recordings whose subsets are in memory, some 2 MB each: those written last
 
 EXACT: Final = (
     "bound: of a linear table, |u(0)| plus the largest |C w| of the box, at the corner that the "
@@ -43,7 +44,7 @@ ESTIMATE: Final = (
     "estimate: the largest |answer| + error bar of the table at {} corners of the box, its "
     "centre, zero load and the wrenches that reached the extremes"
 )
-MAX_CORNERS = 4096  # of a box: all of 12 inputs; of more inputs some, chosen at random
+MAX_CORNERS = 4096  # corners of a box: all of 12 inputs; of more inputs a random choice
 
 
 @dataclass(frozen=True)
@@ -52,10 +53,10 @@ class Tally:
 
     `revision` grows with every change. Of the wrenches `offered` since it was cleared, `merged` are
     within 1e-6 of the range of a kept one, `thinned` are represented by one, `outside` lie outside
-    the load range. `radius` is the largest difference of a load, of its scale (beyond the range: of
-    itself), at which a wrench counts as a kept one; every wrench offered is `within` of one. Those
-    outside the load range are thinned apart. `scale` has the scales of the loads, packed, N and
-    N·m, that the distances are measured in.
+    the load range. `radius` is the largest difference of a load, over its scale (beyond the range:
+    over the load itself), at which a wrench counts as a kept one; every offered wrench is `within`
+    this distance of one. Those outside the load range are thinned separately. `scale` has the
+    scales of the loads, packed, N and N·m, the units of the distances.
     """
 
     revision: int = 0
@@ -74,8 +75,8 @@ class Tally:
 class BlockResult:
     """The counts after a block.
 
-    `known` is whether the block was recorded before (then nothing has changed), `outside` how many
-    of its wrenches are outside the load range.
+    `known`: whether the block was recorded before (then nothing has changed); `outside`: the number
+    of its wrenches outside the load range.
     """
 
     tally: Tally
@@ -85,7 +86,7 @@ class BlockResult:
 
 @dataclass(frozen=True)
 class RecordingState:
-    """A recording: its counts, and the wrenches kept, shape (n, inputs), N and N·m."""
+    """A recording: its counts, and the kept wrenches, shape (n, inputs), N and N·m."""
 
     tally: Tally
     wrenches: Floats
@@ -95,8 +96,8 @@ class RecordingState:
 class EnvelopeState:
     """An envelope: its counts, and the wrenches that reached each extreme.
 
-    Line i of `lowest` (n, n) and `highest` (n, n), N and N·m, is the complete wrench in which input
-    i was least or largest; there are no lines if no wrench came.
+    Row i of `lowest` (n, n) and `highest` (n, n), N and N·m, is the complete wrench in which input
+    i was least or largest; there are no rows without any wrench.
     """
 
     tally: Tally
@@ -115,8 +116,8 @@ class EnvelopeState:
 class RecordingStore:
     """Recordings and envelopes of one workspace.
 
-    The subset of a recording is in memory as it was after its last block, with the revision of its
-    tally. A block of another process changes that number; the subset is then read again.
+    The subset of a recording is in memory in its state after the last block, with the revision of
+    its tally. A block of another process changes that number; the subset is then read again.
     """
 
     def __init__(self, workspace: Workspace) -> None:
@@ -127,9 +128,10 @@ class RecordingStore:
     def record(self, name: str, wrenches: Floats, block: BlockKey | None) -> BlockResult:
         """Add wrenches, shape (n, inputs), N and N·m, to a component's recording.
 
-        Loads on locked freedoms are left out. Without a key a block sent twice counts twice. Raises
-        UnknownComponentError, or BlockKeyError if the key was used for other wrenches or is too old
-        to be known.
+        Loads on locked freedoms are left out. Without a key a block sent twice counts twice.
+
+        Raises UnknownComponentError if there is no such component, and BlockKeyError if the key was
+        used for other wrenches or is too old to be known.
         """
         component = self._library[name]
         acting, scale = component.acting(wrenches), component.load_range.scale
@@ -171,7 +173,7 @@ class RecordingStore:
                 [(name, key) for key in added],
             )
             _save(db, name, "recording", after)
-        with self._lock:  # only now is the block on the disk
+        with self._lock:  # the block is on the disk from now on
             self._subsets.pop(name, None)
             self._subsets[name] = after.revision, (within.subset, beyond.subset)
             while len(self._subsets) > MAX_SUBSETS:
@@ -202,14 +204,20 @@ class RecordingStore:
         return BlockResult(after, False, outside)
 
     def recording(self, name: str) -> RecordingState:
-        """Return a component's recording; raises UnknownComponentError."""
+        """Return a component's recording.
+
+        Raises UnknownComponentError if there is no such component.
+        """
         count = len(self._library[name].load_range.low)
         with self._ledger.reading() as db:
             tally, keys = _tally(db, name, "recording"), _recorded(db, name, count)
         return RecordingState(tally, unpacked(keys, count))
 
     def envelope(self, name: str) -> EnvelopeState:
-        """Return a component's envelope; raises UnknownComponentError."""
+        """Return a component's envelope.
+
+        Raises UnknownComponentError if there is no such component.
+        """
         count = len(self._library[name].load_range.low)
         with self._ledger.reading() as db:
             tally, extremes = _tally(db, name, "envelope"), _extremes(db, name)
@@ -219,9 +227,9 @@ class RecordingStore:
         return EnvelopeState(tally, unpacked(lowest, count), unpacked(highest, count))
 
     def clear(self, name: str, kind: Kind) -> Tally:
-        """Empty a component's recording or envelope, and return its counts before.
+        """Empty a component's recording or envelope, and return its earlier counts.
 
-        A block that was in it is not recorded again when it is sent once more.
+        A block that was in it is not recorded again if it is sent once more.
         """
         component = self._library[name].name
         with self._ledger.writing() as db:
@@ -236,7 +244,7 @@ class RecordingStore:
     def _subsets_of(
         self, component: Component, tally: Tally, db: Connection
     ) -> tuple[Subset, Subset]:
-        """Return the subsets within the load range and outside, as the ledger has them."""
+        """Return the ledger's subsets within the load range and outside."""
         scale, cached = component.load_range.scale, self._subsets.get(component.name)
         same = tally.scale is None or tally.scale == _packed_scale(scale)
         if cached is not None and cached[0] == tally.revision and same:
@@ -275,7 +283,7 @@ def _save(db: Connection, component: str, kind: Kind, tally: Tally) -> None:
 def _claim_block(
     db: Connection, component: str, kind: Kind, block: BlockKey, wrenches: Floats
 ) -> bool:
-    """Write the key of a new block and delete old keys; False if the block was recorded before.
+    """Write the key of a new block and delete old keys; return False if it was recorded before.
 
     Raises BlockKeyError if the key was used for other wrenches, or is too old to be known.
     """
@@ -320,7 +328,7 @@ def _recorded(db: Connection, component: str, inputs: int) -> list[bytes]:
 
 
 def _extremes(db: Connection, component: str) -> dict[int, bytes]:
-    """Return packed extremes by place: of n inputs 0 to n - 1 are the least, then the largest."""
+    """Return packed extremes by index: for n inputs 0 to n - 1 are the least, then the largest."""
     where = "SELECT place, wrench FROM extremes WHERE component = ? ORDER BY place"
     return dict(db.execute(where, (component,)).fetchall())
 
@@ -328,7 +336,7 @@ def _extremes(db: Connection, component: str) -> dict[int, bytes]:
 def _wider(
     wrenches: Floats, keys: list[bytes], extremes: dict[int, bytes]
 ) -> list[tuple[int, bytes]]:
-    """Return the new extremes of wrenches, shape (n, inputs), N and N·m, with their places."""
+    """Return the new extremes of wrenches, shape (n, inputs), N and N·m, with their indices."""
     if not keys:
         return []
     wider, count = [], wrenches.shape[1]
@@ -354,9 +362,9 @@ def _packed_scale(scale: Floats) -> bytes:
 class Bound:
     """The largest displacement over an envelope's box, shape (m,), m and rad; NaN if unknown.
 
-    `kind` is ``bound``, ``estimate`` or ``unknown``, `formula` how `displacement` was computed and
-    `coverage` the worst of the answers in it. `negligible` is whether `displacement` is within the
-    tolerance (None if that is not known), `reason` why that is not known, or the basis.
+    `kind` is ``bound``, ``estimate`` or ``unknown``, `formula` that of `displacement`, and
+    `coverage` the worst of its answers. `negligible`: whether `displacement` is within the
+    tolerance (None if unknown); `reason`: why that is unknown, or the basis.
     """
 
     displacement: Floats
@@ -368,7 +376,7 @@ class Bound:
 
 
 def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance | None) -> Bound:
-    """Return the largest displacement that an envelope's wrenches can cause, by the table."""
+    """Return the largest displacement by an envelope's wrenches, according to the table."""
     low, high = envelope.box
     space = table.load_range.space
     if np.isnan(low).any():

@@ -19,24 +19,26 @@ from wrenchbook.surrogate.table.space import DEFAULT
 Floats = NDArray[np.float64]
 
 MAX_INSIDE = 10_000  # wrenches of a recording within the load range
-MAX_OUTSIDE = 1_000  # beyond the range: impacts, counted apart from the others
-# Part of the limit that thinning keeps: it then happens once in 2,000 new wrenches, not with each.
+MAX_OUTSIDE = 1_000  # wrenches beyond the range: impacts, counted separately
+# Part of the limit that remains after thinning, which then happens once in 2,000 new wrenches, not
+# with each.
 TARGET = 0.8
-# Quantile of the distances to the nearest neighbour, which becomes the next radius: most of the
-# three of ten points with a neighbour within it are dropped.
+# Quantile of the distances to the nearest neighbour that becomes the next radius: most of the three
+# of ten points with a neighbour within it are dropped.
 DROPPED = 0.3
-MIN_GROWTH = 1.1  # of the radius in a step: it ends although many points are equally far apart
-CHUNK = 2_048  # wrenches at once: each chunk takes a tree of its own and one of the subset
-LARGEST = 1e300  # scaled loads beyond this count as this: all differences stay finite numbers
-_EDGE = 1 + 1e-12  # KDTree's bound is exclusive; a wrench at just the radius counts as near
+# Least growth of the radius in a step: thinning ends even if many points are equally far apart.
+MIN_GROWTH = 1.1
+CHUNK = 2_048  # wrenches at once: each chunk takes its own tree and one of the subset
+LARGEST = 1e300  # scaled loads beyond this count as this, so that all differences are finite
+_EDGE = 1 + 1e-12  # KDTree's bound is exclusive, but a wrench exactly at the radius counts as near
 
 
 @dataclass(frozen=True)
 class Subset:
     """Points (m, n), dimensionless (see `scaled_loads`), no two within `radius` of each other.
 
-    `keys` has the packed wrench of each; every wrench offered is `within` of one; there may be
-    `limit` of them.
+    `keys` has the packed wrench of each; every offered wrench is `within` this distance of one;
+    there may be `limit` of them.
     """
 
     points: Floats = field(default_factory=lambda: np.empty((0, len(DEFAULT.inputs))))
@@ -48,7 +50,7 @@ class Subset:
 
 @dataclass(frozen=True)
 class Step:
-    """The subset after a block: keys added and dropped, and how many were merged and thinned."""
+    """The subset after a block: keys added and dropped, numbers of merged and thinned wrenches."""
 
     subset: Subset
     added: list[bytes]
@@ -106,7 +108,7 @@ def take(subset: Subset, points: Floats, keys: list[bytes]) -> Step:
 def spaced(points: Floats, radius: float) -> NDArray[np.bool_]:
     """Return which points (n, m), dimensionless, are kept, earlier ones first: a mask (n,).
 
-    No two kept points are within `radius` of each other, and every other is within it of one.
+    No two kept points are within `radius` of each other, and every other point is within it of one.
     """
     keep = np.ones(len(points), dtype=bool)
     if len(points) < 2:
@@ -154,5 +156,5 @@ def _coarser(subset: Subset) -> Subset:
 
 
 def _tree(points: Floats) -> KDTree:
-    """Return a tree that is quick to build: each is queried once, for a few thousand points."""
+    """Return a tree that is built quickly: it is queried once, for a few thousand points."""
     return KDTree(points, balanced_tree=False, compact_nodes=False)

@@ -1,7 +1,7 @@
-"""Make a report: ``python -m wrenchbook.service.report FOLDER``, where FOLDER holds ``order.json``.
+"""Make a report: ``python -m wrenchbook.service.report FOLDER``; FOLDER has ``order.json``.
 
-Writes ``report.json``, ``report.md`` and ``report.html``, whole or not at all; ``progress.json`` on
-the way; ``failure.json`` if it cannot.
+Writes ``report.json``, ``report.md`` and ``report.html``, each complete or not at all;
+``progress.json`` meanwhile; ``failure.json`` after a failure.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def main(folder: Path) -> int:
         write_json(folder / "report.json", report, durable=True)
     except Exception as error:
         traceback.print_exc()
-        known = isinstance(error, ValueError | SolveFailed)  # their texts say what to do
+        known = isinstance(error, ValueError | SolveFailed)  # their messages have the remedy
         message = str(error) if known else f"{type(error).__name__}: {error}; see log.txt there"
         write_json(folder / FAILURE, {"message": message})
         return 1

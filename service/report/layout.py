@@ -1,4 +1,4 @@
-"""A report laid out: its figures as sections, and these as Markdown and as one HTML page."""
+"""The layout of a report: its figures as sections, and these as Markdown and as one HTML page."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _SCRIPTS: Final = (  # the second draws with the functions of the first
     Path(__file__).parents[1] / "page" / "js" / "report_plots.js",
     Path(__file__).with_name("page.js"),
 )
-UNKNOWN = "-"  # a number that a table does not have
-CONFIDENCE: Final = 0.95  # of the share of true errors within their bars: the bars' own level
-STAR = " ★"  # behind the name of an entry that no other beats in both error and run time
+UNKNOWN = "-"  # stands for a number that a table lacks
+CONFIDENCE: Final = 0.95  # of the share of true errors within their bars: the level of the bars
+STAR = " ★"  # follows the name of an entry that no other beats in both error and run time
 
 
 @dataclass(frozen=True)
 class ReportSection:
-    """A heading, a note on the figures below it, and a table of them, which may be empty."""
+    """A heading, a note on the figures below it, and their table, which may be empty."""
 
     title: str
     note: str
@@ -133,7 +133,10 @@ def _star(report: dict[str, Any], entry: dict[str, Any]) -> str:
 
 
 def _mesh_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
-    """Return a line a mesh: name, size, times and relative errors; the finest is the reference."""
+    """Return a line for each mesh: name, size, times, relative errors.
+
+    The finest is the reference.
+    """
     marks = [""] * (len(report["fea"]) - 1) + [" (reference)"]
     return tuple(
         (
@@ -148,7 +151,7 @@ def _mesh_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
 
 
 def _table_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
-    """Return a line a table and method: costs, relative errors and covered share, by rows."""
+    """Return a line for each table and method: costs, relative errors and covered part, by rows."""
 
     def by_rows_and_error(entry: dict[str, Any]) -> tuple[int, float]:
         return entry["rows"], entry["largest_interpolation_error"] or float("inf")
@@ -191,7 +194,7 @@ def _bar_line(entry: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _failures_in(level: dict[str, Any]) -> str:
-    """Return a note of the solves that failed on a mesh, with their causes; "" if none did."""
+    """Return a note on failed solves of a mesh, with their causes; "" if none failed."""
     failures = level["failures"]
     kinds = Counter(failure["kind"] for failure in failures)
     first = {failure["kind"]: failure for failure in reversed(failures)}
@@ -209,7 +212,7 @@ def _each(values: Iterable[float | None], form: str) -> tuple[str, ...]:
 
 
 def as_markdown(report: dict[str, Any]) -> str:
-    """Lay out a report's figures as Markdown tables."""
+    """Return a report's figures as Markdown tables."""
     parts = [f"# {report['title']}: error against run time", report["summary"]]
     parts.append(f"**{report['advice']}**")
     for section in sections_of(report):
@@ -222,7 +225,7 @@ def as_markdown(report: dict[str, Any]) -> str:
 
 
 def as_page(report: dict[str, Any]) -> str:
-    """Lay out a report as an HTML page of its own, drawn by the script of the server's page."""
+    """Return a report as a separate HTML page, drawn by the script of the server's page."""
     figures = {name: value for name, value in report.items() if name != "sections"}
     heading = html.escape(f"{report['title']}: error against run time")
     script = "".join(path.read_text("utf-8") for path in _SCRIPTS)
@@ -240,7 +243,7 @@ def as_page(report: dict[str, Any]) -> str:
 
 
 def section_html(section: ReportSection) -> str:
-    """Lay out a section as HTML: heading, note, table."""
+    """Return a section as HTML: heading, note, table."""
     rows = [("th", section.head)] if section.head else []
     rows += [("td", line) for line in section.lines]
     lines = (

@@ -1,6 +1,6 @@
-"""Measuring a report: reference solves, solves on coarser meshes, and tables of several sizes.
+"""Measurement of a report: reference solves, solves on coarser meshes, tables of several sizes.
 
-The reference is the component on the finest of three meshes, under wrenches that no table contains.
+The reference is the component on the finest of three meshes, under wrenches that no table has.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ from wrenchbook.surrogate.table.rows import LoadRange, Rows, acting
 Array = np.ndarray
 Report = Callable[[float, str], None]
 
-LEVELS = (("coarse", 0.67), ("own", 1.0), ("fine", 1.5))  # cells along an edge, of the own mesh's
-PARTS = (0.25, 0.5, 1.0)  # of the rows, in tables of growing size
-SOLVES_FRACTION = 0.85  # of the time of a report, as its progress shows it
-NEAR_ZERO = 1e-3  # of the largest output of its kind: below it an output counts as near zero
-TIMED_QUERIES, TIMED_SECONDS = 2000, 0.5  # of a method, at most
+# Cells along an edge, over those of the own mesh.
+LEVELS = (("coarse", 0.67), ("own", 1.0), ("fine", 1.5))
+PARTS = (0.25, 0.5, 1.0)  # parts of the rows, for tables of growing size
+SOLVES_FRACTION = 0.85  # part of a report's time, for its progress
+NEAR_ZERO = 1e-3  # part of the largest output of its kind: a smaller output counts as near zero
+TIMED_QUERIES, TIMED_SECONDS = 2000, 0.5  # limits for each method
 
 
 def measure(
@@ -39,7 +40,9 @@ def measure(
     """Return all figures of a report, as JSON-able values; processor times in s and µs, else SI.
 
     `count` wrenches, drawn by `seed`, are compared; `report` is called with the completed fraction
-    and the current step. Raises ValueError if no wrench is solved on both finest meshes.
+    and the current step.
+
+    Raises ValueError if no wrench is solved on both finest meshes.
     """
     space = load_range.space
     locked = [name in entry.locked for entry in bundle.interfaces for name in FREEDOMS]
@@ -53,12 +56,12 @@ def measure(
     if not solved.any():
         kinds = {failure["kind"] for level in levels for failure in level["failures"]}
         raise ValueError(
-            f"none of the {count} wrenches could be solved ({', '.join(sorted(kinds))}); solve one "
-            f"with: wrenchbook solve {bundle.name} --force FX FY FZ, or lower the range in "
-            "component.toml"
+            f"none of the {count} wrenches could be solved ({', '.join(sorted(kinds))}); lower "
+            f"the range in component.toml, or see the cause with: wrenchbook solve {bundle.name} "
+            "--force FX FY FZ"
         )
     reference, same_mesh = displacements[-1][solved], displacements[index_of_own][solved]
-    # An error is relative to the range of its output, or to a floor if that is near zero.
+    # An error is relative to the range of its output, or to a minimum if that is near zero.
     span = np.ptp(reference, axis=0)
     scale = np.maximum(span, NEAR_ZERO * space.largest_of_kind(span))
     for level, displacement in zip(levels, displacements, strict=True):
@@ -87,7 +90,7 @@ def measure(
             "errors_left_out": summary["errors_left_out"],
             "full_wrench_rows": summary["full_wrench_rows"],
         },
-        # None where the component's mesh is the finest: its error is not known.
+        # None if the component's mesh is the finest: its error is unknown.
         "mesh_error": levels[index_of_own]["largest_error"]
         if index_of_own < len(levels) - 1
         else None,
@@ -144,7 +147,7 @@ def _measure_tables(
     scale: Array,
     solve_seconds: float,
 ) -> list[dict[str, Any]]:
-    """Build tables of the first rows, more and more, and compare each of their methods."""
+    """Build tables of more and more of the first rows, and compare each of their methods."""
     tables: list[dict[str, Any]] = []
     for part in PARTS:
         some = rows.take(np.arange(max(1, round(part * len(rows)))))
@@ -188,7 +191,7 @@ def _compare_method(
         bars, true = bars[known], true[known]
         median = float(np.median(true)) if len(true) else 0.0
         inside.append(float(np.mean(true <= bars)) if len(true) else None)
-        # None where the error is nothing.
+        # None if the error is zero.
         ratios.append(float(np.median(bars)) / median if median > 0.0 else None)
     median_us, p99_us = answer_times(table, method, wrenches)
     of_finest, of_mesh = errors(np.abs(answers.outputs - finest), scale), errors(error, scale)
@@ -252,8 +255,8 @@ def pareto(entries: list[dict[str, Any]]) -> list[str]:
 def answer_times(table: PackedTable, method: str, wrenches: np.ndarray) -> tuple[float, float]:
     """Return median and 99 % of the processor times of single answers, µs.
 
-    The `wrenches`, (n, 6), N and N·m, are answered in order; the first once before, so that
-    one-time work is not counted.
+    The `wrenches`, (n, 6), N and N·m, are answered in order; the first one also once before, so
+    that one-time work does not count.
     """
     loads = wrenches.tolist()
     table.answer(loads[0], None, method)

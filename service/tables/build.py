@@ -153,10 +153,11 @@ class TableBuilder:
         self._save(math.inf)
 
     def faults(self) -> dict[str, str]:
-        """Return why a component's table differs from the ledger, by its name."""
+        """Return by component the reason why its table differs from the ledger."""
         return {**self._store.caveats, **self._unwritten, **self._faults}
 
     def _follow(self) -> None:
+        """Submit the builds of tables that lag behind the ledger, until the builder is stopped."""
         version = None
         while not self._stopping.wait(POLL_S):
             pause = 0.0
@@ -182,6 +183,7 @@ class TableBuilder:
             self._stopping.wait(pause)
 
     def _submit(self, lane: ThreadPoolExecutor, name: str) -> None:
+        """Start a table's build in a lane: small tables do not wait for large ones."""
         self._running.add(name)
         try:
             lane.submit(self._bring_up, name)
@@ -237,6 +239,7 @@ class TableBuilder:
             self._ended.notify_all()
 
     def _build_newest(self, name: str) -> None:
+        """Build a component's table from the newest rows if it lags behind the ledger."""
         if not self._lags(name):
             return
         component, known = self._library[name], self._versions.get(name)
@@ -267,6 +270,7 @@ class TableBuilder:
             self._versions[name].save_at = None  # its HDF5 file has these rows
 
     def _build(self, component: Component, rows: Rows, number: int) -> None:
+        """Build version `number` of a table from its rows, and write its packed file."""
         started = time.monotonic()
         name = component.name
         before = self._versions.get(name)

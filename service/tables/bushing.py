@@ -32,7 +32,7 @@ class _Point(NamedTuple):
 
     load: float
     bar: float  # 95 % half width of the load, NaN if unknown
-    stiffness: float  # of the axis, N/m or N·m/rad
+    stiffness: float  # stiffness of the axis, N/m or N·m/rad
     moved: float  # 95 % half width of the axis' displacement
     coverage: int
 
@@ -62,7 +62,7 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
             loads = curve.at(high).load - curve.at(low).load
             if not abs(loads) > SHORT * (curve.high - curve.low):
                 span = f"{SHORT:.1%} of its load range {curve.low:g} to {curve.high:g}"
-                raise BushingError(f"the rows cover less than {span}; add rows under load")
+                raise BushingError(f"its rows cover less than {span}; add rows under load")
         except (InverseError, BushingError) as error:
             why = why or f"{OUTPUTS[axis]}: {error}"
             continue
@@ -79,7 +79,7 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
             lines.append(",".join([OUTPUTS[axis], *cells, NAMES[point.coverage]]) + "\n")
     if len(lines) == 1:
         remedy = "" if others == "load" else "; others=load needs rows that load one axis only"
-        raise BushingError(f"the table has no curve: {why}{remedy}")
+        raise BushingError(f"the table has no curve of any axis: {why}{remedy}")
     return "".join(lines)
 
 
@@ -97,7 +97,7 @@ class _Curve:
         self.unit = np.eye(len(LOADS))[axis]
         self.low, self.high = table.load_range.low[axis], table.load_range.high[axis]
         if not self.low < self.high:
-            raise BushingError(f"its load range is {self.low:g} to {self.high:g}; widen it")
+            raise BushingError(f"its load range {self.low:g} to {self.high:g} is empty; widen it")
         loads, rounding = table.rows.wrench[:, axis], _ROUNDING * (self.high - self.low)
         self.rows = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
         self.rest = 0.0 if others == "displacement" else self._moved(0.0)
@@ -136,7 +136,7 @@ class _Curve:
             low, high = (self._moved(load) - d for load in (self.low, self.high))
             if not low * high <= 0:
                 span = f"{self.low:g} to {self.high:g}"
-                raise BushingError(f"no load in its range {span} displaces it by {d:.4g}; widen it")
+                raise BushingError(f"no load in its range {span} moves it by {d:.4g}; widen it")
             span = self.low, self.high
             tight = _TIGHT * (self.high - self.low)
             load = root_scalar(lambda f: self._moved(f) - d, bracket=span, xtol=tight).root
@@ -151,8 +151,8 @@ class _Curve:
             raise BushingError(f"{why_beyond(loads, wrench)}; widen the load range")
         if coverage != _COVERED and not self.rows[0] <= load <= self.rows[1]:
             ends = f"{self.rows[0]:.4g} to {self.rows[1]:.4g}"
-            raise BushingError(f"its load {load:.4g} is beyond the rows, {ends}; fill the table")
+            raise BushingError(f"its load {load:.4g} is beyond its rows, {ends}; add rows there")
         if coverage == _OUTSIDE:
-            raise BushingError(f"no rows surround its wrench at {d:.4g}; fill the table")
+            raise BushingError(f"no rows surround its wrench at {d:.4g}; add rows there")
         bar = float(np.abs(row) @ np.where(row == 0, 0.0, errors))
         return _Point(wrench[axis], bar, abs(row[axis]), errors[axis], coverage)

@@ -121,7 +121,7 @@ def _selection(
                 + (f"its newest are {known}" if known else "import a file of measured rows first")
             )
     if number is not None and number == against:
-        raise UncomparableError(f"import {number} cannot be its own reference; name two imports")
+        raise UncomparableError(f"import {number} cannot be its own reference; name another import")
     reference = ~measured if against is None else measured & (of_import == against)
     chosen = measured & ~reference & (number is None or of_import == number)
     inside = np.asarray(component.load_range.holds(rows.wrench))

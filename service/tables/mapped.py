@@ -258,11 +258,11 @@ class MappedTables:
         return self._tables.copy()
 
     def faults(self) -> dict[str, str]:
-        """Return why a component's table differs from the ledger, by its name."""
+        """Return by component the reason why its table differs from the ledger."""
         return {**self._status.faults, **self._unread}
 
     def trouble(self) -> str | None:
-        """Return why no job runs, as far as this process knows."""
+        """Return the reason why no job runs, as far as this process knows."""
         if not self._state.is_locked_by_builder():
             return "the process that runs them has ended; it is started again"
         return self._status.trouble
@@ -323,6 +323,7 @@ class MappedTables:
         return self._library.version(), files, settled or time.monotonic(), self._state.read()
 
     def _follow(self) -> None:
+        """Map new tables when woken, and keep the memory limit, until the tables are closed."""
         while not self._stopping.is_set():
             woken = self._wake.wait(MEMORY_S)
             self._wake.clear()
@@ -336,6 +337,7 @@ class MappedTables:
                 self.wake()
 
     def _map_new(self) -> None:
+        """Map the newest readable file of each table, and publish which versions answer."""
         status, failed = self._state.read(), None
         for name, files in self._store.packed_files().items():
             if name in self._library:

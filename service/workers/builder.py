@@ -36,8 +36,8 @@ log = logging.getLogger(__name__)
 Parts = tuple[Ledger, Library, SolverErrors]
 
 DAY = 86_400.0
-CHECK_S = 30.0  # between checks of the ledger's log, which stays below 16 MB under a day's jobs
-PRUNE_S = 600.0  # between removals of old folders
+CHECK_S = 30.0  # interval of checks of the ledger's log, which stays below 16 MB under a day's jobs
+PRUNE_S = 600.0  # interval of removals of old folders, whose age is in days
 LONG_LOG = 4 * 1024 * 1024  # bytes; SQLite begins to move it into the ledger at this size
 PART = 2000  # folders per query of the ledger
 
@@ -46,7 +46,7 @@ PART = 2000  # folders per query of the ledger
 def opened(settings: Settings) -> Iterator[Parts]:
     """Open ledger, library and solver errors of a data directory.
 
-    A full disk or a damaged ledger does not keep the existing tables from answering.
+    On a full disk or with a damaged ledger the existing tables still answer.
     """
     folder = settings.data
     ledger = Ledger(folder / "ledger.sqlite", patient=True)
@@ -61,9 +61,9 @@ def opened(settings: Settings) -> Iterator[Parts]:
 
 @contextmanager
 def solving(settings: Settings, parts: Parts) -> Iterator[Dispatcher | None]:
-    """Run the jobs of a ledger, if the settings have solvers: all that `wrenchbook work` needs.
+    """Run the jobs of a ledger, if the settings have solvers; `wrenchbook work` needs no more.
 
-    Solves that run at the end are ended, and wait for the next start.
+    Running solves are ended at the end, and wait for the next start.
     """
     if not settings.solvers:
         yield None
@@ -98,7 +98,7 @@ def solving(settings: Settings, parts: Parts) -> Iterator[Dispatcher | None]:
 def retain(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event) -> None:
     """Bound the size of a data directory: remove old attempts' folders, shorten the ledger's log.
 
-    An unfinished removal goes on at the next start.
+    An unfinished removal continues at the next start.
     """
     next_prune = time.monotonic()
     while not stop.wait(CHECK_S):
@@ -153,7 +153,7 @@ def prune(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event)
                 folder.rmdir()
                 removed += 1
             except OSError:
-                continue  # it has a later attempt
+                continue  # the job has a later attempt
     if removed:
         log.info("the folders of %d ended jobs were removed", removed)
     return removed
@@ -168,8 +168,8 @@ def _names(folder: Path) -> list[str]:
 
 @contextmanager
 def building(settings: Settings, parts: Parts, state: CoordinatorState) -> Iterator[TableBuilder]:
-    """Build tables and run jobs, once the small tables are there."""
-    # Threads of small matrix products only wait for each other, the more the busier the cores.
+    """Build tables and run jobs, once the small tables are built."""
+    # Threads of small matrix products only wait for each other, longer on busier cores.
     threadpool_limits(limits=1)
     ledger, library, errors = parts
     dispatcher: Dispatcher | None = None
@@ -188,7 +188,7 @@ def building(settings: Settings, parts: Parts, state: CoordinatorState) -> Itera
 
 
 def run(settings: Settings, started: threading.Event) -> None:
-    """Build tables and dispatch jobs until SIGTERM; `started` is set once both are at work.
+    """Build tables and dispatch jobs until SIGTERM; `started` is set once both are running.
 
     A data directory with another builder ends the process.
     """
@@ -201,7 +201,7 @@ def run(settings: Settings, started: threading.Event) -> None:
         sys.exit(STARTUP_FAILURE)
     try:
         with opened(settings) as parts, building(settings, parts, state):
-            if OWN_KEY not in os.environ:  # of no server for the length of a command
+            if OWN_KEY not in os.environ:  # not for a private server of a command
                 note_settings(parts[0], settings)
             started.set()
             stop.wait()
@@ -210,7 +210,7 @@ def run(settings: Settings, started: threading.Event) -> None:
 
 
 def note_settings(ledger: Ledger, settings: Settings) -> None:
-    """Note in the audit the settings that differ from those of the start before."""
+    """Add to the audit the settings that differ from those of the last start."""
     with suppress(LedgerError):  # tables answer without it
         known = ledger.audit(action="settings", limit=1)
         before, after = known[0].after if known else None, asdict(settings)

@@ -1,4 +1,4 @@
-"""The process that ships a replica and makes scheduled backups; it may die without harm.
+"""The process that ships a replica and makes scheduled backups; its death does no harm.
 
 The supervisor starts it again. Its outcomes are in ``copies.json`` for health and doctor.
 """
@@ -26,11 +26,11 @@ from wrenchbook.service.settings import Settings
 log = logging.getLogger(__name__)
 
 HOUR = 3600.0
-POLL_S = 10.0  # between checks whether a backup is due
-LATE_PERIODS = 1.5  # without a backup before health says so
-SLACK_S = 60.0  # without a report before health says so, and before a failed backup is repeated
-_PATTERN = "wrenchbook-*.wbb"  # of scheduled backups
-_status_lock = threading.Lock()  # of this process, whose two threads write one file
+POLL_S = 10.0  # interval of checks whether a backup is due, whose period is in hours
+LATE_PERIODS = 1.5  # backup periods without a backup before health reports it
+SLACK_S = 60.0  # without a report before health reports it, and before a failed backup is repeated
+_PATTERN = "wrenchbook-*.wbb"  # names of scheduled backups
+_status_lock = threading.Lock()  # this process has two threads that write one file
 
 
 def run(settings: Settings, started: threading.Event) -> None:
@@ -38,7 +38,7 @@ def run(settings: Settings, started: threading.Event) -> None:
     stop = threading.Event()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
-    os.umask(0o077)  # copies are their owner's alone, as the ledger
+    os.umask(0o077)  # only the owner may read copies, as the ledger
     started.set()
     if settings.backup_every:
         threading.Thread(target=keep, args=(settings, stop), name="backups", daemon=True).start()
@@ -48,7 +48,7 @@ def run(settings: Settings, started: threading.Event) -> None:
 
 
 def ship(settings: Settings, stop: threading.Event) -> None:
-    """Ship each half interval, and once after `stop`: what was committed is soon there."""
+    """Ship each half interval, and once after `stop`, so that committed changes are soon copied."""
     shipper, again = None, False
     with closing(Ledger(settings.data / LEDGER, patient=True)) as ledger:
         while True:
@@ -58,7 +58,7 @@ def ship(settings: Settings, stop: threading.Event) -> None:
                 shipper.round()
                 again = True
                 facts = {**shipper.facts, "trouble": None, "seconds": time.monotonic() - begun}
-            except Exception as error:  # of any storage
+            except Exception as error:  # any error of a storage
                 shipper, facts = None, {"trouble": shown(str(error) or repr(error))}
                 log.warning("the replica was not written: %s", facts["trouble"])
             _report(settings, "replica", SLACK_S + settings.replicate_interval, facts)
@@ -93,8 +93,10 @@ def keep(settings: Settings, stop: threading.Event) -> None:
 def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
     """Write a backup into a folder and restore it into a temporary one.
 
-    One that does not restore, or whose restored directory has faults, is renamed, in place of the
-    failed one before it; raises RuntimeError or BackupError then.
+    A backup that cannot be restored, or whose restored directory has faults, is renamed, in place
+    of an earlier failed one.
+
+    Raises RuntimeError or BackupError in that case.
     """
     folder.mkdir(0o700, parents=True, exist_ok=True)
     file = folder / f"wrenchbook-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.wbb"
@@ -109,7 +111,7 @@ def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
                     why + f". Examine the data with: wrenchbook doctor --data {data}"
                 )
     except BaseException:
-        for former in folder.glob("wrenchbook-*.failed"):  # it is tried again every minute
+        for former in folder.glob("wrenchbook-*.failed"):  # only the newest one stays
             former.unlink(missing_ok=True)
         file.rename(file.with_suffix(".failed"))
         raise

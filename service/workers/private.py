@@ -1,4 +1,4 @@
-"""A private server for the length of a command."""
+"""A private server for the duration of a command."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _ANNOUNCEMENT: Final = "wrenchbook serves "
 
 
 class ServerDidNotStartError(RuntimeError):
-    """The private server ended before it was ready; carries the end of its log."""
+    """The private server ended before it was ready; the message has the end of its log."""
 
 
 @contextmanager
 def private_server(folder: Path, solvers: int) -> Iterator[Client]:
-    """Start a server on a data directory, for the length of a command.
+    """Start a server on a data directory for the duration of a command.
 
     Raises ServerDidNotStartError if it ends before it is ready, or another server uses `folder`.
     """

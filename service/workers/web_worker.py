@@ -1,7 +1,7 @@
 """A process that answers requests: it maps tables, and writes accepted jobs and rows to the ledger.
 
-uvicorn's own listening takes all connections that wait: of eight, one process of two got all. So a
-web worker takes one at a time, and later the more connections it has.
+uvicorn's own listening takes all waiting connections: of eight, one process of two got all. So a
+web worker takes one at a time, and waits longer the more connections it has.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ from wrenchbook.service.sandbox import warm_up
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.workers.supervisor import RETIRE
 
-DELAY_S: Final = 0.001  # for each open connection, in which a worker with fewer takes the next one
+# Wait for each open connection, in which a worker with fewer takes the next one.
+DELAY_S: Final = 0.001
 MAX_DELAY_S: Final = 0.01
-SHARE: Final = 8  # of the open connections, one in so many is accepted at once: bursts of thousands
+SHARE: Final = 8  # one in this many open connections is accepted at once: for bursts of thousands
 PARSERS = (
     "wrenchbook.service.library.bundles",
     "wrenchbook.service.formats.read",
@@ -33,7 +34,7 @@ PARSERS = (
 
 
 class WebWorker(Server):
-    """A server on a socket that the other web workers listen on too."""
+    """A server on a socket on which the other web workers listen too."""
 
     def __init__(self, settings: Settings, ready: threading.Event) -> None:
         self._ready = ready
@@ -50,7 +51,7 @@ class WebWorker(Server):
         self._begun: set[asyncio.Task[None]] = set()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start, and take connections from then on."""
+        """Start, and accept connections from then on."""
         await super().startup([])
         if self.started and sockets:
             self._listening = sockets[0]
@@ -63,7 +64,7 @@ class WebWorker(Server):
                 warm_up(*PARSERS)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Take the connections that wait, then no more, and finish their requests."""
+        """Accept the waiting connections, then no more, and finish their requests."""
         if self._timer is not None:
             self._timer.cancel()
         self._loop.remove_reader(self._listening)

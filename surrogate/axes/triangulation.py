@@ -72,6 +72,7 @@ class Triangulation:
             self.weights = np.where(broken[:, None, None], 0.0, self.weights)
 
     def _triangulate(self) -> None:
+        """Set the simplices, with a lower dimension if qhull calls the points flat."""
         dimension, basis = _span(self.points)
         while True:
             self.dimension, self.basis = dimension, basis[:dimension]

@@ -91,8 +91,8 @@ def pieces(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> list[
         code = _CODES.get(array.dtype.newbyteorder("<"))
         if code is None or array.ndim > 4 or len(name.encode()) >= 64:
             raise PackedTableError(
-                f"array {name} is {array.dtype} of shape {array.shape}; a packed table has "
-                "float64, int32, int64 or uint8 of at most 4 dimensions, and names below 64 bytes"
+                f"array {name} is {array.dtype} of shape {array.shape}; convert it to float64, "
+                "int32, int64 or uint8 of at most 4 dimensions, with a name below 64 bytes"
             )
         content = np.ascontiguousarray(array, dtype=_TYPES[code]).tobytes()
         entry["name"], entry["type"], entry["dimensions"] = name.encode(), code, array.ndim

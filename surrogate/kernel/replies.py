@@ -181,7 +181,7 @@ def mistake(
         return MemoryError(f"there is no memory for {len(inputs)} wrenches at once; send fewer")
     if code == NOT_SQUARE:
         counts = f"{len(space['inputs'])} loads for {len(space['outputs'])} outputs"
-        return InverseError(f"the table has {counts}; an inverse needs a load for each output")
+        return InverseError(f"the table has {counts}; an inverse needs as many of both")
     reached = ", ".join(
         f"{entry['name']} = {load:.4g} {entry['unit']}"
         for entry, load in zip(space["inputs"], inputs[0].tolist(), strict=True)

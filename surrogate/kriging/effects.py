@@ -151,7 +151,7 @@ class _Estimates(NamedTuple):
 
     mean: Floats
     deviation: Floats
-    half_width: Floats  # of the interval that an effect must leave to count
+    half_width: Floats  # half-width of the interval that an effect must leave to count
 
 
 class _ByKind(NamedTuple):

@@ -138,7 +138,7 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
         name = load_range.space.output_names[int(counts.argmin())]
         raise TooFewRowsError(
             f"kriging needs {settings.min_rows} rows of each output in the load range, but {name} "
-            f"has {counts.min()}; solve or import more"
+            f"has {counts.min()}; solve or import more rows"
         )
     centre = (load_range.low + load_range.high) / 2
     offset = np.nanmean(rows.displacement, axis=0)

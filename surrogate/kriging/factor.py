@@ -127,7 +127,7 @@ class KrigingFactor(Factor):
     All numbers are dimensionless: loads are in half ranges, outputs in spreads.
     """
 
-    equations: Equations  # of the rows that take part
+    equations: Equations  # equations of the rows that take part
     output_group: OutputGroup  # the outputs it answers, the rows and their noise
     # (7, 7): posterior covariance of the mean's coefficients, over the process variance
     mean_covariance: Floats

@@ -126,7 +126,7 @@ class Sums(NamedTuple):
     """Sums over rows, for outputs (k,) that they bring with noise in the same proportions."""
 
     outputs: Indices  # (k,)
-    prior: Factor  # of the inducing wrenches: its T is inv(L)
+    prior: Factor  # factor of the inducing wrenches: its T is inv(L)
     # A, b, G, H, h: (m, m), (m, k), (m, 7), (7, 7) and (7, k): see the module, and h = F' D y; D is
     # of the rows' relative noise
     A: Floats

@@ -312,7 +312,7 @@ class _TrainingData(NamedTuple):
             if len(equations) < settings.min_rows:
                 raise TooFewRowsError(
                     f"kriging needs {settings.min_rows} rows at different wrenches, but there are "
-                    f"{len(equations)}; solve or import more"
+                    f"{len(equations)}; solve or import more rows"
                 )
             equations, total = limited_to_factor(equations, settings), equations.count
         x = equations.x

@@ -64,7 +64,7 @@ class Estimate(NamedTuple):
 class NoisyRows(NamedTuple):
     """Outputs that the same rows bring with noise in the same proportions."""
 
-    equations: Equations  # of these rows
+    equations: Equations  # equations of these rows
     outputs: NDArray[np.intp]  # (k,)
     parts: Floats  # (e,): the diagonal of D; 0 of equations without noise
     scale: Floats  # (k,): `Equations.unit_noise` is D times this
@@ -129,7 +129,7 @@ class Spectrum(NamedTuple):
     values: Floats  # (m,)
     noisy: Floats  # (m,)
     data: Floats  # (m, k), spreads: T times the readings
-    logarithm: float  # of T's determinant, as far as it depends on the covariance
+    logarithm: float  # logarithm of T's determinant, as far as it depends on the covariance
     # correlation of pairs of rows for each term, and its derivative by q; empty with slopes
     terms: list[list[Floats]]
 

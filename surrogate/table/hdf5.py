@@ -333,8 +333,8 @@ def _check_contained(file: h5py.File) -> None:
                 )
             if name != "note" and size > MAX_STRING_BYTES:
                 raise TableFileError(
-                    f"has strings of {size} bytes in {place}, the limit is {MAX_STRING_BYTES}; "
-                    "shorten them"
+                    f"has strings of {size} bytes in {place}, over the limit of "
+                    f"{MAX_STRING_BYTES}; shorten them"
                 )
             room -= dataset.nbytes
     _check_room(room)
@@ -349,7 +349,7 @@ def _own_member(file: h5py.File, name: str, kind: type[M]) -> M:
         raise TableFileError(f"has {name} in another file or behind a link; copy it into this file")
     if not isinstance(member, kind):
         raise TableFileError(
-            f"has {name} not as a {kind.__name__.lower()}; send a file that wrenchbook wrote"
+            f"has {name}, but not as a {kind.__name__.lower()}; send a file that wrenchbook wrote"
         )
     return member
 
@@ -359,7 +359,7 @@ def _check_chunks(name: str, dataset: h5py.Dataset) -> None:
     size = np.prod(dataset.chunks or (0,), dtype=float) * dataset.dtype.itemsize
     if size > MAX_CHUNK_BYTES:
         raise TableFileError(
-            f"has chunks of {size / MIB:.0f} MiB in {name}, the limit is "
+            f"has chunks of {size / MIB:.0f} MiB in {name}, over the limit of "
             f"{MAX_CHUNK_BYTES // MIB} MiB; write smaller chunks"
         )
 
@@ -371,8 +371,8 @@ def _check_room(room: int) -> None:
     """
     if room < 0:
         raise TableFileError(
-            f"unpacks to {(MAX_FOREIGN_BYTES - room) / MIB:.0f} MiB, the limit is "
-            f"{MAX_FOREIGN_BYTES // MIB}; send the table in parts"
+            f"unpacks to {(MAX_FOREIGN_BYTES - room) / MIB:.0f} MiB, over the limit of "
+            f"{MAX_FOREIGN_BYTES // MIB} MiB; send the table in parts"
         )
 
 
@@ -411,7 +411,9 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
             lengths = {len(dataset) for _, dataset, _ in columns}
             if len(lengths) != 1:
                 sizes = (f"{name}: {len(dataset)}" for name, dataset, _ in columns[:MAX_LISTED])
-                raise TableFileError(f"needs columns of one length ({', '.join(sizes)})")
+                raise TableFileError(
+                    f"has columns of several lengths ({', '.join(sizes)}); make them equal"
+                )
             names = [name for name, _, _ in columns]
             for start in range(0, lengths.pop(), FOREIGN_PIECE):
                 some = slice(start, start + FOREIGN_PIECE)

@@ -46,7 +46,7 @@ class Observations(NamedTuple):
     scatter: Floats  # m^2 and rad^2: sum of their squared differences from their mean
 
     def take(self, which: NDArray[np.intp]) -> Observations:
-        """Return those of some rows, whose indices have shape (k,)."""
+        """Return the observations of the rows `which`, indices of shape (k,)."""
         return Observations(self.number[which], self.scatter[which])
 
 

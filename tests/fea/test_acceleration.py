@@ -148,7 +148,7 @@ def test_more_inputs_than_there_are_corners_to_look_at_are_refused(tmp_path):
         {"name": name, "section": name, "coupling": "rigid", "range": TABLE["range"]}
         for name in ("x1", "y1", "z1")
     ]
-    with pytest.raises(BundleError, match="22 inputs vary, at most 18 may"):
+    with pytest.raises(BundleError, match="22 inputs vary, more than 18"):
         bundle_of(whole, tmp_path)
 
 

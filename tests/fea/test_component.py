@@ -117,7 +117,7 @@ def test_every_missing_group_is_told_at_once():
 
 def test_a_table_only_component_cannot_be_built():
     table = {key: BLOCKS[key] for key in ("name", "title", "range")}
-    with pytest.raises(BundleError, match="to solve this component, add a"):
+    with pytest.raises(BundleError, match="cannot be solved; add "):
         build(bundle_of(table, FILES))
 
 
@@ -129,7 +129,16 @@ def test_a_component_of_a_deck_names_the_table_that_the_embedded_solver_lacks(tm
         build(bundle_of(table, tmp_path))
     (tmp_path / "hex20_41.msh").write_bytes((FILES / "hex20_41.msh").read_bytes())
     table |= {key: BLOCKS[key] for key in ("mesh", "material", "interface")}
-    with pytest.raises(BundleError, match=r"supports: is missing; .* add a \[supports\]"):
+    with pytest.raises(BundleError, match=r"supports: is missing, .* add \[supports\]"):
+        build(bundle_of(table, tmp_path))
+
+
+def test_a_component_without_a_material_is_told_to_add_it_in_double_brackets(tmp_path):
+    (tmp_path / "job.inp").write_text("*NODE\n")
+    (tmp_path / "hex20_41.msh").write_bytes((FILES / "hex20_41.msh").read_bytes())
+    deck = {"file": "job.inp", "command": ["ccx"], "output": {"reader": "numbers", "file": "u"}}
+    table = {key: BLOCKS[key] for key in ("name", "title", "range", "mesh")} | {"deck": deck}
+    with pytest.raises(BundleError, match=r"material: is missing, .* add \[\[material\]\]"):
         build(bundle_of(table, tmp_path))
 
 

@@ -277,7 +277,8 @@ def test_inputs_without_the_temperature_are_refused(tmp_path):
     with pytest.raises(ValueError, match='"temperature" is missing'):
         own.solve({"": LOADS})
     with pytest.raises(
-        ValueError, match='"temprature" is unknown; give temperature; did you mean "temperature"'
+        ValueError,
+        match='"temprature" is no input here; give temperature; did you mean "temperature"',
     ):
         own.solve({"": LOADS, "temprature": 20.0})
 

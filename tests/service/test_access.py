@@ -220,13 +220,16 @@ def test_a_key_that_is_missing_malformed_unknown_or_expired_is_refused_by_its_ca
     time.sleep(0.3)
     for headers, why in (
         ({}, "the request has none"),
-        ({"Authorization": secret}, "is not Bearer and a key"),
-        (bearer("wb_x"), "is unknown here"),
-        (bearer(secret), "The key 'late' of the request expired at 20"),
+        ({"Authorization": secret}, "is not of the form Bearer KEY"),
+        (bearer("wb_x"), "has no such key"),
+        (bearer(secret), "The key 'late' expired at 20"),
     ):
         refused = locked.get("/v1/jobs", headers=headers)
         assert refused.status_code == 401
         assert why in refused.json()["detail"]
+        is_expired = "expired" in why
+        title = "The key has expired" if is_expired else "A key is needed"
+        assert refused.json()["title"] == title
         assert secret not in refused.text
 
 
@@ -415,7 +418,7 @@ def test_loopback_is_what_this_machine_alone_reaches(host, local):
 
 
 def test_a_key_that_no_header_can_hold_is_refused_without_telling_it():
-    with pytest.raises(ValueError, match="copy it again") as caught:
+    with pytest.raises(ValueError, match="copy the key again") as caught:
         Client("http://127.0.0.1:1", key="wb_a\nb")
     assert "wb_a" not in str(caught.value)
 

@@ -280,7 +280,7 @@ def test_a_damaged_ledger_is_not_backed_up_over_a_good_backup(backup, folder):
 def test_a_backup_that_cannot_be_written_is_told_and_leaves_nothing(folder, tmp_path):
     with pytest.raises(BackupError, match="cannot be written"):
         back_up(folder, tmp_path / "none" / "b")
-    with pytest.raises(BackupError, match="not a data directory"):
+    with pytest.raises(BackupError, match="no data directory"):
         back_up(tmp_path, tmp_path / "b")
     assert not (tmp_path / "b").exists()
 

@@ -29,6 +29,7 @@ from wrenchbook.service.cli.main import main
 from wrenchbook.service.cli.progress import Pace, cancelled_on_interrupt
 from wrenchbook.service.cli.render import Screen, matrix_table
 from wrenchbook.service.client import Client, Event, Job, ServerUnreachable
+from wrenchbook.service.workers.supervisor import in_use
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -159,7 +160,7 @@ def test_plan_sends_the_scene_of_a_file_and_prints_what_is_left_out(
     file.write_text("[components.plate]\nforce = 5\n")
     status, _, err = run("plan", str(file))
     assert status == 1
-    assert "components.plate.force: write three loads" in err
+    assert "but must have three loads" in err
 
 
 def test_audit_in_a_narrow_terminal_breaks_no_time(stub: Stub, run: Run):
@@ -313,7 +314,10 @@ def test_followed_jobs_are_listed_and_then_told_a_line_an_event(stub: Stub, run:
 # -- Ctrl-C --------------------------------------------------------------------------------------
 
 
-def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_sigterm_cancel_the_solves_of_a_fill_and_no_others(
+    tmp_path: Path, ending: signal.Signals
+):
     """A fill that was interrupted left its solves in the queue."""
     with served(tmp_path) as client:
         other = client.solve("plate", [1, 2, -3], [0, 0, 0]).job
@@ -331,7 +335,7 @@ def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):
             assert command.stdout is not None
             assert command.stdout.readline() == "choosing wrenches for plate\n"
             assert command.stdout.readline()  # the round: its solves are queued
-            command.send_signal(signal.SIGINT)
+            command.send_signal(ending)
             _, errors = command.communicate(timeout=600)
         states = {job.id: job.status for job in client.jobs("plate")}
         assert states.pop(other.id) == "waiting"
@@ -340,6 +344,17 @@ def test_ctrl_c_cancels_the_solves_of_a_fill_and_no_others(tmp_path: Path):
         assert " ".join(errors.split()) == (
             f"Interrupted: {len(states)} solve(s) of this command cancelled."
         )
+
+
+def test_sigterm_ends_the_temporary_server_of_a_command_too(tmp_path: Path):
+    words = [sys.executable, "-P", "-m", "wrenchbook", "fill", "plate", "--data", str(tmp_path)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as command:
+        assert command.stdout is not None
+        assert command.stdout.readline() == b"choosing wrenches for plate\n"
+        assert in_use(tmp_path)
+        command.terminate()
+        command.communicate(timeout=600)
+    assert not in_use(tmp_path)
 
 
 def test_ctrl_c_while_the_server_stops_says_that_solves_were_not_cancelled(

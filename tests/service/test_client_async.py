@@ -192,7 +192,7 @@ def test_a_wrong_argument_is_the_same_error_in_both_clients_and_nothing_is_sent(
 
 def test_a_mount_says_that_it_needs_the_blocking_client():
     client = AsyncClient("http://127.0.0.1:9")
-    with pytest.raises(TypeError, match="give a Client"):
+    with pytest.raises(TypeError, match="pass a Client"):
         Mount(client, "plate", [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [0, 0, 0])
 
 

@@ -153,7 +153,7 @@ def test_a_call_is_given_the_time_that_it_lets_the_server_hold_it_back(stub: Stu
 @pytest.mark.parametrize(
     ("force", "moment", "says"),
     [
-        ([0, 0], None, r"force must be three numbers \(x, y, z\), not of shape \(2,\)"),
+        ([0, 0], None, r"force must be three numbers \(x, y, z\), but has the shape \(2,\)"),
         ([0, 0, 0], [1], r"moment must be three numbers"),
         ([0, np.nan, 0], None, "fy must be finite, not nan"),
         ([0, 0, 0], [0, 0, np.inf], "mz must be finite, not inf"),
@@ -162,7 +162,7 @@ def test_a_call_is_given_the_time_that_it_lets_the_server_hold_it_back(stub: Stu
         ([1, None, 3], None, r"force\[1\] is None, not a number; give a float \(0.0 for no load"),
         ([0, 0, 1], {}, r"moment is \{\}, not a number"),
         (np.array([1, 2, 3], dtype=object), None, "force has the type object; convert it to"),
-        ([[1], [2, 3]], None, "force has rows of different lengths; make them equal"),
+        ([[1], [2, 3]], None, "force has rows of different lengths; make all equal"),
         ([True, False, True], None, r"force\[0\] is True, not a number"),
     ],
 )
@@ -255,10 +255,10 @@ def test_wait_takes_an_answer_that_has_a_job_and_says_what_else_it_takes(stub: S
     stub.answers(Answer(QUEUED, status=202), Answer({"id": 7, "status": "done"}))
     assert client.wait(client.solve("plate", [0, 0, 1])).status == "done"
     stub.answers(Answer(COVERED))
-    with pytest.raises(InvalidArgument, match=r"this answer has no job: it is complete"):
+    with pytest.raises(InvalidArgument, match=r"no job to wait for: it is complete"):
         client.wait(client.displacement("plate", [0, 0, 1]))
     with pytest.raises(
-        InvalidArgument, match=r"a job must be a Job, its number, or an answer.*'bar'"
+        InvalidArgument, match=r"job must be a Job, the number of a job, or an answer.*'bar'"
     ):
         client.wait("bar")  # type: ignore[arg-type]
 
@@ -326,10 +326,10 @@ def test_fill_until_stops_when_a_whole_round_fails(stub: Stub, client: Client):
             "loads must map names to values",
         ),
         (lambda client: client.displacement("plate", inputs=3), "inputs must map names"),
-        (lambda _: Client("127.0.0.1:99999"), "not a server address"),
-        (lambda _: Client("http://127.0.0.1:x"), "not a server address"),
-        (lambda _: Client(None), "None is not a server address"),
-        (lambda _: Client("http://plate..lab:8000"), "not a server address"),
+        (lambda _: Client("127.0.0.1:99999"), "not the address of a server"),
+        (lambda _: Client("http://127.0.0.1:x"), "not the address of a server"),
+        (lambda _: Client(None), "None is not the address of a server"),
+        (lambda _: Client("http://plate..lab:8000"), "not the address of a server"),
         (lambda _: Client(timeout="5"), "timeout must be above 0 s .*, such as 10.0, not '5'"),
         (lambda _: Client(timeout=-1), "timeout must be above 0 s .*, such as 10.0, not -1"),
         (lambda _: Client(timeout=math.inf), "at most 1,000,000 s, such as 10.0, not inf"),

@@ -46,7 +46,7 @@ def test_a_connection_that_the_server_closed_is_made_anew_once(stub: Stub, clien
 
 def test_a_server_that_hangs_up_on_a_new_connection_is_not_asked_again(stub: Stub, client: Client):
     stub.answers(Answer(drop=True))
-    with pytest.raises(ServerUnreachable, match="ended the connection before its reply"):
+    with pytest.raises(ServerUnreachable, match="closed the connection before its reply"):
         client.job(1)
     assert len(stub.seen) == 1
 

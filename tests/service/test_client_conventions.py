@@ -91,7 +91,7 @@ def test_ros_messages_are_read_as_mapping_object_or_stamped():
         conv.from_ros({"force": mapping["force"]})
     with pytest.raises(ValueError, match=r"no 'force\.y'"):
         conv.from_ros({"force": {"x": 1.0}})
-    with pytest.raises(ValueError, match=r"force\.x must be a float, as 1.5 is, not 'one'"):
+    with pytest.raises(ValueError, match=r"force\.x must be a float, like 1.5, not 'one'"):
         conv.from_ros({"force": {"x": "one"}})
 
 

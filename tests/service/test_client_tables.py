@@ -79,7 +79,7 @@ def test_a_table_is_exported_as_text_in_the_units_asked_for(stub: Stub, client: 
 def test_a_file_that_is_no_table_is_not_sent(stub: Stub, client: Client, tmp_path: Path):
     file = tmp_path / "table.pdf"
     file.write_bytes(b"x")
-    with pytest.raises(ValueError, match=r"ends in \.pdf, which cannot be read"):
+    with pytest.raises(ValueError, match=r"ends in \.pdf, which is not the ending of a table"):
         client.import_table("bar", file)
     assert stub.seen == []
 

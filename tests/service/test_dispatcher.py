@@ -338,7 +338,7 @@ def test_a_torn_result_is_a_lost_attempt(bench):
 
 def test_starting_twice_is_refused(bench):
     dispatcher = bench.start()
-    with pytest.raises(RuntimeError, match="runs already"):
+    with pytest.raises(RuntimeError, match="already running"):
         dispatcher.start()
 
 

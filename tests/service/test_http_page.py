@@ -228,7 +228,7 @@ def test_a_bundle_whose_faces_cannot_be_read_is_refused_with_the_reason(http, fi
         (
             "",
             "1,1,2,3,9",
-            "node 9, which no *NODE defines: element 1",
+            "element 1 on node 9, which no *NODE defines",
         ),  # of a node that is not there
         ("", "1,1,1,1,1", "without volume"),
         ("[", "1,1,2,3,4", "not valid TOML"),

@@ -117,7 +117,7 @@ def test_of_two_tdms_groups_with_columns_the_sender_names_one():
     [
         (
             (PATH[:5], MM),
-            "the lengths of its channels differ: Kraft 25, Weg 5; resample them to one",
+            "its channels differ in length (Kraft 25, Weg 5); resample them to one time",
         ),
         (
             (PATH, MM | WAVE | {"wf_increment": 0.1}),
@@ -274,7 +274,7 @@ def test_records_of_matlab_are_rows_and_an_empty_field_is_unknown():
     assert [(error.row, error.field) for error in report.mistakes.listed()] == [(5, "Weg")]
     assert len(table) == 4
     said = message(mat(S=records((1.0, 2.0), (1.0, np.ones(3)))), IN_UNITS)
-    assert "Weg is not a numeric vector (shape (2,), type object); save each column" in said
+    assert "Weg is not one (shape (2,), type object); save each column" in said
 
 
 @pytest.mark.parametrize("level", ["5", "7.3"])

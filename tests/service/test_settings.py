@@ -50,7 +50,7 @@ def test_a_data_directory_that_cannot_be_written_is_refused_at_the_start():
     words = ["serve", "--data", "/proc/sys", "--port", "0"]  # nobody can write there
     result = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
     assert result.exit_code == 2
-    assert "/proc/sys cannot be read and written" in result.output
+    assert "this user cannot read and write /proc/sys" in result.output
     assert len(result.output.splitlines()) == 1
 
 

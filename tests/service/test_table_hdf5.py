@@ -117,9 +117,9 @@ def test_a_group_in_the_place_of_a_column_and_long_texts_are_named(changed):
         del file["rows/source"]
         file["rows"].create_dataset("source", data=np.array([b"x" * 2000] * 6))
 
-    assert "rows/wrench not as a dataset" in only_error(read_hdf5(changed(grouped))).message
+    assert "rows/wrench, but not as a dataset" in only_error(read_hdf5(changed(grouped))).message
     message = only_error(read_hdf5(changed(long_texts))).message
-    assert "strings of 2000 bytes in rows/source, the limit is 1024" in message
+    assert "strings of 2000 bytes in rows/source, over the limit of 1024" in message
 
 
 def test_a_small_file_cannot_unpack_to_more_than_memory_should_hold(changed):
@@ -130,7 +130,7 @@ def test_a_small_file_cannot_unpack_to_more_than_memory_should_hold(changed):
     content = changed(swollen)
     assert len(content) < 100_000
     message = only_error(read_hdf5(content)).message
-    assert re.search("unpacks to 457[0-9]{2} MiB, the limit is 1024;", message)
+    assert re.search("unpacks to 457[0-9]{2} MiB, over the limit of 1024 MiB;", message)
 
 
 LOADS = ("fx [N]", "fy [N]", "fz [N]", "mx [Nm]", "my [Nm]", "mz [Nm]")
@@ -307,7 +307,10 @@ def test_columns_in_several_groups_are_named(tmp_path: Path):
 @pytest.mark.parametrize(
     ("columns", "says"),
     [
-        ({**COLUMNS, "Fz [kN]": [1.0]}, "needs columns of one length (Fz [kN]: 1, uz [mm]: 3)"),
+        (
+            {**COLUMNS, "Fz [kN]": [1.0]},
+            "has columns of several lengths (Fz [kN]: 1, uz [mm]: 3)",
+        ),
         ({**COLUMNS, "image": np.zeros((4, 4))}, "has image of shape (4, 4)"),
         ({**COLUMNS, "z": np.zeros(3, dtype=complex)}, "type complex128"),
     ],
@@ -332,9 +335,9 @@ def test_data_in_another_file_is_refused(tmp_path: Path):
     ("content", "says"),
     [
         ({"a": [1.0, 2.0], "b": [1.0, 2.0, 3.0]}, "their lengths are a 2, b 3"),
-        ({"a": np.zeros((2, 2))}, "a is not a numeric vector"),
-        ({"a": np.array([1, "x"], dtype=object)}, "a is not a numeric vector"),
-        ({"a": "1"}, "needs numeric vectors"),
+        ({"a": np.zeros((2, 2))}, "a is not one ("),
+        ({"a": np.array([1, "x"], dtype=object)}, "a is not one ("),
+        ({"a": "1"}, "must hold numeric vectors"),
     ],
 )
 def test_a_matlab_file_that_is_no_table_says_why(tmp_path: Path, content: dict, says: str):

@@ -131,7 +131,7 @@ def opened(path: Path) -> Iterator[Any]:
     try:
         import gmsh
     except ImportError:
-        message = 'geometry files need gmsh, which is not installed: pip install "wrenchbook[cad]"'
+        message = 'geometry files need gmsh, not installed here; run: pip install "wrenchbook[cad]"'
         raise BundleError([BundleProblem("mesh.file", message)]) from None
     except OSError as error:
         message = (

@@ -101,7 +101,7 @@ def axes_through(origin: Array, first: Array, second: Array) -> Array:
     lengths = np.linalg.norm(x), np.linalg.norm(z)
     if not min(lengths) > 0 or not np.isfinite(lengths).all():
         listed = ", ".join(map(point_text, (origin, first, second)))
-        raise MeshFileError(f"has three points on one line: {listed}; move one off it")
+        raise MeshFileError(f"has its three points on one line: {listed}; move one off the line")
     x, z = x / lengths[0], z / lengths[1]
     return np.array([x, np.cross(z, x), z])
 
@@ -140,7 +140,7 @@ def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
         try:
             if keyword.word in _REFUSED:
                 instead = _REFUSED[keyword.word]
-                raise MeshFileError(f"cannot be read; list what it generates under {instead}")
+                raise MeshFileError(f"cannot be read; write what it generates under {instead}")
             if keyword.word in TAKERS:
                 TAKERS[keyword.word](deck, keyword)
             take(deck, keyword)
@@ -152,6 +152,7 @@ def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
 
 
 def _take_nodes(deck: Deck, keyword: Keyword) -> None:
+    """Add the nodes of *NODE at their places in the assembly, m, and their set."""
     kind = keyword.options.get("SYSTEM", "R").upper()
     if kind not in ("R", "C"):
         raise MeshFileError(f"has SYSTEM={kind}; write R (Cartesian) or C (cylindrical)")
@@ -198,6 +199,7 @@ def _take_system(deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_elements(deck: Deck, keyword: Keyword) -> None:
+    """Add the elements of *ELEMENT, if they are solids, shells or beams, and their set."""
     kind = kind_of(keyword.option("TYPE").upper())
     if kind is None:  # masses, springs, gaps: no part of the mesh
         return
@@ -210,8 +212,8 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
     starts = range(0, len(numbers), columns)
     if (bad := next((i for i in starts if i + columns not in ends), None)) is not None:
         raise MeshFileError(
-            f"has rows with another number of nodes than the {columns - 1} of {kind} elements, "
-            f"from element {numbers[bad] % STRIDE} on; complete them, or write another TYPE"
+            f"has element {numbers[bad] % STRIDE} without the {columns - 1} nodes of a {kind}; "
+            f"write {columns - 1} nodes in each row, or another TYPE"
         )
     table = [numbers[i : i + columns] for i in starts]
     if not table:
@@ -246,6 +248,7 @@ def kind_of(name: str) -> str | None:
 
 
 def _take_set(deck: Deck, keyword: Keyword) -> None:
+    """Add the members of *NSET or *ELSET; ELSET in *NSET adds the nodes of an element set."""
     sets = deck.node_sets if keyword.word == "NSET" else deck.element_sets
     name, entries = keyword.option(keyword.word), _members(deck, sets, keyword)
     if keyword.word == "NSET" and "ELSET" in keyword.options:
@@ -276,7 +279,8 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
         if "GENERATE" in keyword.options:
             if len(fields) < 2 or fields[2:3] == ["0"]:
                 raise MeshFileError(
-                    f'generates from "{", ".join(fields)}"; write first, last and a step above 0'
+                    f'has "{", ".join(fields)}" to generate from; write first, last and a step '
+                    "above 0"
                 )
             first, last, step = (*(whole(each) for each in fields), 1)[:3]
             offset = frame.number * STRIDE
@@ -291,7 +295,7 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
 def _few(entries: Sequence[int]) -> Sequence[int]:
     """Return a set's members, at most as many as a mesh can have: a line may define any range."""
     if len(entries) > _MAX_MEMBERS:
-        raise MeshFileError(f"names {len(entries)} members; name at most {_MAX_MEMBERS}")
+        raise MeshFileError(f"has {len(entries)} members; name at most {_MAX_MEMBERS}")
     return entries
 
 
@@ -322,6 +326,7 @@ def set_key(deck: Deck, sets: Mapping[str, object], name: str, frame: Frame) -> 
 
 
 def _take_surface(deck: Deck, keyword: Keyword) -> None:
+    """Add the faces, or by TYPE=NODE the nodes, of *SURFACE."""
     by_node = keyword.options.get("TYPE", "ELEMENT").upper() == "NODE"
     surface = keyword.option("NAME")
     for name, *fields in keyword.rows:
@@ -330,7 +335,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
             continue
         face = fields[0].upper() if fields else ""
         if not re.fullmatch(r"S\d", face):
-            raise MeshFileError(f'has the face "{face}" of {name}; write S1 to S6 of a solid')
+            raise MeshFileError(f'has "{face}" as face of {name}; write S1 to S6 of a solid')
         entries = [(e, face) for e in named(deck, deck.element_sets, name, keyword.frame)]
         deck.entries += len(entries)
         _few(range(deck.entries))
@@ -411,8 +416,8 @@ def raw_mesh(deck: Deck) -> RawMesh:
         pairs = deck.where.items()
         element = next(each for each, (block, i) in pairs if label in deck.cells[block][i])
         raise MeshFileError(
-            f"has an element on node {label % STRIDE}, which no *NODE defines: element "
-            f"{element % STRIDE}; add this node, or correct the element"
+            f"has element {element % STRIDE} on node {label % STRIDE}, which no *NODE defines; "
+            "add this node, or correct the element"
         ) from None
     regions, groups, faces = (
         set_names(deck, sets) for sets in (deck.element_sets, deck.node_sets, deck.surfaces)

@@ -229,10 +229,11 @@ def _finish(
 
 
 def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Add the elements of *ELEMENT, and count those of the mesh by their type."""
     kind = keyword.option("TYPE").upper()
     if kind == "DCOUP3D":  # its node as a set, by which *DISTRIBUTING COUPLING names it
         if len(keyword.rows) != 1 or len(keyword.rows[0]) < 2:
-            raise MeshFileError("of type DCOUP3D must have one line: its number and its node")
+            raise MeshFileError("of type DCOUP3D needs exactly one row: its number and its node")
         add_weighted(deck, keyword.frame, keyword.option("ELSET"), keyword.rows[0][1])
     elif kind in NODES:
         take_elements(reader, deck, keyword)
@@ -251,11 +252,12 @@ def _take_material(reader: Reader, _: Deck, keyword: Keyword) -> None:
 
 
 def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:
+    """Add the constants of *ELASTIC, *PLASTIC and others to the material that is being read."""
     kind = keyword.options.get("TYPE", "ISO").upper().replace(" ", "")
     if keyword.word == "ELASTIC" and kind in ("ENGINEERINGCONSTANTS", "ORTHO"):
         values = [real(each) for row in keyword.rows for each in row if each][:9]
         if len(values) < 9:
-            raise MeshFileError(f"has {len(values)} constants; write all nine")
+            raise MeshFileError(f"has {len(values)} of nine constants; write all nine")
         if kind == "ORTHO":  # stresses over strains, from which engineering constants follow
             c11, c12, c22, c13, c23, c33, *shears = values
             try:
@@ -296,12 +298,12 @@ def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
     number, angle = numbers(keyword, 1, 2)
     if kind != "COORDINATES" or system not in ("RECTANGULAR", "CYLINDRICAL"):
         raise MeshFileError(
-            f"has SYSTEM={system} and DEFINITION={kind}; write RECTANGULAR or CYLINDRICAL, and "
-            "COORDINATES"
+            f"has SYSTEM={system} and DEFINITION={kind}; write RECTANGULAR or CYLINDRICAL as "
+            "SYSTEM, and COORDINATES as DEFINITION"
         )
     if system == "CYLINDRICAL":
         if angle:
-            raise MeshFileError(f"turns a cylinder by {angle:g} degrees; leave the angle out")
+            raise MeshFileError(f"turns a cylinder by {angle:g} degrees; write 0 as angle")
         if np.array_equal(first, second):
             at = point_text(first)
             raise MeshFileError(f"has both points of its axis at {at}; write two different points")
@@ -348,6 +350,7 @@ def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Add the freedoms that *BOUNDARY holds, and report prescribed motions, which are left out."""
     step = reader.steps[-1]
     step.begin(keyword)
     if {"SUBMODEL", "USER"} & keyword.options.keys():
@@ -361,7 +364,7 @@ def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
             if not first.isdigit():
                 types = ", ".join(_BOUNDARY_TYPES)
                 raise MeshFileError(
-                    f'has "{first}" of {target}; write a freedom, 1 to 6, or {types}'
+                    f'has "{first}" as freedom of {target}; write 1 to 6, or {types}'
                 )
             held = set(range(whole(first) - 1, min(whole(last or first), 6)))
             if held and real(value or "0"):
@@ -376,7 +379,7 @@ def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
     labels = named(deck, deck.node_sets, name, frame)
     single = name.rpartition(".")[2].isdigit()
     if single and labels[0] not in deck.nodes:
-        raise MeshFileError(f"names a node {name} that is not defined above; add its *NODE there")
+        raise MeshFileError(f"names node {name}, which is not defined above; add its *NODE there")
     return "" if single else set_key(deck, deck.node_sets, name, frame), labels
 
 
@@ -390,6 +393,7 @@ def _take_coupling(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_coupling_kind(reader: Reader, _: Deck, keyword: Keyword) -> None:
+    """Set the kind and the directions of the last *COUPLING from *KINEMATIC or *DISTRIBUTING."""
     rows = [[whole(each) for each in row if each] for row in keyword.rows]
     freedoms = {freedom - 1 for row in rows for freedom in range(row[0], row[-1] + 1)}
     directions = directions_of(freedoms)
@@ -409,13 +413,14 @@ def _take_weighted(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     name = f"{keyword.option('ELSET')}_nodes"
     for target, *weights in keyword.rows:
         if len(weights) != 1:
-            raise MeshFileError(f"has no weight of {target}; write a node or set, and its weight")
+            raise MeshFileError(f"has no weight for {target}; write a node or set, and its weight")
         add_weighted(deck, keyword.frame, name, target, *weights)
     ref = _node(deck, keyword, "ELSET")
     reader.couplings.append(Coupling(keyword, keyword.frame.key(name), ref, kind="distributed"))
 
 
 def _take_rigid(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Add the coupling of a *RIGID BODY of nodes, and report one of elements."""
     sets = ("NSET", "TIE NSET", "PIN NSET", "ELSET")
     name, *others = [keyword.options[k] for k in sets if k in keyword.options] or [""]
     if others:
@@ -443,7 +448,7 @@ def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     distance = real(keyword.options.get("POSITION TOLERANCE", "0")) or None
     for row in keyword.rows:
         if len(row) < 2:
-            raise MeshFileError(f'names "{row[0]}" alone; write secondary and main surface')
+            raise MeshFileError(f'names only "{row[0]}"; write secondary and main surface')
         keys = {keyword.frame.key(name) for name in row[:2]}
         if nodal := (keys & deck.node_sets.keys()) - deck.surfaces.keys():
             raise MeshFileError(f'names "{min(nodal)}", a set of nodes; name a surface of faces')
@@ -452,17 +457,18 @@ def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 
 def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Add the forces and moments of *CLOAD to the present step."""
     step = reader.steps[-1]
     step.begin(keyword)
     if "AMPLITUDE" in keyword.options:
         reader.lack(keyword, "has an amplitude, which is left out; check the values")
     for row in keyword.rows:
         if len(row) < 3:
-            raise MeshFileError(f'has "{", ".join(row)}"; write node or set, freedom and value')
+            raise MeshFileError(f'has the row "{", ".join(row)}"; write node/set, freedom, value')
         target, freedom, value = row[:3]
         key, labels = _target(deck, target, keyword.frame)
         if not 1 <= whole(freedom) <= 6:
-            raise MeshFileError(f"acts on freedom {freedom} of {target}; write a freedom 1 to 6")
+            raise MeshFileError(f"acts on freedom {freedom} of {target}; write 1 to 6")
         for label in labels:
             entry = label, whole(freedom) - 1
             # The forces of one step add up.

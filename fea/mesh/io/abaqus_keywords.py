@@ -39,7 +39,7 @@ class Frame:
         """Return the number of a node or element of this instance, unique among all instances."""
         number = whole(text)
         if not 0 <= number < STRIDE:
-            raise MeshFileError(f"has a node or element {number}; write 1 to {STRIDE - 1}")
+            raise MeshFileError(f"has the node or element {number}; write 1 to {STRIDE - 1}")
         return number + self.number * STRIDE
 
     def key(self, name: str) -> str:
@@ -207,7 +207,7 @@ def real(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise MeshFileError(f'has "{text}" in the place of a number; write a number') from None
+        raise MeshFileError(f'has "{text}" where a number must be; write a number') from None
 
 
 def whole(text: str) -> int:
@@ -218,9 +218,9 @@ def whole(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        message = f'has "{text}" in the place of a whole number; write a whole number'
+        message = f'has "{text}" where a whole number must be; write a whole number'
         raise MeshFileError(message) from None
 
 
-UNREADABLE = "has a data line with too few or too large fields; complete its lines"
+UNREADABLE = "has a data line that lacks a field, or has a number too large; write all its fields"
 """Message on a keyword whose lines have another form, if no message names the field."""

@@ -88,7 +88,7 @@ def read_ansys(text: str) -> Translated:
             except MeshFileError as error:
                 raise MeshFileError(f"line {number}: {word} {error}") from None
             except (ValueError, LookupError, StopIteration):
-                why = "is cut off, or not in the form of CDWRITE; write the archive by CDWRITE,DB"
+                why = "is cut off or not in CDWRITE's form; write the archive again by CDWRITE,DB"
                 raise MeshFileError(f"line {number}: {word} {why}") from None
     if not archive.cases:
         archive.end_step("")
@@ -193,7 +193,7 @@ def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: 
         raise MeshFileError(f"has element {number} with {len(nodes)} nodes; write 20 at most")
     corners = {10: 4, 13: 5, 15: 6, 20: 8}.get(len(nodes), len(nodes))
     if "0" in nodes[:corners]:
-        raise MeshFileError(f"has node 0 at a corner of element {number}; write its node")
+        raise MeshFileError(f"has node 0 at a corner of element {number}; write a node's number")
     if set(nodes[corners:]) == {"0"}:
         nodes = nodes[:corners]
     integration = "R" if len(nodes) == 20 and not kind.is_full else ""
@@ -249,7 +249,7 @@ def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
     elif node == "ALL":
         raise MeshFileError("acts on ALL of a selection, which is not evaluated; name a component")
     elif not nodes:
-        raise MeshFileError(f'acts on "{node}", no number or component above; write node numbers')
+        raise MeshFileError(f'acts on "{node}", not a component above; write it or node numbers')
     labels = [label or "ALL", *filter(None, further if word == "D" else ())]
     if not _FREEDOMS.keys() >= {*labels}:
         archive.skipped[f"{word} of {', '.join(labels)}"] += 1

@@ -129,7 +129,7 @@ class _Bulk(Translated):
             return [_real(fields[1])]
         kind, key = "PBUSH" if name == "CBUSH" else "PELAS", fields[1] or number
         if kind + key not in self.springs:
-            raise MeshFileError(f"needs {kind} {key}, which is not defined")
+            raise MeshFileError(f"needs {kind} {key}, which no card defines")
         return [_real(text) for text in self.springs[kind + key][1]]
 
     def oriented(self, name: str, axes: Array, kind: str = "R") -> str:
@@ -182,7 +182,7 @@ def read_nastran(text: DeckText) -> Translated:
         except MeshFileError as error:
             raise MeshFileError(f"line {text.place(number)}: {name} {error}") from None
         except (ValueError, LookupError):
-            why = "has a missing or too large field; complete the card"
+            why = "lacks a field, or has a number too large; complete the card"
             raise MeshFileError(f"line {text.place(number)}: {name} {why}") from None
     _take_springs(data)
     _take_cases(data, control)
@@ -313,7 +313,7 @@ def _real(field: str) -> float:
     try:
         return float(_EXPONENT.sub(r"e\1", field.upper().replace("D", "E") or "0"))
     except ValueError:
-        raise MeshFileError(f'has "{field}" in the place of a number; write a number') from None
+        raise MeshFileError(f'has "{field}" where a number must be; write a number') from None
 
 
 def _grid(data: _Bulk, _: str, fields: list[str]) -> None:
@@ -376,6 +376,7 @@ def _orthotropic(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _section(data: _Bulk, name: str, fields: list[str]) -> None:
+    """Read PSOLID: the material of a region, and the axes of the material."""
     region, kind, axes, origin = f"{name}_{fields[0]}", "-", np.eye(3), np.zeros(3)
     data.sections[region] = f"MAT_{fields[1]}"
     if fields[2] != "-1":
@@ -424,6 +425,7 @@ def _sum(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _rigid(data: _Bulk, name: str, fields: list[str]) -> None:
+    """Read RBE2 as a kinematic coupling, without its thermal expansion."""
     # Without its thermal expansion.
     nodes = _listed([each for each in fields[3:] if "." not in each])
     ways = sorted(set("123") & set(fields[2]))
@@ -436,7 +438,7 @@ def _rigid(data: _Bulk, name: str, fields: list[str]) -> None:
 
 
 def _mean(data: _Bulk, name: str, fields: list[str]) -> None:
-    """Read weights of nodes; with UM the list ends, and the element is another one."""
+    """Read RBE3 as a distributed coupling; with UM, which changes it, it is skipped."""
     if "ALPHA" in fields:
         data.skipped[f"expansion of {name}"] += 1
         fields = fields[: fields.index("ALPHA")]
@@ -511,15 +513,15 @@ def _spring_axes(data: _Bulk, bush: list[str], nodes: list[str], sizes: list[flo
             data.axes_at(grid[5], node) for grid, node in zip(grids, nodes, strict=True)
         ]
         if not all(np.allclose(axes, other) for other in others):
-            raise MeshFileError("has nodes of different axes (CD)")
+            raise MeshFileError("has nodes with different axes (CD)")
         return axes
     if not bush[7]:
-        raise MeshFileError("has no CID")
+        raise MeshFileError("has no CID for its axes")
     kind, axes, _ = data.system(bush[7])
     if kind != "R":
         raise MeshFileError(f"has the CID {bush[7]}, which is not rectangular")
     if bush[9] not in ("", "-1"):
-        raise MeshFileError(f"has the OCID {bush[9]}")
+        raise MeshFileError(f"has the OCID {bush[9]}, not -1")
     apart = data.point(grids[-1]) - data.point(grids[0])
     across = np.linalg.norm(np.cross(apart, axes), axis=1) > _ALONG * np.linalg.norm(apart)
     if (across & (np.array(sizes[:3]) != 0)).any():

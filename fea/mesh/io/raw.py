@@ -122,6 +122,11 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
 
 
 def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
+    """Return the equations of dependent nodes.
+
+    number: the node of the mesh for each node of `raw`, -1 if it is in no cell.
+    points: shape (nodes, 3), m.
+    """
     nodes, masters, weights = map(np.array, zip(*raw.follow, strict=True))
     try:
         return Dependents.of(len(points), (number[nodes], number[masters], weights))
@@ -173,6 +178,10 @@ def _facet_groups(
 
 
 def _node_groups(raw: RawMesh, number: Array) -> dict[str, Array]:
+    """Return the used nodes of each set; an element set has the nodes of its line elements.
+
+    number: the node of the mesh for each node of `raw`, -1 if it is in no cell.
+    """
     groups = {}
     for name, numbers in raw.element_sets.items():
         pairs = zip(raw.blocks, numbers, strict=True)
@@ -242,7 +251,7 @@ class Translated:
         lacking = dict.fromkeys(ends for _, _, ends in blank if ends not in middles)
         if lost := {end for ends in lacking for end in ends} - points.keys():
             node, number = min((end, row[0]) for row, _, ends in blank for end in ends & lost)
-            raise MeshFileError(f"has element {number} on node {node}, not defined; add this node")
+            raise MeshFileError(f"has element {number} on the undefined node {node}; add this node")
         new = {str(next(numbers)): ends for ends in lacking}
         middles |= {ends: node for node, ends in new.items()}
         for row, i, ends in blank:
@@ -302,7 +311,7 @@ class Translated:
     def tie(
         self, name: str, nodes: list[str], reference: str, kind: str, weights: Iterable[float] = ()
     ) -> None:
-        """Tie nodes to a reference node ("KINEMATIC"), or it to their mean ("DISTRIBUTING")."""
+        """Tie nodes to a reference node ("KINEMATIC"), or the latter to their mean."""
         self.groups[name] = nodes
         self.couplings += [f"*SURFACE, TYPE=NODE, NAME={name}", *([] if weights else [name])]
         pairs = zip(nodes, weights, strict=False)

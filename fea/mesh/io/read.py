@@ -111,8 +111,8 @@ def _read_silently(path: Path) -> meshio.Mesh:
     """Read a file by meshio, without its output and its ending of the interpreter."""
     if not path.name.lower().endswith(tuple(meshio.extension_to_filetypes)):
         raise MeshFileError(
-            f'has the ending "{path.suffix}" of no known mesh format; export the mesh as .msh '
-            "(gmsh), .vtu (VTK) or .inp (Abaqus, CalculiX)"
+            f'has the ending "{path.suffix}", which no mesh format has; export it as .msh (gmsh), '
+            ".vtu (VTK) or .inp (Abaqus, CalculiX)"
         )
     output = io.StringIO()
     try:
@@ -142,6 +142,7 @@ def _array_groups(read: meshio.Mesh) -> dict[str, list[Array]]:
 
 
 def _group_values(array: str, values: Array) -> list[tuple[str, int]]:
+    """Return name and value of each group in an array of integers, one value per node or cell."""
     if values.ndim != 1 or values.dtype.kind not in "iu":
         return []
     distinct = np.unique(values).tolist()

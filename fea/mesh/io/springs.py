@@ -84,9 +84,9 @@ def _labels(
     members = named(deck, deck.element_sets, keyword.option("ELSET"), keyword.frame)
     for label in (labels := sorted({*members})):
         if label not in reader.springs or label in deck.where:
-            raise MeshFileError(f"element {label % STRIDE} is not SPRING1 or SPRING2")
+            raise MeshFileError(f"element {label % STRIDE} is neither SPRING1 nor SPRING2")
         if label not in remaining:
-            raise MeshFileError(f"element {label % STRIDE} has another *SPRING above")
+            raise MeshFileError(f"a *SPRING above has element {label % STRIDE} already")
     return labels
 
 
@@ -123,7 +123,7 @@ def _spring(
             ways.add(freedom + first)
     if len(ways) > 1:
         both = " and ".join(str(way + 1) for way in sorted(ways))
-        raise MeshFileError(f"its ends have different freedoms, {both}")
+        raise MeshFileError(f"its ends have the freedoms {both}, but need the same")
     way = max(ways, default=0)
     direction, is_rotation = axes[way % 3], way > 2
     if len(free) == 2:
@@ -136,7 +136,7 @@ def _spring(
 def _constants(
     reader: Reader, keyword: Keyword, nodes: list[int]
 ) -> tuple[list[int], Array, float]:
-    """Return the freedom from 0 at each node, the axes in rows, and the stiffness along one."""
+    """Return the freedom from 0 at each node, the axes in rows, and the stiffness."""
     rows, axes = [row for row in keyword.rows if any(row)], np.eye(3)
     if further := sorted(keyword.options.keys() - {"ELSET", "ORIENTATION"}):
         raise MeshFileError(f"it has {', '.join(further)}, but must have one constant stiffness")
@@ -147,17 +147,17 @@ def _constants(
         raise MeshFileError(f"its stiffness is {size:g}, but must be above 0 and finite")
     if len(freedoms) != len(nodes) or not {*freedoms} <= {*range(6)}:
         raise MeshFileError(
-            f"its freedoms {', '.join(rows[0])} are not one of 1 to 6 for each node"
+            f"it has the freedoms {', '.join(rows[0])}, but needs one of 1 to 6 for each node"
         )
     if name := keyword.options.get("ORIENTATION", ""):
         values = reader.orientations.get(keyword.frame.key(name), ())
         if len(values) != 9:
-            why = "cylindrical" if values else "not defined above"
-            raise MeshFileError(f'its *ORIENTATION "{name}" is {why}, but must be rectangular')
+            why = "is cylindrical, but must be rectangular" if values else "is not defined above"
+            raise MeshFileError(f'its *ORIENTATION "{name}" {why}')
         axes = np.reshape(values, (3, 3))
     elif keyword.frame.rotation not in ((), _UPRIGHT) or not reader.turned.keys().isdisjoint(nodes):
         turned = next((node for node in nodes if node in reader.turned), nodes[0])
-        raise MeshFileError(f"its node {turned % STRIDE} has rotated axes; name an ORIENTATION")
+        raise MeshFileError(f"node {turned % STRIDE} has rotated axes, but it has no ORIENTATION")
     return freedoms, axes, size
 
 
@@ -176,7 +176,7 @@ def _check_between(case: LoadCase, ends: list[CoupledGroup], shift: Array) -> No
     if first.weighted != second.weighted:
         raise MeshFileError("it joins a coupling with weights and one without")
     if across > _ALONG * np.abs(points).max():
-        raise MeshFileError(f"its points are {across:.3g} from the line along its direction")
+        raise MeshFileError(f"its points are {across:.3g} off the line of its direction")
     if case.nonlinear:
         raise MeshFileError("with NLGEOM its direction stays, but that of [[spring]] rotates")
 

@@ -38,7 +38,9 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     points, rise = table[:, :3], table[:, 3] - reference
     largest = float(rise[np.abs(rise).argmax()])
     if largest == 0.0:
-        raise _wrong(f"equals reference, {reference:g}, everywhere, so has no effect; correct one")
+        raise _wrong(
+            f"equals reference, {reference:g}, everywhere, so it has no effect; correct one"
+        )
     order = np.lexsort(points.T)
     same = (points[order][1:] == points[order][:-1]).all(axis=1)
     if (rise[order][1:] != rise[order][:-1])[same].any():

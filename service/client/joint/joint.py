@@ -113,7 +113,7 @@ class Joint:
     ) -> None:
         self._table, self.damping, self._method = table, damping, method
         self._at, self.free, self.interfaces = moving(table, interface)
-        self._packed = table.packed  # of one version: a refresh of the table does not change it
+        self._packed = table.packed  # fixed version: a refresh of the table does not change it
         self._several, self._size = len(self.interfaces) > 1, FREEDOMS * len(self.interfaces)
         names = [f"{name} " * self._several for name in self.interfaces]
         self._symbols = np.array([name + load for name in names for load in SYMBOLS])
@@ -144,8 +144,8 @@ class Joint:
         known, is_indefinite = int(np.isfinite(least).sum()), least < 0.0
         if not known:
             raise InvalidArgument(
-                f"{self._table.name} has no rows that give a stiffness; {self._more_rows()}, and "
-                "download the table again"
+                f"{self._table.name} has no stiffness, because no row of its table gives a "
+                f"derivative; {self._more_rows()}, and download the table again"
             )
         if is_indefinite.any():
             worst, is_covered = int(np.nanargmin(least)), answers.coverage == 0
@@ -404,19 +404,20 @@ class Joint:
             pose = self._steps.poses[self._entry]
             if np.isfinite(pose).all() and not pose[..., 3:].any(axis=-1).all():
                 raise InvalidArgument(
-                    f"{self._name}: the quaternion of the pose is zero; no rotation is 1 0 0 0"
+                    f"{self._name}: the quaternion of the pose is zero, which is no rotation; "
+                    "write (1, 0, 0, 0) for the undeformed pose"
                 )
             wrong = "inverse mass" if np.isfinite(pose).all() else f"pose {pose.tolist()}"
             raise InvalidArgument(
-                f"{self._name}: the {wrong} is not finite, because the simulation has diverged; go "
-                "back to an earlier state, and use a smaller time step"
+                f"{self._name}: the {wrong} is not finite, because the simulation has diverged; "
+                "restore an earlier state and use a smaller time step"
             )
         elif status:
             moved = ", ".join(f"{number:.4g}" for number in self.displacement.ravel())
             raise JointError(
                 f"{self._name}: the compliance has no inverse at the displacement ({moved}) m, "
-                f"rad, so the wrench is undefined; {self._more_rows()}, or lock the freedom that "
-                "does not move"
+                f"rad, so the wrench there is undefined; {self._more_rows()}, or lock the freedom "
+                "that does not move"
             )
         if ranges > MAX_RANGES:
             raise JointRangeError(f"{self._name}: {self._excess(ranges)}. {self._remedy}")
@@ -477,7 +478,7 @@ def rotation_vector(R: ArrayLike) -> Vector:
     size = math.sqrt(float(sine @ sine))
     angle = math.atan2(size, 0.5 * (float(np.trace(matrix)) - 1.0))
     if size == 0.0 and angle > 1.0:
-        raise InvalidArgument("R rotates by 180 degrees, so its axis is ambiguous; rotate less")
+        raise InvalidArgument("R rotates by 180 degrees, so its axis is ambiguous; rotate by less")
     return sine * (angle / size if size > 0.0 else 1.0)
 
 
@@ -521,7 +522,8 @@ def moving(table: Table, interface: str | None, several: bool = True) -> MovingF
     """
     if not hasattr(table, "packed"):
         raise InvalidArgument(
-            f"a joint needs a Table of client.download(name) or Table.open(path), not {table!r}"
+            f"a joint needs a Table, not {table!r}; get a Table from client.download(name) or "
+            "Table.open(path)"
         )
     indices = np.arange(FREEDOMS * len(table.space.interfaces)).reshape(-1, FREEDOMS)
     free = ~table.packed.locked[indices]
@@ -529,28 +531,30 @@ def moving(table: Table, interface: str | None, several: bool = True) -> MovingF
     names = tuple(np.array(table.space.interfaces)[moves].tolist())
     if not names:
         raise InvalidArgument(
-            f"all freedoms of {table.name} are locked, so it is rigid; weld the bodies instead"
+            f"{table.name} is rigid, because all its freedoms are locked; weld the bodies instead"
         )
     listed = ", ".join(map(repr, names))
     if interface not in (None, *names):
         if names == ("",):
             raise InvalidArgument(
-                f"{table.name} has one interface, without a name; leave out interface={interface!r}"
+                f"{table.name} has a single interface, which has no name; leave "
+                f"interface={interface!r} out"
             )
         raise InvalidArgument(
-            f"{table.name} has no interface {interface!r} that moves, only {listed}; name one of "
-            "these"
+            f"{table.name} has no interface {interface!r} that moves; set interface to one of: "
+            f"{listed}"
         )
     if len(names) > 1 and (interface is not None or not several):
         wanted = "springs need" if interface is None else f"interface={interface!r} needs"
         remedy = "" if interface is None else ", or leave out interface for a joint at all"
         raise InvalidArgument(
-            f"{wanted} a part that moves at one interface, but {table.name} moves at {listed}; "
-            f"hold the others by [supports], or one by held = true in its [[interface]]{remedy}"
+            f"{wanted} a part that moves at one interface only, but {table.name} moves at "
+            f"{listed}; in component.toml write held = true in the [[interface]] of all but "
+            f"one{remedy}"
         )
     if len(names) > MAX_INTERFACES:
         raise InvalidArgument(
-            f"{table.name} moves at {len(names)} interfaces, {listed}, but a joint takes "
-            f"{MAX_INTERFACES} at most; divide the part into components"
+            f"{table.name} moves at {len(names)} interfaces ({listed}), but a joint takes at most "
+            f"{MAX_INTERFACES}; divide the part into several components"
         )
     return MovingFreedoms(indices[moves].ravel(), np.flatnonzero(free[moves]), names)

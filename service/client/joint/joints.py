@@ -49,7 +49,7 @@ class Joints:
     parameters and the errors are those of `Joint`.
     """
 
-    joints: Sequence[Any] = ()  # those of `MujocoJoints`
+    joints: Sequence[Any] = ()  # the joints of `MujocoJoints`
 
     def __init__(
         self,
@@ -62,7 +62,9 @@ class Joints:
         inputs: Mapping[str, float] | None = None,
     ) -> None:
         if not (isinstance(count, int | np.integer) and count > 0):
-            raise InvalidArgument(f"count must be a number of joints of 1 or more, not {count!r}")
+            raise InvalidArgument(
+                f"count, the number of joints, must be a whole number of at least 1, not {count!r}"
+            )
         joint = Joint(table, damping, interface=interface, method=method, inputs=inputs)
         self._hold(joint, int(count), None)
 
@@ -77,7 +79,9 @@ class Joints:
 
     def __copy__(self) -> Joints:
         """Refuse a copy, which would share arrays."""
-        raise InvalidArgument("Joints cannot be copied, since copies share states; create new ones")
+        raise InvalidArgument(
+            "Joints cannot be copied, since copies share states; create new Joints"
+        )
 
     @property
     def inputs(self) -> Mapping[str, float]:

@@ -80,8 +80,8 @@ class LinearPart:
         for place, low, high in zip(free, *packed.load_range[:, indices], strict=True):
             if not low <= load[place] <= high:
                 raise InvalidArgument(
-                    f"{table.name}: {LOADS[place]} must be within the load range, {low:g} to "
-                    f"{high:g} {LOAD_UNITS[place]}, not {load[place]:g}"
+                    f"{table.name}: {LOADS[place]} of wrench must be within the load range, "
+                    f"{low:g} to {high:g} {LOAD_UNITS[place]}, not {load[place]:g}"
                 )
         slope = packed.derivative(centre.tolist())[np.ix_(indices, indices)]
         compliance = 0.5 * (slope + slope.T)

@@ -45,7 +45,7 @@ def joints_in_mj_step() -> Iterator[None]:
                 bare.add(data)
                 warn_bare(model)
                 return
-            if passive:  # it comes before the bias forces
+            if passive:  # this callback comes before the bias forces
                 engine.mj_rne(model, data, False, data.qfrc_bias)
             pull(joints)
         except Exception as error:
@@ -60,8 +60,9 @@ def joints_in_mj_step() -> Iterator[None]:
     present = [kind for kind in ("control", "passive") if getattr(engine, f"get_mjcb_{kind}")()]
     if present:
         raise JointError(
-            f"MuJoCo already has a {present[0]} callback; remove it by mujoco.set_mjcb_"
-            f"{present[0]}(None), or call step_joints in the place of mj_step"
+            f"MuJoCo already has a {present[0]} callback, so joints_in_mj_step cannot set one; "
+            f"remove it with mujoco.set_mjcb_{present[0]}(None), or call step_joints instead of "
+            "mj_step"
         )
     engine.set_mjcb_control(callbacks[0])
     engine.set_mjcb_passive(callbacks[1])
@@ -75,6 +76,6 @@ def joints_in_mj_step() -> Iterator[None]:
         raise errors[0]
     if exchanged:
         raise JointError(
-            "another control or passive callback was set within joints_in_mj_step, which stops the "
-            "joints; do not set it, or call step_joints in the place of mj_step"
+            "another control or passive callback was set within joints_in_mj_step, which stops "
+            "the joints; do not set it, or call step_joints instead of mj_step"
         )

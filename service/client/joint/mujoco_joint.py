@@ -106,7 +106,8 @@ class MujocoJoint(Joint):
             kinds = [f"{type(each).__module__}.{type(each).__name__}" for each in (model, data)]
             raise InvalidArgument(
                 "model and data must be a mujoco.MjModel and a mujoco.MjData, not "
-                f"{' and '.join(kinds)}; of dm_control pass physics.model.ptr and physics.data.ptr"
+                f"{' and '.join(kinds)}; with dm_control, pass physics.model.ptr and "
+                "physics.data.ptr"
             )
         super().__init__(table, damping, interface=interface, method=method, inputs=inputs)
         refuse_rk4(model)
@@ -118,8 +119,8 @@ class MujocoJoint(Joint):
             actual = int(model.body_parentid[body_number(model, name)])
             if actual != parent:
                 raise JointError(
-                    f"body {name!r} must be a child of body {base!r}, but it is one of "
-                    f"{body_name(model, actual)!r}; name its parent as base="
+                    f"body {name!r} must be a child of body {base!r}, but it is a child of "
+                    f"{body_name(model, actual)!r}; pass the name of its parent as base"
                 )
         # The last body towards the base that no freedom moves: a mocap body, or the world.
         while model.body_dofnum[top := int(model.body_weldid[parent])]:
@@ -141,7 +142,9 @@ class MujocoJoint(Joint):
         """Return the names of the tips in the order of the interfaces."""
         names = self.interfaces
         if bodies is not None and names == ("",):
-            raise JointError(f"{self._table.name} has one interface; give tip=BODY, not bodies")
+            raise JointError(
+                f"{self._table.name} has one interface; give tip=BODY instead of bodies"
+            )
         if not isinstance(bodies, Mapping | None):
             bodies = {}
         if bodies is None:
@@ -152,7 +155,7 @@ class MujocoJoint(Joint):
         wrong += ["one body at two interfaces"] * (len(single) < len(bodies))
         if wrong:
             expected = ", ".join(f"{name!r}: BODY" for name in names)
-            raise JointError(f"{self._table.name}: {'; '.join(wrong)}. Give bodies={{{expected}}}")
+            raise JointError(f"{self._table.name}: {'; '.join(wrong)}. Write bodies={{{expected}}}")
         return tuple(bodies[name] for name in names)
 
     def _find(self) -> None:
@@ -197,7 +200,9 @@ class MujocoJoint(Joint):
         The views stay valid: a scene's arrays and the kernel's never move.
         """
         if data.signature != self._model.signature:
-            raise InvalidArgument("data belongs to another model; give a MjData of this model")
+            raise InvalidArgument(
+                "data belongs to another model; create it from this model: mujoco.MjData(model)"
+            )
         self._use(steps, at)
         before = _JOINTS.get(self._data, {})
         self._data, self._pose, reply, self._scene = data, None, self._reply, self._model.opt
@@ -381,10 +386,11 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
     scenes = len({joint._data for joint in joints})
     if scenes != 1:
         raise JointError(
-            f"the {len(joints)} joints belong to {scenes} MjData; call step_joints once for the "
-            "joints of each"
+            f"the {len(joints)} joints belong to {scenes} different MjData; call step_joints once "
+            "for each MjData, with its own joints"
             if joints
-            else "no joint was given; pass the joints of the scene: step_joints(a, b)"
+            else "step_joints has no joints to step; pass all joints of the scene: "
+            "step_joints(a, b)"
         )
     refuse_rk4(joints[0]._model)  # the user may have chosen it since
     stepped = [start for joint in joints for start in joint._starts]
@@ -392,8 +398,8 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
     if len(set(stepped)) < len(stepped):
         tips = ", ".join(repr(tip) for joint in joints for tip in joint._tips)
         raise JointError(
-            f"two of the joints at {tips} have the same tip, which would feel only one; leave one "
-            "out"
+            f"two of the joints at {tips} have the same tip, which can follow only one of them; "
+            "pass each tip once"
         )
     for joint in joints:
         for start, tips in joint._others_copied.items():
@@ -404,7 +410,7 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
                 )
         for start, tip in zip(joint._starts, joint._tips, strict=True):
             if of_scene[start] is not joint:
-                raise JointError(f"a later joint at {tip!r} replaced this one; step that joint")
+                raise JointError(f"a newer joint at {tip!r} replaced this one; step the newer one")
     if len(of_scene) > len(stepped):
         others = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
         sides = [[tip for joint in some for tip in joint._tips] for some in (joints, others)]
@@ -415,7 +421,9 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
             "of a.step(); b.step() (MujocoJoints: a.step(b))"
         )
     if not 0 < (step := joints[0]._scene.timestep) < np.inf:
-        raise JointError(f"the scene's time step is {step} s; set it to a finite number above 0")
+        raise JointError(
+            f"the scene's time step is {step} s; set model.opt.timestep to a finite number above 0"
+        )
 
 
 def pull(joints: Collection[MujocoJoint]) -> None:
@@ -424,7 +432,9 @@ def pull(joints: Collection[MujocoJoint]) -> None:
     model, data, dt = first._model, first._data, first._scene.timestep
     refuse_rk4(model)
     if any(len(joint._steps.replies) > 1 for joint in joints):
-        raise JointError("a joint of MujocoJoints cannot step alone; call their step instead")
+        raise JointError(
+            "a joint of MujocoJoints cannot step alone; call MujocoJoints.step instead"
+        )
     for joint in joints:  # after a second call, unless MuJoCo has computed the matrix again
         if joint._with_part is not None:
             if (data.M[joint._at_pairs] == joint._with_part).all():

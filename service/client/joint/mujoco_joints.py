@@ -48,7 +48,8 @@ class MujocoJoints(Joints):
             )
         if len({id(data) for data in datas}) < len(datas):
             raise InvalidArgument(
-                f"datas has one MjData twice among its {len(datas)}; make one for each environment"
+                f"datas has {len(datas)} entries, but two are the same MjData; create one for "
+                "each environment"
             )
         options: Any = {"interface": interface, "method": method, "inputs": inputs}
         first = MujocoJoint(model, datas[0], table, base, tip, damping, bodies=bodies, **options)

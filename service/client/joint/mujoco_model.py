@@ -114,21 +114,22 @@ def _with_freedoms(
     body = spec.body(tip)
     if body is None or spec.body(base) is None:
         missing = tip if body is None else base
-        raise JointError(f"the scene has no body {missing!r}; it has {_names(spec.bodies)}")
+        raise JointError(f"the scene has no body {missing!r}; name one of: {_names(spec.bodies)}")
     if body.parent.name != base:
         raise JointError(
-            f"body {tip!r} must be a child of body {base!r}, but it is one of "
+            f"body {tip!r} must be a child of body {base!r}, but it is a child of "
             f"{body.parent.name!r}; move it in the scene, or name its parent with --base"
         )
     if body.joints:
         raise JointError(
-            f"body {tip!r} has joints, but the part holds the tip; move them to a child body"
+            f"body {tip!r} has joints of its own, but the part must be all that holds it; move "
+            f"these joints to a child body of {tip!r}"
         )
     at, axes = np.zeros(3), np.eye(3)  # the interface in the tip's body
     if site is not None:
         if site not in [item.name for item in body.sites]:
             names = _names(body.sites)
-            raise JointError(f"body {tip!r} has no site {site!r}; it has {names}")
+            raise JointError(f"body {tip!r} has no site {site!r}; name one of: {names}")
         model, matrix = spec.compile(), np.zeros(9)
         number = engine.mj_name2id(model, engine.mjtObj.mjOBJ_SITE, site)
         engine.mju_quat2Mat(matrix, model.site_quat[number])
@@ -172,7 +173,9 @@ def _compiled(read: Callable[[], Spec], scene: str | Path) -> Spec:
         spec = read()
         spec.compile()
     except (ValueError, OSError) as error:
-        raise JointError(f"MuJoCo cannot compile {scene}: {error}; correct this") from None
+        raise JointError(
+            f"MuJoCo cannot compile the scene {scene}: {error}; correct this in the scene"
+        ) from None
     return spec
 
 

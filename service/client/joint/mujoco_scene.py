@@ -47,8 +47,8 @@ def refuse_one_locked_rotation(part: str, free: Collection[str]) -> None:
     locked = [name for name in OUTPUTS[3:] if name not in free]
     if len(locked) == 1:
         raise JointError(
-            f"{part} locks one rotation, {locked[0]}, for which MuJoCo has no joint; lock none, "
-            "two or three rotations of the component"
+            f"{part} locks a single rotation, {locked[0]}, for which MuJoCo has no joint; lock "
+            "none, two or three rotations in its component.toml"
         )
 
 
@@ -57,8 +57,8 @@ def block_positions(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.int
     if [int(number) for number in engine.__version__.split(".")[:2]] < [3, 17]:
         # Constraints in 3.3.7 ignore additions to the matrix.
         raise JointError(
-            f"MujocoJoint needs MuJoCo 3.17 or newer, but {engine.__version__} is installed; run: "
-            "pip install 'mujoco>=3.17'"
+            f"MujocoJoint needs MuJoCo 3.17 or newer, but version {engine.__version__} is "
+            "installed; run: pip install 'mujoco>=3.17'"
         )
     entries = []
     for row, dof in enumerate(dofs.tolist()):
@@ -78,7 +78,7 @@ def body_number(model: Model, name: str) -> int:
     if number < 0:
         names = [engine.mj_id2name(model, OBJECT.mjOBJ_BODY, k) for k in range(1, model.nbody)]
         known = ", ".join(repr(text) for text in names if text) or "none with a name"
-        raise JointError(f"the scene has no body {name!r}; it has {known}")
+        raise JointError(f"the scene has no body {name!r}; its bodies: {known}")
     return number
 
 

@@ -30,9 +30,9 @@ GROWTH = 1.3
 # themselves make such rows too, but short ones and of all sizes. White noise is opposite and as
 # large with a chance of 0.4: once in two million syncs over sixteen.
 OPPOSITE = -0.9  # the largest cosine between opposite residuals
-# So many in a row, none smaller than this part of the one before, and no decay over all.
+# Number in a row, none smaller than this part of the one before, and no decay over all.
 CYCLE, STEADY = 16, 0.8
-BURST, RECORD = 4, 1.5  # so many in a row, each this many times the largest of the run so far
+BURST, RECORD = 4, 1.5  # number in a row, and each one's ratio to the largest of the run so far
 # Signs of monotonic divergence: a scene that tips, or a Newton step by a stiffness of the wrong
 # sign. Loads may grow, but not by half each sync, `CYCLE` times in a row: 650 x.
 ONWARD = 0.9  # the smallest cosine between such residuals
@@ -211,8 +211,9 @@ class ContractionWatch:
         if size > 1.0 and (records >= BURST or (steady >= CYCLE and size >= first)):
             growth = "grows" if records >= BURST else "does not decay"
             raise CouplingDiverged(
-                f"the coupling diverges: {max(steady, records)} times the pose has overshot its "
-                f"answer, and the distance of {size:.3g} tolerances {growth}. {REMEDY}",
+                "the coupling diverges: the pose has overshot the answer "
+                f"{max(steady, records)} times in a row, and their distance, {size:.3g} "
+                f"tolerances, {growth}. {REMEDY}",
                 (self.size, size),
             )
         if size > 1.0 and onward >= CYCLE:

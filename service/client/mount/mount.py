@@ -293,7 +293,9 @@ class Mount:
         vectors = [np.asarray(vector, dtype=float) for vector in (force, moment, point)]
         if any(vector.size != 3 for vector in vectors):
             shapes = ", ".join(str(vector.shape) for vector in vectors)
-            raise InvalidArgument(f"force, moment and point need three numbers each, not {shapes}")
+            raise InvalidArgument(
+                f"force, moment and point need three numbers each, not shapes {shapes}"
+            )
         f, m, s = (vector.reshape(3) for vector in vectors)
         return from_world(f, m, s, (self._undeformed[0], self.pose[1]))
 
@@ -392,11 +394,12 @@ class Mount:
         """
         if self._ask is None:
             raise InvalidArgument(
-                f"nothing moves in mode {self.mode!r}; settle with mode 'table' or 'solve'"
+                f"mode {self.mode!r} does not move the component, so settle has no effect; create "
+                "the mount with mode 'table' or 'solve'"
             )
         if not (accuracy > 0.0 and most >= 1):
             raise InvalidArgument(
-                f"accuracy must be above 0 and most at least 1, not {accuracy} and {most}"
+                f"accuracy must be above 0, and most at least 1, but they are {accuracy} and {most}"
             )
 
         def read(displacement: Vector) -> Vector:
@@ -413,7 +416,8 @@ class Mount:
             if target is None:
                 raise DisplacementUnknown(
                     f"{self.component} has no answer for this wrench "
-                    f"({answer.reason or 'no rows'}); fill its table, or settle with mode='solve'"
+                    f"({answer.reason or 'no rows'}); run wrenchbook fill {self.component}, or "
+                    "create the mount with mode='solve'"
                 )
             return answer, target
 
@@ -439,7 +443,8 @@ class Mount:
         """
         if self.recorder is None:
             raise InvalidArgument(
-                f"mode {self.mode!r} does not save wrenches; use 'record' or 'envelope'"
+                f"mode {self.mode!r} does not save wrenches; create the mount with mode 'record' "
+                "or 'envelope'"
             )
         return self.recorder.start(**options)
 

@@ -107,7 +107,7 @@ class MujocoMount:
     ) -> None:
         step = float(model.opt.timestep)
         if sync is not None and not sync >= (1.0 - _ROUNDING) * step:
-            raise InvalidArgument(f"sync, {sync:g} s, must not be shorter than a step, {step:g} s")
+            raise InvalidArgument(f"sync must be at least the step of {step:g} s, not {sync:g} s")
         self._model, self._data, self._sync = model, data, sync or 0.0
         cut = _division(model, mocap, force, torque)
         # Views of the arrays that are read and written: MjData's arrays never move.
@@ -276,10 +276,13 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
     torques, other = _sensor(model, torque, kinds.mjSENS_TORQUE, "torque")
     if site != other:
         raise SensorError(
-            f"sensors {force!r} and {torque!r} are at two sites; put both at the same site"
+            f"sensors {force!r} and {torque!r} are at different sites, but must read the same "
+            "joint; put both at one site"
         )
     if model.opt.disableflags & _DISABLE.mjDSBL_SENSOR:
-        raise SensorError('sensors are disabled; remove <flag sensor="disable"/>')
+        raise SensorError(
+            'the scene disables its sensors; remove <flag sensor="disable"/> from its XML'
+        )
     mounted = int(model.site_bodyid[site])
     if mounted != body:  # on the mocap body sensors read all bodies above it, and its own mass
         name, first = _name(model, mounted), model.body_jntadr[mounted]
@@ -301,8 +304,8 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
                 repr(_name(model, child)) for child in np.flatnonzero(children).tolist()
             )
             raise SensorError(
-                f"the mocap body {mocap!r} carries also {names}, which the sensors on {name!r} do "
-                "not feel; put all in one child, or the site on the mocap body itself"
+                f"the mocap body {mocap!r} also carries {names}, which the sensors on {name!r} do "
+                "not feel; put all in one child, or move the site to the mocap body"
             )
     _check_forces(model, body, mounted)
     return _Division(number, body, mounted, site, forces, torques)
@@ -378,7 +381,7 @@ def _sensor(model: Model, name: str, kind: int, word: str) -> tuple[slice, int]:
     """Return a sensor's numbers and its site."""
     number = _named(model, _OBJECT.mjOBJ_SENSOR, name, "sensor")
     if model.sensor_type[number] != kind:
-        raise SensorError(f"sensor {name!r} is not a {word} sensor; {_REMEDY}")
+        raise SensorError(f"sensor {name!r} must be a {word} sensor; {_REMEDY}")
     filters = [
         word
         for word in ("cutoff", "delay", "interval")
@@ -387,7 +390,7 @@ def _sensor(model: Model, name: str, kind: int, word: str) -> tuple[slice, int]:
     if filters:
         raise SensorError(
             f"sensor {name!r} has {' and '.join(filters)}, so its reading is not the present "
-            "wrench; remove it from the sensor"
+            "wrench; remove this attribute from the sensor"
         )
     start = int(model.sensor_adr[number])
     return slice(start, start + 3), int(model.sensor_objid[number])
@@ -404,7 +407,8 @@ def _named(model: Model, kind: int, name: str, word: str) -> int:
         count = model.nbody if kind == _OBJECT.mjOBJ_BODY else model.nsensor
         names = [text for k in range(count) if (text := engine.mj_id2name(model, kind, k))]
         raise SensorError(
-            f"the scene has no {word} {name!r}; it has {', '.join(map(repr, names)) or 'none'}"
+            f"the scene has no {word} {name!r}; it has {', '.join(map(repr, names)) or 'none'}; "
+            "correct the name"
         )
     return number
 

@@ -57,15 +57,15 @@ def warn_if_ringing(
             return
     elif carried is not None:
         raise InvalidArgument(
-            "carried= serves to compute the natural frequency: it needs a Client as source and "
-            "ramp_time=, and no natural_frequency="
+            "carried serves only to compute the natural frequency; pass it with a Client as "
+            "source and ramp_time, and without natural_frequency"
         )
     elif frequency is None and ramp_time is None:
         return
     if frequency is None or ramp_time is None:
         raise InvalidArgument(
-            "give natural_frequency (Hz) and ramp_time (s) together; only with a Client, whose "
-            "server gives the frequency, give ramp_time alone"
+            "natural_frequency (Hz) and ramp_time (s) belong together; give both. With a Client "
+            "as source, ramp_time alone is enough"
         )
     if not (frequency > 0.0 and ramp_time > 0.0):
         raise InvalidArgument(
@@ -93,7 +93,9 @@ def _known_frequency(
         mass = floats_of("carried, a mass or its matrix,", carried, () if is_mass else (6, 6))
         matrix = np.diag([float(mass)] * 3 + [0.0] * 3) if is_mass else mass
         if (np.diag(matrix) < 0.0).any():
-            raise InvalidArgument(f"carried must have no negative mass, not {mass.tolist()} kg")
+            raise InvalidArgument(
+                f"carried must be 0 kg or more on its diagonal, not {mass.tolist()}"
+            )
         facts = client.compliance(component)
         # At zero load, if there is a row: a part that stiffens under load oscillates slower there.
         compliance = np.array(facts.get("tangent") or facts["matrix"], dtype=float)

@@ -28,12 +28,12 @@ def from_table(
     """Answer from a downloaded table: in microseconds, without a server."""
     name = getattr(table, "name", component)
     if name != component:
-        raise InvalidArgument(f"the table belongs to {name!r}; give that of {component!r}")
+        raise InvalidArgument(f"the table belongs to {name!r}; pass the table of {component!r}")
     space = getattr(table, "space", DEFAULT)
     if space.several or len(space.inputs) != len(DEFAULT.inputs):
         raise InvalidArgument(
-            f"a mount needs one interface and no further inputs, but {component} has the inputs "
-            f"{', '.join(space.input_names)}; call table.answer in the loop instead"
+            f"a mount takes components with one interface and no further inputs, but {component} "
+            f"has the inputs {', '.join(space.input_names)}; call table.answer in the loop instead"
         )
     if method is not None:  # an unknown method is refused here, not in the loop
         table.answer(np.zeros(6), tolerance=tolerance, method=method)
@@ -106,8 +106,8 @@ def require_server(source: Table | Client, mode: str) -> Client:
     Raises SourceError if the mode needs a server and the source is none.
     """
     if hasattr(source, "__aenter__"):
-        raise SourceError("the steps of a mount block; give a Client instead of the AsyncClient")
+        raise SourceError("a mount's steps block; pass a Client instead of the AsyncClient")
     if hasattr(source, "displacement") and hasattr(source, "solve"):
         return cast("Client", source)
     sources = "a Client" if mode != "table" else "a Client, or a Table from client.download(...)"
-    raise SourceError(f"mode {mode!r} needs {sources}, not {type(source).__name__}")
+    raise SourceError(f"mode {mode!r} needs {sources} as source, not {type(source).__name__}")

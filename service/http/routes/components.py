@@ -1,4 +1,4 @@
-"""Components: list, show, add, and fill the table of one."""
+"""Routes of components: list, show and add them, and fill their tables."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
             f"The content type is {kind or 'missing'}. Send a bundle's zip as multipart/form-data "
             "with the field 'bundle', or a table-only component as application/json."
         )
-        raise HttpProblemError(415, "media-type", "Not a form this call takes", why)
+        raise HttpProblemError(415, "media-type", "The content type is not accepted", why)
     body = await run_in_threadpool(component_body, workspace, component)
     return json_reply(body, 201, {"Location": f"/v1/components/{component.name}"})
 

@@ -62,7 +62,7 @@ class Compliance(Message):
 def coverage(name: str, table: Newest) -> Response:
     gaps = table.packed.meta["gaps"]
     if not table.load_range.space.is_default:
-        gaps = []  # its table has no axes
+        gaps = []  # a table of other inputs than the six of one interface has no axes
     elif gaps is None:
         gaps = table.surrogate().groups[0].axes.gaps(table.load_range)
     return json_reply({"component": name, **table.summary, "gaps": gaps})

@@ -56,7 +56,10 @@ _MANY = answers(Displacements, _SOLVED, content=batch.BINARY_REPLY) | answers(
 
 
 def _permitted(permission: Permission, read: Callable[[], Read]) -> Read:
-    """Return a query; 403 for a read-only key if the query cannot be read or queues solves."""
+    """Return the query that `read` returns, if the key may send it.
+
+    Raises HttpProblemError (403) for a read-only key if the query cannot be read or queues solves.
+    """
     if permission.allows("write"):
         return read()
     try:

@@ -41,13 +41,13 @@ def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
     # Rows that are not in tables yet.
     pending = {name: count for name, count in counts.items() if count}
     for name in pending:
-        if not workspace.tables.present()[name].row_count:  # it has no row to answer from
+        if not workspace.tables.present()[name].row_count:  # the table has no row to answer from
             tables[name] = "broken" if name in broken else "building"
     building = [name for name, state in tables.items() if state == "building"]
     if component is not None:
         if component not in tables:
             _ = workspace.library[component]  # raises if the component does not exist
-            tables[component] = "building"  # it was just added
+            tables[component] = "building"  # the component was just added
         tables = {component: tables[component]}
     copies = trouble_of(workspace.copies, workspace.settings)
     flawed = any(state in ("degraded", "broken") for state in tables.values())

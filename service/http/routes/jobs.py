@@ -38,7 +38,7 @@ async def _touched(request: Request, workspace: Opened) -> None:
                 job = await run_in_threadpool(workspace.ledger.job, int(job_id))
                 if caller.touches(job.component):
                     return
-        raise UnknownJobError("the key allows no job of this number; see GET /v1/jobs")
+        raise UnknownJobError("the key does not allow this job; list its jobs with GET /v1/jobs")
 
 
 router = APIRouter(
@@ -51,7 +51,7 @@ CODE = pathlib.Path(__file__).parents[3]
 
 def _within(job_id: int) -> int:
     if job_id >= 2**63:  # beyond SQLite's integers
-        raise UnknownJobError(f"there is no job {str(job_id)[:30]}; see GET /v1/jobs")
+        raise UnknownJobError(f"there is no job {str(job_id)[:30]}; list all with GET /v1/jobs")
     return job_id
 
 
@@ -204,7 +204,10 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
 
 
 def _attempt_files(workspace: Workspace, job: JobRecord) -> pathlib.Path:
-    """Return the folder of a job's last attempt; 404 with the reason if it does not exist."""
+    """Return the folder of a job's last attempt.
+
+    Raises HttpProblemError (404) with the reason if the folder does not exist.
+    """
     folder = workspace.attempt_folder(job)
     if folder.is_dir():
         return folder

@@ -270,7 +270,8 @@ def get_stiffness(
         ]
         if not masks:
             raise UnknownImportError(
-                f"{name!r} has no import {number} with rows; see GET /v1/components/{name}/imports"
+                f"{name!r} has no import {number} with rows; list its imports with GET "
+                f"/v1/components/{name}/imports"
             )
         rows = rows.take(np.any(masks, axis=0))
     # By default the load that these rows vary most, relative to its range.
@@ -295,7 +296,10 @@ def get_stiffness(
 
 
 def _two_loads(between: str) -> tuple[float, float]:
-    """Return the two loads of the parameter `between`, N or N·m; 422 for anything else."""
+    """Return the two loads of the parameter `between`, N or N·m.
+
+    Raises HttpProblemError (422) unless they are two different finite numbers.
+    """
     try:
         low, high = (float(text) for text in between.split(","))
         if low != high and np.isfinite((low, high)).all():

@@ -51,7 +51,7 @@ def make_report(
     rows = tables.caught_up(name, CATCH_UP_S).row_count
     while rows and tables.written(name) is None:
         if time.monotonic() > deadline:
-            why = f"the table of {name!r} has been written for {CATCH_UP_S:g} s"
+            why = f"the table of {name!r} is still being written after {CATCH_UP_S:g} s"
             raise TableBehindError(why + "; send the request again in a minute")
         time.sleep(POLL_S)
     try:

@@ -29,7 +29,7 @@ _READ: Any = {200: {"description": "the stored profile, or else the program's", 
 def list_rigs(workspace: Opened) -> dict[str, list[dict[str, str]]]:
     rigs = []
     for name, (text, origin) in profiles(workspace.ledger).items():
-        comment = text.partition("\n")[0].partition("#")[2]  # of the first line
+        comment = text.partition("\n")[0].partition("#")[2]  # comment of the first line
         rigs.append({"name": name, "origin": origin, "title": comment.strip()})
     return {"rigs": rigs}
 

@@ -244,7 +244,7 @@ def _check_content_type(kind: str) -> None:
             f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
             "application/octet-stream, gzipped or not; the content decides the format."
         )
-        raise HttpProblemError(415, "media-type", "Not a form of table this call takes", why)
+        raise HttpProblemError(415, "media-type", "The content type is not that of a table", why)
 
 
 def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:

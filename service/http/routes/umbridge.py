@@ -203,7 +203,7 @@ async def _read(request: Request, kind: type[_Kind]) -> tuple[_Kind, Space]:
     """Return a body whose component exists and whose vectors fit its space, and that space."""
     fields = parsed_json(await read_limited(request.receive))
     if not isinstance(fields, dict):
-        raise UmBridgeError("InvalidInput", 'the body must be a JSON object, {"name": ...}')
+        raise UmBridgeError("InvalidInput", 'the body must be a JSON object, as {"name": "plate"}')
     workspace: Workspace = request.app.state.workspace
     name = fields.get("name")
     if not isinstance(name, str) or name not in workspace.library:
@@ -235,8 +235,8 @@ async def _outcome(request: Request, body: EvaluateBody, *, derivatives: bool = 
         raise UmBridgeError("InvalidOutput", f"the wrench was not solved: {outcome.reply.reason}")
     raise UmBridgeError(
         "InvalidOutput",
-        f"job {outcome.job.id} is still {outcome.job.status} after config wait_s; ask again later, "
-        "with a longer wait_s, or with config on_thin 'estimate'",
+        f"job {outcome.job.id} is still {outcome.job.status} after config wait_s; ask again "
+        "later, or with a longer wait_s, or with config on_thin 'estimate'",
     )
 
 

@@ -116,6 +116,10 @@ def test_odd_toml_is_a_mistake_and_not_a_crash(tmp_path, text):
     assert mistakes(tmp_path, text)
 
 
+def test_an_integer_that_is_too_long_is_named_by_its_line(tmp_path):
+    assert list(mistakes(tmp_path, 'name = "x"\nx = ' + 5000 * "9")) == ["line 2"]
+
+
 def test_a_folder_without_the_file_says_so(tmp_path):
     with pytest.raises(
         BundleError, match=r"component\.toml: cannot be read .*nowhere is no folder"

@@ -413,4 +413,4 @@ def test_von_mises_says_little_of_an_orthotropic_material():
     part = replace(part, bundle=replace(part.bundle, range=loads), materials=materials)
     results, warnings = strength(Solver(part), nonlinear=False)
     assert len(results) == 2
-    assert "suits isotropic ones only" in warnings[0].message
+    assert "suits isotropic materials only" in warnings[0].message

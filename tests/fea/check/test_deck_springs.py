@@ -146,7 +146,7 @@ REFUSED = {
         "ELSET=K1, NONLINEAR\n1\n0., 0.\n5., 1.",
         "it has NONLINEAR, but must have one constant stiffness",
     ),
-    "a seventh freedom": ("ELSET=K1\n1\n", "ELSET=K1\n7\n", "freedoms 7 are not one of 1 to 6"),
+    "a seventh freedom": ("ELSET=K1\n1\n", "ELSET=K1\n7\n", "freedoms 7, but needs one of 1 to 6"),
     "a number twice": (
         "9202, 9100",
         "9201, 9100",
@@ -157,7 +157,7 @@ REFUSED = {
         "1, 9100",
         "it defines element 1 again; renumber one of the two",
     ),
-    "two blocks": ("*SPRING, ELSET=K2", "*SPRING, ELSET=K1", "has another *SPRING above"),
+    "two blocks": ("*SPRING, ELSET=K2", "*SPRING, ELSET=K1", "a *SPRING above has element"),
     "a loaded point": (PULL, LOADED, "the point 9100 is loaded"),
     "another size": ("3000.0", "3500.0", 'has "A" on springs of 3.5e+06, 2e+06, 5e+06, 200, 300'),
 }

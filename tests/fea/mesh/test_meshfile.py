@@ -191,7 +191,7 @@ def test_a_file_that_meshio_cannot_read_is_a_mistake_and_prints_nothing(tmp_path
     (tmp_path / "c.vtu").write_text("hello")
     assert "cannot be read as .vtu" in refusal(tmp_path / "c.vtu")
     (tmp_path / "b.xyz").write_text("hello")
-    assert 'has the ending ".xyz" of no known mesh format; export' in refusal(tmp_path / "b.xyz")
+    assert 'has the ending ".xyz", which no mesh format has; export' in refusal(tmp_path / "b.xyz")
     assert capsys.readouterr() == ("", "")
 
 

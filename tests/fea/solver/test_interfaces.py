@@ -288,7 +288,7 @@ def test_either_interface_is_refused_beyond_20_degrees():
 
 def test_an_unknown_interface_is_named_with_those_there_are():
     solver = Solver(link())
-    with pytest.raises(ValueError, match=r'"rigth" is unknown; give .* did you mean "right"'):
+    with pytest.raises(ValueError, match=r'"rigth" is no input here; give .* did you mean "right"'):
         solver.solve({"rigth": np.zeros(6)})
     with pytest.raises(ValueError, match=r"12 finite numbers.* of left, then .* of right; not \[0"):
         solver.solve(np.zeros(6))

@@ -315,8 +315,8 @@ def test_a_state_that_is_none_is_refused_by_name(changed, words):
         ({"joints": FREEDOMS.replace('"slide"', '"slide" ref="1"', 1)}, {}, "has a reference"),
         ({"joints": FREEDOMS.replace('"ball"', '"ball" armature="1"')}, {}, "has armature"),
         ({"option": 'integrator="RK4"'}, {}, "RK4"),
-        ({}, {"tip": "hand"}, "no body 'hand'; it has 'base', 'tip'"),
-        ({}, {"base": None}, "no body None; it has 'base', 'tip'"),
+        ({}, {"tip": "hand"}, "no body 'hand'; its bodies: 'base', 'tip'"),
+        ({}, {"base": None}, "no body None; its bodies: 'base', 'tip'"),
         ({}, {"bodies": {"end": "tip"}}, "has one interface; give tip=BODY"),
         ({}, {"damping": -0.1}, "damping"),
         ({}, {"damping": math.nan}, "damping"),
@@ -331,11 +331,11 @@ def test_a_scene_that_has_not_the_parts_freedoms_is_refused_by_name(pieces, opti
 def test_two_joints_of_one_tip_or_of_two_scenes_are_refused():
     one, other = (MujocoJoint(*scene(sphere(3)), TABLE) for _ in range(2))
     for joints, text in (
-        ((), "no joint was given; pass the joints of the scene: step_joints"),
+        ((), "pass all joints of the scene: step_joints"),
         ((one, one), "two of the joints at 'tip', 'tip' have the same tip"),
         (
             (one, other),
-            "the 2 joints belong to 2 MjData; call step_joints once for the joints of each",
+            "the 2 joints belong to 2 different MjData; call step_joints once for each",
         ),
     ):
         with pytest.raises(JointError, match=text):
@@ -346,7 +346,7 @@ def test_a_joint_whose_tip_has_a_later_joint_is_not_stepped():
     model, data = scene(sphere(3))
     first, later = (MujocoJoint(model, data, TABLE) for _ in range(2))
     later.step()
-    with pytest.raises(JointError, match="a later joint at 'tip' replaced this one"):
+    with pytest.raises(JointError, match="a newer joint at 'tip' replaced this one"):
         first.step()
 
 

@@ -77,10 +77,10 @@ def test_locked_freedoms_get_no_joint(path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"tip": "hand"}, "no body 'hand'; it has"),
-        ({"base": "tip", "tip": "base"}, "must be a child of body 'tip', but it is one of 'world'"),
-        ({"site": "gripper"}, "no site 'gripper'; it has 'flange'"),
-        ({"locked": ["rx"]}, "locks one rotation, rx, for which MuJoCo"),
+        ({"tip": "hand"}, "no body 'hand'; name one of"),
+        ({"base": "tip", "tip": "base"}, "a child of body 'tip', but it is a child of 'world'"),
+        ({"site": "gripper"}, "no site 'gripper'; name one of: 'flange'"),
+        ({"locked": ["rx"]}, "locks a single rotation, rx, for which MuJoCo"),
         ({"mass": np.full((6, 6), np.nan)}, "6 x 6 matrix of finite numbers"),
     ],
 )
@@ -137,7 +137,7 @@ def test_each_of_several_interfaces_has_its_own_mass_and_must_be_named():
 
 
 def test_an_interface_of_a_part_with_a_single_one_is_refused():
-    with pytest.raises(typer.BadParameter, match="leave out --interface"):
+    with pytest.raises(typer.BadParameter, match="leave --interface"):
         _moving("bar", {}, "end")
 
 

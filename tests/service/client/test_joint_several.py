@@ -248,8 +248,8 @@ def with_bodies(bodies) -> MujocoJoint:
 
 HALF, NONE = np.tril(np.ones((12, 12)) + np.eye(12)), np.zeros((2, 3))
 UNFIT = [
-    (lambda: with_bodies(None), "no body for 'left'; no body for 'right'. Give bodies={'left': B"),
-    (lambda: with_bodies(["wheel_l", "wheel_r"]), "Give bodies={'left': BODY, 'right': BODY}"),
+    (lambda: with_bodies(None), "no body for 'left'; no body for 'right'. Write bodies={'left': B"),
+    (lambda: with_bodies(["wheel_l", "wheel_r"]), "Write bodies={'left': BODY, 'right': BODY}"),
     (lambda: with_bodies(TIPS | {"top": "chassis"}), "no interface 'top' that moves"),
     (lambda: with_bodies(TIPS | {"right": "wheel_l"}), "one body at two interfaces"),
     (lambda: with_bodies(TIPS | {"right": "chassis"}), "'chassis' must be a child of body 'chas"),
@@ -262,7 +262,7 @@ UNFIT = [
         "translation must have shape (2, 3), not (3,)",
     ),
     (lambda: Joint(link(), method="additive"), "needs one wrench at one interface"),
-    (lambda: LinearPart.of(link()), "springs need a part that moves at one interface, but"),
+    (lambda: LinearPart.of(link()), "springs need a part that moves at one interface only, but"),
     (
         lambda: Joint(link()).step(np.eye(3), 0, 0, 0, 1e-3),
         "R must have shape (2, 3, 3), not (3, 3)",

@@ -52,7 +52,7 @@ def with_one_negative(place: int) -> np.ndarray:
     [
         (
             lambda model, data: setattr(model.opt, "timestep", np.inf),
-            "is inf s; set it to a finite number",
+            "is inf s; set model.opt.timestep to a finite number",
         ),
         (lambda model, data: data.qpos.fill(0.0), "the quaternion of the pose is zero"),
         (
@@ -71,13 +71,13 @@ def test_a_step_of_a_scene_that_has_none_is_refused_by_name(change, words):
 
 def test_a_table_without_rows_is_refused_by_name():
     table = packed_table(Rows.of(np.empty((0, 6)), np.empty((0, 6))), SPAN)
-    with pytest.raises(InvalidArgument, match=r"bar has no rows.*solve more rows"):
+    with pytest.raises(InvalidArgument, match=r"bar has no stiffness.*solve more rows"):
         Joint(table)
 
 
 def test_a_table_with_rows_beyond_its_range_alone_is_refused_by_name():
     table = packed_table(stiffening(3.0 * np.diag(HIGH)), SPAN)
-    with pytest.raises(InvalidArgument, match=r"bar has no rows that give a stiffness"):
+    with pytest.raises(InvalidArgument, match=r"bar has no stiffness, because no row"):
         Joint(table)
 
 
@@ -316,13 +316,13 @@ def test_a_joint_without_its_inputs_is_refused(inputs, words):
         (lambda: LinearPart.of(linear_table(), [0.0] * 5), "wrench must have shape"),
         (
             lambda: LinearPart.of(linear_table(), [1e9, 0, 0, 0, 0, 0]),
-            "fx must be within the load range",
+            "fx of wrench must be within the load range",
         ),
         (lambda: Joint(linear_table(), inputs=80.0), "inputs must map names"),
-        (lambda: Joint(linear_table(), interface="end"), "leave out interface"),
+        (lambda: Joint(linear_table(), interface="end"), "has no name; leave interface"),
         (
             lambda: MujocoJoint(None, None, linear_table()),
-            "not builtins.NoneType and builtins.NoneType; of dm_control pass physics.model.ptr",
+            "not builtins.NoneType and builtins.NoneType; with dm_control, pass physics.model.ptr",
         ),
         (lambda: Joint(linear_table(), damping="0.1"), "damping"),
         (lambda: Joint(linear_table(), method="x"), "unknown method"),

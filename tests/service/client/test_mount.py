@@ -249,14 +249,17 @@ def test_wrenches_are_saved_while_the_component_stays_rigid(monkeypatch, mode, k
     assert mount.start() == {"jobs": [1]}
     mount.close()
     assert created["closed"]
-    with pytest.raises(ValueError, match="nothing moves"):
+    with pytest.raises(ValueError, match="does not move the component"):
         mount.settle(lambda R, p: WEIGHT)
 
 
 MASKED = np.ma.masked_greater([1.0, 2.0, 900.0, 0.0, 0.0, 0.0], 100.0)
 OPTIONS = [
-    *(({"mode": mode}, "needs a Client, not LinearTable") for mode in ("solve", "record")),
-    ({"mode": "envelope"}, "needs a Client, not LinearTable"),
+    *(
+        ({"mode": mode}, "needs a Client as source, not LinearTable")
+        for mode in ("solve", "record")
+    ),
+    ({"mode": "envelope"}, "needs a Client as source, not LinearTable"),
     ({"mode": "tabel"}, "mode must be one of table, solve, record, envelope"),
     ({"relaxation": "aitkin"}, "relaxation must be one of aitken, newton, off"),
     ({"relaxation": None}, "relaxation must be one of aitken, newton, off, or a factor above 0"),
@@ -266,11 +269,11 @@ OPTIONS = [
     ({"unmeasured": 0}, "unmeasured must be one of"),
     ({"stiffness": np.eye(3)}, r"shape \(6, 6\)"),
     ({"tolerance": (0.0, 1.0)}, "above 0 and finite"),
-    ({"natural_frequency": 27.0}, "give natural_frequency"),
+    ({"natural_frequency": 27.0}, "belong together; give both"),
     ({"source": linear_table(), "method": "krigging"}, "krigging"),
 ]
 CALLS = [
-    (lambda on: Mount(LinearTable(), "bar", np.eye(3), POINT), "give that of 'bar'"),
+    (lambda on: Mount(LinearTable(), "bar", np.eye(3), POINT), "pass the table of 'bar'"),
     (
         lambda on: Mount(LinearTable(), "plate", "x", POINT),
         "R0 must be numbers of shape .* not 'x'",

@@ -243,14 +243,14 @@ REFUSED = {  # pieces of the scene, options of the mount, and words of the error
         {"worldbody": LOOSE, "extra": WELD}, {}, "the equality constraint '#0' holds the scene"),
     "a body beside the mounted one": (
         {"base": '<body name="second"><geom size="0.1"/></body>'}, {},
-        "mocap body 'base' carries also 'second', which the sensors on 'mounted' do not feel"),
+        "mocap body 'base' also carries 'second', which the sensors on 'mounted' do not feel"),
     "sensors at a joint": (
         {"sensors": SENSORS.replace('"mount"', '"tip"')}, {},
         "'rod', where the sensors are, must be a child of"),
     "no sensors": ({"sensors": ""}, {}, "no sensor 'mount_force'; it has none"),
     "two sites": (
         {"sensors": SENSORS.replace('torque" site="mount"', 'torque" site="tip"')}, {},
-        "at two sites"),
+        "at different sites"),
     "a cutoff": (
         {"sensors": SENSORS.replace('site="mount"', 'site="mount" cutoff="10"')}, {},
         "has cutoff, so its reading is not the present wrench"),
@@ -262,7 +262,7 @@ REFUSED = {  # pieces of the scene, options of the mount, and words of the error
     "no such sensor": (
         {}, {"force": "f"}, "no sensor 'f'; it has 'mount_force', 'mount_torque'"),
     "another kind of sensor": (
-        {}, {"force": "mount_torque"}, "sensor 'mount_torque' is not a force sensor"),
+        {}, {"force": "mount_torque"}, "sensor 'mount_torque' must be a force sensor"),
 }  # fmt: skip
 
 
@@ -274,10 +274,10 @@ def test_a_scene_whose_sensors_do_not_read_the_whole_wrench_is_refused(pieces, o
 
 def test_sensors_that_are_switched_off_and_a_sync_below_a_step_are_refused():
     model, data = made()
-    with pytest.raises(ValueError, match="must not be shorter than a step"):
+    with pytest.raises(ValueError, match="must be at least the step"):
         mounted((model, data), sync=1e-4)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
-    with pytest.raises(SensorError, match="sensors are disabled"):
+    with pytest.raises(SensorError, match="the scene disables its sensors"):
         mounted((model, data))
 
 

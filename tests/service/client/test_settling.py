@@ -77,7 +77,7 @@ def test_newton_tells_g():
 def test_a_press_with_g_5_is_reported_as_diverging_where_the_factor_is_too_large(relaxation):
     read, _ = press(5.0)
     mount = Mount(LinearTable(), "plate", *STILL, relaxation=relaxation)
-    with pytest.raises(CouplingDiverged, match=r"overshot its answer, .* 2/\(1 \+ G\)") as caught:
+    with pytest.raises(CouplingDiverged, match=r"overshot the answer .* 2/\(1 \+ G\)") as caught:
         mount.settle(read)
     assert caught.value.residuals[-1] > caught.value.residuals[0]
     assert not mount.displacement.any()
@@ -178,7 +178,7 @@ def test_in_a_time_loop_a_stiff_scene_is_held(relaxation):
 def test_in_a_time_loop_without_relaxation_the_same_scene_is_reported():
     read, _ = press(5.0)
     mount = Mount(LinearTable(), "plate", *STILL, relaxation="off")
-    with pytest.raises(CouplingDiverged, match="overshot its answer"):
+    with pytest.raises(CouplingDiverged, match="overshot the answer"):
         run(mount, read)
 
 

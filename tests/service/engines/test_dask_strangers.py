@@ -26,11 +26,11 @@ def test_an_address_where_nobody_is_is_told_and_has_no_places(tmp_path, own):
 @pytest.mark.parametrize(
     ("name", "scheduler", "why"),
     [
-        ("dask", None, "needs --scheduler"),
+        ("dask", None, "add --scheduler"),
         ("dask", "10.0.0.1:8786", "write tcp://10.0.0.1:8786"),
         ("dask", "http://10.0.0.1:8786", "must begin with tcp:// or tls://"),
         ("local", "tcp://10.0.0.1:8786", "add --engine dask"),
-        ("cloud", None, "the engine must be local or dask"),
+        ("cloud", None, "--engine must be local or dask"),
     ],
 )
 def test_settings_that_cannot_work_are_refused_at_once(name, scheduler, why):
