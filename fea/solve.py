@@ -23,7 +23,7 @@ from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.export.failure_record import keep
 from wrenchbook.fea.failure import SolveFailed, rotation_too_large
-from wrenchbook.fea.inspection import warnings_of
+from wrenchbook.fea.inspection import bodies_of, coincidence_warnings, coincident_nodes, warnings_of
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
@@ -156,7 +156,25 @@ class Solver:
         Raises SolveFailed of kind ``mechanism`` or ``ill_conditioned`` if the equations are
         singular.
         """
-        return linear_response(self._system)
+        try:
+            return linear_response(self._system)
+        except SolveFailed as failure:
+            raise self._of_bodies(failure) from None
+
+    def _of_bodies(self, failure: SolveFailed) -> SolveFailed:
+        """Return a mechanism of bodies that only touch with that cause, other failures as given."""
+        mesh = self.component.uncut_mesh
+        bodies = bodies_of(mesh)
+        if failure.kind != "mechanism" or bodies.count == 1:
+            return failure
+        touching = coincidence_warnings(mesh, bodies, coincident_nodes(mesh))
+        if not touching:
+            return failure
+        remedy = (
+            f"The mesh has {bodies.count} parts that share no face: {touching[0].message}, or join "
+            "their faces by [[tie]]."
+        )
+        return SolveFailed(failure.kind, failure.message, remedy)
 
     @cached_property
     def second_derivatives(self) -> Array | None:
@@ -355,7 +373,10 @@ class Solver:
         if not analysis.nonlinear or not (acting.any() or self._hangs):
             solution = self._solve_linear(inputs, acting)
         else:
-            solution = self._solve_nonlinear(inputs, acting, progress, start)
+            try:
+                solution = self._solve_nonlinear(inputs, acting, progress, start)
+            except SolveFailed as failure:
+                raise self._of_bodies(failure) from None
         # If the loads alone exclude yielding, the answer's stresses are not needed.
         by_loads_alone = not (analysis.nonlinear or self._hangs or self.body.expands)
         if not (by_loads_alone and np.abs(acting) @ self._most_used <= 1.0):

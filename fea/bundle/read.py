@@ -292,11 +292,8 @@ class _Reader:
             ranges = [self.read("range")]
             if ranges == [None]:
                 return None
-            for name, unit in (("force", "N"), ("moment", "N·m")):
-                for i, ends in enumerate(getattr(ranges[0], name)):
-                    if ends == (0.0, 0.0):
-                        message = f"must be above 0 {unit}, not 0, or a range [low, high]"
-                        self.wrong(f"range.{name}[{i}]", message)
+            if not np.any((*ranges[0].force, *ranges[0].moment)):
+                self.wrong("range", f"has no load above 0; write for example {RANGE_EXAMPLE}")
         else:
             example = "force = [20, 20, 200] (N) and moment = [5, 5, 5] (N·m)"
             self.wrong("range", f"is missing; write [range] with, for example, {example}")

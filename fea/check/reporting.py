@@ -11,6 +11,7 @@ import numpy as np
 
 from wrenchbook.fea.accuracy.advice import over_tolerance, straight_edges
 from wrenchbook.fea.accuracy.estimate import accuracy_or_why
+from wrenchbook.fea.accuracy.mesh_error import polygon_warnings
 from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
 from wrenchbook.fea.bundle.tables import ComponentFile
 from wrenchbook.fea.check.cost import estimate
@@ -207,7 +208,7 @@ def _inspect_mesh(
         pairs = coincident_nodes(mesh)
         summary["coincident_nodes"] = len(pairs)
         warnings += coincidence_warnings(mesh, bodies, pairs)
-    warnings += contradictions(component)
+    warnings += contradictions(component) + polygon_warnings(component)
     _inspect_component(component, bodies, pairs, summary)
     # Find failures of every solve, then displacements and vibration.
     solver = solver_of(component)

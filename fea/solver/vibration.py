@@ -39,6 +39,8 @@ Array = np.ndarray
 
 # Part of the largest moment of inertia: a rod's least is 0 but for roundoff.
 _MOMENT_ROUNDOFF = 1e-9
+# Part of the largest moment of inertia: a plate's is the sum of the others but for typed digits.
+_TYPED_DIGITS = 0.01
 _SEED = 20170726  # seed of the first mode's start vector: the same bundle gives the same digits
 
 
@@ -46,8 +48,8 @@ _SEED = 20170726  # seed of the first mode's start vector: the same bundle gives
 class Riding:
     """The rigid mass that stands on the interface.
 
-    Raises ValueError if a number is not finite, the mass negative, or the inertia not symmetric and
-    positive.
+    Raises ValueError if a number is not finite, the mass negative, or the inertia not symmetric,
+    not positive, or with a moment above the sum of the other two.
     """
 
     mass: float  # kg, zero or more
@@ -68,6 +70,12 @@ class Riding:
         if moments[0] < -_MOMENT_ROUNDOFF * max(moments[2], 0.0):
             least = f"the least principal moment of inertia is {moments[0]:.4g} kg·m^2"
             raise ValueError(f"{least}, but none may be negative; correct the inertia")
+        if moments[2] * (1 - _TYPED_DIGITS) > moments[0] + moments[1]:
+            low, middle, high = (f"{moment:.4g}" for moment in moments)
+            raise ValueError(
+                f"the largest principal moment of inertia, {high} kg·m^2, is above the sum of the "
+                f"others, {low} and {middle} kg·m^2, which no body has; correct the inertia"
+            )
 
     @classmethod
     def of(

@@ -378,7 +378,7 @@ Loads = Annotated[
 
 @table
 class Range:
-    """The loads expected, as (low, high); at one interface of several some may be 0."""
+    """The loads expected, as (low, high); some may be 0: loads that do not act."""
 
     force: Loads = key("N", "[100, 100, [-500, 0]]")
     """Fx, Fy, Fz: each plus and minus a number, or [low, high]"""

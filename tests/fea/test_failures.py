@@ -54,6 +54,20 @@ def test_a_part_that_touches_nothing_is_a_mechanism_and_is_located(coupling):
     assert re.match(r"Near \((5|5\.5|6), ", failure.message)
 
 
+@pytest.mark.parametrize("nonlinear", [False, True])
+def test_parts_whose_nodes_only_coincide_are_a_mechanism_with_their_number(nonlinear):
+    one, other = box("hex20", (2, 2, 2)), box("hex20", (2, 2, 2))
+    points = np.concatenate([one.points, other.points + np.array([1.0, 0, 0])])
+    blocks = (*one.blocks, CellBlock("hex20", other.blocks[0].nodes + len(one.points)))
+    mesh = Mesh(points, blocks, facet_groups=one.facet_groups)
+    failure = failure_of(component(mesh, section="y1", nonlinear=nonlinear))
+    assert failure.kind == "mechanism"
+    words = "The mesh has 2 parts that share no face: 21 pairs of nodes of part 1 and part 2"
+    assert failure.remedy.startswith(words)
+    assert "merge them in the mesher" in failure.remedy
+    assert failure.remedy.endswith("or join their faces by [[tie]].")
+
+
 def test_one_reduced_hex20_across_a_section_is_a_mechanism_but_full_integration_holds():
     mesh = box("hex20", (1, 1, 6), (0.1, 0.1, 1.0))
     failure = failure_of(component(mesh, coupling="distributed"))

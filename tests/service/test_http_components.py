@@ -98,6 +98,29 @@ def test_a_bundle_is_uploaded_as_a_zip(http):
     ]
 
 
+def test_loads_of_range_zero_are_not_filled_and_not_covered(folder):
+    text = bar_text(
+        mesh=("cells_along = 40", "cells_along = 4"),
+        analysis=("nonlinear = false", "nonlinear = true"),
+        force=("[1000, 100, 100]", "[0, 0, 100]"),
+        moment=("[50, 50, 50]", "[0, 0, 0]"),
+    )
+    bundle = folder / "components" / "beam"
+    bundle.mkdir(parents=True)
+    (bundle / "component.toml").write_text(text)
+    fill, call = "/v1/components/beam/fill", "/v1/components/beam/displacement"
+    inside = {"force": [0, 0, 37], "moment": [0, 0, 0], "on_thin": "estimate"}
+    with TestClient(create_app(Settings(folder, solvers=2))) as http:
+        while jobs := http.post(fill, json={"budget": 30}).json()["jobs"]:
+            for job in jobs:
+                result = http.get(f"/v1/jobs/{job['id']}", params={"wait_s": 60}).json()
+                assert result["status"] == "done"
+                assert not any((*result["force"][:2], *result["moment"]))
+        until(lambda: http.post(call, json=inside).json()["coverage"] == "covered")
+        across = http.post(call, json={**inside, "force": [0, 1, 37]}).json()
+        assert across["coverage"] == "outside"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -368,7 +368,8 @@ def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
                 )
             held = set(range(whole(first) - 1, min(whole(last or first), 6)))
             if held and real(value or "0"):
-                reader.lack(keyword, "moves nodes by more than 0, here by 0; check them")
+                message = "has a prescribed displacement other than 0, which is taken as 0"
+                reader.lack(keyword, f"{message}; apply its load at an interface instead")
         key, labels = _target(deck, target, keyword.frame)
         step.motions.rows.append(Motion(keyword.where, key, labels, held))
 

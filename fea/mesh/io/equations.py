@@ -16,6 +16,10 @@ _LOOSE = (
     "directions for nodes of second-order solid cells; otherwise merge the nodes in the mesh, or "
     "write [[tie]]"
 )
+_NO_CELL = (
+    "ties a node that belongs to no second-order solid cell, so the nodes move freely here. Tie "
+    "nodes of these cells to each other directly, or merge them in the mesh, or write [[tie]]"
+)
 
 
 def take_equations(reader: Reader, deck: Deck, keyword: Keyword) -> None:
@@ -78,5 +82,5 @@ def following(reader: Reader, deck: Deck) -> list[tuple[int, int, float]]:
         if {*rows} == {0, 1, 2} and same_weights and same_axes and nodes <= solid:
             entries += [(row[node], row[label], weight) for label, weight in weights.items()]
         else:
-            reader.lack(keyword, _LOOSE)
+            reader.lack(keyword, _LOOSE if nodes <= solid else _NO_CELL)
     return entries

@@ -13,7 +13,7 @@ from wrenchbook.fea.accuracy import convergence, estimate
 from wrenchbook.fea.accuracy.advice import over_tolerance
 from wrenchbook.fea.accuracy.convergence import Study, finer, stored, studied, write
 from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why
-from wrenchbook.fea.accuracy.mesh_error import bows_of, roundness
+from wrenchbook.fea.accuracy.mesh_error import bows_of, polygons_of, roundness
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check import as_text
@@ -21,6 +21,7 @@ from wrenchbook.fea.check import report as check
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.element_order import second_order
 from wrenchbook.fea.mesh.facets import EDGES
+from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.solve import Solver
 
 LENGTH, RADIUS = 4.0, 1.0
@@ -128,7 +129,7 @@ def test_cells_that_it_would_turn_inside_out_are_bent_less(tmp_path, kind):
     np.testing.assert_allclose(result, truth, rtol=0.25)
 
 
-@pytest.mark.parametrize("cells", [12, 16, 24])
+@pytest.mark.parametrize("cells", [9, 12, 16, 24])
 def test_the_bar_of_the_mesh_holds_the_error_of_a_polygon_for_a_tube(tmp_path, cells):
     own = Solver(tube(tmp_path, cells, 0.05))
     bars = np.diag(accuracy_of(own)["mesh"])
@@ -155,9 +156,78 @@ def test_midside_nodes_on_the_geometry_have_no_such_error(tmp_path):
     assert not bows_of(rounded(Solver(tube(tmp_path, 16, 0.05))).component.mesh)[0].any()
 
 
+def moved_at(mesh, offset):
+    """Move the midside node of an edge along the tube, at its outside, by a part of its length."""
+    points = mesh.points.copy()
+    at = np.linalg.norm(points - [RADIUS, 0.0, LENGTH / 16], axis=1).argmin()
+    points[at, 0] += offset * LENGTH / 8
+    return replace(mesh, points=points)
+
+
+def test_a_midside_node_that_is_moved_a_little_leaves_the_others_their_bows(tmp_path):
+    mesh = Solver(tube(tmp_path, 12, 0.05)).component.mesh
+    np.testing.assert_array_equal(bows_of(moved_at(mesh, 0.002))[0], bows_of(mesh)[0])
+
+
+def test_a_body_with_curved_edges_leaves_another_body_its_bows(tmp_path):
+    straight = Solver(tube(tmp_path, 12, 0.05))
+    mesh, curved = straight.component.mesh, rounded(straight).component.mesh
+    count = len(mesh.points)
+    blocks = [CellBlock(block.kind, block.nodes + count) for block in mesh.blocks]
+    points = np.concatenate([mesh.points, curved.points + 10 * RADIUS])
+    bows = bows_of(replace(mesh, points=points, blocks=(*mesh.blocks, *blocks)))[0]
+    np.testing.assert_array_equal(bows[:count], bows_of(mesh)[0])
+    assert bows[:count].any()
+    assert not bows[count:].any()
+
+
+@pytest.mark.parametrize("kind", ["hexahedron", "tetra", "wedge"])
+@pytest.mark.parametrize(("cells", "polygons"), [(6, 2), (7, 2), (8, 2), (9, 0)])
+def test_six_to_eight_cells_round_are_a_polygon_inside_and_outside(tmp_path, kind, cells, polygons):
+    mesh = Solver(tube(tmp_path, cells, 0.3, kind=kind)).component.mesh
+    assert [polygon.faces for polygon in polygons_of(mesh)] == polygons * [cells]
+
+
+def test_half_a_ring_of_eight_cells_is_a_polygon(tmp_path):
+    mesh = Solver(tube(tmp_path, 8, 0.3)).component.mesh
+    (block,) = mesh.blocks
+    half = block.nodes[mesh.points[block.nodes].mean(axis=1)[:, 1] > 0]
+    polygons = polygons_of(replace(mesh, blocks=(CellBlock(block.kind, half),)))
+    assert [polygon.faces for polygon in polygons] == [4, 4]
+
+
+def test_eight_cells_round_with_curved_edges_are_no_polygon(tmp_path):
+    assert polygons_of(rounded(Solver(tube(tmp_path, 8, 0.3))).component.mesh) == []
+
+
+@pytest.mark.parametrize("chamfers", [[0], [0, 1, 2, 3]])
+def test_chamfers_of_a_square_bar_are_no_polygon(chamfers):
+    corners = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
+    flat = []
+    for i, corner in enumerate(corners):  # a regular octagon has 0.586
+        cuts = [corners[i - 1], corners[(i + 1) % 4]] if i in chamfers else [corner]
+        flat += [corner + 0.5 * 0.52 * (other - corner) for other in cuts]
+    outline = np.array([(0.0, 0.0), *flat])
+    points = [(*point, z) for z in (0.0, 1.0, 2.0) for point in outline]
+    count = len(flat)
+    sector = np.array([[0, 1 + i, 1 + (i + 1) % count] for i in range(count)])
+    layers = [np.hstack([sector + k * (count + 1), sector + (k + 1) * (count + 1)]) for k in (0, 1)]
+    mesh = Mesh(np.array(points), (CellBlock("wedge6", np.concatenate(layers)),))
+    assert polygons_of(second_order(mesh)) == []
+
+
+def test_the_check_warns_of_a_polygon_that_can_be_round(tmp_path):
+    tube(tmp_path, 8, 0.3)
+    (text,) = (warning["message"] for warning in check(tmp_path)["warnings"])
+    assert text.startswith("has 8 equal flat faces in a row, 45 degrees a turn, near (")
+    assert "a bar is 23 % too soft in bending" in text
+
+
 @pytest.mark.parametrize("kind", ["hex8", "tet4", "wedge6"])
 def test_a_box_has_none(kind):
-    assert not bows_of(second_order(box(kind, (2, 2, 2), (1.0, 1.0, 1.0))))[0].any()
+    mesh = second_order(box(kind, (2, 2, 2), (1.0, 1.0, 1.0)))
+    assert not bows_of(mesh)[0].any()
+    assert polygons_of(mesh) == []
 
 
 STUBBY = Path(__file__).with_name("block.toml").read_text("utf-8")
