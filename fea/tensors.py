@@ -5,6 +5,8 @@ Numpy only: a web process may import it too.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 Array = np.ndarray
@@ -14,6 +16,7 @@ ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
 
 _DERIVATIVE_TERMS = 30
 """Terms of exp: at 2 rad, the largest rotation in Newton's method, 2^26 / 26! is below 1e-18."""
+_FIRST_TERMS = {1: 1.0, 2: 0.5, 3: 1.0 / 6.0}  # 1 / start!
 _SERIES_TERMS = 12  # terms of sin t / t and similar series: the next is below 1/24! = 2e-24
 _SERIES_LIMIT = 1.0  # rad^2, of the squared angle: below it the closed forms cancel
 _COMPLEX_STEP = 1e-30  # rad: its square vanishes against any number here
@@ -103,19 +106,28 @@ def rotation_vector(matrix: Array) -> Array:
     return axial * (angle / sine)
 
 
-def _coefficients(vector: Array) -> tuple[complex, complex, complex]:
-    """Return sin t / t, (1 - cos t) / t^2 and (t - sin t) / t^3 as analytic functions of t^2."""
+class _Coefficients(NamedTuple):
+    """Analytic functions of t^2, the square of the angle, rad^2."""
+
+    a: complex  # sin t / t
+    b: complex  # (1 - cos t) / t^2
+    c: complex  # (t - sin t) / t^3
+
+
+def _coefficients(vector: Array) -> _Coefficients:
+    """Return the coefficients of a rotation vector, (3,), rad."""
     square = vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]
     if abs(square) < _SERIES_LIMIT:
-        return _series(square, 1), _series(square, 2), _series(square, 3)
+        return _Coefficients(_series(square, 1), _series(square, 2), _series(square, 3))
     angle = np.sqrt(square)
     sine, cosine = np.sin(angle), np.cos(angle)
-    return sine / angle, (1 - cosine) / square, (angle - sine) / (square * angle)
+    c = (angle - sine) / (square * angle)
+    return _Coefficients(sine / angle, (1 - cosine) / square, c)
 
 
 def _series(square: complex, start: int) -> complex:
     """Sum (-1)^k s^k / (2k + start)! over k, for a start of 1 to 3."""
-    total = term = (1.0, 0.5, 1.0 / 6.0)[start - 1]
+    total = term = _FIRST_TERMS[start]
     for k in range(1, _SERIES_TERMS):
         term = -term * square / ((2 * k + start - 1) * (2 * k + start))
         total = total + term

@@ -43,6 +43,7 @@ from wrenchbook.fea.mesh.cad.meshing import list_shape
 from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.surface import Surface
+from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.keys import keys_of, kind_of, validated
 from wrenchbook.fea.spec.mesh_source import GEOMETRY_ENDINGS
@@ -177,23 +178,7 @@ def _inspect_mesh(
 
     Raises BundleError for a mistake that prevents a solve; `summary` then has all earlier results.
     """
-    facet_counts = {
-        name: sum(len(nodes) for _, nodes in group.blocks)
-        for name, group in mesh.facet_groups.items()
-    }
-    cell_counts = {
-        name: sum(len(cells) for cells in by_block) for name, by_block in mesh.regions.items()
-    }
-    summary |= {
-        "unknowns": mesh.unknowns,
-        "nodes": len(mesh.points),
-        "cells": mesh.cell_counts,
-        "groups": {
-            "cells": cell_counts,
-            "facets": facet_counts,
-            "nodes": {name: len(nodes) for name, nodes in mesh.node_groups.items()},
-        },
-    }
+    summary |= _mesh_counts(mesh)
     summary["quality"] = quality(mesh)
     warnings: list[BundleProblem] = summary["warnings"]
     warnings += [BundleProblem("mesh", text) for text in quality_warnings(summary["quality"])]
@@ -210,8 +195,47 @@ def _inspect_mesh(
         warnings += coincidence_warnings(mesh, bodies, pairs)
     warnings += contradictions(component) + polygon_warnings(component)
     _inspect_component(component, bodies, pairs, summary)
-    # Find failures of every solve, then displacements and vibration.
+    # Find failures of every solve before its errors.
     solver = solver_of(component)
+    _try_out(solver, component, riding, nonlinear, summary)
+    cost = summary["estimate"]
+    if cost["linear_seconds"] <= _MAX_SECONDS and cost["memory_bytes"] <= _MAX_BYTES:
+        _add_errors(solver, bundle, summary)
+
+
+def _mesh_counts(mesh: Mesh) -> dict[str, Any]:
+    """Return the numbers of unknowns, nodes and cells, and of the members of groups."""
+    facet_counts = {
+        name: sum(len(nodes) for _, nodes in group.blocks)
+        for name, group in mesh.facet_groups.items()
+    }
+    cell_counts = {
+        name: sum(len(cells) for cells in by_block) for name, by_block in mesh.regions.items()
+    }
+    return {
+        "unknowns": mesh.unknowns,
+        "nodes": len(mesh.points),
+        "cells": mesh.cell_counts,
+        "groups": {
+            "cells": cell_counts,
+            "facets": facet_counts,
+            "nodes": {name: len(nodes) for name, nodes in mesh.node_groups.items()},
+        },
+    }
+
+
+def _try_out(
+    solver: Solver,
+    component: ComponentModel,
+    riding: Riding | None,
+    nonlinear: bool,
+    summary: dict[str, Any],
+) -> None:
+    """Add trial displacements, vibration and strength to `summary`, with `warnings`.
+
+    Raises BundleError for a mistake that prevents a solve.
+    """
+    warnings: list[BundleProblem] = summary["warnings"]
     summary["trial"], problems = trial(solver, summary["estimate"])
     problems = problems or stack_problems(component)  # a mechanism is reported as such
     if problems:
@@ -219,22 +243,24 @@ def _inspect_mesh(
     warnings += deflection_warnings(component, summary["trial"]["deflection"])
     if summary["trial"]["deflection"] is not None:
         warnings += weight_warnings(solver)
-    summary["vibration"], more = frequency(solver, riding)
-    warnings += more
-    stresses, more = strength(solver, nonlinear)
+    summary["vibration"], resonances = frequency(solver, riding)
+    warnings += resonances
+    stresses, overloads = strength(solver, nonlinear)
     summary["strength"] = [stress.as_json() for stress in stresses]
-    warnings += more
-    # Estimate the error of the solver's answers, and compare it with the tolerance.
-    cost = summary["estimate"]
-    if cost["linear_seconds"] > _MAX_SECONDS or cost["memory_bytes"] > _MAX_BYTES:
-        return
+    warnings += overloads
+
+
+def _add_errors(solver: Solver, bundle: Bundle, summary: dict[str, Any]) -> None:
+    """Add the error of the solver's answers, and warn where it is above the tolerance."""
+    warnings: list[BundleProblem] = summary["warnings"]
     summary["solver_error"] = accuracy_or_why(solver)
     if summary["solver_error"]["mesh"] is None:
         why = f"the discretisation error is unknown: {summary['solver_error']['mesh_basis']}"
         measure = "`wrenchbook converge FOLDER` measures it on finer meshes"
         warnings.append(BundleProblem("mesh", f"{why}; {measure}"))
     warnings += straight_edges(summary["solver_error"])
-    if (limit := bundle.tolerance) is not None:
+    limit = bundle.tolerance
+    if limit is not None:
         warnings += over_tolerance(summary["solver_error"], limit.translation, limit.rotation)
 
 
@@ -252,38 +278,24 @@ def _inspect_component(
         | {"cells": sum(int((numbers == i).sum()) for numbers in component.material_of_cells)}
         for i, material in enumerate(component.materials)
     ]
-    supports = summary["supports"] = {"nodes": len(component.fixed_nodes)}
-    if sliding := len(component.sliding[0]):
-        supports["sliding_nodes"] = sliding
+    supports = {"nodes": len(component.fixed_nodes)}
+    summary["supports"] = supports
+    n_sliding = len(component.sliding[0])
+    if n_sliding:
+        supports["sliding_nodes"] = n_sliding
     if component.bushings:
         supports["bushings"] = len(component.bushings)
     # The ranges of the further inputs, if there are any.
-    if warm := component.temperature:
-        ends = {"low": warm.low, "high": warm.high}
-        summary["temperature"] = ends | {"reference": warm.reference}
+    temperature = component.temperature
+    if temperature is not None:
+        summary["temperature"] = {
+            "low": temperature.low,
+            "high": temperature.high,
+            "reference": temperature.reference,
+        }
     if component.accelerated:
         summary["acceleration"] = [scalar.high for scalar in component.further[-3:]]
-    # Ties, bolts and springs join parts of the mesh.
-    if component.ties:
-        summary["ties"] = [
-            {"secondary": names.secondary, "main": names.main}
-            | {"nodes": len(tie.nodes), "untied": tie.untied, "gap": tie.gap}
-            for names, tie in zip(component.bundle.ties, component.ties, strict=True)
-        ]
-    if component.bolts:
-        summary["bolts"] = [_bolt(component, bolt) for bolt in component.bolts]
-        summary["zero"] = component.analysis.zero
-    if component.joints:
-        summary["springs"] = [
-            {
-                "groups": list(source.groups),
-                "nodes": [len(end.section.node_ids) for end in joint.ends],
-                "point": joint.ends[0].point.tolist(),
-                "coupling": source.coupling,
-                "rigid": source.rigid,
-            }
-            for source, joint in zip(component.bundle.joints, component.joints, strict=True)
-        ]
+    summary |= _joining(component)
     sections = [_section(interface) for interface in component.interfaces]
     if len(sections) > 1:
         summary["sections"] = sections
@@ -295,6 +307,32 @@ def _inspect_component(
     if problems:
         raise BundleError(problems)
     summary["estimate"] = estimate(component)
+
+
+def _joining(component: ComponentModel) -> dict[str, Any]:
+    """Return the report's entries of ties, bolts and springs, which join parts of the mesh."""
+    entries: dict[str, Any] = {}
+    if component.ties:
+        entries["ties"] = [
+            {"secondary": names.secondary, "main": names.main}
+            | {"nodes": len(tie.nodes), "untied": tie.untied, "gap": tie.gap}
+            for names, tie in zip(component.bundle.ties, component.ties, strict=True)
+        ]
+    if component.bolts:
+        entries["bolts"] = [_bolt(component, bolt) for bolt in component.bolts]
+        entries["zero"] = component.analysis.zero
+    if component.joints:
+        entries["springs"] = [
+            {
+                "groups": list(source.groups),
+                "nodes": [len(end.section.node_ids) for end in joint.ends],
+                "point": joint.ends[0].point.tolist(),
+                "coupling": source.coupling,
+                "rigid": source.rigid,
+            }
+            for source, joint in zip(component.bundle.joints, component.joints, strict=True)
+        ]
+    return entries
 
 
 def _bolt(component: ComponentModel, cut: BoltCut) -> dict[str, Any]:

@@ -76,6 +76,22 @@ class Border(NamedTuple):
     block: Array
 
 
+class ArmMoments(NamedTuple):
+    """N of an energy R : N, N·m, and its derivatives along k inputs."""
+
+    moments: Array  # shape (3, 3)
+    changes: Array  # shape (3, 3, k)
+    second: Array  # shape (3, 3, k, k)
+
+    def turned(self, rotation: Array) -> ArmMoments:
+        """Return N Q^T and its derivatives, of the rotation Q, (3, 3)."""
+        return ArmMoments(
+            np.einsum("xy,zy->xz", self.moments, rotation),
+            np.einsum("xyk,zy->xzk", self.changes, rotation),
+            np.einsum("xykl,zy->xzkl", self.second, rotation),
+        )
+
+
 class SectionCoupling(ABC):
     """The coupling of one interface to its section: the base class of `Rigid` and `Distributed`.
 
@@ -121,7 +137,7 @@ class SectionCoupling(ABC):
     @abstractmethod
     def arm_moments(
         self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
-    ) -> tuple[Array, Array, Array]:
+    ) -> ArmMoments:
         """Return N, 3x3, by which the coupling's energy depends on the rotation matrix R: as R : N.
 
         state: the configuration.
@@ -129,8 +145,6 @@ class SectionCoupling(ABC):
         inputs.
         fields: shape (s, 3, k), m per unit of each: the nodes' change with the inputs.
         border: shape (6 + multipliers, k): the border's change with them.
-        Returns moments, changes, second: Shapes (3, 3), (3, 3, k) and (3, 3, k, k), N·m: N and its
-        derivatives along the inputs.
         """
 
 
@@ -357,7 +371,8 @@ class Coupling:
         inputs.
         Result: shape (k, k, k), J over the units of three inputs.
         """
-        total, (motions, _) = np.zeros((border.shape[1],) * 3), self._unknowns(state)
+        total = np.zeros((border.shape[1],) * 3)
+        motions, _ = self._unknowns(state)
         for at, where, spring in self._springs:
             tensor = spring_motion.energy_third_derivatives(motions[at], spring)
             moved = border[where]
@@ -371,8 +386,8 @@ class Coupling:
             zero = origins[attached.freedoms]
             vector, rates = from_origin(local.interface, zero)
             back = rotation(zero[3:])
-            moments = [np.einsum("xy...,zy->xz...", each, back) for each in moments]
-            total += _third_of_rotation(vector[3:], rates[3:, 3:] @ moved[3:6], *moments)
+            turn = rates[3:, 3:] @ moved[3:PER_INTERFACE]
+            total += _third_of_rotation(vector[3:], turn, moments.turned(back))
         return total
 
     def displacement_rows(self, border: Array) -> Array:
@@ -397,13 +412,11 @@ class Coupling:
         return np.append(state.interface, sprung), multipliers.copy()
 
 
-def _third_of_rotation(
-    vector: Array, turned: Array, moments: Array, changes: Array, second: Array
-) -> Array:
+def _third_of_rotation(vector: Array, turned: Array, arms: ArmMoments) -> Array:
     """Return the third derivatives of R(r) : N, shape (k, k, k), along changes of r, (3, k)."""
-    _, *slopes = rotation_derivatives(vector)
-    once = np.einsum("ixy,xybc,ia->bca", slopes[0], second, turned)
-    twice = np.einsum("ijxy,xyc,ia,jb->abc", slopes[1], changes, turned, turned, optimize=True)
-    arms = np.einsum("ijkxy,xy->ijk", slopes[2], moments)
-    thrice = np.einsum("ijk,ia,jb,kc->abc", arms, turned, turned, turned, optimize=True)
+    _, first, second, third = rotation_derivatives(vector)
+    once = np.einsum("ixy,xybc,ia->bca", first, arms.second, turned)
+    twice = np.einsum("ijxy,xyc,ia,jb->abc", second, arms.changes, turned, turned, optimize=True)
+    curvatures = np.einsum("ijkxy,xy->ijk", third, arms.moments)
+    thrice = np.einsum("ijk,ia,jb,kc->abc", curvatures, turned, turned, turned, optimize=True)
     return thrice + symmetrised(once + twice)

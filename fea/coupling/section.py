@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrenchbook.fea.coupling.coupling import PER_INTERFACE, Border, CoupledState, SectionCoupling
+from wrenchbook.fea.coupling.coupling import (
+    PER_INTERFACE,
+    ArmMoments,
+    Border,
+    CoupledState,
+    SectionCoupling,
+)
 from wrenchbook.fea.mesh.mapping import area_weights
 from wrenchbook.fea.mesh.mesh import FacetGroup
 from wrenchbook.fea.tensors import rotation_less_identity, skew, spin_per_vector, spin_slope
@@ -61,14 +67,17 @@ class Rigid(SectionCoupling):
 
     def arm_moments(
         self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
-    ) -> tuple[Array, Array, Array]:
+    ) -> ArmMoments:
         """Return sum f x^T, 3x3 and N·m, and its derivatives along k inputs.
 
         The forces f have shapes (s, 3), N, and (s, 3, k). The second derivative is zero: it is part
         of the body's third derivatives.
         """
-        moments, changes = (np.einsum("si...,sj->ij...", force, self.points) for force in forces)
-        return moments, changes, np.zeros((3, 3, border.shape[1], border.shape[1]))
+        return ArmMoments(
+            np.einsum("si,sj->ij", forces[0], self.points),
+            np.einsum("sik,sj->ijk", forces[1], self.points),
+            np.zeros((3, 3, border.shape[1], border.shape[1])),
+        )
 
     def _turned(self, state: CoupledState) -> Array:
         """Return R x_i of the nodes, shape (s, 3), m."""
@@ -121,6 +130,11 @@ def section_of_nodes(points: Array, node_ids: Array) -> InterfaceSection:
     return InterfaceSection(ids, weights, 1.0, points[ids].mean(axis=0), by_area=False)
 
 
+# Parts of the border of a distributed section: interface displacement and multipliers.
+_TRANSLATION, _ROTATION = slice(0, 3), slice(3, 6)
+_FORCE, _MOMENT = slice(6, 9), slice(9, 12)
+
+
 class Distributed(SectionCoupling):
     """Weighted mean translation and rotation of the section; the wrench is spread conjugately.
 
@@ -169,9 +183,9 @@ class Distributed(SectionCoupling):
         turned = _Turned(self, state)
         weighted_arms = self._weights[:, None, None] * skew(turned.arms)
         columns = np.zeros((len(self.points), 3, 2 * PER_INTERFACE))
-        columns[:, :, 3:6] = -skew(turned.moment) @ weighted_arms @ turned.spin
-        columns[:, :, 6:9] = self._weights[:, None, None] * np.eye(3)
-        columns[:, :, 9:] = -weighted_arms
+        columns[:, :, _ROTATION] = -skew(turned.moment) @ weighted_arms @ turned.spin
+        columns[:, :, _FORCE] = self._weights[:, None, None] * np.eye(3)
+        columns[:, :, _MOMENT] = -weighted_arms
         block = np.zeros((2 * PER_INTERFACE, 2 * PER_INTERFACE))
         # Write the border's derivatives, except those of the spin itself.
         centre = skew(turned.centre) @ turned.spin
@@ -182,31 +196,31 @@ class Distributed(SectionCoupling):
             skew(np.cross(turned.points, turned.moment)),
             skew(turned.arms),
         )
-        block[3:6, 3:6] = turned.spin.T @ turning @ turned.spin
-        block[:3, 6:9] = block[6:9, :3] = -np.eye(3)
-        block[6:9, 3:6] = centre
-        block[3:6, 6:9] = centre.T
-        block[3:6, 9:] = turned.spin.T @ inertia
-        block[9:, 3:6] = inertia.T @ turned.spin
+        block[_ROTATION, _ROTATION] = turned.spin.T @ turning @ turned.spin
+        block[_TRANSLATION, _FORCE] = block[_FORCE, _TRANSLATION] = -np.eye(3)
+        block[_FORCE, _ROTATION] = centre
+        block[_ROTATION, _FORCE] = centre.T
+        block[_ROTATION, _MOMENT] = turned.spin.T @ inertia
+        block[_MOMENT, _ROTATION] = inertia.T @ turned.spin
         excess = turned.carried_moment() - wrench[3:]
-        block[3:6, 3:6] += spin_slope(state.interface[3:], excess)
+        block[_ROTATION, _ROTATION] += spin_slope(state.interface[3:], excess)
         return Border(np.zeros_like(columns), columns, block)
 
     def wrench_columns(self, state: CoupledState) -> Array:
         """Return the columns of `SectionCoupling.wrench_columns`, shape (12, 6)."""
         columns = np.zeros((2 * PER_INTERFACE, PER_INTERFACE))
-        columns[:3, :3] = np.eye(3)
-        columns[3:6, 3:] = spin_per_vector(state.interface[3:]).T
+        columns[_TRANSLATION, :3] = np.eye(3)
+        columns[_ROTATION, 3:] = spin_per_vector(state.interface[3:]).T
         return columns
 
     def arm_moments(
         self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
-    ) -> tuple[Array, Array, Array]:
+    ) -> ArmMoments:
         """Return -l c^T - [m]x Q, 3x3 and N·m, Q = sum w (x + u) rho^T, and its derivatives.
 
         The derivatives are along k inputs, from the fields, (s, 3, k), m, and the border, (12, k).
         """
-        force, moment = border[6:9], skew(border[9:].T)
+        force, moment = border[_FORCE], skew(border[_MOMENT].T)
         couple = skew(state.multipliers[3:])
         arms = self._weights[:, None] * self._arms
         Q = (self.points + state.nodes).T @ arms
@@ -215,7 +229,7 @@ class Distributed(SectionCoupling):
         changes = -force.T[:, :, None] * self._centre - moment @ Q - couple @ moved
         second = moment[:, None] @ moved
         second = -(second + second.swapaxes(0, 1))
-        return moments, np.moveaxis(changes, 0, 2), np.moveaxis(second, (0, 1), (2, 3))
+        return ArmMoments(moments, np.moveaxis(changes, 0, 2), np.moveaxis(second, (0, 1), (2, 3)))
 
 
 class _Turned:

@@ -15,6 +15,8 @@ from wrenchbook.fea.tensors import rotation, rotation_vector, skew, spin_per_vec
 
 Array = np.ndarray
 
+_PER_FRAME = 6  # motions of a frame: translation and rotation vector
+_TURNS = (3, 4, 5, 9, 10, 11)  # the rotations among the motions of two frames
 _COMPLEX_STEP = 2.0**-100  # m or rad: its square vanishes against any number here
 _STEP = 1e-3  # rad: differences of fourth order leave out its fourth power
 # Weights of a first derivative by differences of fourth order.
@@ -28,7 +30,8 @@ def relative_motion(motions: Array) -> tuple[Array, Array]:
 
 def energy_hessian(motions: Array, stiffness: Array) -> Array:
     """Return the second derivatives of the energy by the motions, shape (k, k)."""
-    (q, jacobian), columns = relative_motion(motions), []
+    q, jacobian = relative_motion(motions)
+    columns = []
     turned, rate = q[3:], jacobian[3:]
     for unit in 1j * _COMPLEX_STEP * np.eye(len(motions)):
         q, jacobian = _motion_and_jacobian(motions + unit, turned + rate @ unit)
@@ -42,8 +45,10 @@ def energy_third_derivatives(motions: Array, stiffness: Array) -> Array:
     Those by translations alone are zero: at fixed rotations the energy is quadratic.
     """
     tensor = np.zeros((len(motions),) * 3)
-    for turn in (3, 4, 5, 9, 10, 11) if len(motions) == 12 else ():
-        unit = _STEP * np.eye(12)[turn]
+    if len(motions) == _PER_FRAME:  # the energy of a single frame is quadratic
+        return tensor
+    for turn in _TURNS:
+        unit = _STEP * np.eye(len(motions))[turn]
         hessians = (w * energy_hessian(motions + n * unit, stiffness) for n, w in _SLOPE.items())
         slope = sum(hessians) / _STEP
         tensor[turn], tensor[:, turn], tensor[:, :, turn] = slope, slope, slope
@@ -52,14 +57,15 @@ def energy_third_derivatives(motions: Array, stiffness: Array) -> Array:
 
 def _relative_rotation(motions: Array) -> Array:
     """Return the rotation vector of q, shape (3,), rad."""
-    *_, first, _, last = np.append(np.zeros(12 - len(motions)), motions).reshape(4, 3)
+    first = np.zeros(3) if len(motions) == _PER_FRAME else motions[3:_PER_FRAME]
+    last = motions[-3:]
     return rotation_vector(rotation(first).T @ rotation(last))
 
 
 def _motion_and_jacobian(motions: Array, turned: Array) -> tuple[Array, Array]:
     """Return q and B, (6,) and (6, k), of motions (k,) by the rotation vector of q."""
-    if len(motions) == 6:
-        return motions, np.eye(6)
+    if len(motions) == _PER_FRAME:
+        return motions, np.eye(_PER_FRAME)
     t1, r1, t2, r2 = motions.reshape(4, 3)
     back, spin = rotation(r1).T, spin_per_vector(r1)
     rate = np.linalg.inv(spin_per_vector(turned)) @ back

@@ -164,8 +164,8 @@ def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings
         )
         count, logarithm = len(inverse), -float(np.log(np.diag(inverse)).sum())
         across = inverse @ matrix[np.ix_(exact, ~exact)]
-        rest = matrix[np.ix_(~exact, ~exact)] - across.T @ across
-        values, vectors = np.linalg.eigh(white[:, None] * rest * white)
+        remainder = matrix[np.ix_(~exact, ~exact)] - across.T @ across
+        values, vectors = np.linalg.eigh(white[:, None] * remainder * white)
         rotation = np.zeros_like(matrix)
         rotation[:count, exact], rotation[count:, ~exact] = inverse, vectors.T * white
         rotation[count:, exact] = -rotation[count:, ~exact] @ across.T @ inverse
@@ -252,7 +252,7 @@ def _contracted_values(
     pairs = sensitivity[first, second] * np.where(first == second, 1 + nugget, 2.0)
     rates, weights = kernel.terms
     by_rate = sum(
-        (rate > 0) * weight * (squares @ (pairs * m[1]))
+        np.where(rate > 0, weight, 0.0) * (squares @ (pairs * m[1]))
         for rate, weight, m in zip(rates, weights, terms, strict=True)
     )
     by_weight = [weight * (pairs @ m[0]) for weight, m in zip(weights, terms, strict=True)]
@@ -275,100 +275,164 @@ def estimate_noise(
 
     `points` (m, 6), half ranges: where answers' variance is averaged: see `Estimate.widening`.
     """
-    parts = []
-    noisy, every = _with_noise(equations, scaling), np.arange(len(equations))
-    for limit in (settings.search_equations, settings.likelihood_equations):
-        chosen = _evenly(equations, every, limit)
-        # An even choice may miss a few readings among many solves.
-        missed = noisy.any(axis=0) & ~noisy[chosen].any(axis=0)
-        if missed.any():
-            readings = np.flatnonzero(noisy[:, missed].any(axis=1))
-            chosen = np.union1d(chosen, _evenly(equations, readings, limit // 2))
-        parts.append(noisy_rows(equations.take(chosen), scaling, settings))
-    few, many = parts
-    if all(len(rows.squares) for rows in few):
-        each = [
-            {rows.outputs[k]: rows.output(k) for rows in part for k in range(len(rows.outputs))}
-            for part in parts
-        ]
-        sets = [([each[0][output]], [each[1][output]]) for output in each[0]]
-    else:
-        sets = [(few, many)]
-    variance, noise, widening, noise_widening = np.ones((4, len(scaling.spread)))
-    arrays = variance, noise, widening, noise_widening
-    kernels: list[Hyperparameters | None] = [None] * len(scaling.spread)
-    for some, all_rows in sets:
-        kernel = _fitted_kernel(some, all_rows, points, settings, arrays)
-        for rows in all_rows:
-            for output in rows.outputs:
-                kernels[output] = kernel
-    first = next(kernel for kernel in kernels if kernel is not None)
-    noise[[kernel is None for kernel in kernels]] = 0.0
-    return Estimate(tuple(kernel or first for kernel in kernels), *arrays)
+    search = _sample(equations, scaling, settings, settings.search_equations)
+    complete = _sample(equations, scaling, settings, settings.likelihood_equations)
+    samples = [(search, complete)]
+    if all(len(rows.squares) for rows in search):  # each output has a kernel of its own
+        all_rows = _by_output(complete)
+        samples = [([rows], [all_rows[output]]) for output, rows in _by_output(search).items()]
+    n_outputs = len(scaling.spread)
+    level = 1 - (1 - CONFIDENCE) / n_outputs
+    estimates: dict[int, _OutputEstimate] = {}
+    for search_rows, rows in samples:
+        estimates |= _fitted(search_rows, rows, points, settings, level)
+    without_noise = _OutputEstimate(estimates[min(estimates)].kernel, 1.0, 0.0, 1.0, 1.0)
+    outputs = [estimates.get(output, without_noise) for output in range(n_outputs)]
+    return Estimate(
+        kernels=tuple(output.kernel for output in outputs),
+        variance=np.array([output.variance for output in outputs]),
+        noise=np.array([output.noise for output in outputs]),
+        widening=np.array([output.widening for output in outputs]),
+        noise_widening=np.array([output.noise_widening for output in outputs]),
+    )
 
 
-def _fitted_kernel(
-    few: list[NoisyRows],
-    many: list[NoisyRows],
+def _sample(
+    equations: Equations, scaling: Scaling, settings: KrigingSettings, limit: int
+) -> list[NoisyRows]:
+    """Return an even choice of rows with about `limit` equations, and of readings if it has none.
+
+    An even choice may miss a few readings among many solves.
+    """
+    noisy = _with_noise(equations, scaling)
+    chosen = _evenly(equations, np.arange(len(equations)), limit)
+    missed = noisy.any(axis=0) & ~noisy[chosen].any(axis=0)
+    if missed.any():
+        readings = np.flatnonzero(noisy[:, missed].any(axis=1))
+        chosen = np.union1d(chosen, _evenly(equations, readings, limit // 2))
+    return noisy_rows(equations.take(chosen), scaling, settings)
+
+
+def _by_output(groups: list[NoisyRows]) -> dict[int, NoisyRows]:
+    """Return the rows of each output alone."""
+    return {
+        int(output): rows.output(index)
+        for rows in groups
+        for index, output in enumerate(rows.outputs)
+    }
+
+
+class _OutputEstimate(NamedTuple):
+    """An output's part of `Estimate`."""
+
+    kernel: Hyperparameters
+    variance: float
+    noise: float
+    widening: float
+    noise_widening: float
+
+
+class _Candidate(NamedTuple):
+    """A likely kernel, and the posterior of each group of rows by it."""
+
+    logarithms: Floats
+    kernel: Hyperparameters
+    posteriors: list[Posterior]
+
+
+class _Mixture(NamedTuple):
+    """Posteriors of k outputs of the same rows by each candidate, with their probabilities."""
+
+    rows: NoisyRows
+    kernels: list[Hyperparameters]
+    posteriors: list[Posterior]  # by each kernel
+    weights: Floats  # (kernels, g, k): probability of each kernel and noise ratio
+    chosen: int  # index of the kernel in use
+
+
+def _fitted(
+    search: list[NoisyRows],
+    complete: list[NoisyRows],
     points: Floats,
     settings: KrigingSettings,
-    arrays: tuple[Floats, Floats, Floats, Floats],
-) -> Hyperparameters:
-    """Return the kernel of some outputs; fill in process variance, noise and both widenings.
+    level: float,
+) -> dict[int, _OutputEstimate]:
+    """Return the estimate of each output of the rows; all have one kernel.
 
-    `few`: the rows used in the search for the kernel.
-    `many`: the rows used for everything else.
+    `search`: the rows used in the search for the kernel.
+    `complete`: the rows used for everything else.
+    `level`: probability that the noise is below its largest deviation.
     """
-    example = few[0].equations
-    possible, kernels, posteriors, singular = [], [], [], SingularCovarianceError()
-    for row in _likely_logarithms(few, settings):
-        kernel = Hyperparameters.of_logarithms(row, example.groups, example.smoothness)
-        try:  # solves may bear the likeliest lengths and not those shifted from them
-            posteriors.append(
-                [posterior(rows, spectrum(rows, kernel, settings), settings) for rows in many]
-            )
-        except SingularCovarianceError as error:
-            singular = error
-            continue
-        possible.append(row)
-        kernels.append(kernel)
-    if not kernels:
-        raise singular
-    logarithms = np.array(possible)
+    candidates = _candidates(search, complete, settings)
+    logarithms = np.array([candidate.logarithms for candidate in candidates])
     centre, deviation = settings.length_prior
-    prior = 0.5 * (((logarithms[:, : example.loads] - centre) / deviation) ** 2).sum(axis=1)
-    joint, weighted = -prior, []
-    for rows, each in zip(many, zip(*posteriors, strict=True), strict=True):
-        values = np.array([item.values for item in each])  # (kernels, g, k)
+    lengths = logarithms[:, : search[0].equations.loads]
+    prior = 0.5 * (((lengths - centre) / deviation) ** 2).sum(axis=1)
+    joint, weights = -prior, []
+    for group in range(len(complete)):
+        values = np.array([item.posteriors[group].values for item in candidates])  # (kernels, g, k)
         joint = joint + np.logaddexp.reduce(-values, axis=1).sum(axis=1)
         values += prior[:, None, None]
         weight = np.exp(values.min(axis=(0, 1)) - values)
-        weighted.append((rows, each, weight / weight.sum(axis=(0, 1))))
-    chosen = int(np.argmax(joint))
-    variance, noise, widening, noise_widening = arrays
-    level = 1 - (1 - CONFIDENCE) / len(noise)
-    for rows, each, weight in weighted:
+        weights.append(weight / weight.sum(axis=(0, 1)))
+    chosen, kernels = int(np.argmax(joint)), [candidate.kernel for candidate in candidates]
+    estimates = {}
+    for group, rows in enumerate(complete):
+        posteriors = [candidate.posteriors[group] for candidate in candidates]
+        mixture = _Mixture(rows, kernels, posteriors, weights[group], chosen)
         for index, output in enumerate(rows.outputs):
-            of_kernels = weight[:, :, index].sum(axis=1)
-            means = [
-                float(part[:, index] @ item.noise[:, index] / max(part[:, index].sum(), TINY))
-                for part, item in zip(weight, each, strict=True)
+            estimates[int(output)] = _output_estimate(mixture, index, points, settings, level)
+    return estimates
+
+
+def _candidates(
+    search: list[NoisyRows], complete: list[NoisyRows], settings: KrigingSettings
+) -> list[_Candidate]:
+    """Return the likely kernels whose covariance is not singular, at least one."""
+    example = search[0].equations
+    candidates, singular = [], SingularCovarianceError()
+    for row in _likely_logarithms(search, settings):
+        kernel = Hyperparameters.of_logarithms(row, example.groups, example.smoothness)
+        try:  # solves may bear the likeliest lengths and not those shifted from them
+            posteriors = [
+                posterior(rows, spectrum(rows, kernel, settings), settings) for rows in complete
             ]
-            mean_noise = float(of_kernels @ means)
-            noise[output] = mean_noise / rows.scale[index]
-            most = _noise_quantile(each, weight, index, level)
-            noise_widening[output] = np.sqrt(max(most / mean_noise, 1.0))
-            variance[output] = size = variance_of(each[chosen], index, mean_noise)
-            mean, known = _answers(rows, index, kernels[chosen], mean_noise, size, points, settings)
-            total = np.zeros(len(points))
-            used = np.flatnonzero(of_kernels > settings.min_probability)
-            for k in used:
-                size = variance_of(each[k], index, means[k])
-                answers = _answers(rows, index, kernels[k], means[k], size, points, settings)
-                spread = answers[1] + (answers[0] - mean) ** 2
-                total += of_kernels[k] / of_kernels[used].sum() * spread
-            widening[output] = np.sqrt(max(float(total.mean() / known.mean()), 1.0))
-    return kernels[chosen]
+        except SingularCovarianceError as error:
+            singular = error
+            continue
+        candidates.append(_Candidate(row, kernel, posteriors))
+    if not candidates:
+        raise singular
+    return candidates
+
+
+def _output_estimate(
+    mixture: _Mixture, index: int, points: Floats, settings: KrigingSettings, level: float
+) -> _OutputEstimate:
+    """Return the estimate of the output `index` of the rows, at points (m, 6), half ranges."""
+    rows, kernels, posteriors, weights, chosen = mixture
+    of_kernels = weights[:, :, index].sum(axis=1)
+    means = [
+        float(part[:, index] @ item.noise[:, index] / max(part[:, index].sum(), TINY))
+        for part, item in zip(weights, posteriors, strict=True)
+    ]
+    noise = float(of_kernels @ means)
+    largest = _noise_quantile(posteriors, weights, index, level)
+    variance = variance_of(posteriors[chosen], index, noise)
+    mean, known = _answers(rows, index, kernels[chosen], noise, variance, points, settings)
+    total = np.zeros(len(points))
+    used = np.flatnonzero(of_kernels > settings.min_probability)
+    for k in used:
+        size = variance_of(posteriors[k], index, means[k])
+        moved, spread = _answers(rows, index, kernels[k], means[k], size, points, settings)
+        total += of_kernels[k] / of_kernels[used].sum() * (spread + (moved - mean) ** 2)
+    return _OutputEstimate(
+        kernel=kernels[chosen],
+        variance=variance,
+        noise=noise / rows.scale[index],
+        widening=float(np.sqrt(max(float(total.mean() / known.mean()), 1.0))),
+        noise_widening=float(np.sqrt(max(largest / noise, 1.0))),
+    )
 
 
 def _likely_logarithms(rows: list[NoisyRows], settings: KrigingSettings) -> Floats:
@@ -389,17 +453,20 @@ def _likely_logarithms(rows: list[NoisyRows], settings: KrigingSettings) -> Floa
     # Rounded, so that the rounding of another unit does not change the result; the likelihood is
     # flat.
     best = np.round(run.x, settings.decimals)
-    shifts = np.array(settings.length_shifts)
-    return np.clip(best + shifts[:, None] * (np.arange(loads + weights) < loads), low, high)
+    shifts = np.zeros((len(settings.length_shifts), loads + weights))
+    shifts[:, :loads] = np.array(settings.length_shifts)[:, None]
+    return np.clip(best + shifts, low, high)
 
 
-def _noise_quantile(each: Sequence[Posterior], weight: Floats, index: int, level: float) -> float:
+def _noise_quantile(
+    posteriors: Sequence[Posterior], weight: Floats, index: int, level: float
+) -> float:
     """Return the quantile of an output's noise, where D is 1, over all kernels and ratios.
 
     With few rows it is unclear how much of their differences is noise: the mean of a wide
     posterior, itself uncertain, was a third of the noise of 30 to 60 rows.
     """
-    noises = np.concatenate([item.noise[:, index] for item in each])
+    noises = np.concatenate([item.noise[:, index] for item in posteriors])
     order, weights = np.argsort(noises), weight[:, :, index].ravel()
     below = np.cumsum(weights[order]) - weights[order] / 2
     return float(np.exp(np.interp(level, below, np.log(noises[order]))))
