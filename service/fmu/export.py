@@ -105,9 +105,17 @@ def describe(component: str, guid: str, tool: str, summary: str, space: Space = 
         ElementTree.SubElement(categories, "Category", name=name)
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1")
     _add_variables(ElementTree.SubElement(root, "ModelVariables"), space)
-    # Each output depends on all inputs, without delay. Variables are numbered from 1 in the order
-    # of `_add_variables`: two tolerances are between coverage and within_tolerance.
-    structure = ElementTree.SubElement(root, "ModelStructure")
+    _add_structure(ElementTree.SubElement(root, "ModelStructure"), space)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
+
+
+def _add_structure(structure: ElementTree.Element, space: Space) -> None:
+    """Add the dependencies: each output depends on all inputs, without delay.
+
+    Variables are numbered from 1 in the order of `_add_variables`: two tolerances are between
+    coverage and within_tolerance.
+    """
     first = len(space.inputs) + 1
     coverage = first + 2 * len(space.outputs)
     inputs = " ".join(map(str, range(1, first)))
@@ -115,8 +123,6 @@ def describe(component: str, guid: str, tool: str, summary: str, space: Space = 
         unknowns = ElementTree.SubElement(structure, part)
         for index in (*range(first, coverage + 1), coverage + 3):
             ElementTree.SubElement(unknowns, "Unknown", index=str(index), dependencies=inputs)
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 
 def _unit(text: str) -> str:
@@ -253,18 +259,7 @@ def make_fmu(
     """
     if method is not None and method not in METHODS:
         raise UnknownMethodError(method)
-    if not table.meta["provenance"]["rows"]:
-        raise NotExportableError(
-            f"the table of {component} has no rows; run wrenchbook fill {component}, or wrenchbook "
-            f"import {component} FILE, then export it"
-        )
-    low, high = table.arrays["space/ends"]
-    rows = [table.arrays[f"g{k}/row/wrench"] for k in range(len(table.meta["groups"]))]
-    if not all(((low <= loads) & (loads <= high)).all(axis=1).any() for loads in rows):
-        raise NotExportableError(
-            f"all rows of the table of {component} are outside its load range; run wrenchbook fill "
-            f"{component}, or import rows within the range, then export it"
-        )
+    _check_rows(component, table)
     table.answer(table.space.zero.tolist(), None, method)  # raises if the table has no such method
     methods = ", ".join(dict.fromkeys(method or group["method"] for group in table.meta["groups"]))
     provenance, space, identifier = table.meta["provenance"], table.space, identifier_of(component)
@@ -293,6 +288,22 @@ def make_fmu(
     for name, content in binaries.items():
         parts[f"binaries/{name}/{identifier}{PLATFORMS[name][0]}"] = content
     return Fmu(zipped(parts), tuple(binaries), methods)
+
+
+def _check_rows(component: str, table: PackedTable) -> None:
+    """Raise NotExportableError if a table has no rows within its load range."""
+    if not table.meta["provenance"]["rows"]:
+        raise NotExportableError(
+            f"the table of {component} has no rows; run wrenchbook fill {component}, or wrenchbook "
+            f"import {component} FILE, then export it"
+        )
+    low, high = table.arrays["space/ends"]
+    rows = [table.arrays[f"g{k}/row/wrench"] for k in range(len(table.meta["groups"]))]
+    if not all(((low <= loads) & (loads <= high)).all(axis=1).any() for loads in rows):
+        raise NotExportableError(
+            f"all rows of the table of {component} are outside its load range; run wrenchbook fill "
+            f"{component}, or import rows within the range, then export it"
+        )
 
 
 def _binaries(platforms: Sequence[str]) -> dict[str, bytes]:
