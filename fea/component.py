@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -137,7 +139,10 @@ class ComponentModel:
     @property
     def temperature(self) -> ScalarInput | None:
         """The temperature, if it is an input; it is then the first after the loads."""
-        return next((scalar for scalar in self.further if scalar.name == TEMPERATURE), None)
+        for scalar in self.further:
+            if scalar.name == TEMPERATURE:
+                return scalar
+        return None
 
     @property
     def accelerated(self) -> bool:
@@ -194,11 +199,71 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     held = _held_directions(mesh, supports, fixed, problems)
     sliding = _projectors(held)
 
-    alone = len(bundle.interfaces) == 1
-    interfaces = [
-        _attach(mesh, f"interface{'' if alone else f'[{i}]'}.section", interface, problems)
-        for i, interface in enumerate(bundle.interfaces)
-    ]
+    attachments = _attach_all(bundle, mesh, supports, problems)
+    for frame in attachments.frames:
+        sliding = _free_sliding(mesh, sliding, frame, problems)
+
+    # Ties move their nodes onto the main surfaces, and constrain them to these.
+    held[fixed], held[sliding[0]] = np.eye(3), sliding[1]
+    sections = [(frame.where, frame.section.node_ids) for frame in attachments.frames]
+    mesh, ties = joined(mesh, bundle.ties, held, sections, problems)
+    tied = np.concatenate([fixed[:0], *(tie.nodes for tie in ties)])
+    not_tied = ~np.isin(sliding[0], tied)
+    sliding = sliding[0][not_tied], sliding[1][not_tied]
+
+    problems = cell_problems(mesh) + problems
+    _check_disjoint(mesh, fixed, attachments.frames, problems)
+    occupied = [("supports.fixed", fixed), *sections, *_tie_nodes(mesh, ties)]
+    _check_bolts(mesh, bolts, occupied, sliding, problems)
+    _check_locked(bundle, attachments.interfaces, problems)
+    if problems:
+        raise BundleError(problems)
+
+    return ComponentModel(
+        bundle=bundle,
+        mesh=mesh,
+        materials=_materials(bundle),
+        material_of_cells=material_of_cells,
+        fixed_nodes=fixed,
+        interfaces=tuple(attachments.interfaces),
+        analysis=bundle.analysis,
+        sliding=sliding,
+        bushings=tuple(
+            (end, bushing.stiffness)
+            for end, bushing in zip(attachments.bushings, supports.bushings, strict=True)
+        ),
+        further=bundle.further,
+        ties=ties,
+        temperature_rise=_temperature_rise(bundle, mesh),
+        joints=tuple(attachments.joints),
+        bolts=bolts,
+        uncut=_without_cuts(mesh, uncut) if bolts else None,
+    )
+
+
+class _Attachments(NamedTuple):
+    """Frames on the mesh of a bundle, in the bundle's order."""
+
+    interfaces: list[AttachedInterface]
+    bushings: list[AttachedInterface]
+    joints: list[AttachedJoint]
+
+    @property
+    def frames(self) -> list[AttachedInterface]:
+        """All frames: interfaces, bushings, ends of joints."""
+        ends = [end for joint in self.joints for end in joint.ends]
+        return [*self.interfaces, *self.bushings, *ends]
+
+
+def _attach_all(
+    bundle: Bundle, mesh: Mesh, supports: Supports, problems: list[BundleProblem]
+) -> _Attachments:
+    """Attach the interfaces, bushings and joints of a bundle to its mesh."""
+    is_single = len(bundle.interfaces) == 1
+    interfaces = []
+    for i, interface in enumerate(bundle.interfaces):
+        table = "interface" if is_single else f"interface[{i}]"
+        interfaces.append(_attach(mesh, f"{table}.section", interface, problems))
     bushings = [
         _attach(mesh, f"supports.bushing[{i}].group", bushing.end(bushing.group), problems)
         for i, bushing in enumerate(supports.bushings)
@@ -206,54 +271,22 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     joints = [
         _join(mesh, f"spring[{i}].groups", joint, problems) for i, joint in enumerate(bundle.joints)
     ]
-    attached = [*interfaces, *bushings, *(end for joint in joints for end in joint.ends)]
-    for frame in attached:
-        sliding = _free_sliding(mesh, sliding, frame, problems)
+    return _Attachments(interfaces, bushings, joints)
 
-    # Ties move their nodes onto the main surfaces, and constrain them to these.
-    held[fixed], held[sliding[0]] = np.eye(3), sliding[1]
-    sections = [(frame.where, frame.section.node_ids) for frame in attached]
-    mesh, ties = joined(mesh, bundle.ties, held, sections, problems)
-    tied = np.concatenate([fixed[:0], *(tie.nodes for tie in ties)])
-    not_tied = ~np.isin(sliding[0], tied)
-    sliding = sliding[0][not_tied], sliding[1][not_tied]
 
-    problems = cell_problems(mesh) + problems
-    _check_disjoint(mesh, fixed, attached, problems)
-    occupied = [("supports.fixed", fixed), *sections]
-    if mesh.dependents is not None:  # tied nodes, and the nodes that they depend on
-        leading = [mesh.dependents.map[tie.nodes].indices for tie in ties]
-        both = [np.append(tie.nodes, nodes) for tie, nodes in zip(ties, leading, strict=True)]
-        occupied += [(f"tie[{i}]", nodes) for i, nodes in enumerate(both)]
-    _check_bolts(mesh, bolts, occupied, sliding, problems)
-    _check_locked(bundle, interfaces, problems)
-    if problems:
-        raise BundleError(problems)
+def _tie_nodes(mesh: Mesh, ties: tuple[TiedNodes, ...]) -> Iterator[tuple[str, Array]]:
+    """Yield the key of each tie with its tied nodes and those that they depend on, (k,)."""
+    if mesh.dependents is not None:
+        for i, tie in enumerate(ties):
+            yield f"tie[{i}]", np.append(tie.nodes, mesh.dependents.map[tie.nodes].indices)
 
-    rises = (
-        shape_on(mesh.points, scalar.field, scalar.reference)
-        for scalar in bundle.further
-        if scalar.field is not None
-    )
-    return ComponentModel(
-        bundle=bundle,
-        mesh=mesh,
-        materials=_materials(bundle),
-        material_of_cells=material_of_cells,
-        fixed_nodes=fixed,
-        interfaces=tuple(interfaces),
-        analysis=bundle.analysis,
-        sliding=sliding,
-        bushings=tuple(
-            zip(bushings, (bushing.stiffness for bushing in supports.bushings), strict=True)
-        ),
-        further=bundle.further,
-        ties=ties,
-        temperature_rise=next(rises, None),  # only the temperature has a field
-        joints=tuple(joints),
-        bolts=bolts,
-        uncut=_without_cuts(mesh, uncut) if bolts else None,
-    )
+
+def _temperature_rise(bundle: Bundle, mesh: Mesh) -> Array | None:
+    """Return the shape of the temperature field at the nodes, if there is a field."""
+    for scalar in bundle.further:
+        if scalar.field is not None:  # only the temperature has a field
+            return shape_on(mesh.points, scalar.field, scalar.reference)
+    return None
 
 
 def _mesh_source(bundle: Bundle) -> MeshSource:
@@ -265,16 +298,17 @@ def _mesh_source(bundle: Bundle) -> MeshSource:
         "mesh": bundle.mesh,
         "material": bundle.materials,
         "interface": bundle.interface,
-        "supports": bundle.supports or any(each.held for each in bundle.interfaces),
+        "supports": bundle.supports or any(interface.held for interface in bundle.interfaces),
     }
-    lacking = next((name for name, value in tables.items() if not value), None)
-    if bundle.mesh is not None and lacking is None:
+    absent = [name for name, value in tables.items() if not value]
+    if bundle.mesh is not None and not absent:
         return bundle.mesh
+    lacking = absent[0]
     brackets = "[[material]]" if lacking == "material" else f"[{lacking}]"
     message = f"is missing, so the component cannot be solved; add {brackets}"
     if lacking == "mesh" and bundle.deck is not None:
         message = "is missing; name a component with a [mesh], not a [deck]"
-    raise BundleError([BundleProblem(lacking or "mesh", message)])
+    raise BundleError([BundleProblem(lacking, message)])
 
 
 def _materials(bundle: Bundle) -> tuple[AnyMaterial, ...]:
@@ -357,9 +391,10 @@ def _material_numbers(
             continue
         cells = mesh.regions[material.region]
         before = np.concatenate([block[c] for block, c in zip(numbers, cells, strict=True)])
-        if (taken := before[before >= 0]).size:
-            other = f'material[{taken[0]}], "{materials[taken[0]].region}"'
-            message = f'"{material.region}" has {taken.size} cells of {other}; remove them from one'
+        taken = before[before >= 0]
+        if taken.size:
+            first = f'material[{taken[0]}], "{materials[taken[0]].region}"'
+            message = f'"{material.region}" has {taken.size} cells of {first}; remove them from one'
             problems.append(BundleProblem(key, message))
         for block, chosen in zip(numbers, cells, strict=True):
             block[chosen] = i
@@ -409,9 +444,9 @@ def _attach(
         section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
     else:
         if not _spans_a_plane(mesh.points[nodes]):
-            some = "has 1 node" if len(nodes) == 1 else f"has {len(nodes)} nodes on one line"
+            count = "has 1 node" if len(nodes) == 1 else f"has {len(nodes)} nodes on one line"
             message = (
-                f'"{interface.section}" {some}, so it has no rotation; name the group of a face'
+                f'"{interface.section}" {count}, so it has no rotation; name the group of a face'
             )
             problems.append(BundleProblem(key, message))
         if interface.section in mesh.facet_groups:
@@ -445,8 +480,8 @@ def _join(mesh: Mesh, key: str, joint: Joint, problems: list[BundleProblem]) -> 
         ends = [replace(end, point=middle) for end in ends]
     if joint.rigid:
         nodes = np.concatenate([end.section.node_ids for end in ends])
-        both = section_of_nodes(mesh.points, nodes) if nodes.size else ends[0].section
-        ends = [replace(ends[0], section=both)]
+        joint_section = section_of_nodes(mesh.points, nodes) if nodes.size else ends[0].section
+        ends = [replace(ends[0], section=joint_section)]
     return AttachedJoint(tuple(ends), joint.stiffness)
 
 

@@ -41,7 +41,8 @@ class SolverError:
     largest loads. It grows with the square of the largest load over its range. With
     ``second_derivatives`` (6, 6, 6), m and rad over the units of two inputs, symmetric in these, it
     is half of their product with the wrench twice, and ``linearity_remainder`` (6,), m and rad,
-    which grows with the cube.
+    which grows with the cube. ``linearity_saturation`` (6,), absent in estimates of older versions:
+    b, by which these powers become 1 at large loads (`fea.accuracy.estimate`).
 
     Raises ValueError if `values` is not of that form.
     """
@@ -63,6 +64,9 @@ class SolverError:
             self._remainder = _numbers(
                 values.get("linearity_remainder"), (m,), "linearity_remainder"
             )
+        self.saturation = _numbers(
+            values.get("linearity_saturation", [0.0] * m), (m,), "linearity_saturation"
+        )
         self.stiffness = None
         if self.mesh is not None and "mesh_stiffness" in values:
             self.stiffness = _shaped(values["mesh_stiffness"], (n, m), "mesh_stiffness")
@@ -88,6 +92,8 @@ class SolverError:
             "one_over": np.divide(1.0, self._loads, out=np.zeros(n), where=self._loads > 0),
         }
         optional = {} if self.second is None else {"second": self.second}
+        if self.saturation.any():
+            optional["saturation"] = self.saturation
         return arrays | optional | ({"zero": self.zero} if self.zero.any() else {})
 
     @classmethod
@@ -108,10 +114,11 @@ class SolverError:
             components["linearity"] = None
         if self._remainder is not None:
             most = np.max(sizes * self.packed["one_over"], initial=0.0)
-            if self.second is None:
-                linearity = self._remainder * most**2
-            else:
-                linearity = 0.5 * np.abs(self.second @ acting @ acting) + self._remainder * most**3
+            power = most if self.second is None else most**2
+            growth = (1 + self.saturation) / (1 + self.saturation * power)
+            linearity = self._remainder * most * power * growth
+            if self.second is not None:
+                linearity += 0.5 * np.abs(self.second @ acting @ acting)
             components["linearity"] = linearity.tolist()
         return components
 

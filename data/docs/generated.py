@@ -4,6 +4,7 @@
 site has all options, fields and docstrings.
 """
 
+import dataclasses
 import inspect
 import json
 import re
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +29,49 @@ FOLDER = Path(__file__).parent
 
 
 def commands() -> list[str]:
-    """Return the table of commands, their purposes and their options."""
-    rows = []
+    """Return the commands with their arguments, purposes and options, a table a group."""
+    rows = {}
     for name, group in typer.main.get_command(program).commands.items():
         for word, command in getattr(group, "commands", {"": group}).items():
+            call = [name, *filter(None, [word]), *_positional(name, command)]
             purpose = (command.help or group.help or "").partition("\n\n")[0]
             options = " ".join(f"`{option}`" for option in _options(name, command))
-            rows.append((f"`{f'{name} {word}'.strip()}`", purpose, options))
-    return _table(("command", "purpose", "options"), rows)
+            rows.setdefault(name, []).append((f"`{' '.join(call)}`", purpose, options))
+    return _grouped("command", COMMANDS, rows, ("command", "purpose", "options"))
+
+
+COMMANDS = {
+    "Run": ("serve", "work", "demo", "doctor", "backup", "restore"),
+    "Describe a part": ("new", "check", "converge", "condense", "components"),
+    "Fill and query": (
+        *("fill", "query", "solve", "export", "deformed", "joint", "stiffness", "compliance"),
+        *("plan", "report", "recording", "envelope", "resolve"),
+    ),
+    "Measure": ("import", "rig", "withdraw", "compare"),
+    "Operate": ("jobs", "audit", "keys"),
+}
+"""The commands by their use."""
+
+
+def _grouped(kind: str, groups: dict, rows: dict, head: tuple[str, ...]) -> list[str]:
+    """Return a heading and a table for each group; a name without a group is a mistake."""
+    names = [name for group in groups.values() for name in group]
+    if set(names) != set(rows):
+        raise ValueError(f"not each {kind} is in one group: {set(names) ^ set(rows)}")
+    lines = []
+    for heading, group in groups.items():
+        lines += [f"## {heading}", "", *_table(head, [row for name in group for row in rows[name]])]
+    return lines
+
+
+def _positional(name: str, command: Any) -> list[str]:
+    """Return the positional arguments of a command; optional ones in brackets."""
+    if name in PROGRAMS:
+        usage = _help_of(name).partition("\n\n")[0]
+        return re.sub(r"\[-[^]]*\]", "", usage.partition(f"{name} ")[2]).upper().split()
+    items = [item for item in command.params if item.param_type_name == "argument"]
+    shown = [(item.metavar or item.name or "").strip("{}[]").upper() for item in items]
+    return [word if item.required else f"[{word}]" for item, word in zip(items, shown, strict=True)]
 
 
 def _options(name: str, command: Any) -> list[str]:
@@ -45,6 +82,7 @@ def _options(name: str, command: Any) -> list[str]:
     return [text for item in shown for text in item.opts if text.startswith("--")]
 
 
+@cache
 def _help_of(name: str) -> str:
     """Return the help of a command of `PROGRAMS`, whose arguments typer does not know."""
     arguments = [sys.executable, "-m", "wrenchbook.fea.check.commands", name, "--help"]
@@ -52,39 +90,104 @@ def _help_of(name: str) -> str:
 
 
 def calls() -> list[str]:
-    """Return the table of HTTP calls and their purposes."""
-    paths = sorted(_openapi()["paths"].items(), key=_place)
-    rows = [
-        (f"`{method.upper()} {path}`", call.get("summary", ""))
-        for path, methods in paths
-        for method, call in methods.items()
-    ]
-    return _table(("call", "purpose"), rows)
+    """Return the HTTP calls and their purposes, a table a group."""
+    rows = {heading: [] for heading in CALLS}
+    for path, methods in sorted(_openapi()["paths"].items(), key=_place):
+        heading = next(key for key, pattern in CALLS.items() if re.search(pattern, path))
+        rows[heading] += [
+            (f"`{method.upper()} {path}`", call.get("summary", ""))
+            for method, call in methods.items()
+        ]
+    groups = {heading: (heading,) for heading in CALLS}
+    return _grouped("call", groups, rows, ("call", "purpose"))
+
+
+CALLS = {
+    "Query": r"/displacements?$|/solve$|/deformed|/scene|^/umbridge",
+    "Tables": (
+        r"/table|/imports|/disagreement|/stiffness|/comparison|^/v1/rigs|/recording|/envelope|/fill$"
+    ),
+    "Jobs": r"^/v1/jobs|^/v1/events",
+    "Components": r"^/v1/components",
+    "Operation": r"",
+}
+"""The calls by their use: the first pattern that a path matches."""
 
 
 def names() -> list[str]:
-    """Return the table of the public names, calls and attributes, and their purposes."""
-    rows = []
-    for name in wrenchbook.__all__:
-        value = getattr(wrenchbook, name)
-        rows.append((f"`{name}`", _purpose(value)))
-        if name in _WITH_CALLS:
-            methods = inspect.getmembers(value, inspect.isfunction)
-            public = [(call, method) for call, method in methods if not call.startswith("_")]
-            made = "Connect to a server." if name == "Client" else "The constructor."
-            rows.append((f"`{name}{_arguments(value)}`", made))
-            rows += [(f"`{name}.{attribute}`", text) for attribute, text in _attributes(value)]
-            rows += [
-                (f"`{name}.{call}{_arguments(method)}`", _purpose(method))
-                for call, method in public
-            ]
-    return _table(("name", "purpose"), rows)
+    """Return the public names, calls and attributes with their purposes, a table a section."""
+    rows = {name: _rows_of(name) for name in wrenchbook.__all__ if name != "__version__"}
+    return _grouped("name", SECTIONS, rows, ("name", "purpose"))
 
 
-_WITH_CALLS = ("Client", "Displacement", "Mount", "MujocoJoint", "MujocoMount", "Table")
-"""The classes that most programs use: their calls are in the table, with arguments and defaults,
-and their attributes.
-"""
+SECTIONS = {
+    "Client": ("Client", "AsyncClient"),
+    "Answers": ("Displacement", "Displacements", "DeformedShape", "Stress"),
+    "Tables": ("Table",),
+    "Joints": (
+        *("Joint", "MujocoJoint", "step_joints", "pull_joints", "joints_in_mj_step"),
+        *("JointReport", "Joints", "MujocoJoints", "LinearPart"),
+    ),
+    "Mounts": ("Mount", "MujocoMount", "Settled"),
+    "Conventions": ("conventions",),
+    "Arrays of JAX and PyTorch": ("arrays",),
+    "Figures": ("plot",),
+    "Scenes": ("Scene", "ComponentPlan"),
+    "Jobs and events": ("Job", "Round", "Event"),
+    "Recordings": ("Recorder", "Recording", "Envelope", "Started"),
+    "Errors": (
+        *("WrenchbookError", "InvalidArgument", "MissingPackage", "ProblemError", "RecorderError"),
+        *("SceneError", "ServerTimeout", "ServerUnreachable", "TableError", "MountError"),
+        *("SensorError", "DisplacementUnknown", "CouplingDiverged", "MountWarning", "JointError"),
+        *("JointRangeError", "JointWarning"),
+    ),
+}
+"""The public names by their use, in the order of the page."""
+MADE_BY_CALLS = (
+    *SECTIONS["Answers"],
+    *("Table", "JointReport", "LinearPart", "Settled", "ComponentPlan", "Job", "Round", "Event"),
+    *("Recording", "Envelope", "Started"),
+)
+"""The classes whose objects a call returns: their constructors are no part of the reference."""
+CLASS_METHODS = ("Table.open", "Scene.read")  # the others read replies of the server
+INTERNAL = (
+    *("Client.send_block", "AsyncClient.send_block", "Joint.new_steps", "MujocoJoint.new_steps"),
+    *("Scene.component", "Scene.query"),
+)
+"""Public members that other modules of the client call, and no program."""
+OF_MODULE = {
+    "arrays": ("jax", "torch", "jax_joint"),
+    "conventions": (
+        *("from_mujoco", "to_mujoco", "from_drake", "to_drake", "from_pybullet", "to_pybullet"),
+        *("from_ros", "to_ros", "moved", "quaternion_wxyz", "quaternion_xyzw"),
+    ),
+    "plot": ("response", "coverage", "deformed"),
+}
+
+
+def _rows_of(name: str) -> list[tuple[str, str]]:
+    """Return the rows of a public name and of its members."""
+    value = getattr(wrenchbook, name)
+    if name in OF_MODULE:
+        members = [(f"{name}.{call}", getattr(value, call)) for call in OF_MODULE[name]]
+    elif not inspect.isclass(value):
+        return [(f"`{name}{_arguments(value)}`", _purpose(value))]
+    elif issubclass(value, Exception) or name == "AsyncClient":
+        return [(f"`{name}`", _purpose(value))]
+    else:
+        named = [(f"{name}.{key}", member) for key, member in inspect.getmembers(value)]
+        members = [
+            (call, member)
+            for call, member in named
+            if call in CLASS_METHODS or (inspect.isfunction(member) and call not in INTERNAL)
+            if not call.partition(".")[2].startswith("_")
+        ]
+    rows = [(f"`{name}`", _purpose(value))]
+    if name not in (*MADE_BY_CALLS, *OF_MODULE):
+        rows.append((f"`{name}{_arguments(value)}`", "The constructor."))
+    if name not in OF_MODULE:
+        rows += [(f"`{name}.{attribute}`", text) for attribute, text in _attributes(value)]
+    return rows + [(f"`{call}{_arguments(member)}`", _purpose(member)) for call, member in members]
 
 
 def _purpose(value: object) -> str:
@@ -93,12 +196,20 @@ def _purpose(value: object) -> str:
 
 def _attributes(value: type) -> list[tuple[str, str]]:
     """Return the attributes that a class' docstring describes, then its other properties."""
-    section = inspect.cleandoc(value.__doc__ or "").partition("\nAttributes\n")[2]
+    text = inspect.cleandoc(value.__doc__ or "")
+    section = text.partition("\nAttributes\n")[2]
+    if not section and dataclasses.is_dataclass(value):
+        section = text.partition("\nParameters\n")[2]
     section = re.split(r"\n\n", section)[0]  # the next section begins after an empty line
     described = re.findall(r"^(\w[\w, ]*) : .*((?:\n    .*)*)", section, re.M)
     named = {name for names, _ in described for name in names.split(", ")}
     properties = inspect.getmembers(value, lambda member: isinstance(member, property))
-    return [(names, text.replace("``", "`")) for names, text in described] + [
+    fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
+    others = [field.name for field in fields if field.name not in named]
+    rows = [(names, text.replace("``", "`")) for names, text in described]
+    if others and not described:
+        rows.append((", ".join(others), "Fields of the reply ([HTTP](http.md))."))
+    return rows + [
         (name, _purpose(member))
         for name, member in properties
         if name not in named and not name.startswith("_")
@@ -117,14 +228,42 @@ def _arguments(call: Callable) -> str:
 
 
 TABLES = {"cli": commands, "http": calls, "python": names}
-"""The tables in the pages of the reference."""
-_TABLE = re.compile(r"^\| .*\n(?:\|.*\n)+", re.M)
+"""The tables in the pages of the reference, below their introductions."""
 
 
 def with_table(page: str) -> str:
-    """Return the text of a page of the reference with its table written anew."""
-    table = "\n".join(TABLES[page]())
-    return _TABLE.sub(lambda _: table, (FOLDER / f"reference/{page}.md").read_text(), count=1)
+    """Return the text of a page of the reference with its tables written anew."""
+    introduction = (FOLDER / f"reference/{page}.md").read_text().partition("\n## ")[0]
+    return "\n".join([introduction.rstrip(), "", *TABLES[page]()]).rstrip() + "\n"
+
+
+def python() -> str:
+    """Return the docstrings of the public names, which Sphinx reads."""
+    lines = ["", "## Docstrings", "", "```{eval-rst}", ".. automodule:: wrenchbook"]
+    lines += ["   :no-members:", ""]
+    for name in (name for group in SECTIONS.values() for name in group):
+        value = getattr(wrenchbook, name)
+        if name in OF_MODULE:
+            kind, options = "module", {"members": ", ".join(OF_MODULE[name])}
+        elif not inspect.isclass(value):
+            kind, options = "function", {}
+        elif issubclass(value, Exception):
+            kind, options = "exception", {}
+        else:
+            kind = "class"
+            options = {"members": "close"} if name == "AsyncClient" else _shown_members(name)
+        place = value.__name__ if name in OF_MODULE else f"wrenchbook.{name}"
+        lines.append(f".. auto{kind}:: {place}")
+        lines += [f"   :{option}: {text}".rstrip() for option, text in options.items()]
+        lines.append("")
+    return "\n".join([*lines, "```", ""])
+
+
+def _shown_members(name: str) -> dict[str, str]:
+    """Return the options of autodoc for a class: its members, also inherited calls of a client."""
+    hidden = [item.partition(".")[2] for item in INTERNAL if item.startswith(f"{name}.")]
+    options = {"members": ""} | ({"exclude-members": ", ".join(hidden)} if hidden else {})
+    return options | ({"inherited-members": ""} if name in ("Client", "Mount") else {})
 
 
 def cli() -> str:
@@ -260,6 +399,7 @@ PAGES = {
     "data/docs/index": navigation,
     "data/docs/reference/cli": cli,
     "data/docs/reference/http": http,
+    "data/docs/reference/python": python,
 }
 """The pages that the functions' text is appended to."""
 

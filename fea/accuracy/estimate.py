@@ -2,14 +2,15 @@
 
 The answers of a linear component are the first term of a series in the wrench. The second term is
 known by its derivatives, which need no further solve. Nonlinear solves show the size of all later
-terms, which begin with the cube: at the corner of the range where the interface turns most, and at
-its opposite, since what pulls stiffens and what pushes buckles. So
+terms, which begin with the cube: at the corner of the range where each interface turns most, and at
+its opposite, since what pulls stiffens and what pushes buckles. A part that stiffens moves less and
+less, so its error grows in the end with the load, as the linear answer does. So
 
-    error bar(w) = |w H w| / 2 + remainder(corner) s(w)^3
+    error bar(w) = |w H w| / 2 + remainder(corner) s(w)^3 (1 + b) / (1 + b s(w)^2)
 
-with the second derivatives H, and s the largest load over its range. A part that its weight or
-bolts move at no load, or that has more than eight inputs, has no H. The remainder is then all of
-it, and begins with the square.
+with the second derivatives H, s the largest load over its range, and the saturation b, which solves
+at parts of the corner show. A part that its weight or bolts move at no load, or that has more than
+eight inputs, has no H. The remainder is then all of it, and each of its powers is one less.
 """
 
 from __future__ import annotations
@@ -32,16 +33,37 @@ from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, DeclaredRange
 
 Array = np.ndarray
 
-_PARTS = (1.0, 0.5, 0.25)
-"""Parts of the largest wrench for nonlinear solves, in turn: a smaller part shows as much if a
-larger fails.
+_PARTS = (0.125, 0.5, 1.0)
+"""Parts of the largest wrench for nonlinear solves: they show the saturation, and a smaller part
+shows the remainder if a larger fails. From an eighth the law holds a part k (u + c u^3) = F at 94 %
+of loads for any c, at all where the linear answer is up to three times the true one. From a quarter
+these are 90 % and two times.
+"""
+
+_BEFORE = 0.98
+"""Part of the load at which a solve ended that is solved too: a component softens most just before
+it snaps through. `_SAFETY` covers the last 2 %.
+"""
+
+_ALIKE = 0.99
+"""Part of the largest rotation from which a corner counts as turning an interface as much."""
+
+_LINEAR = 0.94
+"""Upper bound of remainder over load at the smallest part, relative to that at the corner: at 1 the
+remainder grows with the load from the start, and b is infinite.
+"""
+
+_NEAR = 0.1
+"""Largest relative change of a compliance between the coarser mesh and the component's for solves
+on the coarser: the remainder of a part that stiffens grows with its fourth power, and 0.9^4 is 1 /
+`_SAFETY`.
 """
 
 _STEEP = 1.25
 """Buckling factor below which the corner itself is not solved, but half the buckling load."""
 
 _SAFETY = 1.5
-"""Factor on the larger remainder of two corners, for all other wrenches (`make bench
+"""Factor on the largest remainder of the corners, for all other wrenches (`make bench
 NAME=linearity`).
 """
 
@@ -50,9 +72,10 @@ NAME=linearity`).
 class BeyondLinear:
     """Differences of a linear component's answers from nonlinear ones."""
 
-    # Shape (6 i,), m and rad: at a load as large as its range, growing with the load's cube, or
-    # square without second derivatives; NaN where no nonlinear solve gave an answer.
+    # Shape (6 i,), m and rad: at a load as large as its range, growing as the module says; NaN
+    # where no nonlinear solve gave an answer.
     remainder: Array
+    saturation: Array  # shape (6 i,): b of the module, 0 where the part does not stiffen
     # The part of a corner's wrench at which the component buckles or snaps through, at or below 10;
     # None beyond that. It is that of linear buckling (`fea.solver.vibration`), or where a nonlinear
     # solve ended if that is less.
@@ -76,54 +99,75 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     other.component = replace(
         solver.component, analysis=replace(solver.component.analysis, nonlinear=True)
     )
-    remainder, why = np.full(len(compliance), np.nan), ""
-    # The corner that turns, or else moves, the interface most, and its opposite.
-    corners = loads.corners()
-    moved = (corners @ compliance.T).reshape(len(corners), -1, PER_INTERFACE)
-    size = np.linalg.norm(moved[:, :, 3:], axis=2).max(axis=1)
-    if not size.max() > 0:
-        size = np.linalg.norm(moved[:, :, :3], axis=2).max(axis=1)
-    index = int(size.argmax())
-    corners, zero = [corners[index], corners[len(corners) - 1 - index]], solver.component.at_rest
-    factors = list(solver.buckling(corners[0] + zero))
-    if not np.allclose(corners[1], -corners[0]):
-        factors[1] = solver.buckling(corners[1] + zero)[0]
-    for corner, factor in zip(corners, tuple(factors), strict=True):
-        at_corner, ends, reason = _at_corner(other, corner, factor)
-        remainder = np.fmax(remainder, at_corner)
-        factors += ends
-        why = why or reason
-    lowest = float(min(factors))
-    return BeyondLinear(_SAFETY * remainder, lowest if lowest <= _MAX_REPORTED else None, why)
+    # The corners that turn, or else move, each interface most, and their opposites. Of corners that
+    # turn it alike, the most loaded: a pull along a beam turns nothing, and stiffens its bending.
+    corners, zero = loads.corners(), solver.component.at_rest
+    moved = (corners @ compliance.T).reshape(len(corners), -1, 2, PER_INTERFACE // 2)
+    moves, turns = np.moveaxis(np.linalg.norm(moved, axis=3), 2, 0)
+    size = np.where(turns.any(axis=0), turns, moves)
+    largest = np.abs(corners).max(axis=0)
+    one_over = np.divide(1.0, largest, out=np.zeros(len(largest)), where=largest > 0)
+    loaded = np.abs(corners) @ one_over
+    alike = (size >= _ALIKE * size.max(axis=0)) & size.any(axis=0)
+    chosen = np.where(alike, loaded[:, None], 0.0).argmax(axis=0)
+    scaled, why = np.full((len(_PARTS), len(compliance)), np.nan), ""
+    lowest = np.inf
+    for index in {min(index, len(corners) - 1 - index) for index in chosen.tolist()}:
+        pair = corners[index], corners[len(corners) - 1 - index]
+        factors = list(solver.buckling(pair[0] + zero))
+        if not np.allclose(pair[1], -pair[0]):
+            factors[1] = solver.buckling(pair[1] + zero)[0]
+        for corner, factor in zip(pair, factors, strict=True):
+            at_corner, end, reason = _at_corner(other, corner, factor)
+            scaled, lowest = np.fmax(scaled, at_corner), min(lowest, factor, end)
+            why = why or reason
+    # b such that the law has the ratio of its values at the smallest part and at the corner.
+    powers = np.array(_PARTS)[:, None] ** (_order(solver) - 1)
+    growth = np.divide(scaled[0], scaled[-1], out=np.ones(len(compliance)), where=scaled[-1] > 0)
+    growth = np.clip(growth, 1.0, _LINEAR / powers[0])
+    saturation = (growth - 1) / (1 - growth * powers[0])
+    remainder = _SAFETY * (scaled * (1 + saturation * powers)).max(axis=0) / (1 + saturation)
+    buckling = float(lowest) if lowest <= _MAX_REPORTED else None
+    return BeyondLinear(remainder, saturation, buckling, why)
 
 
-def _at_corner(solver: Solver, wrench: Array, buckling: float) -> tuple[Array, list[float], str]:
-    """Return remainder, factors and reason of `BeyondLinear` at one corner, or at a part of it.
+def _order(solver: Solver) -> int:
+    """Return the power of the load with which the remainder begins."""
+    return 2 if solver.second_derivatives is None else 3
 
-    The factors are the parts of the wrench at which solves ended.
+
+def _at_corner(solver: Solver, wrench: Array, buckling: float) -> tuple[Array, float, str]:
+    """Return a corner's remainders over powers of the load, the end and the reason of failures.
+
+    The remainders have the shape (parts, 6 i), all of a corner that is not solved in all parts the
+    largest. The end is the least part of the wrench at which a solve ended.
     """
-    ends: list[float] = []
-    limit, why = 1.0, ""
-    second = solver.second_derivatives
+    end, limit, why = np.inf, 1.0, ""
+    second, start = solver.second_derivatives, None
     if buckling < _STEEP:
         limit, why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
-    for part in (limit * part for part in _PARTS):
+    parts, scaled = [limit * part for part in _PARTS], []
+    for part in parts:
         acting = part * wrench
         try:
-            solution = solver.solve(acting + solver.component.at_rest)
+            solution = solver.solve(acting + solver.component.at_rest, start=start)
         except SolveFailed as failure:
             why = why or failure.message
             if failure.load_factor is not None:
-                ends.append(part * failure.load_factor)
+                end = min(end, part * failure.load_factor)
+                if parts[0] < end and len(parts) == len(_PARTS):
+                    parts.append(_BEFORE * end)
             continue
+        start = solution.state
         expected = solver.linear.compliance @ acting + solver.at_rest[0]
-        order = 2
         if second is not None:
             expected += 0.5 * second @ acting @ acting
-            order = 3
-        remainder = np.abs(solution.displacement - expected) / part**order
-        return np.repeat(remainder.reshape(-1, 3).max(axis=1), 3), ends, why
-    return np.full(len(solver.linear.compliance), np.nan), ends, why
+        remainder = np.abs(solution.displacement - expected) / part ** _order(solver)
+        scaled.append(np.repeat(remainder.reshape(-1, 3).max(axis=1), 3))
+    if why:
+        none = np.full(len(solver.linear.compliance), np.nan)
+        scaled = len(_PARTS) * [np.fmax.reduce([none, *scaled])]
+    return np.array(scaled), end, why
 
 
 _MARGIN = 1.25
@@ -165,7 +209,8 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     edges, m. ``loads``: the largest of the range, k numbers, SI, 0 on locked freedoms. Of a linear
     component also ``linearity`` (6 i numbers, m and rad, at the worst corner of the range, or None)
     and ``buckling`` (or None): see the module; ``linearity_basis``. Where they are known,
-    ``second_derivatives`` (6 i, k, k), and beside them ``linearity_remainder`` (6 i,), m and rad.
+    ``linearity_saturation`` (6 i,), ``second_derivatives`` (6 i, k, k), and beside these
+    ``linearity_remainder`` (6 i,), m and rad.
     Raises SolveFailed if the component cannot be solved for small loads.
     """
     bundle = solver.component.bundle
@@ -188,16 +233,20 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
 def linearity_of(solver: Solver, coarse: Solver, loads: DeclaredRange) -> dict[str, Any]:
     """Return the terms that a linear analysis neglects, in the form of `accuracy_of`.
 
-    coarse: of a coarser mesh, or `solver` again; nonlinear solves use it.
+    coarse: of a coarser mesh, or `solver` again; nonlinear solves use it unless it is far stiffer
+    or softer.
     loads: as of `beyond_linear`.
     """
-    beyond, second = beyond_linear(coarse, loads), solver.second_derivatives
-    basis = "nonlinear solves at two opposite corners of the load range"
+    fine, rough = (np.diag(mesh.compliance) for mesh in (solver, coarse))
+    near = (np.abs(rough - fine) <= _NEAR * fine).all()
+    beyond, second = beyond_linear(coarse if near else solver, loads), solver.second_derivatives
+    basis = "nonlinear solves at opposite corners of the load range"
     if beyond.why:
         basis += f", a part of them since {beyond.why}"
     result = {"linearity": None, "linearity_basis": basis, "buckling": beyond.buckling}
     if not np.isfinite(beyond.remainder).all():
         return result
+    result["linearity_saturation"] = beyond.saturation.tolist()
     if second is None:
         return result | {"linearity": beyond.remainder.tolist()}
     corners = loads.corners()

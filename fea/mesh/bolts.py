@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from wrenchbook.fea.mesh.dependents import Dependents
+from wrenchbook.fea.mesh.dependents import Dependents, Entries
 from wrenchbook.fea.mesh.facets import TRIANGLES, faces_of, facets_within, missing, no_facets
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
@@ -60,12 +61,15 @@ def cut_bolts(
         sides = _sides(mesh, bolt, f"bolt[{number}]", problems)
         if sides is None:
             continue
-        upper, nodes, area = sides
+        upper, nodes = sides.above, sides.nodes
         slip = len(mesh.points) + len(nodes)
-        cut = BoltCut(f"bolt[{number}]", bolt, nodes, slip, tuple(map(np.flatnonzero, upper)), area)
+        cut = BoltCut(
+            f"bolt[{number}]", bolt, nodes, slip, tuple(map(np.flatnonzero, upper)), sides.area
+        )
         cuts.append(cut)
         ones = np.ones(len(nodes))
-        entries += [(cut.copies, nodes, ones), (cut.copies, np.full(len(nodes), slip), ones)]
+        entries.append(Entries(cut.copies, nodes, ones))
+        entries.append(Entries(cut.copies, np.full(len(nodes), slip), ones))
         renumbered = np.arange(len(mesh.points))
         renumbered[nodes] = cut.copies
         pairs = zip(mesh.blocks, upper, strict=True)
@@ -76,19 +80,23 @@ def cut_bolts(
         points = np.vstack([mesh.points, mesh.points[nodes], mesh.points[nodes].mean(axis=0)])
         mesh = replace(mesh, points=points, blocks=tuple(blocks))
     if cuts:
-        followers, masters, weights = map(np.concatenate, zip(*entries, strict=True))
-        dependents = Dependents.of(len(mesh.points), (followers, masters, weights))
+        dependents = Dependents.of(len(mesh.points), Entries.joined(entries))
         mesh = replace(mesh, dependents=dependents)
     return mesh, tuple(cuts)
 
 
-def _sides(
-    mesh: Mesh, bolt: Bolt, key: str, problems: list[BundleProblem]
-) -> tuple[list[Array], Array, float] | None:
-    """Return which cells are above a cut at it, (m,) bool of each block, its nodes, and its area.
+class _Sides(NamedTuple):
+    """Both sides of a cut through a shank."""
 
-    The nodes, (k,), are sorted. The area, m^2, is projected on the plane across the axis. If the
-    shank cannot be cut, the result is None, with a problem at `key`, such as "bolt[0]".
+    above: list[Array]  # shape (m,), bool, of each block: cells above the cut, at it
+    nodes: Array  # shape (k,), int64: nodes of the cut, sorted
+    area: float  # of the cut, projected on the plane across the axis, m^2
+
+
+def _sides(mesh: Mesh, bolt: Bolt, key: str, problems: list[BundleProblem]) -> _Sides | None:
+    """Return the sides of a bolt's cut.
+
+    If the shank cannot be cut, the result is None, with a problem at `key`, such as "bolt[0]".
     """
     by_region, name = bolt.region is not None, bolt.region or bolt.group or ""
     key = f"{key}.{'region' if by_region else 'group'}"
@@ -99,57 +107,91 @@ def _sides(
         problems.append(no_facets(mesh, key, name))
         return None
     heights = mesh.points @ bolt.axis
-    chosen, levels = (_of_region if by_region else _of_group)(mesh, bolt, heights)
-    above = [
-        inside & (heights[block.nodes].mean(axis=1) > level)
-        for inside, block, level in zip(chosen, mesh.blocks, levels, strict=True)
-    ]
-    below = [inside & ~upper for inside, upper in zip(chosen, above, strict=True)]
-    nodes = np.intersect1d(_nodes_of(mesh, above), _nodes_of(mesh, below))
-    above = [
-        upper & np.isin(block.nodes, nodes).any(axis=1)
-        for block, upper in zip(mesh.blocks, above, strict=True)
-    ]
-    cells = (CellBlock(b.kind, b.nodes[upper]) for b, upper in zip(mesh.blocks, above, strict=True))
-    faces = FacetGroup(tuple(FacetBlock(*each) for each in faces_of(tuple(cells)).items()))
-    triangles = [
-        facets[:, TRIANGLES[kind]].reshape(-1, 3)
-        for kind, facets in facets_within(faces, nodes).blocks
-    ]
-    outside = np.intersect1d(nodes, _nodes_of(mesh, [~inside for inside in chosen]))
-    message = ""
-    if not triangles and not by_region:
-        message = f'"{name}" has cells on one side only; name facets inside the shank, across it'
-    elif not triangles:
-        span, level = heights[_nodes_of(mesh, chosen)], np.concatenate(levels)[0]
-        message = (
-            f"has no connected cells on both sides of its cut, {level:.4g} m along axis; "
-            f"the region is from {span.min():.4g} to {span.max():.4g} m, so move point into it"
-        )
-    elif not by_region and not np.array_equal(nodes, mesh.facet_groups[name].node_ids):
-        message = (
-            f'"{name}" does not cut through the shank: cells on both sides share {len(nodes)} of '
-            f"its {len(mesh.facet_groups[name].node_ids)} nodes; name all facets across the shank"
-        )
-    elif outside.size:
-        message = (
-            f"shares {outside.size} nodes of its cut, such as the one at "
-            f"{point_text(mesh.points[outside[0]])} m, with cells outside the region, which "
-            "support the shank there; move point to where the shank is free"
-        )
-    elif (count := _pieces(mesh, above, nodes)) > 1:
-        message = f"has {count} separate shanks at its cut; write a [[bolt]] for each"
+    shank = _of_region(mesh, bolt, heights) if by_region else _of_group(mesh, bolt, heights)
+    above, nodes = _upper_cells(mesh, shank, heights)
+    triangles = _cut_triangles(mesh, above, nodes)
+    message = _why_uncut(mesh, bolt, shank, heights, above, nodes, bool(triangles))
     if message:
         problems.append(BundleProblem(key, message))
         return None
     # The vectors of a face between two upper cells cancel.
     x = mesh.points[np.concatenate(triangles)]
     vector = 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]).sum(axis=0)
-    return above, nodes, float(abs(vector @ bolt.axis))
+    return _Sides(above, nodes, float(abs(vector @ bolt.axis)))
 
 
-def _of_region(mesh: Mesh, bolt: Bolt, heights: Array) -> tuple[list[Array], list[Array]]:
-    """Return the region's cells, (m,) bool of each block, and the height of the cut at each, m.
+def _upper_cells(mesh: Mesh, shank: _Shank, heights: Array) -> tuple[list[Array], Array]:
+    """Return the cells above a cut that touch it, (m,) bool of each block, and its nodes, (k,)."""
+    above = [
+        inside & (heights[block.nodes].mean(axis=1) > level)
+        for inside, block, level in zip(shank.cells, mesh.blocks, shank.levels, strict=True)
+    ]
+    below = [inside & ~upper for inside, upper in zip(shank.cells, above, strict=True)]
+    nodes = np.intersect1d(_nodes_of(mesh, above), _nodes_of(mesh, below))
+    touching = [
+        upper & np.isin(block.nodes, nodes).any(axis=1)
+        for block, upper in zip(mesh.blocks, above, strict=True)
+    ]
+    return touching, nodes
+
+
+def _cut_triangles(mesh: Mesh, above: list[Array], nodes: Array) -> list[Array]:
+    """Return the faces of upper cells within the nodes of a cut, (t, 3) for each kind of face."""
+    cells = [CellBlock(b.kind, b.nodes[upper]) for b, upper in zip(mesh.blocks, above, strict=True)]
+    faces = tuple(FacetBlock(kind, facets) for kind, facets in faces_of(tuple(cells)).items())
+    return [
+        facets[:, TRIANGLES[kind]].reshape(-1, 3)
+        for kind, facets in facets_within(FacetGroup(faces), nodes).blocks
+    ]
+
+
+def _why_uncut(
+    mesh: Mesh,
+    bolt: Bolt,
+    shank: _Shank,
+    heights: Array,
+    above: list[Array],
+    nodes: Array,
+    has_faces: bool,
+) -> str:
+    """Return the reason for which a shank cannot be cut at these nodes, "" if it can."""
+    if not has_faces and bolt.region is None:
+        return f'"{bolt.group}" has cells on one side only; name facets inside the shank, across it'
+    if not has_faces:
+        span, level = heights[_nodes_of(mesh, shank.cells)], np.concatenate(shank.levels)[0]
+        return (
+            f"has no connected cells on both sides of its cut, {level:.4g} m along axis; "
+            f"the region is from {span.min():.4g} to {span.max():.4g} m, so move point into it"
+        )
+    if bolt.region is None:
+        group = mesh.facet_groups[bolt.group or ""].node_ids
+        if not np.array_equal(nodes, group):
+            return (
+                f'"{bolt.group}" does not cut through the shank: cells on both sides share '
+                f"{len(nodes)} of its {len(group)} nodes; name all facets across the shank"
+            )
+    outside = np.intersect1d(nodes, _nodes_of(mesh, [~inside for inside in shank.cells]))
+    if outside.size:
+        return (
+            f"shares {outside.size} nodes of its cut, such as the one at "
+            f"{point_text(mesh.points[outside[0]])} m, with cells outside the region, which "
+            "support the shank there; move point to where the shank is free"
+        )
+    n_shanks = _pieces(mesh, above, nodes)
+    if n_shanks > 1:
+        return f"has {n_shanks} separate shanks at its cut; write a [[bolt]] for each"
+    return ""
+
+
+class _Shank(NamedTuple):
+    """Cells of a shank, and the cut through it."""
+
+    cells: list[Array]  # shape (m,), bool, of each block
+    levels: list[Array]  # shape (m,), m, of each block: height of the cut at each cell
+
+
+def _of_region(mesh: Mesh, bolt: Bolt, heights: Array) -> _Shank:
+    """Return the region's cells, and a plane cut across the axis.
 
     heights: shape (n,), m: heights of the nodes along the axis.
     """
@@ -159,11 +201,12 @@ def _of_region(mesh: Mesh, bolt: Bolt, heights: Array) -> tuple[list[Array], lis
     ]
     span = heights[_nodes_of(mesh, chosen)]
     level = 0.5 * (span.min() + span.max()) if bolt.point is None else bolt.point @ bolt.axis
-    return chosen, [np.full(len(block), level - _LEVEL * np.ptp(span)) for block in mesh.blocks]
+    height = level - _LEVEL * np.ptp(span)
+    return _Shank(chosen, [np.full(len(block), height) for block in mesh.blocks])
 
 
-def _of_group(mesh: Mesh, bolt: Bolt, heights: Array) -> tuple[list[Array], list[Array]]:
-    """Return the cells at the group's facets and the height of the cut at each, as `_of_region`.
+def _of_group(mesh: Mesh, bolt: Bolt, heights: Array) -> _Shank:
+    """Return the cells at the group's facets, and the cut through the group.
 
     The height is that of the cell's own nodes in the group, which may be curved.
     """
@@ -173,7 +216,7 @@ def _of_group(mesh: Mesh, bolt: Bolt, heights: Array) -> tuple[list[Array], list
         (touch * heights[block.nodes]).sum(axis=1) / np.maximum(touch.sum(axis=1), 1)
         for touch, block in zip(touched, mesh.blocks, strict=True)
     ]
-    return [touch.sum(axis=1) > 0 for touch in touched], levels
+    return _Shank([touch.sum(axis=1) > 0 for touch in touched], levels)
 
 
 def _pieces(mesh: Mesh, chosen: Sequence[Array], nodes: Array) -> int:

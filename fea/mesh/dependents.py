@@ -9,7 +9,9 @@ condition of the equations, and multipliers their definiteness.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
@@ -26,6 +28,23 @@ class CircularError(ValueError):
         self.node = node
 
 
+class Entries(NamedTuple):
+    """Terms of the displacements of dependent nodes, e of them."""
+
+    nodes: Array  # shape (e,), int64: the dependent node of each term
+    masters: Array  # shape (e,), int64: the node that moves it
+    weights: Array  # shape (e,): part of the master's displacement
+
+    @classmethod
+    def joined(cls, parts: Sequence[Entries]) -> Entries:
+        """Return all terms of several parts, at least one."""
+        return cls(
+            np.concatenate([part.nodes for part in parts]),
+            np.concatenate([part.masters for part in parts]),
+            np.concatenate([part.weights for part in parts]),
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Dependents:
     """Nodes whose displacements follow from those of other nodes."""
@@ -37,7 +56,7 @@ class Dependents:
 
     @classmethod
     def of(cls, size: int, entries: tuple[Array, Array, Array]) -> Dependents:
-        """Return dependents of n = `size` nodes by entries: nodes, masters and weights, (e,) each.
+        """Return dependents of n = `size` nodes by the fields of `Entries`.
 
         Masters that are dependent themselves are replaced by their masters.
 
@@ -62,10 +81,10 @@ class Dependents:
         return cls(dependent, follow)
 
     @property
-    def entries(self) -> tuple[Array, Array, Array]:
-        """Return nodes, masters and weights, (e,) each."""
+    def entries(self) -> Entries:
+        """The terms of all dependent nodes."""
         rows = self.map[self.nodes].tocoo()
-        return self.nodes[rows.row], rows.col, rows.data
+        return Entries(self.nodes[rows.row], rows.col, rows.data)
 
     def of_first(self, size: int) -> Dependents | None:
         """Return the dependents among the first `size` nodes with masters among them, if any."""

@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
-from wrenchbook.fea.mesh.dependents import CircularError, Dependents
+from wrenchbook.fea.mesh.dependents import CircularError, Dependents, Entries
 from wrenchbook.fea.mesh.facets import TRIANGLES, corners_of, no_facets
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element, tabulate
@@ -84,7 +84,8 @@ def joined(
     sections: keys of the bundle, and the nodes that depend on the frame of each.
     problems: gets the mistakes; a tie with a problem is left out.
     """
-    entries, done = [], []
+    entries: list[Entries] = []
+    done: list[TiedNodes] = []
     follows = np.zeros(len(mesh.points), dtype=bool)
     if mesh.dependents is not None:
         entries.append(mesh.dependents.entries)
@@ -92,54 +93,77 @@ def joined(
         used = [("[supports]", np.flatnonzero(held.any(axis=(1, 2)))), *sections]
         problems += _constrained(mesh, mesh.dependents.nodes, used)
     for i, pair in enumerate(ties):
-        key, sides = f"tie[{i}]", {"secondary": pair.secondary, "main": pair.main}
-        if lost := {side: name for side, name in sides.items() if name not in mesh.facet_groups}:
+        key = f"tie[{i}]"
+        sides = {"secondary": pair.secondary, "main": pair.main}
+        lost = {side: name for side, name in sides.items() if name not in mesh.facet_groups}
+        if lost:
             problems += [no_facets(mesh, f"{key}.{side}", name) for side, name in lost.items()]
             continue
         secondary, main = mesh.facet_groups[pair.secondary], mesh.facet_groups[pair.main]
-        nodes = secondary.node_ids
-        tree: Any = KDTree(mesh.points[main.node_ids])
-        nearest = range(1, 1 + min(_NEIGHBOURS, main.node_ids.size))
-        gaps, neighbours = tree.query(mesh.points[nodes], nearest)
-        # Directions in which a node is held, but its neighbours are not.
-        loose = held[nodes][:, None] @ (np.eye(3) - held[main.node_ids[neighbours]])
-        bound = {
-            # This node connects both surfaces.
-            f'are in "{pair.main}"': np.isin(nodes, main.node_ids),
-            "are fixed": np.trace(held[nodes], axis1=1, axis2=2) >= 3 - _SAME,
-            "already follow others": follows[nodes],
-            "slide where it does not": (np.abs(loose).max(axis=(2, 3)) > _SAME).all(axis=1),
-        }
+        bound, gap = _bound_nodes(mesh, pair, held, follows)
         may_follow = np.zeros(len(mesh.points), dtype=bool)
-        may_follow[nodes] = ~np.any([*bound.values()], axis=0)
+        may_follow[secondary.node_ids] = ~np.any([*bound.values()], axis=0)
         tied, follow = tied_nodes(mesh.points, secondary, main, pair.distance, may_follow)
         if not tied.nodes.size:
-            message = _why_untied(pair, tied, float(gaps.min()), bound)
-            problems.append(BundleProblem(key, message))
-        for where, attached in sections:
-            if (shared := np.intersect1d(tied.nodes, attached)).size:
-                message = (
-                    f"{len(shared)} secondary nodes, such as the one at "
-                    f"{point_text(mesh.points[shared[0]])} m, also belong to {where}, but a node "
-                    "can follow one only. Swap secondary and main, or leave cells between the two"
-                )
-                problems.append(BundleProblem(key, message))
+            problems.append(BundleProblem(key, _why_untied(pair, tied, gap, bound)))
+        problems += _shared(mesh, key, tied.nodes, sections)
         follows[tied.nodes] = True
         entries.append(follow)
         done.append(tied)
     if not done:
         return mesh, ()
     try:
-        rows, masters, weights = (np.concatenate(parts) for parts in zip(*entries, strict=True))
-        dependents = Dependents.of(len(mesh.points), (rows, masters, weights))
+        dependents = Dependents.of(len(mesh.points), Entries.joined(entries))
     except CircularError as error:
         at = point_text(mesh.points[error.node])
         message = f"the node at {at} m follows itself by several ties; swap the groups of a tie"
         problems.append(BundleProblem("tie", message))
         return mesh, ()
-    points, nodes = mesh.points.copy(), np.concatenate([tied.nodes for tied in done])
+    points = mesh.points.copy()
+    nodes = np.concatenate([tied.nodes for tied in done])
     points[nodes] = dependents.expanded(points)[nodes]
     return replace(mesh, points=points, dependents=dependents), tuple(done)
+
+
+def _bound_nodes(
+    mesh: Mesh, pair: Tie, held: Array, follows: Array
+) -> tuple[dict[str, Array], float]:
+    """Return which secondary nodes, (k,), must not be tied, by the reason.
+
+    The second result is the least distance of nodes of the two surfaces, m.
+
+    held: projectors on the directions in which nodes are held, (n, 3, 3).
+    follows: shape (n,), bool: nodes that already depend on others.
+    """
+    nodes, main = mesh.facet_groups[pair.secondary].node_ids, mesh.facet_groups[pair.main].node_ids
+    tree: Any = KDTree(mesh.points[main])
+    nearest = range(1, 1 + min(_NEIGHBOURS, main.size))
+    gaps, neighbours = tree.query(mesh.points[nodes], nearest)
+    # Directions in which a node is held, but its neighbours are not.
+    loose = held[nodes][:, None] @ (np.eye(3) - held[main[neighbours]])
+    bound = {
+        # This node connects both surfaces.
+        f'are in "{pair.main}"': np.isin(nodes, main),
+        "are fixed": np.trace(held[nodes], axis1=1, axis2=2) >= 3 - _SAME,
+        "already follow others": follows[nodes],
+        "slide where it does not": (np.abs(loose).max(axis=(2, 3)) > _SAME).all(axis=1),
+    }
+    return bound, float(gaps.min())
+
+
+def _shared(
+    mesh: Mesh, key: str, tied: Array, sections: Sequence[tuple[str, Array]]
+) -> Iterator[BundleProblem]:
+    """Yield a problem for each section that has nodes of a tie."""
+    for where, attached in sections:
+        shared = np.intersect1d(tied, attached)
+        if shared.size:
+            message = (
+                f"{len(shared)} secondary nodes, such as the one at "
+                f"{point_text(mesh.points[shared[0]])} m, also belong to {where}, but a node "
+                "can follow one only. Swap secondary and main, or leave cells between the two"
+            )
+            yield BundleProblem(key, message)
 
 
 def _constrained(
@@ -147,7 +171,8 @@ def _constrained(
 ) -> Iterator[BundleProblem]:
     """Yield a problem for each use, key and nodes, of nodes that depend on others by the deck."""
     for where, nodes in used:
-        if (shared := np.intersect1d(nodes, followers)).size:
+        shared = np.intersect1d(nodes, followers)
+        if shared.size:
             message = (
                 f"{shared.size} nodes of {where}, such as the one at "
                 f"{point_text(mesh.points[shared[0]])} m, follow others by *EQUATION or *MPC of "
@@ -162,9 +187,11 @@ def _why_untied(pair: Tie, tied: TiedNodes, gap: float, bound: Mapping[str, Arra
     gap: the least distance of nodes of the two surfaces, m.
     bound: reasons for which secondary nodes must not be tied, each with a mask of shape (k,).
     """
-    free, reasons = np.ones(len(next(iter(bound.values()))), dtype=bool), []
+    reasons: list[str] = []
+    free = np.ones_like(bound["are fixed"])
     for why, mask in bound.items():
-        if count := int((free & mask).sum()):
+        count = int((free & mask).sum())
+        if count:
             reasons.append(f"{count} {why}")
         free &= ~mask
     if not free.any():
@@ -174,7 +201,9 @@ def _why_untied(pair: Tie, tied: TiedNodes, gap: float, bound: Mapping[str, Arra
         )
     is_largest = pair.distance is not None and pair.distance > tied.distance
     remedy = "move the surfaces together in the mesh" if is_largest else "write a larger distance"
-    limit = f"{tied.distance:.3g} m" + " (the facets' mean edge, the most)" * is_largest
+    limit = f"{tied.distance:.3g} m"
+    if is_largest:
+        limit += " (the facets' mean edge, the most)"
     if gap > tied.distance:
         return (
             f'no facet of "{pair.secondary}" with free nodes faces "{pair.main}" within {limit}; '
@@ -193,83 +222,158 @@ def _why_untied(pair: Tie, tied: TiedNodes, gap: float, bound: Mapping[str, Arra
 
 def tied_nodes(
     points: Array, secondary: FacetGroup, main: FacetGroup, distance: float | None, free: Array
-) -> tuple[TiedNodes, tuple[Array, Array, Array]]:
-    """Tie two surfaces; also return nodes, masters and weights as of `Dependents.of`.
+) -> tuple[TiedNodes, Entries]:
+    """Tie two surfaces; also return the dependences of the tied nodes.
 
     points: shape (n, 3), m.
     distance: facets farther from each other are not tied, m; None for a tenth of the mean edge.
     free: shape (n,), bool: nodes that may depend on others.
     """
-    blocks = *secondary.blocks, *main.blocks
-    corners = [points[nodes[:, : corners_of(kind)]] for kind, nodes in blocks]
-    edges = [np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).ravel() for at in corners]
-    edge = float(np.concatenate(edges).mean())
+    edge = _mean_edge(points, [*secondary.blocks, *main.blocks])
     distance = min(distance or _GAP * edge, edge)  # to close a larger gap would fold cells over
-    # Areas of the main facets, m^2, and the tied area of each.
-    across = (np.cross(at, np.roll(at, -1, axis=1)) for at in corners[len(secondary.blocks) :])
-    main_areas = [np.linalg.norm(each.sum(axis=1), axis=1) / 2 for each in across]
-    main_covered = [np.zeros(len(each)) for each in main_areas]
+    main_areas = [_areas(points, block) for block in main.blocks]
+    main_covered = [np.zeros(len(areas)) for areas in main_areas]  # tied area of each facet, m^2
     # Integrals of the transformed functions over the common area, and over all of tied facets.
-    covered, complete = np.zeros((2, len(points)))
+    covered, complete = np.zeros(len(points)), np.zeros(len(points))
     ends = np.full((len(points), 2), -1)  # ends of the edge whose middle a node is
-    entries, gap, cut, beyond = [], 0.0, 0, 0.0
-    for kind, nodes in secondary.blocks:
-        transform, middles, edge_ends = _transform(kind, nodes.shape[1])
-        ends[nodes[:, middles]] = nodes[:, edge_ends]
+    entries: list[Entries] = []
+    gap, cut, beyond = 0.0, 0, 0.0
+    for block in secondary.blocks:
+        kind, nodes = block
+        transform = _transform(kind, nodes.shape[1])
+        ends[nodes[:, transform.middles]] = nodes[:, transform.ends]
         plane, areas = _mean_planes(points, kind, nodes)
-        # Integrals over overlaps of products of functions: of this facet's, and with the main's.
-        mass, mixed = np.zeros((len(nodes), *transform.shape)), []
-        # Largest distance between a facet and main facets that are too far from it, m.
-        off = np.zeros(len(nodes))
-        for other, cover in zip(main.blocks, main_covered, strict=True):
-            for facing in _overlaps(points, FacetBlock(kind, nodes), other, plane, edge):
-                farthest = facing.gaps.max(axis=1)
-                near = farthest <= distance
-                np.maximum.at(off, facing.first[~near], farthest[~near])
-                of, to, weights, here, there, far = (part[near] for part in facing)
-                functions = here @ transform
-                weighted = (weights[..., None] * functions).swapaxes(1, 2)
-                np.add.at(mass, of, weighted @ functions)
-                area = weights.sum(axis=1)
-                mixed.append((of, other.nodes[to], weighted @ there, far, cover, to, area))
+        mass, mixed, off = _integrals(points, block, main, plane, distance, edge)
         # Facets that are covered enough are tied, by dual functions on them.
         integrals = mass.sum(axis=2)  # the transformed functions sum to one
         ratio = integrals.sum(axis=1) / areas.sum(axis=1)
-        taken, cut = ratio > _MIN_COVERED, cut + int((np.abs(ratio - 0.5) < 0.5 - _UNSURE).sum())
+        taken = ratio > _MIN_COVERED
+        cut += int((np.abs(ratio - 0.5) < 0.5 - _UNSURE).sum())
         beyond = max(beyond, float(off[ratio < 1 - _UNSURE].max(initial=0.0)))
         values = reference_element(kind).values
-        np.add.at(complete, nodes[taken], (areas @ values @ transform)[taken])
-        mass[~taken], integrals[~taken] = np.eye(len(transform)), 0.0
+        np.add.at(complete, nodes[taken], (areas @ values @ transform.values)[taken])
+        mass[~taken], integrals[~taken] = np.eye(len(transform.values)), 0.0
         np.add.at(covered, nodes, integrals)
         dual = integrals[:, :, None] * np.linalg.inv(mass)
-        for of, to, products, far, cover, facet, area in mixed:
-            gap = max(gap, float(far[taken[of]].max(initial=0.0)))
-            np.add.at(cover, facet[taken[of]], area[taken[of]])
-            weights = dual[of] @ products
-            triples = np.broadcast_arrays(nodes[of][:, :, None], to[:, None], weights)
-            entries.append([part[taken[of]].ravel() for part in triples])
+        for part in mixed:
+            is_tied = taken[part.facets]
+            gap = max(gap, float(part.gaps[is_tied].max(initial=0.0)))
+            np.add.at(main_covered[part.block], part.main_facets[is_tied], part.areas[is_tied])
+            entries.append(_dual_entries(part, nodes, dual, is_tied))
     tied = free & (covered > _MIN_INTEGRAL * complete)
     follow = _followed(entries, tied, covered, ends)
     loose = len(secondary.node_ids) - int(tied.sum())
-    size, cover = np.concatenate(main_areas), np.concatenate(main_covered)
-    part = size[(_UNSURE * size < cover) & (cover < _WHOLE * size)].max(initial=0.0)
-    within = float(np.sqrt(2 * part / cover.sum())) if part else 0.0  # the diagonal of a square
+    within = _partly_covered(np.concatenate(main_areas), np.concatenate(main_covered))
     return TiedNodes(np.flatnonzero(tied), loose, gap, distance, cut, beyond, within), follow
 
 
-def _transform(kind: str, size: int) -> tuple[Array, Array, Array]:
-    """Return nodal values by transformed unknowns, (k, k), of a facet of k = `size` nodes.
+def _mean_edge(points: Array, blocks: Sequence[FacetBlock]) -> float:
+    """Return the mean length of the edges of facets, m."""
+    corners = [points[nodes[:, : corners_of(kind)]] for kind, nodes in blocks]
+    edges = [np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).ravel() for at in corners]
+    return float(np.concatenate(edges).mean())
 
-    The other results are the local indices of midside nodes, (e,), and of both ends of their edges,
-    (e, 2).
+
+def _areas(points: Array, block: FacetBlock) -> Array:
+    """Return the area of each facet between its corners, (f,), m^2."""
+    at = points[block.nodes[:, : corners_of(block.kind)]]
+    across = np.cross(at, np.roll(at, -1, axis=1))
+    return np.linalg.norm(across.sum(axis=1), axis=1) / 2
+
+
+def _partly_covered(areas: Array, covered: Array) -> float:
+    """Return the size of the largest main facet that is covered in part, over the tie's, or 0.
+
+    areas, covered: shape (f,), m^2: of each main facet, and of its tied part.
     """
+    is_part = (_UNSURE * areas < covered) & (covered < _WHOLE * areas)
+    part = areas[is_part].max(initial=0.0)
+    return float(np.sqrt(2 * part / covered.sum())) if part else 0.0  # the diagonal of a square
+
+
+class _Mixed(NamedTuple):
+    """Integrals over s overlaps of secondary facets with facets of a block of the main surface."""
+
+    block: int  # index of the main block
+    facets: Array  # shape (s,), int64: the secondary facet
+    main_facets: Array  # shape (s,), int64: the facet of the main block
+    masters: Array  # shape (s, l), int64: nodes of the main facet
+    products: Array  # shape (s, k, l), m^2: of transformed functions and those of the main facet
+    gaps: Array  # shape (s, q), m: distance between both facets
+    areas: Array  # shape (s,), m^2
+
+
+class _Integrals(NamedTuple):
+    """Integrals over the overlaps of f secondary facets with the main surface."""
+
+    mass: Array  # shape (f, k, k), m^2: products of transformed functions
+    mixed: list[_Mixed]
+    off: Array  # shape (f,), m: largest distance of a facet to main facets too far from it
+
+
+def _integrals(
+    points: Array,
+    block: FacetBlock,
+    main: FacetGroup,
+    plane: Array,
+    distance: float,
+    edge: float,
+) -> _Integrals:
+    """Integrate over the overlaps of a secondary block with the main surface.
+
+    plane: shape (f, 3, 2): directions in the mean plane of each facet of the block.
+    distance: largest distance of tied facets, m. edge: largest distance of facets considered, m.
+    """
+    transform = _transform(block.kind, block.nodes.shape[1]).values
+    mass = np.zeros((len(block.nodes), *transform.shape))
+    off = np.zeros(len(block.nodes))
+    mixed: list[_Mixed] = []
+    for index, main_block in enumerate(main.blocks):
+        for facing in _overlaps(points, block, main_block, plane, edge):
+            farthest = facing.gaps.max(axis=1)
+            near = farthest <= distance
+            np.maximum.at(off, facing.first[~near], farthest[~near])
+            first, second, weights = facing.first[near], facing.second[near], facing.weights[near]
+            functions = facing.here[near] @ transform
+            weighted = (weights[..., None] * functions).swapaxes(1, 2)
+            np.add.at(mass, first, weighted @ functions)
+            products = weighted @ facing.there[near]
+            masters, gaps = main_block.nodes[second], facing.gaps[near]
+            areas = weights.sum(axis=1)
+            mixed.append(_Mixed(index, first, second, masters, products, gaps, areas))
+    return _Integrals(mass, mixed, off)
+
+
+def _dual_entries(part: _Mixed, nodes: Array, dual: Array, is_tied: Array) -> Entries:
+    """Return the products of dual and main functions, m^2, as weights of the secondary nodes.
+
+    nodes: shape (f, k), int64: of the secondary facets. dual: shape (f, k, k).
+    is_tied: shape (s,), bool: overlaps on tied facets.
+    """
+    weights = dual[part.facets] @ part.products
+    followers, masters, weights = np.broadcast_arrays(
+        nodes[part.facets][:, :, None], part.masters[:, None], weights
+    )
+    return Entries(followers[is_tied].ravel(), masters[is_tied].ravel(), weights[is_tied].ravel())
+
+
+class _Transform(NamedTuple):
+    """Popp's transformation of the unknowns of a facet of k nodes, e of them midside nodes."""
+
+    values: Array  # shape (k, k): nodal values by transformed unknowns
+    middles: Array  # shape (e,): local indices of midside nodes
+    ends: Array  # shape (e, 2): local indices of both ends of their edges
+
+
+def _transform(kind: str, size: int) -> _Transform:
+    """Return the transformation of a facet of k = `size` nodes."""
     count = corners_of(kind)
     corner = np.arange(count if size > count else 0)
     ends = np.stack([corner, (corner + 1) % count], axis=1)
     transform = np.eye(size)
     transform[count + corner, count + corner] = 1 - 2 * _ALPHA
     transform[count + corner[:, None], ends] = _ALPHA
-    return transform, count + corner, ends
+    return _Transform(transform, count + corner, ends)
 
 
 def _mean_planes(points: Array, kind: str, nodes: Array) -> tuple[Array, Array]:
@@ -285,22 +389,20 @@ def _mean_planes(points: Array, kind: str, nodes: Array) -> tuple[Array, Array]:
     return plane, np.abs(np.linalg.det(areas)) * element.weights
 
 
-def _followed(
-    entries: list[list[Array]], tied: Array, covered: Array, ends: Array
-) -> tuple[Array, Array, Array]:
-    """Return nodes, masters and weights of the tied nodes from those of transformed unknowns.
+def _followed(entries: Sequence[Entries], tied: Array, covered: Array, ends: Array) -> Entries:
+    """Return the dependences of the tied nodes from those of transformed unknowns.
 
-    entries: nodes, masters and products of dual and main functions, m^2, (e,) each.
+    entries: with products of dual and main functions, m^2, as weights.
     tied, covered: shape (n,): which nodes are tied, and the integrals of their functions, m^2.
     ends: shape (n, 2): ends of the edge whose middle a node is, -1 for a corner.
     """
-    none = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
-    rows, masters, weights = (np.concatenate(each) for each in zip(none, *entries, strict=True))
+    empty = Entries(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0))
+    rows, masters, weights = Entries.joined([empty, *entries])
     rows, masters, weights = rows[tied[rows]], masters[tied[rows]], weights[tied[rows]]
     halved = ends[:, 0] >= 0
     weights = weights / covered[rows] * np.where(halved[rows], 1 - 2 * _ALPHA, 1.0)
     edges = np.flatnonzero(tied & halved)
-    return (
+    return Entries(
         np.append(rows, np.repeat(edges, 2)),
         np.append(masters, ends[edges]),
         np.append(weights, np.full(2 * len(edges), _ALPHA)),
@@ -334,8 +436,8 @@ def _overlaps(
         triangles.append((corners, centre, radius, np.arange(len(corners)) // len(split)))
     (corners, centre, radius, facet), (opposite, middle, size, facet_to) = triangles
     near = KDTree(middle).query_ball_point(centre, radius + size.max() + distance)
-    all_of = np.repeat(np.arange(len(near)), [len(each) for each in near])
-    all_to = np.array([i for each in near for i in each], dtype=np.int64)
+    all_of = np.repeat(np.arange(len(near)), [len(centres) for centres in near])
+    all_to = np.array([i for centres in near for i in centres], dtype=np.int64)
     apart = np.linalg.norm(centre[all_of] - middle[all_to], axis=1)
     chosen = np.flatnonzero(apart <= radius[all_of] + size[all_to] + distance)
     for start in range(0, len(chosen), _PAIRS):

@@ -430,7 +430,7 @@ def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> No
 def _print_import(name: str, reply: dict[str, Any]) -> None:
     # Servers before 0.3 leave these out.
     absent = {"causes": reply["errors"], "above": [], "rig": None, "findings": [], "clock": None}
-    reply = {**absent, "import": None, "sheets": [], **reply}
+    reply = {**absent, "import": None, "sheets": [], "restored": 0, **reply}
     for line in _import_lines(reply):
         plain(Screen(), line)
     for finding in reply["findings"]:
@@ -464,8 +464,8 @@ def _import_lines(reply: dict[str, Any]) -> list[str]:
     lines.append(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
     if reply["existing"]:
         lines.append(
-            "Equal rows count once, within the file too. Those there stay as they are, withdrawn "
-            "ones too: slopes and second derivatives of this file are not added to them."
+            "Equal rows count once, within the file too; slopes and second derivatives of this "
+            f"file are not added to them. Withdrawn rows that count again: {reply['restored']}."
         )
     if rig := reply["rig"]:
         axes = "left-handed" if rig["left_handed"] else "right-handed"

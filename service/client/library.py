@@ -190,9 +190,10 @@ class LibraryCalls(Connection):
         Returns
         -------
         dict
-            ``inserted``, ``existing``, ``errors`` (``{row, field, message}``), ``causes``
-            (with ``count`` and ``rows``), ``columns``, ``findings``, ``rows``, ``ignored``,
-            ``sheets``, ``sheet``, ``table_version`` and ``in_use``.
+            ``inserted``, ``existing``, ``restored`` (existing rows that were withdrawn before),
+            ``errors`` (``{row, field, message}``), ``causes`` (with ``count`` and ``rows``),
+            ``columns``, ``findings``, ``rows``, ``ignored``, ``sheets``, ``sheet``,
+            ``table_version`` and ``in_use``.
 
         Raises
         ------

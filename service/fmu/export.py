@@ -214,7 +214,7 @@ class UnknownPlatformError(ValueError):
 
 
 class NotExportableError(ValueError):
-    """A table that cannot be an FMU; the message has the reason and the remedy."""
+    """A table that cannot be exported; the message has the reason and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -246,6 +246,22 @@ def platforms_of(text: str) -> tuple[str, ...]:
     return names
 
 
+def _require_rows(component: str, table: PackedTable) -> None:
+    """Raise NotExportableError if a table has no rows within its load range."""
+    if not table.meta["provenance"]["rows"]:
+        raise NotExportableError(
+            f"the table of {component} has no rows; run wrenchbook fill {component}, or wrenchbook "
+            f"import {component} FILE, then export it"
+        )
+    low, high = table.arrays["space/ends"]
+    rows = [table.arrays[f"g{k}/row/wrench"] for k in range(len(table.meta["groups"]))]
+    if not all(((low <= loads) & (loads <= high)).all(axis=1).any() for loads in rows):
+        raise NotExportableError(
+            f"all rows of the table of {component} are outside its load range; run wrenchbook fill "
+            f"{component}, or import rows within the range, then export it"
+        )
+
+
 def make_fmu(
     component: str, table: PackedTable, method: str | None = None, platforms: Sequence[str] = ()
 ) -> Fmu:
@@ -259,7 +275,7 @@ def make_fmu(
     """
     if method is not None and method not in METHODS:
         raise UnknownMethodError(method)
-    _check_rows(component, table)
+    _require_rows(component, table)
     table.answer(table.space.zero.tolist(), None, method)  # raises if the table has no such method
     methods = ", ".join(dict.fromkeys(method or group["method"] for group in table.meta["groups"]))
     provenance, space, identifier = table.meta["provenance"], table.space, identifier_of(component)
@@ -288,22 +304,6 @@ def make_fmu(
     for name, content in binaries.items():
         parts[f"binaries/{name}/{identifier}{PLATFORMS[name][0]}"] = content
     return Fmu(zipped(parts), tuple(binaries), methods)
-
-
-def _check_rows(component: str, table: PackedTable) -> None:
-    """Raise NotExportableError if a table has no rows within its load range."""
-    if not table.meta["provenance"]["rows"]:
-        raise NotExportableError(
-            f"the table of {component} has no rows; run wrenchbook fill {component}, or wrenchbook "
-            f"import {component} FILE, then export it"
-        )
-    low, high = table.arrays["space/ends"]
-    rows = [table.arrays[f"g{k}/row/wrench"] for k in range(len(table.meta["groups"]))]
-    if not all(((low <= loads) & (loads <= high)).all(axis=1).any() for loads in rows):
-        raise NotExportableError(
-            f"all rows of the table of {component} are outside its load range; run wrenchbook fill "
-            f"{component}, or import rows within the range, then export it"
-        )
 
 
 def _binaries(platforms: Sequence[str]) -> dict[str, bytes]:
@@ -359,7 +359,11 @@ def zipped(parts: dict[str, bytes]) -> bytes:
 
 
 def make_library(component: str, table: PackedTable) -> bytes:
-    """Return a zip of a table and the C library that answers from it; it needs no Python."""
+    """Return a zip of a table and the C library that answers from it; it needs no Python.
+
+    Raises NotExportableError if the table has no rows within its load range.
+    """
+    _require_rows(component, table)
     space = table.space
     # One newton or newton metre each; further inputs at their value without an effect.
     loads = [f"{load.zero if load.kind == 'scalar' else 1:g}" for load in space.inputs]

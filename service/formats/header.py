@@ -412,6 +412,8 @@ def _add_column(
     columns, text = options.columns, (target or bare.label).strip()
     sign = -1.0 if target and text.startswith("-") else 1.0
     text = text.removeprefix("-") if target else text
+    if target and text.startswith("-"):
+        raise UnitError(f"has two minus signs; write {text} for the opposite sign")
     try:
         name, unit, factor = _reading(text, bare.unit, header.preamble, columns)
     except _UnknownColumnError:

@@ -257,8 +257,12 @@ class AccessControl:
     @property
     def keys_needed(self) -> bool:
         """Whether every call needs a key."""
-        security = self.security
-        return security.keys_needed or security.proxy is not None or len(self.keyring) > 0
+        return self.always_needs_keys or len(self.keyring) > 0
+
+    @property
+    def always_needs_keys(self) -> bool:
+        """Whether calls need a key even if the server has none."""
+        return self.security.keys_needed or self.security.proxy is not None
 
     def admit(self, path: str, head: Mapping[bytes, bytes]) -> Permission | None:
         """Return the permission of a query of the fast path; None for the ordinary path.
@@ -453,7 +457,10 @@ def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:
         holder = "user"
         remedy = f"Start the server with: wrenchbook serve --trust-proxy-scopes GROUP={needed}"
     if needed == "write":
-        remedy = f"A displacement with on_thin 'estimate' or 'reject' needs only read. {remedy}"
+        remedy = (
+            "A displacement with on_thin 'estimate' or 'reject' needs only read, if its body "
+            f"has no mistake. {remedy}"
+        )
     why = f"The {holder} {name!r} has the scope {scope}, but this call needs {needed}"
     title = f"The {holder}'s scope does not allow this"
     return HttpProblemError(403, "scope", title, why + "; nothing was changed. " + remedy)

@@ -161,6 +161,7 @@ Imported = TypedDict(
     {
         "inserted": int,
         "existing": int,
+        "restored": int,
         "beyond_range": int,
         "errors": list[RowMistake],
         "causes": list[RowMistakes],

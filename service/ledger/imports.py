@@ -315,12 +315,30 @@ def import_spans(db: Connection, component: str) -> list[ImportSpan]:
 
 def withdrawn_counts(db: Connection, component: str) -> Counter[int]:
     """Return the number of withdrawn rows of each import of a component, by its number."""
+    return _counts_by_import(db, component, rows.withdrawn(db, component))
+
+
+def _counts_by_import(db: Connection, component: str, seqs: Iterable[int]) -> Counter[int]:
+    """Return the number of the given rows in each import; solved rows are in none."""
     spans, counts = import_spans(db, component), Counter[int]()
-    for seq in rows.withdrawn(db, component):
+    for seq in seqs:
         at = bisect_right(spans, seq, key=itemgetter(0)) - 1
         if at >= 0 and seq <= spans[at].last:
             counts[spans[at].record.id] += 1
     return counts
+
+
+def restore_confirmed(db: Connection, component: str, keys: Sequence[bytes]) -> int:
+    """Restore the withdrawn rows with these keys, which a later import has confirmed.
+
+    Return their number. As after a solve, a row that comes again counts again.
+    """
+    known = rows.stored(db, rows.withdrawn_keys(db, component, keys))
+    seqs = sorted(known.values())
+    rows.edit(db, component, seqs, withdrawn=False, now=time.time())
+    for number, count in _counts_by_import(db, component, seqs).items():
+        rows.note_edit(db, "import", number, component, withdrawn=False, rows=count)
+    return len(seqs)
 
 
 def findings(db: Connection, component: str) -> list[dict[str, Any]]:

@@ -166,6 +166,7 @@ class Ledger:
     count_new = _reads(row_sql.count_new)
     count_rows = _reads(row_sql.count_rows)
     known_rows = _reads(row_sql.known_rows)
+    withdrawn_keys = _reads(row_sql.withdrawn_keys)
     of_other_setups = _reads(row_sql.of_other_setups)
     digest = _reads(row_sql.digest)
     edits = _reads(row_sql.edits)
@@ -174,6 +175,7 @@ class Ledger:
     drop_abandoned = import_sql.drop_abandoned
     append_rows = _writes(import_sql.append_rows)
     edit_import = _writes(import_sql.edit_import)
+    restore_confirmed = _writes(import_sql.restore_confirmed)
     imports = _reads(import_sql.imports)
     same_file = _reads(import_sql.same_file)
     stored_numbers = _reads(import_sql.stored_numbers)

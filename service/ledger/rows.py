@@ -469,6 +469,13 @@ def known_rows(db: Connection, keys: Iterable[bytes]) -> set[bytes]:
     return set(stored(db, list(keys)))
 
 
+def withdrawn_keys(db: Connection, component: str, keys: Iterable[bytes]) -> list[bytes]:
+    """Return the given keys whose rows are withdrawn; without any such row no key is read."""
+    gone = withdrawn(db, component)
+    known = stored(db, list(keys)) if gone else {}
+    return [key for key, seq in known.items() if seq in gone]
+
+
 def of_other_setups(db: Connection, component: str, fingerprint: str) -> dict[bytes, int]:
     """Return the number of rows of other setups at each wrench (packed), the oldest first.
 

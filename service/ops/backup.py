@@ -80,10 +80,14 @@ def back_up(folder: Path, target: Path) -> Manifest:
     folder, target = folder.absolute(), target.absolute()
     if not (folder / LEDGER).is_file():
         raise BackupError(f"{folder} has no {LEDGER}, so it is no data directory; name another")
-    root, real = folder.resolve(), target.parent.resolve() / target.name
+    root = folder.resolve()
+    real = target.resolve()
     if real.is_relative_to(root) and HELD.fullmatch(real.relative_to(root).as_posix()):
         problem = f"{target} is among the files to back up, so each backup would hold the last"
         raise BackupError(f"{problem}. Name a file outside of {folder}. No backup was made")
+    if target.exists() and not target.is_file():
+        raise BackupError(f"{target} is no regular file; name a file. No backup was made")
+    target = real  # the file that a symbolic link names
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         with (

@@ -25,8 +25,8 @@ from wrenchbook.surrogate.table.compliance import fit_compliance
 SAME = 1e-12  # part of a number: rounding of an export in other units and of its import
 TWICE = (
     "import {0.id} already has the rows of this file ({0.filename}), read with other options, so "
-    "each test counts twice. Unless the rows differ, withdraw one of the two imports: "
-    "wrenchbook withdraw {0.component} {0.id}"
+    "tests count twice. If its options were wrong, withdraw it, then import this file again, which "
+    "restores the rows that both have: wrenchbook withdraw {0.component} {0.id}"
 )
 _MAX_TRIED = 16  # stored rows of almost the same sum with which a row is compared
 # Weight of displacements in the sums: they are 1e-6 to 1e-3 m and rad, loads 1 to 1000 N and N·m.
@@ -55,7 +55,7 @@ def import_files(
     with `partial` the good rows are loaded even if others have mistakes; the reply has the first
     `preview` good rows. With `append` the rows of a JSON block go into the import of `origin`,
     without findings. Findings include differences of measured rows from the answers of `table`. The
-    reply has the members ``inserted``, ``existing``, ``errors``, ``rows`` and so on; ``loaded``:
+    reply has the members ``inserted``, ``existing``, ``restored`` and so on; ``loaded``:
     whether rows were loaded.
 
     Raises SandboxBusyError, ImportRunningError, LedgerUnavailableError or OSError if nothing can be
@@ -88,6 +88,11 @@ def import_files(
             blocks = (NotedRows(piece, piece.note) for piece in pieces())
             load = ledger.append_rows if append else ledger.import_rows
             loaded = load(component.name, blocks, origin)
+    restored = 0
+    if loaded.known and not append:
+        again = (key for piece in pieces() for key in _keys(component, piece))
+        keys = ledger.withdrawn_keys(component.name, again)
+        restored = len(keys) if dry_run else ledger.restore_confirmed(component.name, keys)
     if not loaded.new:  # all rows were stored before, so that none counts twice
         report["findings"] = [
             finding for finding in report["findings"] if finding["cause"] != "twice"
@@ -98,6 +103,7 @@ def import_files(
     return {
         "inserted": loaded.new,
         "existing": loaded.known,
+        "restored": restored,
         "beyond_range": sum(int((~holds(piece.wrench)).sum()) for piece in read.pieces()),
         "dry_run": dry_run,
         "partial": partial,

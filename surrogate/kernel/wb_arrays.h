@@ -28,6 +28,7 @@ static const wb_array WB_SOLVER_ARRAYS[] = {
     {"mesh", WB_F8, 0, 2, {WB_OF_M, WB_OF_N}, offsetof(wb_solver, mesh)},
     {"stiffness", WB_F8, 0, 2, {WB_OF_N, WB_OF_M}, offsetof(wb_solver, stiffness)},
     {"linearity", WB_F8, 0, 1, {WB_OF_M}, offsetof(wb_solver, linearity)},
+    {"saturation", WB_F8, 1, 1, {WB_OF_M}, offsetof(wb_solver, saturation)},
     {"one_over", WB_F8, 0, 1, {WB_OF_N}, offsetof(wb_solver, one_over)},
     {"second", WB_F8, 1, 3, {WB_OF_M, WB_OF_N, WB_OF_N}, offsetof(wb_solver, second)},
     {"zero", WB_F8, 1, 1, {WB_OF_N}, offsetof(wb_solver, zero)},};

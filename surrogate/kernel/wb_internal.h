@@ -113,6 +113,7 @@ typedef struct {
     int by_tangent, mesh_known, linear, linearity_known, whole, none;
     const int32_t *flags;
     const double *mesh, *linearity, *one_over, *stiffness;
+    const double *saturation; /* (m), NULL for zeros */
     const double *second; /* (m, n, n), NULL where the linearity error begins with its square */
     const double *zero;   /* (n): origin of the inputs, NULL for zeros */
 } wb_solver;

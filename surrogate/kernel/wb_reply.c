@@ -126,15 +126,18 @@ static void keep(const wb_table *t, wb_reply *reply) {
 }
 
 /* What a linear analysis neglects of an output: half the second derivatives times the loads twice,
- * and the remainder, which grows with the cube of the largest load; without these with its square. */
+ * and the remainder, which grows with the cube of the largest load, and in the end with the load if
+ * it saturates; without second derivatives with its square. */
 static double neglected(const wb_table *t, int q, const double *acting, double largest) {
     const wb_solver *s = &t->solver;
     int n = t->inputs;
-    if (!s->second) return s->linearity[q] * (largest * largest);
-    double sum = 0;
+    double b = s->saturation ? s->saturation[q] : 0, sum = 0;
+    double power = s->second ? largest * largest : largest;
+    double remainder = s->linearity[q] * (largest * power) * ((1 + b) / (1 + b * power));
+    if (!s->second) return remainder;
     for (int k = 0; k < n; k++)
         for (int l = 0; l < n; l++) sum += s->second[(q * n + k) * n + l] * acting[k] * acting[l];
-    return 0.5 * fabs(sum) + s->linearity[q] * (largest * largest * largest);
+    return 0.5 * fabs(sum) + remainder;
 }
 
 /* Add what the solver of the rows may itself be wrong by: what its mesh lacks by the answer's tangent,

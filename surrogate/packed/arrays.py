@@ -100,6 +100,8 @@ BLOCKS = {
         Array("stiffness", "f8", "n m", "D, by which it follows from an answer's tangent"),
         Array("linearity", "f8", "m", "linearity error at the largest loads: its square term, or "
               "with `second` the cubic term"),
+        Array("saturation", "f8", "m", "b, by which its powers become 1 at large loads, if one is "
+              "not 0", True),
         Array("one_over", "f8", "n", "one over these loads"),
         Array("second", "f8", "m n n", "second derivatives that a linear answer lacks", True),
         Array("zero", "f8", "n", "from where inputs count, if one is not 0", True),

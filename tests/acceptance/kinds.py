@@ -105,6 +105,7 @@ def prepare(folder: Path) -> None:
     bending = np.random.default_rng(8).normal(size=(6, 6, 6)) / np.outer(loads["bar"], loads["bar"])
     linear["second_derivatives"] = (1e-7 * (bending + bending.swapaxes(1, 2))).tolist()
     linear["linearity_remainder"] = [1e-8] * 6
+    linear["linearity_saturation"] = [2.0] * 6
     short, stiffer = np.zeros((6, 6)), np.zeros((6, 6))
     short[GUIDED, GUIDED], stiffer[GUIDED, GUIDED] = 1e-2 * SOFTNESS, 1e-2 / SOFTNESS
     guided = {"mesh": short.tolist(), "mesh_stiffness": stiffer.tolist(), "loads": loads["spring"]}

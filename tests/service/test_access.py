@@ -180,6 +180,18 @@ def test_keys_are_made_listed_and_revoked_over_http_and_the_secret_is_told_once(
     assert locked.delete("/v1/keys/eve", headers=admin).status_code == 404
 
 
+def test_the_last_key_is_not_revoked_over_http_since_the_server_would_be_open(tmp_path):
+    admin = bearer(Keyring(tmp_path).add("only", "admin"))
+    security = security_settings("127.0.0.1", "lab.example", None)
+    app = create_app(Settings(tmp_path, solvers=0), security)
+    with TestClient(app, base_url="http://127.0.0.1:8000") as client:
+        reply = client.delete("/v1/keys/only", headers=admin)
+        assert (reply.status_code, reply.json()["type"][-8:]) == (409, "last-key")
+        assert client.get("/v1/jobs").status_code == 401
+        assert client.post("/v1/keys", json={"name": "new"}, headers=admin).status_code == 201
+        assert client.delete("/v1/keys/only", headers=admin).status_code == 200
+
+
 @pytest.mark.parametrize(
     ("call", "body"),
     [("POST", {"name": "tom"}), ("POST /reader/rotate", {}), ("DELETE /reader", None)],

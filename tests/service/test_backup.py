@@ -285,6 +285,17 @@ def test_a_backup_that_cannot_be_written_is_told_and_leaves_nothing(folder, tmp_
     assert not (tmp_path / "b").exists()
 
 
+def test_a_backup_replaces_the_file_that_a_link_names_and_never_a_device(folder, tmp_path):
+    (tmp_path / "link.zip").symlink_to(tmp_path / "real.zip")
+    back_up(folder, tmp_path / "link.zip")
+    assert (tmp_path / "link.zip").is_symlink()
+    assert verify(tmp_path / "real.zip").files
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(BackupError, match="no regular file"):
+        back_up(folder, tmp_path / "pipe")
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+
+
 def test_a_backup_is_not_written_among_the_files_that_a_backup_holds(folder):
     """Each held those before it: twice as large every time."""
     target = folder / "components" / "monday.zip"

@@ -166,6 +166,21 @@ def test_a_finding_of_all_rows_withdraws_the_import_and_no_other(http, rig):
     assert rows_of(http, len(rig.wrench))
 
 
+def test_an_import_restores_the_rows_that_it_shares_with_a_withdrawn_one(http, rig):
+    """A file that was read with a wrong sign and then rightly lost the rows that both have."""
+    add(http, rig)
+    measured = rig.measured()
+    wrong = load(http, measured).json()["import"]
+    http.delete(f"/v1/components/rig/imports/{wrong}")
+    assert rows_of(http, 0)
+    assert load(http, measured, dry_run="true").json()["restored"] == len(rig.wrench)
+    assert rows_of(http, 0)
+    reply = load(http, measured).json()
+    assert (reply["inserted"], reply["restored"]) == (0, len(rig.wrench))
+    assert rows_of(http, len(rig.wrench))
+    assert load(http, measured).json()["restored"] == 0
+
+
 @pytest.mark.parametrize("query", [{"finding": "lever"}, {}])
 def test_an_unknown_import_or_finding_is_refused_by_name(http, rig, query):
     add(http, rig)

@@ -44,6 +44,23 @@ def test_second_derivatives_make_the_linearity_error_a_function_of_the_loads_dir
     np.testing.assert_allclose(result.linearity, expected, rtol=1e-12)
 
 
+def test_a_saturated_linearity_error_grows_in_the_end_with_the_load():
+    """The law R s^3 (1 + b) / (1 + b s^2), or R s^2 (1 + b) / (1 + b s), at s = 0.2."""
+    second, b = np.zeros((6, 6, 6)).tolist(), np.array([0.0, 1.0, 10.0, 0.0, 100.0, 0.5])
+    told = BENT | {"linearity_saturation": b.tolist()}
+    wrench, remainder = np.array([100.0, -200.0, 3.0, 1.0, -2.0, 0.0]), np.full(6, 1e-6)
+    for more, size, power in (
+        ({}, np.array(BENT["linearity"]), 0.2),
+        ({"second_derivatives": second, "linearity_remainder": remainder}, remainder, 0.2**2),
+    ):
+        error = SolverError(told | more)
+        expected = size * 0.2 * power * (1 + b) / (1 + b * power)
+        np.testing.assert_allclose(error.parts(wrench)["linearity"], expected, rtol=1e-12)
+        rows = Rows.of([wrench], np.ones(6), source=["fea"])
+        result = packed_of(build(rows, UNIT, solver_error=error)).answer(wrench.tolist())
+        np.testing.assert_allclose(result.linearity, expected, rtol=1e-12)
+
+
 def test_what_is_not_known_stays_unknown():
     error = SolverError({"mesh": None, "loads": LOADS, "mesh_basis": "why"})
     assert error.parts([1.0] * 6) == {"mesh": None}
@@ -63,6 +80,7 @@ def test_what_is_not_known_stays_unknown():
         TOLD | {"mesh": (-MESH).tolist()},
         TOLD | {"loads": [float("nan")] * 6},
         BENT | {"linearity": ["x"] * 6},
+        BENT | {"linearity_saturation": [-0.1] * 6},
         BENT | {"second_derivatives": [[0.0] * 6] * 6, "linearity_remainder": [0.0] * 6},
         BENT | {"second_derivatives": np.zeros((6, 6, 6)).tolist()},
         TOLD | {"mesh_stiffness": [[1.0]]},

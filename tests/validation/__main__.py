@@ -74,6 +74,18 @@ def markdown(results: Iterable[tuple[Case, Finding]]) -> str:
     return "\n".join(lines[1:])
 
 
+def headline(results: list[tuple[Case, Finding]], seconds: float) -> str:
+    """Return one sentence on all findings: their verdicts, the largest error, the run time."""
+    findings = [finding for _, finding in results]
+    measured = [f for f in findings if f.tolerance and not f.missing]
+    worst = max(measured, key=lambda f: f.error / (f.tolerance or 1.0))
+    return (
+        f"{len(findings)} quantities: {_summary([f.verdict for f in findings])}. The largest error "
+        f"is {worst.error / (worst.tolerance or 1.0):.0%} of its tolerance ({worst.quantity}). The "
+        f"run took {seconds:.0f} s of processor time."
+    )
+
+
 def replace_table(page: str, table: str) -> str:
     """Return a page with what is between its two markers replaced.
 
@@ -135,7 +147,8 @@ def main(arguments: list[str] | None = None) -> int:
         _plain(options.topic, results)
     if options.update is not None:
         page = options.update.read_text(encoding="utf-8")
-        options.update.write_text(replace_table(page, markdown(results)), encoding="utf-8")
+        table = f"{headline(results, time.process_time())}\n\n{markdown(results)}"
+        options.update.write_text(replace_table(page, table), encoding="utf-8")
     verdicts = [finding.verdict for _, finding in results]
     if not (options.markdown or options.json):
         print(f"\n{_summary(verdicts)}, {time.perf_counter() - started:.0f} s")

@@ -125,6 +125,15 @@ def test_the_page_holds_the_cases_that_there_are_and_no_other():
     assert "not run" not in table
 
 
+def test_the_headline_names_the_error_nearest_to_its_tolerance():
+    near = Finding("near", "", 1.0, 1.01, 0.02)
+    results = [(CASES[0], one) for one in (Finding("far", "", 1.0, 1.01, 0.1), near)]
+    assert validate.headline(results, 7.2) == (
+        "2 quantities: 2 pass. The largest error is 50% of its tolerance (near). The run took 7 s "
+        "of processor time."
+    )
+
+
 def test_a_pages_table_is_replaced_between_its_markers_and_the_rest_is_kept():
     page = f"# Title\n\n{validate.BEGIN}\nold\n{validate.END}\n\nThe end.\n"
     new = validate.replace_table(page, "new")

@@ -6,6 +6,7 @@ import itertools
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,6 +62,34 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     Raises MeshFileError if there are no solid cells, some of an unsupported kind, references to
     missing points, or facets in a group that are not faces of a cell.
     """
+    _require_solids(raw)
+    _require_points(raw)
+    solids = [(kind, nodes) for kind, nodes in raw.blocks if kind in NODES_PER_CELL]
+    used = np.unique(np.concatenate([nodes.ravel() for _, nodes in solids]))
+    number = np.full(len(raw.points), -1, dtype=np.int64)
+    number[used] = np.arange(len(used))
+    _require_finite(raw.points[used])
+    kinds = list(dict.fromkeys(kind for kind, _ in solids))
+    cells = {k: number[np.concatenate([b for kind, b in raw.blocks if kind == k])] for k in kinds}
+    unique = {kind: _without_twins(nodes) for kind, nodes in cells.items()}
+    points = raw.points[used] * metres
+    blocks = tuple(
+        right_way_round(points, CellBlock(kind, cells[kind][kept_rows]))
+        for kind, (kept_rows, _) in unique.items()
+    )
+    regions = _regions(raw, {kind: new_rows for kind, (_, new_rows) in unique.items()})
+    groups = _facet_groups(raw, number, blocks)
+    dependents = _dependents(raw, number, points) if raw.follow else None
+    node_groups = _node_groups(raw, number)
+    number = np.append(number, -1)  # a weight of the node -1 has no node
+    weights = {name: (number[nodes], sizes) for name, (nodes, sizes) in raw.node_weights.items()}
+    return Mesh(
+        points, blocks, regions, groups, node_groups, dependents=dependents, node_weights=weights
+    )
+
+
+def _require_solids(raw: RawMesh) -> None:
+    """Refuse cells of an unsupported kind, and a file without solid cells."""
     kinds = [kind for kind, nodes in raw.blocks if len(nodes)]
     known = {*NODES_PER_CELL, *NODES_PER_FACET, *NODES_PER_LINE}
     unknown = sorted({kind for kind in kinds if kind not in known})
@@ -72,53 +101,49 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     if not any(kind in NODES_PER_CELL for kind in kinds):
         there = ", ".join(dict.fromkeys(kinds)) or "no cells at all"
         raise MeshFileError(f"has no solid cells (it has {there}); export the volume mesh too")
-    # Refuse references to missing points: -1 would otherwise mean the last.
+
+
+def _require_points(raw: RawMesh) -> None:
+    """Refuse references to missing points: -1 would otherwise mean the last."""
     users = [(f"{kind} cells", nodes) for kind, nodes in raw.blocks]
     users += [(f'the group "{name}"', nodes) for name, nodes in raw.node_sets.items()]
     for user, numbers in users:
-        if (bad := numbers[(numbers < 0) | (numbers >= len(raw.points))]).size:
+        missing = numbers[(numbers < 0) | (numbers >= len(raw.points))]
+        if missing.size:
             raise MeshFileError(
-                f"has {user} on point {bad[0]}, but its points are 0 to {len(raw.points) - 1}; "
+                f"has {user} on point {missing[0]}, but its points are 0 to {len(raw.points) - 1}; "
                 "export it again"
             )
-    solids = [i for i, (kind, _) in enumerate(raw.blocks) if kind in NODES_PER_CELL]
-    used = np.unique(np.concatenate([raw.blocks[i][1].ravel() for i in solids]))
-    number = np.full(len(raw.points), -1, dtype=np.int64)
-    number[used] = np.arange(len(used))
-    if (huge := ~(np.abs(raw.points[used]) < _LARGEST).all(axis=1)).any():
-        at = ", ".join(f"{x:g}" for x in raw.points[used][huge][0])
+
+
+def _require_finite(points: Array) -> None:
+    """Refuse coordinates, (n, 3), that are no numbers or too large."""
+    is_huge = ~(np.abs(points) < _LARGEST).all(axis=1)
+    if is_huge.any():
+        at = ", ".join(f"{x:g}" for x in points[is_huge][0])
         raise MeshFileError(
             f"has a point at ({at}); coordinates must be finite and below {_LARGEST:g}, so export "
             "it again"
         )
-    kinds = list(dict.fromkeys(raw.blocks[i][0] for i in solids))
-    cells = {k: number[np.concatenate([b for kind, b in raw.blocks if kind == k])] for k in kinds}
-    once = {kind: _without_twins(nodes) for kind, nodes in cells.items()}
-    points = raw.points[used] * metres
-    blocks = tuple(
-        right_way_round(points, CellBlock(kind, cells[kind][chosen_rows]))
-        for kind, (chosen_rows, _) in once.items()
-    )
-    # Each element set as indices of cells within the joined block of their kind.
-    renumbered = {kind: new for kind, (_, new) in once.items()}
+
+
+def _regions(raw: RawMesh, new_rows: Mapping[str, Array]) -> dict[str, tuple[Array, ...]]:
+    """Return each element set as indices of cells within the joined block of their kind.
+
+    new_rows: for each kind the index in the joined block of each of its cells, in the file's order.
+    """
     regions = {}
     for name, numbers in raw.element_sets.items():
-        chosen: dict[str, list[Array]] = {kind: [] for kind in renumbered}
-        passed = dict.fromkeys(renumbered, 0)
+        chosen: dict[str, list[Array]] = {kind: [] for kind in new_rows}
+        n_before = dict.fromkeys(new_rows, 0)  # cells of the kind in earlier blocks
         for (kind, nodes), rows in zip(raw.blocks, numbers, strict=True):
-            if kind in renumbered:
-                chosen[kind].append(renumbered[kind][rows + passed[kind]])
-                passed[kind] += len(nodes)
+            if kind in new_rows:
+                chosen[kind].append(new_rows[kind][rows + n_before[kind]])
+                n_before[kind] += len(nodes)
         region = tuple(np.unique(np.concatenate(parts)) for parts in chosen.values())
         if any(len(cells) for cells in region):
             regions[name] = region
-    groups = _facet_groups(raw, number, blocks)
-    dependents = _dependents(raw, number, points) if raw.follow else None
-    node_groups, number = _node_groups(raw, number), np.append(number, -1)  # no node
-    weights = {name: (number[nodes], sizes) for name, (nodes, sizes) in raw.node_weights.items()}
-    return Mesh(
-        points, blocks, regions, groups, node_groups, dependents=dependents, node_weights=weights
-    )
+    return regions
 
 
 def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
@@ -127,7 +152,9 @@ def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
     number: the node of the mesh for each node of `raw`, -1 if it is in no cell.
     points: shape (nodes, 3), m.
     """
-    nodes, masters, weights = map(np.array, zip(*raw.follow, strict=True))
+    nodes = np.array([node for node, _, _ in raw.follow])
+    masters = np.array([master for _, master, _ in raw.follow])
+    weights = np.array([weight for _, _, weight in raw.follow])
     try:
         return Dependents.of(len(points), (number[nodes], number[masters], weights))
     except CircularError as error:
@@ -163,7 +190,8 @@ def _facet_groups(
     groups = {}
     for name, facets in chosen.items():
         results = [finder.find(kind, number[nodes]) for kind, nodes in facets]
-        if lost := sum(missing for _, missing in results):
+        lost = sum(missing for _, missing in results)
+        if lost:
             raise MeshFileError(
                 f'has a group "{name}" with {lost} facets that are not faces of a solid cell; '
                 "mesh the surface and the solid together, or leave the group out"
@@ -233,33 +261,30 @@ class Translated:
         rows = [row for rows in self.elements.values() for row in rows]
         if not any("0" in row for row in rows):
             return
-        kinds = {count: kind for kind, count in NODES_PER_CELL.items()}
-        # The midside node of each edge by its ends, and the positions in rows without a node.
-        middles, blank = dict[frozenset[str], str](), []
-        for row in rows:
-            edges = EDGES[kinds[len(row) - 1]]
-            first = int(np.max(edges)) + 2
-            for i, edge in enumerate(edges[: len(row) - first], first):
-                ends = frozenset(row[1 + end] for end in edge)
-                if row[i] != "0":
-                    middles[ends] = row[i]
-                else:
-                    blank.append((row, i, ends))
-        # New nodes, for edges without a midside node.
+        middles, blanks = _midside_nodes(rows)
         points = dict(row.split(", ", 1) for row in self.nodes)
-        numbers = itertools.count(max(map(int, points)) + 1)
-        lacking = dict.fromkeys(ends for _, _, ends in blank if ends not in middles)
-        if lost := {end for ends in lacking for end in ends} - points.keys():
-            node, number = min((end, row[0]) for row, _, ends in blank for end in ends & lost)
+        lacking = dict.fromkeys(blank.ends for blank in blanks if blank.ends not in middles)
+        lost = {end for ends in lacking for end in ends} - points.keys()
+        if lost:
+            pairs = [(end, blank.row[0]) for blank in blanks for end in blank.ends & lost]
+            node, number = min(pairs)
             raise MeshFileError(f"has element {number} on the undefined node {node}; add this node")
+        numbers = itertools.count(max(map(int, points)) + 1)
         new = {str(next(numbers)): ends for ends in lacking}
         middles |= {ends: node for node, ends in new.items()}
-        for row, i, ends in blank:
-            row[i] = middles[ends]
+        for blank in blanks:
+            blank.row[blank.column] = middles[blank.ends]
         for node, ends in new.items():
             at = np.mean([[float(x) for x in points[end].split(",")] for end in ends], axis=0)
             self.nodes.append(f"{node}, {', '.join(f'{x:.12g}' for x in at.tolist())}")
-        # They are grouped, rotated and held as both their ends are.
+        self._extend_to(new)
+        self.decide.append(
+            f"{len(blanks)} midside nodes that cells lack are on straight edges: {len(new)} new, "
+            "in their middle, held as both ends are if these have the same axes"
+        )
+
+    def _extend_to(self, new: Mapping[str, frozenset[str]]) -> None:
+        """Group, rotate and hold new nodes as both ends of their edges are, by the new node."""
         for nodes in (*self.groups.values(), *self.transforms.values()):
             members = {*nodes}
             nodes += [node for node, ends in new.items() if ends <= members]
@@ -273,10 +298,6 @@ class Translated:
                 for freedom in "123456"
                 if held.issuperset(f"{end}, {freedom}" for end in ends)
             ]
-        self.decide.append(
-            f"{len(blank)} midside nodes that cells lack are on straight edges: {len(new)} new, in "
-            "their middle, held as both ends are if these have the same axes"
-        )
 
     def lines(self) -> list[str]:
         """Return the lines of the deck."""
@@ -313,13 +334,43 @@ class Translated:
     ) -> None:
         """Tie nodes to a reference node ("KINEMATIC"), or the latter to their mean."""
         self.groups[name] = nodes
-        self.couplings += [f"*SURFACE, TYPE=NODE, NAME={name}", *([] if weights else [name])]
+        self.couplings.append(f"*SURFACE, TYPE=NODE, NAME={name}")
+        if not weights:
+            self.couplings.append(name)
         pairs = zip(nodes, weights, strict=False)
         self.couplings += [f"{node}, {weight:.12g}" for node, weight in pairs]
         self.couplings += [
             f"*COUPLING, CONSTRAINT NAME={name}, SURFACE={name}, REF NODE={reference}"
         ]
         self.couplings.append(f"*{kind}")
+
+
+class _Blank(NamedTuple):
+    """A midside node that the row of an element lacks."""
+
+    row: list[str]
+    column: int
+    ends: frozenset[str]  # the nodes of its edge
+
+
+def _midside_nodes(rows: list[list[str]]) -> tuple[dict[frozenset[str], str], list[_Blank]]:
+    """Return the midside node of each edge by its ends, and those that rows lack.
+
+    rows: numbers of each element and of its nodes.
+    """
+    kinds = {count: kind for kind, count in NODES_PER_CELL.items()}
+    middles: dict[frozenset[str], str] = {}
+    blanks: list[_Blank] = []
+    for row in rows:
+        edges = EDGES[kinds[len(row) - 1]]
+        first = int(np.max(edges)) + 2
+        for i, edge in enumerate(edges[: len(row) - first], first):
+            ends = frozenset(row[1 + end] for end in edge)
+            if row[i] != "0":
+                middles[ends] = row[i]
+            else:
+                blanks.append(_Blank(row, i, ends))
+    return middles, blanks
 
 
 def rows_of(texts: Iterable[str]) -> list[str]:

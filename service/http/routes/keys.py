@@ -73,9 +73,16 @@ def rotate_key(name: str, request: Request, workspace: Opened, body: RotateBody)
     return json_reply({"name": name, "key": secret, **after}, 201)
 
 
-@router.delete("/{name}", summary="Revoke a key", responses=refused(404, 422))
+@router.delete("/{name}", summary="Revoke a key", responses=refused(404, 409, 422))
 def revoke_key(name: str, request: Request, workspace: Opened) -> dict[str, Any]:
     keyring = _keyring(request)
+    is_last = [key.name for key in keyring.listed()] == [name]
+    if is_last and not request.app.state.access.always_needs_keys:
+        why = (
+            f"{name!r} is the last key: without keys every user of this machine, and every client "
+            "of a proxy before it, could call the server. Add another key first with POST /v1/keys."
+        )
+        raise HttpProblemError(409, "last-key", "The last key cannot be revoked", why)
     with noted(workspace.ledger, "key.revoke", name):
         keyring.revoke(name)
     return {"revoked": name}

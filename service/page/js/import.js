@@ -104,7 +104,7 @@ function again(state, mend = () => {}) {
 function tallies(result) {
   const { read, refused, tare, unmatched, skipped, branch, averaged } = result.rows;
   return [
-    el("span", {}, `${count(result.inserted)} new rows${result.existing ? `, ${count(result.existing)} are in the table already` : ""}; ${count(read)} read${refused ? `, ${count(refused)} refused` : ""}${tare ? `, ${count(tare)} taken as tare` : ""}${unmatched ? `, ${count(unmatched)} without a load at their time` : ""}${skipped ? `, ${count(skipped)} of skipped cycles` : ""}${branch ? `, ${count(branch)} off the branch` : ""}${averaged ? `, ${count(averaged)} in the mean of others` : ""}.`),
+    el("span", {}, `${count(result.inserted)} new rows${result.existing ? `, ${count(result.existing)} are in the table already` : ""}${result.restored ? `, ${count(result.restored)} of them restored` : ""}; ${count(read)} read${refused ? `, ${count(refused)} refused` : ""}${tare ? `, ${count(tare)} taken as tare` : ""}${unmatched ? `, ${count(unmatched)} without a load at their time` : ""}${skipped ? `, ${count(skipped)} of skipped cycles` : ""}${branch ? `, ${count(branch)} off the branch` : ""}${averaged ? `, ${count(averaged)} in the mean of others` : ""}.`),
     result.clock ? el("span", {}, `Clocks: ${number(result.clock.applied_s)} s added to the times of the displacements; ${result.clock.lag_s === null ? "the logs do not show a lag" : `the logs show ${number(result.clock.lag_s)} ± ${number(result.clock.uncertainty_s, 1)} s`}.`) : null,
     result.ignored?.length ? el("span", {}, `Columns left out: ${result.ignored.join(", ")}.`) : null,
     result.sheets?.length > 1 ? el("span", {}, `Sheet ${result.sheet} was read, of ${result.sheets.join(", ")}.`) : null,

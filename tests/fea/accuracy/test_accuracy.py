@@ -10,6 +10,8 @@ from tests.benchmarks.step_parts import drill, fillet
 from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.fea.geometry import draw_bracket, drawing
+from tests.fea.supports import TABLE
+from tests.fea.two_interfaces import two_cantilevers
 from tests.surrogate.law import mesh_errors
 from wrenchbook.fea.accuracy import estimate
 from wrenchbook.fea.accuracy.convergence import coarser
@@ -20,7 +22,7 @@ from wrenchbook.fea.accuracy.estimate import (
     linearity_of,
 )
 from wrenchbook.fea.accuracy.mesh_error import recovered_error
-from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.read import bundle_of, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.component import mesh_of
 from wrenchbook.fea.mesh.refine import refined
@@ -270,6 +272,85 @@ def test_a_part_that_its_weight_moves_has_no_second_derivatives_and_a_bar_by_the
     told = linearity_of(Solver(hung), Solver(hung), bar.component.bundle.range)
     assert "second_derivatives" not in told
     assert min(told["linearity"]) > 0
+
+
+ALUMINIUM = {"region": "all", "youngs_modulus": 70e9, "poisson_ratio": 0.3}
+GUIDED_BEAM = {
+    "mesh": {"generator": "bar", "length": 0.5, "width": 0.02, "height": 0.01, "cells_along": 6},
+    "supports": {"fixed": ["start"]},
+    "interface": {"section": "end", "coupling": "rigid", "locked": ["ux", "uy", "rx", "ry", "rz"]},
+    "range": {"force": [1, 1, 320], "moment": [1, 1, 1]},
+}
+THIN_PLATE = {
+    "mesh": {
+        "generator": "plate",
+        "length": 0.4,
+        "width": 0.4,
+        "thickness": 1e-3,
+        "patch": 0.1,
+        "cells": 4,
+    },
+    "supports": {"fixed": ["rim"]},
+    "interface": {"section": "patch", "coupling": "rigid"},
+    "range": {"force": [1, 1, 25], "moment": [0.4, 0.4, 0.4]},
+}
+
+
+def bars_over_errors(linear, wrenches):
+    """The linearity's error bars over errors, (n, 6 i), of a linear part at wrenches (n, k)."""
+    bundle, analysis = linear.component.bundle, replace(linear.component.analysis, nonlinear=True)
+    nonlinear = Solver(replace(linear.component, analysis=analysis))
+    told = {"mesh": None, "loads": bundle.acting.high.tolist()}
+    error, ratios = SolverError(told | linearity_of(linear, linear, bundle.acting)), []
+    for wrench in wrenches:
+        missed = np.abs(nonlinear.solve(wrench).displacement - linear.compliance @ wrench)
+        ratios.append(error.parts(wrench)["linearity"] / np.maximum(missed, 1e-9))
+    return np.array(ratios)
+
+
+def test_the_bar_of_a_part_that_stiffens_holds_its_answers_at_parts_of_its_load():
+    """The error of a clamped and guided beam that moves more than its thickness is no cube."""
+    beam = Solver(bundle_of(TABLE | GUIDED_BEAM | {"material": [ALUMINIUM]}, "."))
+    parts = np.outer([0.05, 0.1, 0.3, 0.7, -1.0], beam.component.bundle.acting.high)
+    ratios = bars_over_errors(beam, parts)[:, 2]
+    assert (ratios > 1).all()
+    assert (ratios < 2).all()
+
+
+def test_the_bar_of_a_part_that_snaps_through_holds_its_answers_up_to_there():
+    """Half of a shallow arch, guided at its crown; its error grows most just before it snaps."""
+
+    def arch(points):
+        along = points[:, 0] / 0.2
+        return points + np.outer(8e-3 * along * (2 - along), [0, 0, 1])
+
+    mesh = box("hex20", (10, 2, 2), (0.2, 0.02, 0.004), warp=arch)
+    guided = {"fixed": "x0", "section": "x1", "locked": GUIDED_BEAM["interface"]["locked"]}
+    linear = Solver(component(mesh, young=70e9, **guided))
+    nonlinear = Solver(component(mesh, young=70e9, nonlinear=True, **guided))
+    push = -100.0 * np.eye(6)[2]
+    result = beyond_linear(linear, DeclaredRange(push, 0 * push))
+    wrench = 0.95 * result.buckling * push
+    expected = linear.compliance @ wrench + 0.5 * linear.second_derivatives @ wrench @ wrench
+    missed = np.abs(nonlinear.solve(wrench).displacement - expected)[2]
+    assert 0.5 < result.buckling < 0.95
+    assert missed < result.remainder[2] * (0.95 * result.buckling) ** 3 < 2 * missed
+
+
+def test_a_coarser_mesh_of_half_the_compliance_is_not_used_for_the_remainder():
+    """With the coarser mesh a thin plate's remainder was an eighth, and 55 % of errors inside."""
+    plate = Solver(bundle_of(TABLE | THIN_PLATE | {"material": [ALUMINIUM]}, "."))
+    coarse, loads = coarser(plate), plate.component.bundle.acting
+    assert coarse.compliance[2, 2] < 0.6 * plate.compliance[2, 2]
+    own = np.array(linearity_of(plate, coarse, loads)["linearity_remainder"])
+    assert (own > 4 * beyond_linear(coarse, loads).remainder).all()
+
+
+def test_the_bar_of_two_branches_holds_the_errors_of_either(tmp_path):
+    """A pull stiffens the bending of one beam, at neither of two corners that turn it most."""
+    beams = Solver(read_bundle(two_cantilevers(tmp_path)))
+    wrenches = np.outer([0.5, 1.0], beams.component.bundle.acting.high)
+    assert (bars_over_errors(beams, wrenches) > 1).all()
 
 
 def test_a_range_beyond_the_buckling_load_is_told_with_its_factor(bar):

@@ -71,6 +71,16 @@ def test_a_deck_goes_from_file_to_the_answer_of_a_component_written_by_hand(tmp_
     np.testing.assert_allclose(answer, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize(
+    ("name", "decided"),
+    [("bracket.inp", 'range at "Surf-1"'), ("tied_blocks.inp", "hex8 cells get midside nodes")],
+)
+def test_a_shipped_deck_becomes_a_component_with_one_decision(tmp_path, name, decided):
+    result = propose(SHIPPED.parent / "decks" / name, tmp_path / "new", "mm")
+    assert result["check"]["ok"]
+    assert [line.startswith(decided) for line in result["decide"]] == [True]
+
+
 DECKS = {
     "patran.bdf": (cards.HERE / "patran.bdf").read_text("utf-8"),
     "archive.cdb": (cards.HERE / "archive.cdb").read_text("utf-8"),

@@ -21,6 +21,7 @@ from wrenchbook.service.fmu.export import (
     describe,
     identifier_of,
     make_fmu,
+    make_library,
 )
 from wrenchbook.surrogate.answer import UnknownMethodError
 from wrenchbook.surrogate.build import build
@@ -81,15 +82,17 @@ def guid(content):
     return text.split('guid="')[1].split('"')[0]
 
 
-def test_a_table_without_rows_is_refused_with_what_to_do():
+@pytest.mark.parametrize("make", [make_fmu, make_library])
+def test_a_table_without_rows_is_refused_with_what_to_do(make):
     with pytest.raises(NotExportableError, match="no rows; run wrenchbook fill"):
-        make_fmu("plate", packed(build(Rows.empty(), RANGE)))
+        make("plate", packed(build(Rows.empty(), RANGE)))
 
 
-def test_a_table_with_rows_only_beyond_its_range_is_refused():
+@pytest.mark.parametrize("make", [make_fmu, make_library])
+def test_a_table_with_rows_only_beyond_its_range_is_refused(make):
     far = Rows.of([[1e6, 0, 0, 0, 0, 0]], [[1e-3, 0, 0, 0, 0, 0]])
     with pytest.raises(NotExportableError, match="outside its load range"):
-        make_fmu("plate", packed(build(far, RANGE)))
+        make("plate", packed(build(far, RANGE)))
 
 
 def test_an_unknown_method_is_refused_by_name(table):
