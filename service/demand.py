@@ -111,7 +111,10 @@ class QueryStatistics:
                 return
             counts = self._unsaved.setdefault(name, QueryCounts(since=now))
             counts.latest.append({"wrench": list(wrench), "coverage": coverage, "when": now})
-            counts.count(cell, count * (coverage != "outside"), count * (coverage == "outside"))
+            if coverage == "outside":
+                counts.count(cell, 0, count)
+            else:
+                counts.count(cell, count, 0)
 
     def note_batch(
         self, name: str, span: LoadRange, wrenches: np.ndarray, coverage: np.ndarray

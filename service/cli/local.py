@@ -12,7 +12,7 @@ from contextlib import closing, contextmanager
 from dataclasses import MISSING, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_type_hints
 
 import typer
 from annotated_types import Ge, Le
@@ -32,6 +32,9 @@ from wrenchbook.service.settings import (
     check_engine,
     read_settings,
 )
+
+if TYPE_CHECKING:
+    from wrenchbook.service.ops.backup import Manifest
 
 CORES = usable_cores()
 DEFAULT_DATA = Settings.data
@@ -224,10 +227,20 @@ def restore(
         )
     until = at.replace(tzinfo=UTC).timestamp() if at else float("inf")
     manifest, former = restored(source, data, overwrite=overwrite, until=until)
-    skipped, state, option = manifest.skipped, manifest.state, _data_option(data)
     has_keys = (data / KEYS).exists()
-    text = f"{data}: {len(manifest.files)} files restored. Start it with: wrenchbook serve{option}"
-    texts = [text]
+    texts = _restored_texts(data, manifest, former, has_keys=has_keys)
+    reply = {"data": data, "files": len(manifest.files), "former": former, **manifest.state}
+    show(reply | {"skipped": manifest.skipped, "keys": has_keys}, as_json, "\n".join(texts))
+
+
+def _restored_texts(
+    data: Path, manifest: Manifest, former: Path | None, *, has_keys: bool
+) -> list[str]:
+    """Return the lines on a restored directory; `former`: the folder of its earlier files."""
+    state, option = manifest.state, _data_option(data)
+    texts = [
+        f"{data}: {len(manifest.files)} files restored. Start it with: wrenchbook serve{option}"
+    ]
     if state:
         created = datetime.fromtimestamp(state["created"], UTC).isoformat(" ", "milliseconds")
         texts.append(
@@ -236,16 +249,19 @@ def restore(
             f"in it: {state['interval']:g} s at most, if it shipped until its end. Serve it with "
             "another --replicate URL."
         )
-    if skipped:
-        texts.append(f"Not restored, since backups hold no such files: {', '.join(skipped)}.")
+    if manifest.skipped:
+        skipped = ", ".join(manifest.skipped)
+        texts.append(f"Not restored, since backups hold no such files: {skipped}.")
     if has_keys:
         texts.append("Its keys stay as they were.")
     else:
         texts.append(f"It has no keys: {_KEYLESS.format(option)}")
     if former is not None:
         texts.append(f"The former files are in {former}; remove them once you need them no more.")
-    reply = {"data": data, "files": len(manifest.files), "former": former, **state}
-    show(reply | {"skipped": skipped, "keys": has_keys}, as_json, "\n".join(texts))
+    return texts
+
+
+_COLOURS = {"fault": "red", "repaired": "yellow", "note": None}
 
 
 def doctor(
@@ -265,15 +281,14 @@ def doctor(
         print_json({"findings": [vars(finding) for finding in findings]})
     else:
         for finding in findings:
-            colour = {"fault": "red", "repaired": "yellow", "note": None}[finding.kind]
-            plain(Screen(), f"{finding.kind}: {finding.problem}", style=colour)
+            plain(Screen(), f"{finding.kind}: {finding.problem}", style=_COLOURS[finding.kind])
             if finding.remedy:
                 remedy = finding.remedy.replace(COMMAND, COMMAND + _data_option(data))
                 plain(Screen(), f"  {remedy}")
     faults = sum(finding.kind == "fault" for finding in findings)
     if not as_json:
-        text = f"{faults} fault{'s' * (faults != 1)}." if faults else f"{data} is in order."
-        plain(Screen(), text)
+        noun = "fault" if faults == 1 else "faults"
+        plain(Screen(), f"{faults} {noun}." if faults else f"{data} is in order.")
     raise typer.Exit(1 if faults else 0)
 
 

@@ -56,10 +56,15 @@ def show(reply: Any, as_json: bool, shown: str | Callable[[], Iterable[Renderabl
     if as_json:
         print_json(reply)
         return
-    for part in [shown] if isinstance(shown, str) else shown():
-        for column in part.columns if isinstance(part, Table) else ():
-            column.overflow = "fold"  # no value is cut in a narrow terminal
-        plain(Screen(), part) if isinstance(part, str) else Screen().print(part)
+    parts = [shown] if isinstance(shown, str) else shown()
+    for part in parts:
+        if isinstance(part, str):
+            plain(Screen(), part)
+            continue
+        if isinstance(part, Table):
+            for column in part.columns:
+                column.overflow = "fold"  # no value is cut in a narrow terminal
+        Screen().print(part)
 
 
 def answer_shown(answer: Displacement, interface: str = "") -> Group:
@@ -188,8 +193,8 @@ def stiffness_lines(body: dict[str, Any]) -> Iterator[Table | str]:
     for name, line in body["lines"].items():
         if line is not None:
             table.add_row(name, str(line["rows"]), *(f"{line[key]:.6g}" for key in names))
-    few = f"Fewer than three measured rows have {body['axis']} from {low:g} to {high:g} N (N·m)."
-    yield table if table.row_count else few
+    span = f"{body['axis']} from {low:g} to {high:g} N (N·m)"
+    yield table if table.row_count else f"Fewer than three measured rows have {span}."
     for name, play in body["play"].items():
         unit = body["unit"].rpartition("/")[2]
         yield f"Play at no load, of {name}: {play['value']:.4g} +- {play['half_width']:.2g} {unit}"
@@ -204,13 +209,8 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
     for component in components:
         kind = "linear" if component["linear"] else "nonlinear"
         spans = component["range"].get("loads") or {"": component["range"]}
-        force, moment = (
-            "; ".join(
-                _after_name(name, [max(map(abs, ends)) for ends in span[kind]])
-                for name, span in spans.items()
-            )
-            for kind in ("force", "moment")
-        )
+        force = "; ".join(_largest(name, span["force"]) for name, span in spans.items())
+        moment = "; ".join(_largest(name, span["moment"]) for name, span in spans.items())
         rows, others = str(component["rows"]), component.get("another_setup", {}).get("rows")
         if others:
             rows += f" (and {others} of another setup)"
@@ -219,6 +219,11 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
         kind = kind if component["has_fea"] else "table only"
         table.add_row(component["name"], escape(component["title"]), rows, kind, force, moment)
     return table
+
+
+def _largest(interface: str, ranges: Sequence[Sequence[float]]) -> str:
+    """Return the largest size of each load of an interface."""
+    return _after_name(interface, [max(map(abs, ends)) for ends in ranges])
 
 
 def job_table(jobs: Sequence[Job]) -> Table:

@@ -216,8 +216,11 @@ class DeformedSurfaces:
         wrenches = rows.wrench[solved]
         having = self._store.has(component.name, component.fingerprint, wrenches.tolist())
         if not having:
-            why = f"no row has fields (rows: {len(rows)}; solves of its present setup within the "
-            raise NoFieldsError(component, f"{why}load range: {len(solved)})")
+            raise NoFieldsError(
+                component,
+                f"no row has fields (rows: {len(rows)}; solves of its present setup within the "
+                f"load range: {len(solved)})",
+            )
         cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
         chosen = solved[having][np.sort(first)]
@@ -227,16 +230,7 @@ class DeformedSurfaces:
         error = fields.error
         if error is not None:
             error = np.maximum(error, rounding(fields.displacement))
-        reason = ""
-        if error is None:
-            reason = f"too few surfaces for an error bar ({len(blend.rows)}); solve more"
-        else:
-            limit = component.tolerance
-            allowed = limit.translation if limit else WITHOUT_TOLERANCE * blend.largest
-            worst = float(error.max(initial=0.0))
-            if worst > allowed:
-                reason = f"a point may be wrong by {worst:.3g} m, over {allowed:.3g} m; solve more"
-        coverage = "thin" if reason else "covered"
+        reason = _inaccuracy(component, blend, error)
         stress = None
         if fields.stress is not None:
             stress = largest_stress(component, blend.geometry, fields.stress, fields.stress_error)
@@ -250,7 +244,7 @@ class DeformedSurfaces:
             stress=stress,
             source="rows",
             rows=blend.rows,
-            coverage=coverage,
+            coverage="thin" if reason else "covered",
             reason=reason,
             follows=vertex_modes(slopes, rows.compliance[np.flatnonzero(rows.seq == number)[0]]),
         )
@@ -396,3 +390,15 @@ def _stacked_fields(row: RowFields) -> Floats:
 
     displacements = stacked(row.displacement, row.displacement_slopes)
     return np.hstack((displacements, stacked(row.stress, row.stress_slopes)))
+
+
+def _inaccuracy(component: Component, blend: Blend, error: Floats | None) -> str:
+    """Return why an interpolation with errors (n,), m, is too inaccurate; empty if it is not."""
+    if error is None:
+        return f"too few surfaces for an error bar ({len(blend.rows)}); solve more"
+    limit = component.tolerance
+    allowed = limit.translation if limit else WITHOUT_TOLERANCE * blend.largest
+    worst = float(error.max(initial=0.0))
+    if worst > allowed:
+        return f"a point may be wrong by {worst:.3g} m, over {allowed:.3g} m; solve more"
+    return ""

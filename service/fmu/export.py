@@ -105,9 +105,17 @@ def describe(component: str, guid: str, tool: str, summary: str, space: Space = 
         ElementTree.SubElement(categories, "Category", name=name)
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1")
     _add_variables(ElementTree.SubElement(root, "ModelVariables"), space)
-    # Each output depends on all inputs, without delay. Variables are numbered from 1 in the order
-    # of `_add_variables`: two tolerances are between coverage and within_tolerance.
-    structure = ElementTree.SubElement(root, "ModelStructure")
+    _add_structure(ElementTree.SubElement(root, "ModelStructure"), space)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
+
+
+def _add_structure(structure: ElementTree.Element, space: Space) -> None:
+    """Add the dependencies: each output depends on all inputs, without delay.
+
+    Variables are numbered from 1 in the order of `_add_variables`: two tolerances are between
+    coverage and within_tolerance.
+    """
     first = len(space.inputs) + 1
     coverage = first + 2 * len(space.outputs)
     inputs = " ".join(map(str, range(1, first)))
@@ -115,8 +123,6 @@ def describe(component: str, guid: str, tool: str, summary: str, space: Space = 
         unknowns = ElementTree.SubElement(structure, part)
         for index in (*range(first, coverage + 1), coverage + 3):
             ElementTree.SubElement(unknowns, "Unknown", index=str(index), dependencies=inputs)
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 
 def _unit(text: str) -> str:

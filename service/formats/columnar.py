@@ -96,8 +96,10 @@ def _check_unpacked(size: int) -> None:
     Raises ContentError if it is larger.
     """
     if size > MAX_UNPACKED:
-        most = f"over the limit of {MAX_UNPACKED >> 20:,} MiB"
-        raise ContentError(f"it unpacks to {size >> 20:,} MiB, {most}; send it in parts")
+        raise ContentError(
+            f"it unpacks to {size >> 20:,} MiB, over the limit of {MAX_UNPACKED >> 20:,} MiB; send "
+            "it in parts"
+        )
 
 
 def _values(name: str, column: Any) -> Array | list[Any]:
@@ -109,8 +111,10 @@ def _values(name: str, column: Any) -> Array | list[Any]:
         texts = column.dictionary.to_pylist()
         return [None if at is None else texts[at] for at in column.indices.to_pylist()]
     if types.is_nested(kind):
-        remedy = "write each of its parts as a column of its own"
-        raise ContentError(f"the column {name!r} holds {str(kind)[:100]}; {remedy}")
+        raise ContentError(
+            f"the column {name!r} holds {str(kind)[:100]}; write each of its parts as a column of "
+            "its own"
+        )
     if types.is_floating(kind) or types.is_integer(kind):
         return column.to_numpy(zero_copy_only=False)
     return column.to_pylist()
@@ -144,11 +148,13 @@ def _stored_pieces(path: Path, columns: Columns) -> Iterator[Piece]:
         read += n
 
 
-def _space_problem(sent: Space, own: Space) -> str:
-    """Return the first difference of a file's inputs and outputs from the component's `own`."""
-    pairs = zip_longest((*sent.inputs, *sent.outputs), (*own.inputs, *own.outputs))
-    items = next((pair for pair in pairs if pair[0] != pair[1]), (None, None))
-    has, needs = (f"{item.name} [{item.unit}]" if item else "none" for item in items)
+def _space_problem(sent: Space, needed: Space) -> str:
+    """Return the first difference of a file's inputs and outputs from the component's."""
+    pairs = zip_longest((*sent.inputs, *sent.outputs), (*needed.inputs, *needed.outputs))
+    differing = [pair for pair in pairs if pair[0] != pair[1]]
+    sent_item, needed_item = differing[0] if differing else (None, None)
+    has = f"{sent_item.name} [{sent_item.unit}]" if sent_item else "none"
+    needs = f"{needed_item.name} [{needed_item.unit}]" if needed_item else "none"
     return (
         f"is of another component: it has {has} where this one has {needs}; export the rows as CSV "
         "and name the columns for this component"
@@ -196,10 +202,8 @@ def _vectors(values: dict[str, Any]) -> dict[str, Array]:
     struct = next(iter(values.values()), None) if len(values) == 1 else None
     if isinstance(struct, np.ndarray) and struct.dtype.names:
         values = {name: struct[name].tolist() for name in struct.dtype.names}
-        for name, column in values.items() if struct.ndim else ():  # an array of records
-            several = any(np.size(value) > 1 for value in column)
-            numbers = [value if np.size(value) else np.nan for value in column]
-            values[name] = np.array(numbers, dtype=object if several else None)
+        if struct.ndim:  # an array of records
+            values = {name: _record_values(column) for name, column in values.items()}
     columns = {name: np.asarray(value) for name, value in values.items() if np.ndim(value)}
     if not columns:  # a single row, or none
         scalars = {n: v for n, v in values.items() if isinstance(v, int | float)}
@@ -219,6 +223,13 @@ def _vectors(values: dict[str, Any]) -> dict[str, Array]:
     return columns
 
 
+def _record_values(column: Sequence[Any]) -> Array:
+    """Return a field of an array of records, (n,): NaN where a record has none."""
+    several = any(np.size(value) > 1 for value in column)
+    numbers = [value if np.size(value) else np.nan for value in column]
+    return np.array(numbers, dtype=object if several else None)
+
+
 def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a TDMS file: of the sheet's group, or the first with most columns.
 
@@ -235,8 +246,8 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
                 for name, group in groups.items()
                 if group
             }
-            most = {name for name, score in scores.items() if score == max(scores.values())}
-            sheet = chosen_sheet(list(scores), options.sheet, most.__contains__, report)
+            best = {name for name, score in scores.items() if score == max(scores.values())}
+            sheet = chosen_sheet(list(scores), options.sheet, best.__contains__, report)
             report.ignored += [c.name for c in file[sheet].channels() if not len(c)]
             yield from read_columns(_tdms_pieces(groups[sheet], options), options, report)
     except ContentError as error:
@@ -252,8 +263,10 @@ def _tdms_pieces(
     """Yield labels and channels, some rows at a time; with a time if all channels are waveforms."""
     lengths, columns = {len(channel) for channel in channels}, options.columns
     if len(channels) > columns.most:
-        most = f"at most {columns.most} are read; leave some out"
-        raise ContentError(f"its group has {len(channels)} channels, but {most}")
+        raise ContentError(
+            f"its group has {len(channels)} channels, but at most {columns.most} are read; leave "
+            "some out"
+        )
     if len(lengths) != 1:
         sizes = ", ".join(f"{c.name} {len(c)}" for c in channels[:_MAX_NAMED])
         raise ContentError(f"its channels differ in length ({sizes}); resample them to one time")
@@ -265,11 +278,13 @@ def _tdms_pieces(
         if c.properties.get("wf_increment")
     }
     if len(times) > 1:
-        (one, name), (other, other_name) = list(times.items())[:2]
-        trios = zip(waveform, one, other, strict=True)
+        (first_time, first_name), (next_time, next_name) = list(times.items())[:2]
+        trios = zip(waveform, first_time, next_time, strict=True)
         differing = ", ".join(f"wf_{key} {a} and {b}" for key, a, b in trios if a != b)
-        problem = f"the waveforms of {name} and {other_name} have different times ({differing})"
-        raise ContentError(f"{problem}; resample them to one time")
+        raise ContentError(
+            f"the waveforms of {first_name} and {next_name} have different times ({differing}); "
+            "resample them to one time"
+        )
     names = [reading.column for label in labels for reading in readings_of(label, columns)]
     named = any(name.startswith("time") for name in (*names, *options.mapping.values()))
     _, start, step = next(iter(times), (None, None, 0.0))

@@ -187,8 +187,10 @@ def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Opti
     def names(line: str, mark: str) -> int:
         return named_columns(line.split(mark, columns.most), columns, options.mapping)
 
-    header = next((line for line in heads if any(names(line, m) >= _SEVERAL for m in marks)), "")
-    for line in heads if not header else ():
+    for line in heads:
+        if any(names(line, mark) >= _SEVERAL for mark in marks):
+            return _mark_of_header(line, names)
+    for line in heads:
         rows = [mark for mark in marks if is_row(line.split(mark, columns.most)[: columns.most])]
         cells = line.split(None, columns.most)[: columns.most]
         if is_row(cells) and not any(cell[0] in marks or cell[-1] in marks for cell in cells):
@@ -200,9 +202,15 @@ def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Opti
             )
         if rows:
             return rows[0]
-    header = header or heads[0]
-    sure = next((mark for mark in _SURE_DELIMITERS if mark in header), "")
-    return sure or max(_OTHER_DELIMITERS, key=lambda mark: names(header, mark))
+    return _mark_of_header(heads[0], names)
+
+
+def _mark_of_header(header: str, names: Callable[[str, str], int]) -> str:
+    """Return a sure delimiter of a header, else the one with more `names`."""
+    for mark in _SURE_DELIMITERS:
+        if mark in header:
+            return mark
+    return max(_OTHER_DELIMITERS, key=lambda mark: names(header, mark))
 
 
 def named_columns(cells: Sequence[str], columns: Columns, mapping: Mapping[str, str]) -> int:
@@ -272,11 +280,11 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
             return _no_header(line, "line", str(error)), records
         break
     else:
-        message = (
-            "there is no header below the logger's lines; write the names of the columns there"
-            if preamble
-            else "the file is empty; export it again"
-        )
+        message = "the file is empty; export it again"
+        if preamble:
+            message = (
+                "there is no header below the logger's lines; write the names of the columns there"
+            )
         return _no_header(0, "file", message), records
     titles, (line, cells), records = _split_titles((line, cells), records, options.mapping, columns)
     if any(cell.strip() for cell in cells[columns.most :]):
@@ -287,12 +295,7 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
     labels = [" ".join(cell.replace("\ufeff", "").split()) for cell in cells]
     if all(is_number(cell) for cell in cells if cell.strip()):
         if not positions:
-            message = (
-                "there is no header. Name the columns with units in the first line, such as fx "
-                "[N], ux [mm] (lines that begin with # are comments), or by position with mapping "
-                "(--column '1=fx [N]')"
-            )
-            return _no_header(line, "header", message), records
+            return _no_header(line, "header", _NO_LABELS), records
         labels = [str(at) for at in range(1, len(cells) + 1)]
         records = chain([(line, cells)], records)
     while len(labels) > max(positions, default=0) and not labels[-1]:
@@ -304,6 +307,12 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
     header = Header(width=len(labels), preamble=preamble, titles=titles)
     _read_labels(header, labels, line, options, units)
     return header, records
+
+
+_NO_LABELS = (
+    "there is no header. Name the columns with units in the first line, such as fx [N], ux [mm] "
+    "(lines that begin with # are comments), or by position with mapping (--column '1=fx [N]')"
+)
 
 
 def _no_header(line: int, field: str, message: str) -> Header:

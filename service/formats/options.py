@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
@@ -335,10 +336,12 @@ def within_limits(piece: ParsedTable, options: Options, report: ReadReport) -> P
 def is_within_limits(columns: Mapping[str, Any], options: Options, report: ReadReport) -> Array:
     """Return which rows of the columns of a `ParsedTable` are within all limits, (n,)."""
     good = np.ones(len(columns["seq"]), dtype=bool)
-    wrench, displacement, uncertainty = (
-        columns[name] for name in ("wrench", "displacement", "uncertainty")
+    problems = chain(
+        _excess_displacements(columns["displacement"], options.columns),
+        _excess_uncertainties(columns["uncertainty"], options.columns),
+        _excess_loads(columns["wrench"], options.load_range),
     )
-    for at, name, message in _excesses(wrench, displacement, uncertainty, options):
+    for at, name, message in problems:
         good[at] = False
         label = report.labels.get(name or "", name or "")
         report.mistakes.add(int(columns["seq"][at]), label, message)
@@ -358,11 +361,8 @@ def largest_loads(load_range: LoadRange) -> Array:
     return np.where(size > 0.0, LOAD_LIMIT * size, np.inf)
 
 
-def _excesses(
-    wrench: Array, displacement: Array, uncertainty: Array, options: Options
-) -> Iterator[Problem]:
-    """Yield the numbers beyond a limit."""
-    columns = options.columns
+def _excess_displacements(displacement: Array, columns: Columns) -> Iterator[Problem]:
+    """Yield the displacements (n, outputs), m and rad, beyond a limit."""
     is_rotation = columns.space.is_rotation
     for first in range(0, len(columns.displacement), PER_INTERFACE):
         moved = displacement[:, first : first + PER_INTERFACE]
@@ -380,6 +380,11 @@ def _excesses(
             f"{TRANSLATION_LIMIT:g} m; check the unit (m or mm)"
         )
         yield at, columns.displacement[axis], message
+
+
+def _excess_uncertainties(uncertainty: Array, columns: Columns) -> Iterator[Problem]:
+    """Yield the uncertainties (n, outputs), m and rad, beyond a limit."""
+    is_rotation = columns.space.is_rotation
     limit = np.where(is_rotation, LONGEST, TRANSLATION_LIMIT)
     known = any(uncertainty.strides)  # infinite uncertainties are other mistakes
     beyond = np.isfinite(uncertainty) & (uncertainty > limit) if known else np.zeros((0, 0))
@@ -390,7 +395,10 @@ def _excesses(
             f"table exceeds {end:.4g} {unit}; check the unit, or leave it out if unknown"
         )
         yield at, columns.uncertainty[output], message
-    load_range = options.load_range
+
+
+def _excess_loads(wrench: Array, load_range: LoadRange | None) -> Iterator[Problem]:
+    """Yield the loads (n, inputs) beyond a limit."""
     if load_range is None:
         return
     limit = largest_loads(load_range)
@@ -428,9 +436,9 @@ def _foreign_rows(piece: ParsedTable, setup: str) -> Iterator[Problem]:
     pairs = zip(piece.fingerprint.tolist(), piece.source.tolist(), strict=True)
     for at, (fingerprint, source) in enumerate(pairs):
         if fingerprint != setup and (fingerprint or source == FEA):
-            other = f"the setup {fingerprint}" if fingerprint else "a setup without a name"
+            solved = f"the setup {fingerprint}" if fingerprint else "a setup without a name"
             message = (
-                f"is a solve of {other}, but this component has the setup {setup}. Leave the row "
+                f"is a solve of {solved}, but this component has the setup {setup}. Leave the row "
                 "out, or load it as a measured row, with an empty fingerprint and a source other "
                 "than fea"
             )

@@ -35,6 +35,7 @@ from wrenchbook.service.jobs.attempt import (
     LOG,
     Attempt,
     BadOutcomeError,
+    Outcome,
     attempt_folder,
     last_output,
     prepare,
@@ -495,7 +496,7 @@ def record(
     except BadOutcomeError as error:
         _log.warning("taken for a lost attempt: %s", error)
         outcome = None
-    setup, seconds = ((attempt.component, attempt.fingerprint), solver_seconds(attempt.folder))
+    setup, seconds = (attempt.component, attempt.fingerprint), solver_seconds(attempt.folder)
     if errors is not None:  # before the row: then the table's version with the row has it
         errors.record(*setup, outcome and outcome.solver_error)
     if outcome is None:
@@ -503,23 +504,7 @@ def record(
     elif outcome.status == "done":
         if fields is not None:  # without its row it does no harm, and it is found by its wrench
             fields.take(attempt.folder, *setup, attempt.wrench)
-        origin = f"job {attempt.job}"
-        if isinstance(outcome.program, str):
-            origin += f", wrenchbook {outcome.program}"
-        try:
-            ledger.commit(
-                *attempt.key,
-                outcome.displacement or (),
-                compliance=outcome.compliance,
-                curvature=outcome.curvature,
-                origin=origin,
-                seconds=seconds,
-            )
-        except (ValueError, TypeError) as error:
-            ledger.fail(*attempt.key, _bad_answer(str(error)))
-            return
-        with contextlib.suppress(OSError):
-            tidy(attempt.folder)
+        _commit(ledger, attempt, outcome, seconds)
     elif outcome.status == "failed":
         error = outcome.error
         if isinstance(error, dict) and {"kind", "message", "remedy"} <= error.keys():
@@ -529,6 +514,27 @@ def record(
         ledger.fail(*attempt.key, error, seconds)
     else:
         ledger.release(*attempt.key)
+
+
+def _commit(ledger: Ledger, attempt: Attempt, outcome: Outcome, seconds: float | None) -> None:
+    """Commit the row of a done attempt and tidy its folder; an unusable answer fails the job."""
+    origin = f"job {attempt.job}"
+    if isinstance(outcome.program, str):
+        origin += f", wrenchbook {outcome.program}"
+    try:
+        ledger.commit(
+            *attempt.key,
+            outcome.displacement or (),
+            compliance=outcome.compliance,
+            curvature=outcome.curvature,
+            origin=origin,
+            seconds=seconds,
+        )
+    except (ValueError, TypeError) as error:
+        ledger.fail(*attempt.key, _bad_answer(str(error)))
+        return
+    with contextlib.suppress(OSError):
+        tidy(attempt.folder)
 
 
 def _bad_answer(why: str) -> dict[str, str]:

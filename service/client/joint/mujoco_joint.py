@@ -113,7 +113,8 @@ class MujocoJoint(Joint):
         refuse_rk4(model)
         self._model, self._data = model, data
         self._base, self._tips = base, self._bodies(tip, bodies)
-        self._name = f"{table.name} at tip{'s' * self._several} " + ", ".join(map(repr, self._tips))
+        tips = ", ".join(map(repr, self._tips))
+        self._name = f"{table.name} at {'tips' if self._several else 'tip'} {tips}"
         parent = body_number(model, base)
         for name in self._tips:
             actual = int(model.body_parentid[body_number(model, name)])
@@ -152,7 +153,8 @@ class MujocoJoint(Joint):
         wrong = [f"no body for {name!r}" for name in names if name not in bodies]
         wrong += [f"no interface {name!r} that moves" for name in bodies if name not in names]
         single = {str(body) for body in bodies.values()}
-        wrong += ["one body at two interfaces"] * (len(single) < len(bodies))
+        if len(single) < len(bodies):
+            wrong.append("one body at two interfaces")
         if wrong:
             expected = ", ".join(f"{name!r}: BODY" for name in names)
             raise JointError(f"{self._table.name}: {'; '.join(wrong)}. Write bodies={{{expected}}}")
@@ -210,7 +212,7 @@ class MujocoJoint(Joint):
         self._pose_of_tip, self._inverse_mass = steps.poses[at], steps.inverse_masses[at]
         self._before = steps.velocities[at].reshape(-1)
         self._before[:] = np.nan
-        self._force, self._slope, self._spin = (reply[name] for name in ("force", "rate", "spin"))
+        self._force, self._slope, self._spin = reply["force"], reply["rate"], reply["spin"]
         poses, qpos = self._pose_of_tip.reshape(-1, 7), data.qpos
         self._read_from = [
             (poses[k, to : to + n], qpos[at : at + n]) for k, to, at, n in self._runs
@@ -383,14 +385,15 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
 
     Raises JointError otherwise.
     """
+    if not joints:
+        raise JointError(
+            "step_joints has no joints to step; pass all joints of the scene: step_joints(a, b)"
+        )
     scenes = len({joint._data for joint in joints})
     if scenes != 1:
         raise JointError(
             f"the {len(joints)} joints belong to {scenes} different MjData; call step_joints once "
             "for each MjData, with its own joints"
-            if joints
-            else "step_joints has no joints to step; pass all joints of the scene: "
-            "step_joints(a, b)"
         )
     refuse_rk4(joints[0]._model)  # the user may have chosen it since
     stepped = [start for joint in joints for start in joint._starts]
@@ -401,6 +404,24 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
             f"two of the joints at {tips} have the same tip, which can follow only one of them; "
             "pass each tip once"
         )
+    _require_present(joints, of_scene)
+    if len(of_scene) > len(stepped):
+        unstepped = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
+        tips = ", ".join(repr(tip) for joint in joints for tip in joint._tips)
+        missing = ", ".join(repr(tip) for joint in unstepped for tip in joint._tips)
+        raise JointError(
+            f"the scene has joints at the tips {tips} and {missing}: a step of one joint advances "
+            "the complete scene without the others. Call wrenchbook.step_joints(a, b) once instead "
+            "of a.step(); b.step() (MujocoJoints: a.step(b))"
+        )
+    if not 0 < (step := joints[0]._scene.timestep) < np.inf:
+        raise JointError(
+            f"the scene's time step is {step} s; set model.opt.timestep to a finite number above 0"
+        )
+
+
+def _require_present(joints: Sequence[MujocoJoint], of_scene: Mapping[int, MujocoJoint]) -> None:
+    """Raise JointError if a joint of the scene was not copied, or was replaced by a newer one."""
     for joint in joints:
         for start, tips in joint._others_copied.items():
             if start not in of_scene:
@@ -411,19 +432,6 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
         for start, tip in zip(joint._starts, joint._tips, strict=True):
             if of_scene[start] is not joint:
                 raise JointError(f"a newer joint at {tip!r} replaced this one; step the newer one")
-    if len(of_scene) > len(stepped):
-        others = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
-        sides = [[tip for joint in some for tip in joint._tips] for some in (joints, others)]
-        tips, missing = (", ".join(map(repr, side)) for side in sides)
-        raise JointError(
-            f"the scene has joints at the tips {tips} and {missing}: a step of one joint advances "
-            "the complete scene without the others. Call wrenchbook.step_joints(a, b) once instead "
-            "of a.step(); b.step() (MujocoJoints: a.step(b))"
-        )
-    if not 0 < (step := joints[0]._scene.timestep) < np.inf:
-        raise JointError(
-            f"the scene's time step is {step} s; set model.opt.timestep to a finite number above 0"
-        )
 
 
 def pull(joints: Collection[MujocoJoint]) -> None:

@@ -36,6 +36,7 @@ from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.findings.cycles import measured_stiffness
+from wrenchbook.surrogate.table.rows import Rows
 
 router = component_router("library", route=JsonRoute)
 ImportId = Annotated[int, Path(ge=1, lt=2**63)]
@@ -262,17 +263,7 @@ def get_stiffness(
     loads = [item.name for item in space.inputs if item.kind != "scalar"]
     ends = _two_loads(between)
     if number is not None:
-        masks = [
-            (span.first <= rows.seq) & (rows.seq <= span.last)
-            for span in workspace.ledger.import_spans(name)
-            if span.record.id == number
-        ]
-        if not masks:
-            raise UnknownImportError(
-                f"{name!r} has no import {number} with rows; list its imports with GET "
-                f"/v1/components/{name}/imports"
-            )
-        rows = rows.take(np.any(masks, axis=0))
+        rows = _rows_of_import(workspace, name, rows, number)
     # By default the load that these rows vary most, relative to its range.
     varied = np.ptp(rows.wrench, axis=0) / span.scale if len(rows) else span.scale
     axis = axis or loads[int(np.argmax(varied[: len(loads)]))]
@@ -292,6 +283,24 @@ def get_stiffness(
         "unit": f"{space.inputs[load].unit}/{space.outputs[output].unit}",
     }
     return json_reply(reply | measured_stiffness(rows, span, ends, load, output))
+
+
+def _rows_of_import(workspace: Workspace, name: str, rows: Rows, number: int) -> Rows:
+    """Return the rows of a component's import.
+
+    Raises UnknownImportError if it has none.
+    """
+    masks = [
+        (part.first <= rows.seq) & (rows.seq <= part.last)
+        for part in workspace.ledger.import_spans(name)
+        if part.record.id == number
+    ]
+    if not masks:
+        raise UnknownImportError(
+            f"{name!r} has no import {number} with rows; list its imports with GET "
+            f"/v1/components/{name}/imports"
+        )
+    return rows.take(np.any(masks, axis=0))
 
 
 def _two_loads(between: str) -> tuple[float, float]:

@@ -103,13 +103,13 @@ def _plan(
     built = table.surrogate()
     plan = plan_of(built, need, solved=component.has_fea)
     savings = measured(built, plan) if timed else not_measured("see POST /v1/scenes/plan")
-    whole, scene = plan.solves
+    of_range, of_scene = plan.solves
     solves = "the component has no finite-element setup: nothing is solved"
     if component.has_fea:
-        time_saved = _time_saved(workspace, component, whole - scene) if timed else ""
+        time_saved = _time_saved(workspace, component, of_range - of_scene) if timed else ""
         solves = (
-            f"counted: the first design of an empty table has {whole} wrenches for the whole load "
-            f"range and {scene} for the scene{time_saved}"
+            f"counted: the first design of an empty table has {of_range} wrenches for the whole "
+            f"load range and {of_scene} for the scene{time_saved}"
         )
     tolerance: dict[Part, Any] | None = None
     if need.tolerance is not None:
@@ -125,7 +125,7 @@ def _plan(
         outputs=tuple(need.output_names()),
         tolerance=tolerance,
         displacement_bound=plan.bound,
-        solves={"whole": whole, "scene": scene},
+        solves={"whole": of_range, "scene": of_scene},
         saves={
             "build_s": savings.build_s,
             "memory_bytes": savings.memory_bytes,
