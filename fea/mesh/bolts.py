@@ -126,6 +126,11 @@ def _sides(
             f"has no connected cells on both sides of its cut, {level:.4g} m along axis; "
             f"the region is from {span.min():.4g} to {span.max():.4g} m, so move point into it"
         )
+        if span.min() < level < span.max():
+            message = (
+                f"has only one layer of cells at its cut, {level:.4g} m along axis; mesh the shank "
+                "with two or more cells along axis, or write point where cells meet"
+            )
     elif not by_region and not np.array_equal(nodes, mesh.facet_groups[name].node_ids):
         message = (
             f'"{name}" does not cut through the shank: cells on both sides share {len(nodes)} of '

@@ -290,7 +290,7 @@ def test_a_preload_that_the_part_does_not_carry_is_named_with_the_force_reached(
     text = r"The preload of bolt\[0\], 1e\+07 N, exceeds .*; the solve reached .*e\+05 N"
     with pytest.raises(SolveFailed, match=text) as failure:
         Solver(part).solve(np.zeros(6))
-    assert failure.value.remedy.startswith("Write a smaller force")
+    assert failure.value.remedy.startswith("Reduce force under [[bolt]]")
     stretched = assembly(frame(), bolt=[bolt(region="shank", force=0.2 * YOUNG * AREA)])
     assert "is a strain of 0." in str(warnings_of(stretched))
 
