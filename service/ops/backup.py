@@ -148,8 +148,8 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
         raise BackupError(f"{problem}; name a backup that this user may read") from error
     except _UNREADABLE as error:
         raise BackupError(
-            f"{source} is not a complete backup ({error}), because its writing or copying was cut "
-            "off. Use another backup; nothing was changed"
+            f"{source} is no backup ({error}); name a file that wrenchbook backup wrote. If it is "
+            "such a file, its writing or copying was cut off: use another one. Nothing was changed"
         ) from error
     # Only its owner may read a backup; another user's backup was passed on.
     if status.st_uid not in (0, os.geteuid()):

@@ -327,6 +327,11 @@ def test_a_cut_or_a_joint_that_will_not_do_is_refused_by_name():
             {"bolt": [bolt(point=[0, 0, 9.0])]},
             "sides of its cut, 9 m along axis; the region is from 0 to 1 m",
         ),
+        (
+            box("hex20", (2, 2, 1), (0.1, 0.06, 1.0)),
+            {"bolt": [bolt(point=[0, 0, 0.5])]},
+            "has only one layer of cells at its cut, 0.5 m along axis; mesh the shank",
+        ),
         (bar, {"bolt": [bolt(region=None, group="z0")]}, '"z0" has cells on one side only'),
         (bar, {"bolt": [bolt(region="half")]}, "with cells outside the region"),
         (bar, {"bolt": [bolt(region=None, group="x0")]}, "does not cut through"),
