@@ -307,7 +307,10 @@ def _mesh_source(bundle: Bundle) -> MeshSource:
     brackets = "[[material]]" if lacking == "material" else f"[{lacking}]"
     message = f"is missing, so the component cannot be solved; add {brackets}"
     if lacking == "mesh" and bundle.deck is not None:
-        message = "is missing; name a component with a [mesh], not a [deck]"
+        message = (
+            f"{bundle.name} is solved by its [deck], but this needs a [mesh]; name a component "
+            "with a [mesh]"
+        )
     raise BundleError([BundleProblem(lacking, message)])
 
 

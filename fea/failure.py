@@ -70,20 +70,21 @@ class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a prog
         return SolveFailed, (self.kind, self.message, self.remedy), self.__dict__
 
 
-def gave_way(kind: str, factor: float) -> SolveFailed | None:
+def gave_way(kind: str, factor: float, load: str) -> SolveFailed | None:
     """Return the failure of a part whose equilibrium path ends below the full load.
 
     kind: kind of the ending (`fea.solver.arc_length.Ending`), ``"limit"`` or ``"bifurcation"``; for
     others the result is None.
-    factor: the part of the wrench at which the path ends.
+    factor: the part of the load at which the path ends.
+    load: the load's name.
     """
     if kind == "limit":
-        message = "The part snaps through at {} of this wrench, where its load has a maximum."
+        message = "The part snaps through at {} of {}, where its load has a maximum."
     elif kind == "bifurcation":
-        message = "The part buckles at {} of this wrench, where its equilibrium becomes unstable."
+        message = "The part buckles at {} of {}, where its equilibrium becomes unstable."
     else:
         return None
-    failure = SolveFailed("snap_through", message.format(f"{factor:.3g}"))
+    failure = SolveFailed("snap_through", message.format(f"{factor:.3g}", load))
     failure.load_factor = factor
     return failure
 

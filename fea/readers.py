@@ -143,8 +143,8 @@ class CalculixDat:
         path = run.folder / name
         if not path.is_file():
             raise OutputError(
-                f'The solver wrote no file {name}; add "*NODE PRINT, NSET={options["point"]}" and '
-                '"U" to the step.'
+                f"The solver wrote no file {name}; add *NODE PRINT with U for the sets "
+                f"{options['point']} and {options['rotation']} to the step."
             )
         last = {key: _last(path, name, options[key]) for key in self.keys}
         times = {time for time, _ in last.values()}

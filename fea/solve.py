@@ -228,9 +228,14 @@ class Solver:
         if self._system.preload is None:
             return None
         try:
-            return hang(
-                self._tightening, _check_rotation, "the preload of bolts alone"
-            ).balance.state
+            tight = hang(
+                self._tightening,
+                _check_rotation,
+                cause="the preload of bolts",
+                load="the preload",
+                remedy="Reduce force under [[bolt]], or stiffen what the bolt clamps and its "
+                "bearing surface.",
+            )
         except SolveFailed as failure:
             if failure.last is None or failure.kind in ("mechanism", "ill_conditioned"):
                 raise
@@ -241,8 +246,9 @@ class Solver:
                 failure.kind,
                 f"The preload of {bolts} exceeds what the part can carry; the solve reached "
                 f"{reached}. {failure.message}",
-                "Write a smaller force, or stiffen what the bolt clamps and its bearing surface.",
+                failure.remedy,
             ) from None
+        return tight.balance.state
 
     @cached_property
     def unloaded(self) -> Equilibrium:

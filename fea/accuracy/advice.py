@@ -66,7 +66,7 @@ def _mesh_too_coarse(solver_error: Mapping[str, Any], allowed: Array) -> str:
         remedy += f", about {1e3 * size:.2g} mm" if size < 1.0 else f", about {size:.2g} m"
         remedy += " each"
     start = "the mesh is too coarse for the tolerance: at the full range its error may be"
-    actions = f"{remedy}, widen [tolerance], or narrow [range]"
+    actions = f"{remedy}, widen [tolerance], or narrow {_range(solver_error)}"
     return f"{start} {excess}, and more solves do not reduce it. {actions}"
 
 
@@ -78,7 +78,7 @@ def _large_displacements(solver_error: Mapping[str, Any], allowed: Array) -> str
     message = (
         "the linear solver (nonlinear = false) neglects large displacements: at the full range "
         f"this error may be {excess}, and more solves do not reduce it. Set nonlinear = true in "
-        "[analysis], or narrow [range]"
+        f"[analysis], or narrow {_range(solver_error)}"
     )
     return message if worst > 1.0 else ""
 
@@ -89,9 +89,15 @@ def _buckles(solver_error: Mapping[str, Any], _: Array) -> str:
         return ""
     return (
         f"the part buckles at {factor:.3g} of the loads at a corner of the range; answers of "
-        "the linear solver are wrong beyond that load. Narrow [range], or set nonlinear = true "
-        "in [analysis]"
+        f"the linear solver are wrong beyond that load. Narrow {_range(solver_error)}, or set "
+        "nonlinear = true in [analysis]"
     )
+
+
+def _range(solver_error: Mapping[str, Any]) -> str:
+    """Return the place of the load range: with several interfaces each has its own."""
+    several = len(solver_error["loads"]) >= 2 * len(_OUTPUTS)  # further inputs are four at most
+    return "the range of its [[interface]]" if several else "[range]"
 
 
 def straight_edges(solver_error: Mapping[str, Any]) -> list[BundleProblem]:

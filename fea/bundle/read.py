@@ -21,7 +21,15 @@ from wrenchbook.fea.mesh.generators import GENERATORS
 from wrenchbook.fea.readers import reader_named, reader_names
 from wrenchbook.fea.spec.deck_text import deck_text
 from wrenchbook.fea.spec.fingerprint import fingerprint
-from wrenchbook.fea.spec.keys import keys_of, kind_of, missing, shown, unknown, validated
+from wrenchbook.fea.spec.keys import (
+    keys_of,
+    kind_of,
+    missing,
+    not_single,
+    shown,
+    unknown,
+    validated,
+)
 from wrenchbook.fea.spec.material import EXPANDING, AnyMaterial
 from wrenchbook.fea.spec.mesh_source import Generator, MeshFile, MeshSource
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError, suggest
@@ -152,7 +160,9 @@ class _Reader:
     def read_each(self, name: str, kind: Any) -> list[Any]:
         """Return the values of an array of tables, None for each that cannot be used."""
         values = self.table.get(name, [])
-        if type(values) is not list:
+        if type(values) is dict:
+            self.wrong(name, not_single(name))
+        elif type(values) is not list:
             self.wrong(name, f"must be a list, not {shown(values)}; write it in brackets: [...]")
         elif name in self.table and not values:
             self.wrong(name, f"is an empty list; write one or more tables, each under [[{name}]]")
@@ -264,11 +274,12 @@ class _Reader:
 
     def interfaces(self) -> list[Any]:
         """Return every ``[[interface]]``; those of a measured part have no section."""
-        measured = "mesh" not in self.table and "deck" not in self.table
-        interfaces = self.read_each("interface", MeasuredInterface if measured else NamedInterface)
-        if len(interfaces) == 1:
+        if len(self.table["interface"]) == 1:
             message = "is a list of one; write [interface] without a name, or add another"
             self.wrong("interface", message)
+            return [None]
+        measured = "mesh" not in self.table and "deck" not in self.table
+        interfaces = self.read_each("interface", MeasuredInterface if measured else NamedInterface)
         first_of: dict[str, int] = {}
         held = [i for i, interface in enumerate(interfaces) if interface and interface.held]
         for i, interface in enumerate(interfaces):
@@ -283,7 +294,7 @@ class _Reader:
 
     def range(self, several: list[Any]) -> DeclaredRange | None:
         """Return ``[range]``, or the ranges of several interfaces in their order."""
-        if "range" in self.table and several:
+        if "range" in self.table and len(several) > 1:
             message = f"belongs under each [[interface]]; write there range = {RANGE_EXAMPLE}"
             self.wrong("range", message)
         if several:

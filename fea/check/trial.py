@@ -151,9 +151,11 @@ def deflection_warnings(
     moved, problems = np.array(deflection), []
     degrees = float(np.degrees(largest_rotation(moved)))
     if degrees > MAX_DEGREES:
+        several = len(component.interfaces) > 1
+        place = "the range of its [[interface]]" if several else "[range]"
         message = (
             f"rotates the interface by {degrees:.3g} degrees at the full range (linear estimate), "
-            f"but solves of more than {MAX_DEGREES:g} degrees are refused; narrow [range]. {_UNITS}"
+            f"but solves of more than {MAX_DEGREES:g} degrees are refused; narrow {place}. {_UNITS}"
         )
         problems.append(BundleProblem("range", message))
     limit = component.bundle.tolerance

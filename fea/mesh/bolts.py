@@ -159,6 +159,11 @@ def _why_uncut(
         return f'"{bolt.group}" has cells on one side only; name facets inside the shank, across it'
     if not has_faces:
         span, level = heights[_nodes_of(mesh, shank.cells)], np.concatenate(shank.levels)[0]
+        if span.min() < level < span.max():
+            return (
+                f"has only one layer of cells at its cut, {level:.4g} m along axis; mesh the shank "
+                "with two or more cells along axis, or write point where cells meet"
+            )
         return (
             f"has no connected cells on both sides of its cut, {level:.4g} m along axis; "
             f"the region is from {span.min():.4g} to {span.max():.4g} m, so move point into it"

@@ -23,6 +23,12 @@ from wrenchbook.fea.tensors import rotation, rotation_vector
 
 Array = np.ndarray
 
+_LESS_WEIGHT = (
+    "Correct gravity under [analysis] (m/s^2), or support the part so that it carries its weight."
+)
+# Kinds of failures that less load does not cure.
+_OF_ANY_LOAD = "mechanism", "ill_conditioned", "locking_material"
+
 FIRST_STEP = 1.0
 """Load factor tried first."""
 GROWTH = 2.0
@@ -58,6 +64,7 @@ class LoadPath:
     wrench: shape (k,): the inputs, as of `Balance.wrench`; not zero.
     progress: called with the fraction done and a message.
     unloaded: the equilibrium at no wrench, under self-weight (`hang`); None without self-weight.
+    load: the name in messages of the load that is stepped.
     history: all iterations, also those of steps taken back.
     work: external work so far, J.
     """
@@ -68,8 +75,10 @@ class LoadPath:
         wrench: Array,
         progress: Progress | None = None,
         unloaded: Equilibrium | None = None,
+        load: str = "this wrench",
     ) -> None:
         self._system = system
+        self._load = load
         self._wrench = wrench
         self._size = float(np.abs(wrench).max())
         self._direction = wrench / self._size  # in its units; its squares do not overflow
@@ -154,7 +163,7 @@ class LoadPath:
             if equilibrium is not None:
                 check(equilibrium.balance)
                 return equilibrium
-        raise gave_way(ending.kind, ending.factor) or refused
+        raise gave_way(ending.kind, ending.factor, self._load) or refused
 
     def _return_to_load(self, beyond: Equilibrium) -> Equilibrium | None:
         """Go back from a state just beyond the full load to the full load."""
@@ -269,15 +278,18 @@ class LoadPath:
 def hang(
     system: System,
     check: Callable[[Balance], None],
-    cause: str = "self-weight alone",
     start: CoupledState | None = None,
+    cause: str = "self-weight",
+    load: str = "its weight",
+    remedy: str = _LESS_WEIGHT,
 ) -> Equilibrium:
     """Return the equilibrium under self-weight and no wrench.
 
     system: with its weight.
     check: as of `LoadPath.follow`.
-    cause: the weight's name in messages.
     start: the state after bolts are tightened, without the weight; None without bolts.
+    cause, load: the weight's names in messages.
+    remedy: of failures that less load cures.
 
     Raises SolveFailed as `LoadPath.follow` does, for the weight instead of the wrench; it has
     `last`.
@@ -286,12 +298,15 @@ def hang(
     further = system.weight[:, :, None]
     growing = System(system.body, system.coupling, body_force=further, preload=system.preload)
     unloaded = None if start is None else at_rest(growing, start)
-    path = LoadPath(growing, np.eye(growing.inputs)[-1], None, unloaded)
+    path = LoadPath(growing, np.eye(growing.inputs)[-1], None, unloaded, load)
     try:
         equilibrium = path.follow(check)
     except SolveFailed as failure:
-        message = f"Under {cause}, which the load factor scales here: {failure.message}"
-        other = SolveFailed(failure.kind, message, failure.remedy)
+        text = failure.message[0].lower() + failure.message[1:]
+        message = f"Under {cause} alone, before any wrench, {text}"
+        if failure.kind in _OF_ANY_LOAD:
+            remedy = failure.remedy
+        other = SolveFailed(failure.kind, message, remedy)
         other.last = path.last_state()
         raise other from None
     balance = system.balance(equilibrium.balance.state, np.zeros(system.inputs))

@@ -69,7 +69,8 @@ class Riding:
         moments = np.linalg.eigvalsh(self.inertia)
         if moments[0] < -_MOMENT_ROUNDOFF * max(moments[2], 0.0):
             least = f"the least principal moment of inertia is {moments[0]:.4g} kg·m^2"
-            raise ValueError(f"{least}, but none may be negative; correct the inertia")
+            remedy = "give positive xx,yy,zz and, if there are six, smaller xy, xz, yz"
+            raise ValueError(f"{least}, but none may be negative; in --inertia {remedy}")
         if moments[2] * (1 - _TYPED_DIGITS) > moments[0] + moments[1]:
             low, middle, high = (f"{moment:.4g}" for moment in moments)
             raise ValueError(

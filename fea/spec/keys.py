@@ -362,8 +362,16 @@ def _problems(kind: Any, where: str, entry: Mapping[str, Any]) -> Iterator[Bundl
             yield BundleProblem(path, str(error).replace("{unit}", unit))
     elif entry["type"] == "unexpected_keyword_argument":
         yield BundleProblem(path, unknown(entry["loc"][-1], classes[0]))
+    elif entry["type"] == "tuple_type" and classes and type(entry["input"]) is dict:
+        yield BundleProblem(path, not_single(path))
     else:
         yield BundleProblem(path, _sentence(entry, info))
+
+
+def not_single(path: str) -> str:
+    """Return the refusal of one table in the place of a list of tables."""
+    key = re.sub(r"\[\d+\]", "", path)
+    return f"must be a list; write [[{key}]] instead of [{key}]"
 
 
 def unknown(name: str, cls: type) -> str:

@@ -189,9 +189,10 @@ def _stiffness(numbers: tuple[Any, ...]) -> Array:
         freedom = f"that of {FREEDOMS[i]} is {diagonal[i]:.4g}"
         raise ValueError(f"must have no negative stiffness, but {freedom}; write 0 or more")
     if (least := np.linalg.eigvalsh(scaled)[0]) < -_ROUNDING:
-        size = f"{least:.2g} of the diagonal, would release energy"
-        message = f"must have no negative eigenvalue: {size}; reduce the off-diagonal numbers"
-        raise ValueError(message)
+        raise ValueError(
+            f"its least eigenvalue is negative ({least:.2g} times its diagonal), so some motion "
+            "would release energy; reduce the off-diagonal numbers"
+        )
     if not matrix.any():
         raise ValueError("is zero, so nothing resists; write a stiffness, or leave the table out")
     return 0.5 * matrix + 0.5 * matrix.T  # the sum of two near 1e308 would overflow

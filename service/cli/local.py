@@ -217,6 +217,8 @@ def restore(
     from wrenchbook.service.ops.restore import restore as restored
 
     source = file if "://" in file else Path(file)
+    if isinstance(source, Path) and source.is_dir():
+        raise typer.BadParameter(f"{file} is a folder, not a file; name a backup's .zip")
     if isinstance(source, Path) and not source.is_file():
         raise typer.BadParameter(
             f"the file {file} does not exist; give the path of a backup, or the URL of a replica"

@@ -178,7 +178,7 @@ def _checked(name: str, need: Json) -> Document:
         try:
             body["tolerance"] = tolerance_body(need["tolerance"])
         except ValueError as error:
-            raise SceneError(f"{where}.tolerance: {error}") from None
+            raise SceneError(f"{where}.{error}") from None
     return body
 
 

@@ -179,12 +179,16 @@ def tolerance_body(tolerance: Tolerance) -> dict[str, float]:
         translation, rotation = (float(part) for part in pair)
     except (KeyError, TypeError, ValueError, AttributeError):
         raise InvalidArgument(
-            "a tolerance must be two numbers, m and rad, such as {'translation': 1e-6, "
+            "tolerance: must be two numbers, m and rad, such as {'translation': 1e-6, "
             f"'rotation': 1e-5}}, not {tolerance!r}"
         ) from None
-    if not (0.0 < translation < np.inf and 0.0 < rotation < np.inf):
-        raise InvalidArgument(f"a tolerance must be above 0 and finite, not {tolerance!r}")
-    return {"translation": translation, "rotation": rotation}
+    body = {"translation": translation, "rotation": rotation}
+    for name, least in (("translation", "0 m, such as 1e-6"), ("rotation", "0 rad, such as 1e-5")):
+        if not 0.0 < body[name] < np.inf:
+            raise InvalidArgument(
+                f"tolerance: {name} must be finite and above {least}, not {body[name]:g}"
+            )
+    return body
 
 
 def _numbers(values: ArrayLike, name: str) -> Vector:

@@ -59,9 +59,9 @@ class NoFieldsError(Exception):
         solve = f"Solve wrenches that have no row: POST /v1/components/{name}/solve"
         if rows:  # rows whose files are damaged
             numbers = ", ".join(map(str, rows[:10])) + (", ..." if len(rows) > 10 else "")
-            text = f"no stored surface of {name!r} can be used: {why} (row {numbers}). For another "
-            text += f"DELETE /v1/components/{name}/table/{rows[0]}, then POST /v1/components/{name}"
-            text += "/solve with the wrench of that row"
+            text = f"no stored surface of {name!r} can be used: {why} (row{'s' * (len(rows) > 1)} "
+            text += f"{numbers}). To make one again: DELETE /v1/components/{name}/table/{rows[0]}, "
+            text += f"then POST /v1/components/{name}/solve with that row's wrench"
         elif unusable:
             text = f"the stored surfaces of {name!r} cannot be used: {why}. {solve}"
         elif component.has_fea:

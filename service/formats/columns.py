@@ -78,6 +78,10 @@ def split(label: str) -> tuple[str, str]:
     """Return the name of a label and the unit in brackets at its end, or empty; UnitError."""
     match = _BRACKETED.fullmatch(label)
     if match is None or not match["name"]:
+        name, opening, unit = label.partition("[")
+        if name.strip() and opening and "]" not in unit and "[" not in unit:
+            label = f"{name.strip()} [{unit.strip()}]"
+            raise UnitError(f"lacks its closing bracket; write {label}")
         raise UnitError("must have the form name [unit]; write for example fx [N]")
     return match["name"], (match["a"] or match["b"] or "").strip()
 

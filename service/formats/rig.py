@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wrenchbook.fea.spec.problems import suggest
 from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.formats.options import (
     FEA,
@@ -117,7 +118,9 @@ class Rig:
         values |= table if isinstance(table, dict) else {_OWN: table}
         known = *_KEYS, *OPTIONS
         if unknown := [key for key in values if key not in known]:
-            raise RigError(f"the rig has no key {unknown[0][:100]!r}; use {', '.join(known)}")
+            near = suggest(unknown[0][:100], known)
+            named = f"the rig has no key {unknown[0][:100]!r}{near}"
+            raise RigError(f"{named}{'. Known: ' if near else '; use '}{', '.join(known)}")
         name = values.get("name", cls.digest(text))
         if not isinstance(name, str):
             raise RigError(

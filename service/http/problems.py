@@ -216,8 +216,9 @@ def install(app: FastAPI) -> None:
 
     def crash(request: Request, _: Exception) -> Response:
         path = request.url.path[:MAX_PLACE]
-        detail = f"{request.method} {path} failed. Search the server's log for the request_id, "
-        detail += "which has the traceback, then send the request again."
+        detail = f"{request.method} {path} failed by a bug of the server (request "
+        detail += f"{REQUEST_ID.get()}). Report it with the traceback, which the server's log has "
+        detail += "under this number; its operator can read it."
         return HttpProblemError(500, "internal", "Internal server error", detail).response()
 
     bodies = BundleError, keys.KeysError, ValidationError, RequestValidationError

@@ -195,8 +195,8 @@ def _opened(source: Path) -> tuple[zipfile.ZipFile, os.stat_result]:
         ) from error
     except _UNREADABLE as error:
         raise BackupError(
-            f"{source} is not a complete backup ({error}), because its writing or copying was cut "
-            "off. Use another backup; nothing was changed"
+            f"{source} is no backup ({error}); name a file that wrenchbook backup wrote. If it is "
+            "such a file, its writing or copying was cut off: use another one. Nothing was changed"
         ) from error
 
 

@@ -173,9 +173,7 @@ class Replica:
         """Return a block; raises ReplicaError if it is missing or damaged."""
         content = self.place.get(_block(digest), b"")
         if _digest(content) != digest or len(content) > BLOCK:
-            raise ReplicaError(
-                f"block {digest} of {self.url} is missing or damaged; restore an earlier time: --at"
-            )
+            raise ReplicaError(f"block {digest} of {self.url} is missing or damaged; {_INSTEAD}")
         return content
 
 

@@ -98,6 +98,12 @@ class _Curve:
         self.low, self.high = table.load_range.low[axis], table.load_range.high[axis]
         if not self.low < self.high:
             raise BushingError(f"its load range {self.low:g} to {self.high:g} is empty; widen it")
+        if not self.low <= 0.0 <= self.high:
+            unit = "N" if axis < 3 else "N*m"
+            raise BushingError(
+                f"the load range of {LOADS[axis]}, {self.low:g} to {self.high:g} {unit}, does not "
+                f"contain 0 {unit}, where the curve starts; widen it under [range]"
+            )
         loads, rounding = table.rows.wrench[:, axis], _ROUNDING * (self.high - self.low)
         self.rows = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
         self.rest = 0.0 if others == "displacement" else self._moved(0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -182,19 +183,28 @@ def mistake(
     if code == NOT_SQUARE:
         counts = f"{len(space['inputs'])} loads for {len(space['outputs'])} outputs"
         return InverseError(f"the table has {counts}; an inverse needs as many of both")
-    reached = ", ".join(
-        f"{entry['name']} = {load:.4g} {entry['unit']}"
-        for entry, load in zip(space["inputs"], inputs[0].tolist(), strict=True)
-        if load
-    )
+    reached = _listed(space["inputs"], inputs[0])
     if code == SINGULAR:
         return InverseError(
             f"the compliance at {reached or 'zero load'} is unknown or singular, so the "
             "displacement has no wrench there; solve or import rows near it"
         )
+    low, high = packed.arrays["space/range"]
+    outside = bool(((inputs[0] < low) | (inputs[0] > high)).any())
+    wanted = _listed(space["outputs"], displacement)
     return InverseError(
-        f"no wrench of the table gives this displacement; the nearest one is {reached or 'zero'}. "
-        "Give a smaller displacement, or a start wrench nearer to the solution"
+        f"the inverse did not converge for {wanted or 'zero displacement'}; its last wrench was "
+        f"{reached or 'zero'}{', outside the load range' * outside}. Give a smaller displacement, "
+        "or pass start= with a wrench near the answer"
+    )
+
+
+def _listed(entries: Sequence[Mapping[str, str]], values: Floats) -> str:
+    """Return the values that are not zero, each with its name and unit."""
+    return ", ".join(
+        f"{entry['name']} = {value:.4g} {entry['unit']}"
+        for entry, value in zip(entries, values.tolist(), strict=True)
+        if value
     )
 
 

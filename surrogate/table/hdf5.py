@@ -295,7 +295,10 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
         with h5py.File(path, "r") as file:
             _check_contained(file)
         if not is_as_written(source):
-            raise TableFileError("is damaged: its checksum is wrong; send it again")
+            raise TableFileError(
+                "differs from what wrenchbook wrote (checksum); send the original again, or export "
+                "as CSV before you edit it"
+            )
         with h5py.File(path, "r") as file:
             _check_schema(file, source)
             _read_meta(file)

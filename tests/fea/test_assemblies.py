@@ -290,7 +290,7 @@ def test_a_preload_that_the_part_does_not_carry_is_named_with_the_force_reached(
     text = r"The preload of bolt\[0\], 1e\+07 N, exceeds .*; the solve reached .*e\+05 N"
     with pytest.raises(SolveFailed, match=text) as failure:
         Solver(part).solve(np.zeros(6))
-    assert failure.value.remedy.startswith("Write a smaller force")
+    assert failure.value.remedy.startswith("Reduce force under [[bolt]]")
     stretched = assembly(frame(), bolt=[bolt(region="shank", force=0.2 * YOUNG * AREA)])
     assert "is a strain of 0." in str(warnings_of(stretched))
 
@@ -326,6 +326,11 @@ def test_a_cut_or_a_joint_that_will_not_do_is_refused_by_name():
             bar,
             {"bolt": [bolt(point=[0, 0, 9.0])]},
             "sides of its cut, 9 m along axis; the region is from 0 to 1 m",
+        ),
+        (
+            box("hex20", (2, 2, 1), (0.1, 0.06, 1.0)),
+            {"bolt": [bolt(point=[0, 0, 0.5])]},
+            "has only one layer of cells at its cut, 0.5 m along axis; mesh the shank",
         ),
         (bar, {"bolt": [bolt(region=None, group="z0")]}, '"z0" has cells on one side only'),
         (bar, {"bolt": [bolt(region="half")]}, "with cells outside the region"),

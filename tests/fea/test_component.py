@@ -125,7 +125,7 @@ def test_a_component_of_a_deck_names_the_table_that_the_embedded_solver_lacks(tm
     (tmp_path / "job.inp").write_text("*NODE\n")
     deck = {"file": "job.inp", "command": ["ccx"], "output": {"reader": "numbers", "file": "u"}}
     table = {key: BLOCKS[key] for key in ("name", "title", "range")} | {"deck": deck}
-    with pytest.raises(BundleError, match=r"mesh: is missing; name a component with a \[mesh\]"):
+    with pytest.raises(BundleError, match=r"is solved by its \[deck\], but this needs a \[mesh\]"):
         build(bundle_of(table, tmp_path))
     (tmp_path / "hex20_41.msh").write_bytes((FILES / "hex20_41.msh").read_bytes())
     table |= {key: BLOCKS[key] for key in ("mesh", "material", "interface")}

@@ -157,6 +157,11 @@ def cut(backup, kept):
     return backup
 
 
+def written(backup):
+    backup.write_text("some text")
+    return backup
+
+
 OUT = ("../outside", "/etc/outside", "fields/../../outside")
 FOREIGN = (
     *("keys.json", "keys.json.lock", "wrenchbook.toml", "jobs/1/1/spec.json", "shared/lock"),
@@ -176,6 +181,7 @@ REFUSED = [
     (partial(planted, schema=99, program="9.9"), r"newer wrenchbook.*9\.9"),
     (partial(planted, format="another"), "is a 'another', not a 'wrenchbook backup'"),
     (partial(planted, text='{"schema": 2}'), "in its backup.json the member 'format' is missing"),
+    (written, "is no backup .File is not a zip file.; name a file that wrenchbook backup wrote"),
     (lambda backup: backup.parent, "cannot be read: Is a directory; name a backup"),
     (partial(planted, files={}), r"has no ledger\.sqlite"),
     *((partial(planted, name=name), "which no backup contains") for name in (*OUT, *FOREIGN)),

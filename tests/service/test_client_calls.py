@@ -181,9 +181,9 @@ def test_a_bad_batch_or_option_is_named_before_anything_is_sent(stub: Stub, clie
         client.displacements("plate", np.zeros((3, 5)))
     with pytest.raises(ValueError, match="on_thin must be one of queue, wait"):
         client.displacement("plate", [0, 0, 0], on_thin="maybe")
-    with pytest.raises(ValueError, match="tolerance must be above 0 and finite"):
+    with pytest.raises(ValueError, match="translation must be finite and above 0 m"):
         client.fill("plate", tolerance={"translation": 0.0, "rotation": 1.0})
-    with pytest.raises(ValueError, match="a tolerance must be"):
+    with pytest.raises(ValueError, match="tolerance: must be two numbers"):
         client.fill("plate", tolerance={"translation": 1.0})
     assert stub.seen == []
 

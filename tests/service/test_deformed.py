@@ -136,7 +136,7 @@ def test_fields_or_a_geometry_that_are_gone_are_named_and_not_guessed(plate, sto
         file_of(store, plate, row).write_bytes(b"nothing")
     with pytest.raises(
         NoFieldsError,
-        match=r"all are damaged \(row 1, 2, 3, 4, 5\)\. .* DELETE \S+table/1, then POST",
+        match=r"all are damaged \(rows 1, 2, 3, 4, 5\)\. .* DELETE \S+table/1, then POST",
     ):
         shapes.answer(component, rows, asked[0])
     filled(store, plate, range(5))

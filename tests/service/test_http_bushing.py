@@ -99,3 +99,14 @@ def test_a_table_without_curves_says_what_to_do(http):  # noqa: F811
     assert (refused.status_code, "others=load" in refused.json()["detail"]) == (409, True)
     several = http.get("/v1/components/link/table", params={"format": "bushing"})
     assert (several.status_code, "one interface" in several.json()["detail"]) == (409, True)
+
+
+def test_a_curve_of_a_load_range_without_zero_names_the_load(http):  # noqa: F811
+    pulled = {"force": [[20, 100], [-1, 1], [-1, 1]], "moment": [1, 1, 1]}
+    rig = {"name": "pulled", "title": "A rig", "range": pulled}
+    rig["tolerance"] = {"translation": 1e-4, "rotation": 1e-3}
+    assert http.post("/v1/components", json=rig).is_success
+    load(http, [[50.0, *[0.0] * 8]], name="pulled")
+    refused = http.get("/v1/components/pulled/table", params={"format": "bushing"})
+    text = "ux: the load range of fx, 20 to 100 N, does not contain 0 N, where the curve starts"
+    assert text in refused.json()["detail"]

@@ -204,6 +204,10 @@ def test_a_scene_beyond_the_range_is_not_downloaded(client: Client):
         ({"a": {**PLANAR, "outputs": [["uz"]]}}, "components.a.outputs"),
         ({"a": {**PLANAR, "outputs": 5}}, "components.a.outputs"),
         ({"a": {**PLANAR, "tolerance": -1}}, "components.a.tolerance"),
+        (
+            {"a": {**PLANAR, "tolerance": [0, 1e-5]}},
+            "^components.a.tolerance: translation must be finite and above 0 m, such as 1e-6, n",
+        ),
     ],
 )
 def test_a_scene_that_cannot_be_is_told_before_anything_is_sent(wanted, told):

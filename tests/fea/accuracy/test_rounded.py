@@ -381,6 +381,13 @@ TOLD = {"mesh": MESH, "loads": [1.0, 1.0, 100.0, 1.0, 1.0, 1.0], "cell_size": 0.
         (TOLD | {"buckling": None}, 1.0, 1.0, None),
         (TOLD | {"buckling": 1.5}, 1.0, 1.0, None),
         (TOLD | {"buckling": 0.00108}, 1.0, 1.0, "buckles at 0.00108"),
+        (TOLD | {"buckling": 0.1}, 1.0, 1.0, "Narrow [range], or"),
+        (
+            TOLD | {"loads": [1.0] * 12, "mesh": None, "buckling": 0.1},
+            1.0,
+            1.0,
+            "Narrow the range of its [[interface]], or",
+        ),
     ],
 )
 def test_what_is_over_the_tolerance_is_told_with_what_mends_it(told, translation, rotation, words):

@@ -64,7 +64,9 @@ def test_output_that_lacks_the_motion_is_refused(run, case):
 
 def test_a_missing_dat_file_is_told(run):
     (run.folder / "job.dat").unlink()
-    with pytest.raises(OutputError, match=r"no file job\.dat"):
+    with pytest.raises(
+        OutputError, match=r"no file job\.dat; .* with U for the sets REF and ROT to the step"
+    ):
         CalculixDat().read(run, TOLD)
 
 

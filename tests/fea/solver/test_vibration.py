@@ -106,7 +106,7 @@ def test_nothing_with_a_mass_is_named():
         ((-1.0,), "not -1 kg"),
         ((float("nan"),), "finite"),
         ((1.0, [1.0, 2.0]), "the inertia must be xx, yy, zz"),
-        ((1.0, [-1.0, 2.0, 2.0]), "none may be negative"),
+        ((1.0, [-1.0, 2.0, 2.0]), "none may be negative; in --inertia give positive xx,yy,zz"),
         ((5.0, [1.0, 1.0, 5.0]), "is above the sum of the others, 1 and 1 kg"),
         ((1.0, None, [1.0]), "centre of mass must be 3"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from tests.fea.two_interfaces import rod_between_loads
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.check.trial import sag_per_gravity, weight_warnings
 from wrenchbook.fea.component import build
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.generators import GENERATORS
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.material import Material
@@ -119,3 +121,14 @@ def test_the_warning_of_self_weight_is_of_the_worst_of_two_interfaces(tmp_path):
         for rows in (slice(3), slice(3, 6))
     )
     assert f"by up to {moved:.2g} m and {turned:.2g} rad" in warning.message
+
+
+def test_a_part_that_buckles_under_its_weight_alone_is_not_told_to_reduce_a_wrench():
+    bending = YOUNG * SIDE**4 / 12
+    critical = 7.837 * bending / (DENSITY * SIDE**2 * LENGTH**3)  # Greenhill 1881
+    solver = Solver(bar(nonlinear=True, gravity=(-2 * critical, 0.0, 0.0)))
+    text = "^Under self-weight alone, before any wrench, the part buckles at 0.5[^ ]* of its weight"
+    with pytest.raises(SolveFailed) as caught:
+        solver.solve(np.zeros(6))
+    assert re.search(text, caught.value.message)
+    assert caught.value.remedy.startswith("Correct gravity under [analysis]")

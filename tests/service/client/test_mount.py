@@ -268,7 +268,7 @@ OPTIONS = [
     ({"on_thin": "ask"}, "on_thin must be one of"),
     ({"unmeasured": 0}, "unmeasured must be one of"),
     ({"stiffness": np.eye(3)}, r"shape \(6, 6\)"),
-    ({"tolerance": (0.0, 1.0)}, "above 0 and finite"),
+    ({"tolerance": (0.0, 1.0)}, "tolerance: translation must be finite and above 0 m"),
     ({"natural_frequency": 27.0}, "belong together; give both"),
     ({"source": linear_table(), "method": "krigging"}, "krigging"),
 ]
