@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..kriging.effects import Effects, Indices, effects_of
+from ..kriging.serial import dependence_of
 from ..table.rows import Floats, LoadRange, Rows
 from ..table.space import OUTPUTS
 from .channels import channel_findings, dead_channels
@@ -30,6 +31,8 @@ from .origin import slopes_at_zero
 from .response import REMARKABLE, Cause, RigFinding, response_of, single_row_findings, wrong_rows
 
 MIN_FIT_ROWS = 7  # rows of a linear response: six loads and a constant
+# Factor by which error bars are too small: of normal errors, such bars hold 90 % instead of 95 %.
+MIN_TOO_SMALL = 1.2
 MAX_ROWS = 5_000  # rows examined, some 0.5 s: of more rows every k-th
 # Effects that show only in the order of the rows.
 EFFECTS: dict[Cause, str] = {
@@ -88,8 +91,11 @@ def find(
     )
     findings += next((found for check in checks if (found := check())), [])
     findings += clearance_findings(slopes, response)
-    effects = effects_of(rows, load_range, np.flatnonzero(~wrong.any(axis=1)))
-    return [*findings, *effect_findings(effects, good.displacement)]
+    is_good = ~wrong.any(axis=1)
+    effects = effects_of(rows, load_range, np.flatnonzero(is_good))
+    findings += effect_findings(effects, good.displacement)
+    of_part = replace(good, displacement=good.displacement - effects.of_rows[is_good])
+    return findings + correlation_findings(dependence_of(of_part, load_range))
 
 
 def sampled(rows: Rows) -> Rows:
@@ -160,6 +166,23 @@ def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:
         numbers = {entry: {OUTPUTS[output]: float(most[output]) for output in remarkable}}
         findings.append(RigFinding(cause, EFFECTS[cause].format(part=part, name=name), (), numbers))
     return findings
+
+
+def correlation_findings(dependence: Floats) -> list[RigFinding]:
+    """Return a finding if errors of consecutive rows are alike; (m,): see `dependence_of`."""
+    too_small = np.sqrt(dependence)
+    remarkable = np.flatnonzero(too_small > MIN_TOO_SMALL)
+    if not len(remarkable):
+        return []
+    worst = remarkable[too_small[remarkable].argmax()]
+    message = (
+        f"consecutive readings of {OUTPUTS[worst]} have common errors, as of one hold of a load. "
+        f"{dependence[worst]:.2g} of them count as one, so that error bars are "
+        f"{too_small[worst]:.2g} times too small. Import the mean of each hold with its standard "
+        "uncertainty (a column such as uz_std), or import again with thin=0.02 (--thin 0.02)"
+    )
+    factors = {OUTPUTS[output]: float(too_small[output]) for output in remarkable}
+    return [RigFinding("correlated", message, (), {"too_small": factors})]
 
 
 def error_of_a_reading(error: Floats, interpolation: Floats, noise: Floats) -> Floats:

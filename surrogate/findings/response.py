@@ -61,6 +61,7 @@ Cause = Literal[
     "session",
     "scale",
     "zero",
+    "correlated",
     "twice",
 ]
 MAX_LISTED_ROWS = 500  # rows listed with a finding, for a page's list; `count` has their number

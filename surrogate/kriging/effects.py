@@ -100,7 +100,7 @@ class Effects(NamedTuple):
 class _Readings(NamedTuple):
     """Measured rows (n), in the order of their measurement, prepared to estimate effects."""
 
-    rows: Rows  # loads and displacements are the means at the row's place: see `_positions_of`
+    rows: Rows  # loads and displacements are the means at the row's place: see `positions_of`
     good: Indices  # (k,): the rows that show effects, one for each place, `MAX_ROWS` at most
     middle: Floats  # (n, 2 s): time in the session, then session; both about their means
     extent: Floats  # (n, m): see `_extent`
@@ -126,7 +126,7 @@ class _Readings(NamedTuple):
         middle[:, count:] -= middle[:, count:].mean(axis=1, keepdims=True)
 
         loads = rows.wrench / load_range.scale
-        place = _positions_of(loads, members)
+        place = positions_of(loads, members)
         good, loads, moved = _means_at_positions(loads, rows.displacement, good, place)
         extent = _extent(moved, good, session)
         if len(good) > MAX_ROWS:
@@ -305,7 +305,7 @@ def _extent(moved: Floats, good: Indices, session: Indices) -> Floats:
     return (ranges / np.where(widest > 0.0, widest, 1.0))[session]
 
 
-def _positions_of(loads: Floats, sessions: list[Indices]) -> Indices:
+def positions_of(loads: Floats, sessions: list[Indices]) -> Indices:
     """Return, for each row, the first row at the place of its load, (n,).
 
     A load leaves its place where it is farther than `PLACE` from the first load there.
@@ -334,7 +334,7 @@ def _means_at_positions(
     own they would make effects seem surer.
 
     `good` (k,): indices of the rows that the means are made of.
-    `place` (n,): see `_positions_of`.
+    `place` (n,): see `positions_of`.
     """
     number = np.unique(place[good], return_inverse=True)[1]
     first = np.unique(place[good])

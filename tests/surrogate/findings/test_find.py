@@ -34,6 +34,17 @@ def test_fifty_clean_measurements_have_no_finding():
     assert {seed: causes for seed, causes in result.items() if causes} == {}
 
 
+def test_readings_of_a_hold_with_a_common_error_are_correlated():
+    rig = Rig(12, ("sweeps",))
+    loads = np.concatenate((np.linspace(-1, 1, 12), np.linspace(1, -1, 12)))
+    wrench = np.outer(loads, np.eye(6)[2] * rig.high)
+    moved = rig.respond(wrench)
+    moved += rig.rng.normal(size=moved.shape) * 0.003 * np.ptp(moved, axis=0)
+    wrench, moved = wrench.repeat(15, axis=0), moved.repeat(15, axis=0)
+    moved += rig.rng.normal(size=moved.shape) * 0.0006 * np.ptp(moved, axis=0)
+    assert "correlated" in causes_of(Rows.of(wrench, moved, source=["measured"] * 360), rig)
+
+
 def test_the_rows_of_outliers_are_the_wrong_ones():
     rig = Rig(7, ("random",))
     rows = rig.measured()
