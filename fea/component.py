@@ -517,7 +517,8 @@ def _weights(
     mesh: Mesh, key: str, interface: Interface, nodes: Array, problems: list[BundleProblem]
 ) -> Array:
     """Return equal weights, or the deck's of these nodes, shape (s,)."""
-    weights, message = np.ones(len(nodes)), ""
+    weights = np.ones(len(nodes))
+    message = ""
     if interface.coupling == "rigid":
         message = "has no effect on a rigid coupling, which takes no mean; leave weights out"
     elif interface.weights == "deck" and interface.section not in mesh.node_weights:

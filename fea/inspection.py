@@ -149,13 +149,16 @@ def _worst(mesh: Mesh, measure: Measure) -> dict[str, Any]:
     """Return a measure's worst value with its cell, and the number of cells beyond its limit."""
     sign = 1.0 if measure.larger_is_worse else -1.0  # times a value: the worst is the largest
     bad = 0
-    worst, kind, centre = -np.inf, "", np.zeros(3)
+    worst = -np.inf
+    kind = ""
+    centre = np.zeros(3)
     for block in mesh.blocks:
         values = sign * measure.of(mesh.points, block)
         bad += int((values > sign * measure.limit).sum())
         if len(values) and values.max() > worst:
             cell = int(values.argmax())
-            worst, kind = float(values[cell]), block.kind
+            worst = float(values[cell])
+            kind = block.kind
             centre = mesh.points[block.nodes[cell]].mean(axis=0)
     return {
         "worst": sign * worst,
@@ -198,7 +201,8 @@ def bodies_of(mesh: Mesh) -> Bodies:
     rank[order] = np.arange(count)
     number = rank[label]
     # The nodes of each body: pairs of body and node as one number, body * nodes + node.
-    pairs, first = [], 0
+    pairs = []
+    first = 0
     for block in mesh.blocks:
         bodies = np.repeat(number[first : first + len(block)], block.nodes.shape[1])
         pairs.append(bodies * len(mesh.points) + block.nodes.ravel())
@@ -210,7 +214,9 @@ def bodies_of(mesh: Mesh) -> Bodies:
 
 def _faces(mesh: Mesh) -> tuple[Array, Array]:
     """Return a face number for each face of each cell, equal for equal corners, and the cell."""
-    corners, owners, first = [], [], 0
+    corners = []
+    owners = []
+    first = 0
     for block in mesh.blocks:
         for face in FACES[block.kind]:
             several = corners_of("tri" if len(face) in (3, 6) else "quad")
@@ -233,7 +239,9 @@ def stacked_singly(mesh: Mesh) -> Array:
     number, _ = _faces(mesh)
     is_shared = np.bincount(number)[number] > 1
     # Cells that are joined to others along one direction at most: their faces, (6, k), and middles.
-    first, single_faces, middles = 0, [], []
+    first = 0
+    single_faces = []
+    middles = []
     for block in mesh.blocks:
         faces = slice(first, first + len(FACES[block.kind]) * len(block))
         first = faces.stop
@@ -356,7 +364,8 @@ def shank_direction(component: ComponentModel, bolt: BoltCut) -> tuple[float, Ar
     The free facets of a shank at the cut run along it. Without such facets, as at a cone, the angle
     is 0.
     """
-    mesh, squares = component.uncut_mesh, np.zeros((3, 3))
+    mesh = component.uncut_mesh
+    squares = np.zeros((3, 3))
     for kind, nodes in outer_surface(mesh.blocks).blocks:
         x = mesh.points[nodes[np.isin(nodes, bolt.nodes).any(axis=1)][:, TRIANGLES[kind]]]
         normals = np.cross(x[:, :, 1] - x[:, :, 0], x[:, :, 2] - x[:, :, 0]).sum(axis=1)
@@ -428,7 +437,8 @@ def section_warnings(component: ComponentModel) -> list[BundleProblem]:
     surface = outer_surface(mesh.blocks).node_ids
     problems = []
     for interface in component.interfaces:
-        section, key = interface.section, f"{interface.key}.section"
+        section = interface.section
+        key = f"{interface.key}.section"
         if not section.by_area:
             message = (
                 "is a set of nodes that bounds no face, so all nodes have equal weights; for area "
@@ -463,7 +473,8 @@ def support_warnings(component: ComponentModel) -> list[BundleProblem]:
 
     The answer then depends on the mesh size.
     """
-    surface, nodes = outer_surface(component.mesh.blocks), component.supported_nodes
+    surface = outer_surface(component.mesh.blocks)
+    nodes = component.supported_nodes
     if not nodes.size:  # a held interface replaces the supports
         return []
     if facets_within(surface, nodes).blocks:
@@ -478,7 +489,8 @@ def support_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings about untied nodes, gaps that a tie closes, and a coarse side."""
-    problems, dependents = [], component.mesh.dependents
+    problems = []
+    dependents = component.mesh.dependents
     for i, tie in enumerate(component.ties):
         texts = []
         loose = f"{tie.untied} secondary nodes are not tied"

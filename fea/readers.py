@@ -198,7 +198,9 @@ class CalculixDat:
 
 def _last(path: Path, name: str, node_set: str) -> tuple[str, tuple[float, ...]]:
     """Return time and motion of a set's last block in the file `path`."""
-    time, rows, others = "", [], dict[str, None]()
+    time = ""
+    rows = []
+    others = dict[str, None]()
     inside = False
     with path.open(encoding="utf-8", errors="replace") as lines:
         for line in lines:

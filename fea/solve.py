@@ -239,7 +239,8 @@ class Solver:
         except SolveFailed as failure:
             if failure.last is None or failure.kind in ("mechanism", "ill_conditioned"):
                 raise
-            cuts, part = self.component.bolts, failure.last[0]
+            cuts = self.component.bolts
+            part = failure.last[0]
             bolts = " and ".join(f"{cut.key}, {cut.bolt.force:.4g} N," for cut in cuts)
             reached = " and ".join(f"{part * cut.bolt.force:.3g} N" for cut in cuts)
             raise SolveFailed(
@@ -298,7 +299,8 @@ class Solver:
 
         Raises the errors of `fea.solver.vibration.craig_bampton`.
         """
-        held, frames = [("base", np.zeros(3), np.eye(3))], []
+        held = [("base", np.zeros(3), np.eye(3))]
+        frames = []
         for interface in self.component.interfaces:
             frame = interface.name or "interface", interface.point, interface.axes
             if interface.locked == FREEDOMS:
@@ -373,7 +375,8 @@ class Solver:
         started = time.perf_counter()
         inputs = self.inputs(wrench)
         # Loads on locked freedoms have no effect; further inputs act relative to their references.
-        acting, loads = inputs - self.component.at_rest, self._system.coupling.freedoms
+        acting = inputs - self.component.at_rest
+        loads = self._system.coupling.freedoms
         acting[np.setdiff1d(np.arange(loads), self._active)] = 0.0
         analysis = self.component.analysis
         if not analysis.nonlinear or not (acting.any() or self._hangs):
@@ -446,15 +449,18 @@ class Solver:
 
         `acting` (k,): the inputs with an effect, `wrench`: all inputs.
         """
-        unloaded, tight = self.unloaded if self._hangs else None, self._tight
+        unloaded = self.unloaded if self._hangs else None
+        tight = self._tight
         if start is not None and tight is not None:
             # Bolts keep the length of this solver's state; another solver's differs by roundoff.
-            nodes, held = start.nodes.copy(), self.body.slips & ~self.body.free
+            nodes = start.nodes.copy()
+            held = self.body.slips & ~self.body.free
             nodes[held] = tight.nodes[held]
             start = replace(start, nodes=nodes)
         if unloaded is not None and not acting.any():
             return self._solution(wrench, unloaded, unloaded.balance.energy, ())
-        path, largest = LoadPath(self._system, acting, progress, unloaded), np.abs(acting).argmax()
+        path = LoadPath(self._system, acting, progress, unloaded)
+        largest = np.abs(acting).argmax()
 
         def check(balance: Balance) -> None:
             load_factor = float(balance.wrench[largest] / acting[largest])
@@ -579,7 +585,9 @@ def system_of(component: ComponentModel, active: Array) -> System:
     nodes, held = component.guided
     body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
     # Self-weight is constant; the acceleration is an input.
-    gravity, weight, body_force = component.analysis.gravity, None, None
+    gravity = component.analysis.gravity
+    weight = None
+    body_force = None
     if gravity is not None:
         weight = body_force_of(component, body) @ np.array(gravity)
     if component.accelerated:

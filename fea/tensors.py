@@ -80,7 +80,8 @@ def rotation_derivatives(vector: Array) -> list[Array]:
     Shapes (3, 3), (3, 3, 3), (3, 3, 3, 3) and (3, 3, 3, 3, 3), the matrix last. They are the series
     sum P_n with P_n = [r]x P_{n-1} / n, differentiated by the product rule.
     """
-    X, units = skew(vector), skew(np.eye(3))
+    X = skew(vector)
+    units = skew(np.eye(3))
     terms = [np.eye(3), *(np.zeros((3,) * (order + 2)) for order in (1, 2, 3))]
     sums = [term.copy() for term in terms]
     for n in range(1, _DERIVATIVE_TERMS):

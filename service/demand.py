@@ -176,7 +176,8 @@ class QueryStatistics:
     def save(self) -> None:
         """Add the counts of this process to the database."""
         with self._lock:
-            counted, self._unsaved = self._unsaved, {}
+            counted = self._unsaved
+            self._unsaved = {}
         if not counted:
             return
         try:

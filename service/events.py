@@ -46,10 +46,12 @@ class Listener:
     """A connection that reads the events of a component, or of all that its caller may use."""
 
     def __init__(self, feed: Feed, component: str | None, number: int, greeting: bytes) -> None:
-        self._component, self._caller = component, CALLER.get()
+        self._component = component
+        self._caller = CALLER.get()
         self.number = number  # number of the last event that was read
         self.ended = False
-        self._feed, self._greeting = feed, greeting
+        self._feed = feed
+        self._greeting = greeting
         self._ready = asyncio.Event()
         self._ready.set()
 
@@ -64,7 +66,8 @@ class Listener:
 
     def end(self) -> None:
         """End the listener; it reads no further event."""
-        self.ended, self._greeting = True, b""
+        self.ended = True
+        self._greeting = b""
         self._ready.set()
 
     async def read(self, seconds: float) -> bytes:
@@ -74,7 +77,8 @@ class Listener:
         except TimeoutError:
             return b""
         self._ready.clear()
-        greeting, self._greeting = self._greeting, b""
+        greeting = self._greeting
+        self._greeting = b""
         return greeting if self.ended else greeting + self._feed.unread(self)
 
 
@@ -239,7 +243,8 @@ class Events:
     async def _poll(self) -> None:
         """Publish changes while somebody listens, and `LINGER_S` longer."""
         loop = asyncio.get_running_loop()
-        self._last, used = None, loop.time()
+        self._last = None
+        used = loop.time()
         while self.feed.listeners or loop.time() - used < LINGER_S:
             self._wake.clear()
             try:
@@ -263,7 +268,8 @@ class Events:
 
 def poll(workspace: Workspace, last: Snapshot | None) -> tuple[Snapshot, list[Notice]]:
     """Return the present state, and the events between the last state and it."""
-    ledger, before = workspace.ledger, last or Snapshot()
+    ledger = workspace.ledger
+    before = last or Snapshot()
     now = Snapshot(ledger.version(), before.newest_job, before.jobs)
     tables: list[Notice] = []
     for name in workspace.library.names():

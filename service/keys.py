@@ -132,11 +132,13 @@ class Keyring:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._path, self._option = folder / FILE, f"--data {folder}"
+        self._path = folder / FILE
+        self._option = f"--data {folder}"
         self._lock = threading.Lock()
         self._stamp: tuple[int, int, int] | None = None
         self._keys: dict[str, Key] = {}
-        self._next_poll, self._next_end = 0.0, 0.0
+        self._next_poll = 0.0
+        self._next_end = 0.0
         self.version = 0
         self._read()
 
@@ -235,7 +237,8 @@ class Keyring:
                 raise KeysError(f"the overlap must be from 0 to 277777 hours, not {hours:g}")
             if len(keys) >= MAX_KEYS:
                 raise KeysFullError(f"{_FULL} {self._option}")
-            newest, now = max(known, key=lambda key: key.created), time.time()
+            newest = max(known, key=lambda key: key.created)
+            now = time.time()
             for old in known:
                 del keys[old.digest]
                 end = min(old.expires or math.inf, now + overlap_s)
@@ -293,8 +296,10 @@ class Keyring:
                 f"{self._path} is damaged: {error}. Correct it, or move it away and create new "
                 f"keys with: wrenchbook keys add NAME --scope admin --data {self._path.parent}"
             ) from error
-        self._keys, self._stamp = {key.digest: key for key in keys}, stamp
-        self.version, self._next_end = self.version + 1, 0.0
+        self._keys = {key.digest: key for key in keys}
+        self._stamp = stamp
+        self.version = self.version + 1
+        self._next_end = 0.0
 
     def _file_stamp(self) -> tuple[int, int, int] | None:
         try:
@@ -308,7 +313,8 @@ class Keyring:
 
 def _unusable(path: Path, done: str, error: OSError) -> KeysUnavailableError:
     """Return the error of a file of keys that cannot be read or written, by the disk's error."""
-    user, remedy = os.geteuid(), "check its disk and how it is mounted"
+    user = os.geteuid()
+    remedy = "check its disk and how it is mounted"
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         remedy = "make room on its disk"
     elif isinstance(error, PermissionError):
@@ -354,7 +360,8 @@ def _stored_keys(content: bytes) -> list[Key]:
     entries = document.get("keys") if isinstance(document, dict) else None
     if not isinstance(entries, list):
         raise ValueError('it has no list "keys"')
-    is_needed, keys = {item.name: item.default is MISSING for item in fields(Key)}, []
+    is_needed = {item.name: item.default is MISSING for item in fields(Key)}
+    keys = []
     for number, entry in enumerate(entries):
         given = entry.keys() if isinstance(entry, dict) else ()
         lacking = [name for name, needed in is_needed.items() if needed and name not in given]

@@ -154,7 +154,8 @@ def _readers(kind: type[Message]) -> dict[str, Callable[[Any], Any]]:
 
 def _reader(hint: Any) -> Callable[[Any], Any]:
     """Return the function that converts the JSON of a field to its value."""
-    inner, marks = get_args(hint), getattr(hint, "__metadata__", ())
+    inner = get_args(hint)
+    marks = getattr(hint, "__metadata__", ())
     if marks:
         numbers = [mark for mark in marks if isinstance(mark, FloatArray)]
         return _unless_none(numbers[0].read) if numbers else _reader(inner[0])

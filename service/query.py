@@ -251,7 +251,8 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     for a solve outside the load range, NoSetupError if nothing can be solved, SolveFailedError if
     the solve of this wrench failed, TableBehindError if only rows that are being built can answer.
     """
-    name, outcome.began = outcome.component, time.time()
+    name = outcome.component
+    outcome.began = time.time()
     if outcome.table.needs_compliance:
         workspace.surrogate(name)  # queues its solves
     component = workspace.library[name]
@@ -296,7 +297,8 @@ def _placed(
                 "true (--beyond-range).",
                 coverage="outside",
             )
-        asked_by, urgent = query.on_thin, query.wait_s > 0
+        asked_by = query.on_thin
+        urgent = query.wait_s > 0
         job = submission.accept(component.name, query.wrench, urgent=urgent, asked_by=asked_by)
         return Placement(job, exact=True), ""
     if beyond:
@@ -388,7 +390,8 @@ def fields_of(outcome: Outcome) -> dict[str, Any]:
 
 def answer_many(name: str, table: ServedTable, wrenches: Floats, query: Query) -> BatchOutcome:
     """Return the table's replies to wrenches (k, inputs), with the options of a query."""
-    began, started = time.time(), perf_counter_ns()
+    began = time.time()
+    started = perf_counter_ns()
     options = table.limits(query.tolerance), query.method
     replies = table.packed.batch(wrenches, *options)
     elapsed_us = (perf_counter_ns() - started) / 1e3
@@ -527,7 +530,8 @@ def _rows_at(component: Component, rows: Rows, wrenches: Floats) -> list[Rows | 
 
 def _table_of_row(workspace: Workspace, name: str, row: Rows | int) -> ServedTable:
     """Return a table of one row, or of a row's number, from which the kernel answers as usual."""
-    component, newest = workspace.library[name], workspace.tables.surrogate(name)
+    component = workspace.library[name]
+    newest = workspace.tables.surrogate(name)
     if isinstance(row, int):
         stored = workspace.ledger.row(row)
         names = ("seq", "compliance", "curvature", "uncertainty", "source", "fingerprint")
@@ -540,7 +544,8 @@ def _table_of_row(workspace: Workspace, name: str, row: Rows | int) -> ServedTab
 def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: Rows | int) -> Outcome:
     """Return the answer of a row that no table has yet."""
     name, job = outcome.component, outcome.job
-    table, query = _table_of_row(workspace, name, row), query._replace(method=None)
+    table = _table_of_row(workspace, name, row)
+    query = query._replace(method=None)
     notes = workspace.notes(job) if job else []
     reply = answer(table, query)
     seq = int(table.rows.seq[0])
@@ -638,9 +643,11 @@ def _take_row(
     row: Rows | int,
 ) -> None:
     """Replace the table's answer to a wrench by a row's answer."""
-    table, wrench = _table_of_row(workspace, outcome.component, row), wrenches[place, None]
+    table = _table_of_row(workspace, outcome.component, row)
+    wrench = wrenches[place, None]
     limits = table.limits(query.tolerance)
-    new, replies = table.packed.batch(wrench, limits), outcome.replies
+    new = table.packed.batch(wrench, limits)
+    replies = outcome.replies
     replies.outputs[place], replies.errors[place] = new.outputs[0], new.errors[0]
     replies.coverage[place] = new.coverage[0]
     if outcome.derivatives is not None:

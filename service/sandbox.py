@@ -255,7 +255,9 @@ class _ForkServer:
 
 def _error(end: Mapping[str, Any], limits: Limits) -> Exception:
     """Return the error for a process's end: ``kind`` and ``message``, or the ``signal``."""
-    kind, message, number = str(end.get("kind")), str(end.get("message")), end.get("signal")
+    kind = str(end.get("kind"))
+    message = str(end.get("message"))
+    number = end.get("signal")
     if kind == "OSError" and isinstance(end.get("errno"), int):
         return OSError(end["errno"], message)
     if number is not None:

@@ -48,7 +48,8 @@ class _Open:
     """The open jobs of a component's present setup as points of scaled loads."""
 
     def __init__(self, version: int, jobs: list[OpenJob], scale: Floats) -> None:
-        self.version, self.jobs = version, jobs
+        self.version = version
+        self.jobs = jobs
         self.queries = sum(job.asked_by == "query" for job in jobs)
         self._scaled = unpacked((job.wrench for job in jobs), len(scale)) / scale
 
@@ -81,7 +82,8 @@ class Submission:
     ) -> None:
         self._ledger = ledger
         self._library = library
-        self.queue_limit, self._quota = queue_limit, quota
+        self.queue_limit = queue_limit
+        self._quota = quota
         self._known: dict[tuple[str, str], _Open] = {}
         self._lock = threading.Lock()
 
@@ -145,7 +147,8 @@ class Submission:
 
     def pending_wrenches(self, name: str) -> Floats:
         """Return the wrenches (n, inputs) of open jobs and of failed ones: none is solved again."""
-        waiting, now = self.open_wrenches(name), self._library[name].fingerprint
+        waiting = self.open_wrenches(name)
+        now = self._library[name].fingerprint
         jobs = self._ledger.jobs(name, "failed", limit=MAX_FAILED)
         failed = [job.wrench for job in jobs if job.fingerprint == now]
         return np.concatenate((waiting, np.array(failed).reshape(-1, waiting.shape[1])))
@@ -165,7 +168,8 @@ class Submission:
         if not component.has_fea:
             remedy = f"Load rows into it with: wrenchbook import {name} FILE"
             if why:
-                why, remedy = f": {why}", f"{remedy}, or ask with on_thin 'estimate'"
+                why = f": {why}"
+                remedy = f"{remedy}, or ask with on_thin 'estimate'"
             raise NoSetupError(
                 f"{name!r} is a table of measured rows without a finite-element setup, so it "
                 f"cannot be solved{why}. {remedy}."
@@ -174,7 +178,8 @@ class Submission:
 
     def refusal(self, component: Component) -> str:
         """Return the reason why `queue` has placed no job: its limit, or the caller's quota."""
-        setup, why = (component.name, component.fingerprint), "the caller's quota is used up"
+        setup = (component.name, component.fingerprint)
+        why = "the caller's quota is used up"
         if self._open(*setup, component.load_range.scale).queries >= self.queue_limit:
             why = f"{self.queue_limit} jobs of queries are open (serve --queue-limit)"
         return f"no solve is queued: {why}; ask again when jobs have ended"
@@ -185,7 +190,8 @@ class Submission:
         New ones are chosen in the transaction that accepts them, so that the limit holds for any
         number of processes.
         """
-        setup, scale = (component.name, component.fingerprint), component.load_range.scale
+        setup = (component.name, component.fingerprint)
+        scale = component.load_range.scale
         keys = packed(wrenches)
         # A cancelled job can be requested again.
         jobs = {
@@ -196,7 +202,8 @@ class Submission:
         unplaced = [place for place, key in enumerate(keys) if key not in jobs]
         if not unplaced:
             return [Placement(jobs[key], exact=True) for key in keys]
-        points, candidates = wrenches[unplaced] / scale, self._open(*setup, scale)
+        points = wrenches[unplaced] / scale
+        candidates = self._open(*setup, scale)
         if (candidates.near(points, radius) < 0).any() and candidates.queries < self.queue_limit:
             new, candidates = self._accept_new(component, wrenches[unplaced], radius)
             jobs |= new
@@ -225,7 +232,8 @@ class Submission:
 
         Returns the new jobs by wrench, and all open jobs.
         """
-        scale, open_before = component.load_range.scale, _Open(0, [], component.load_range.scale)
+        scale = component.load_range.scale
+        open_before = _Open(0, [], component.load_range.scale)
 
         def choose(open_jobs: list[OpenJob]) -> list[bytes]:
             """Pick new wrenches, in the ledger's transaction, by its open jobs at that time."""
@@ -246,7 +254,8 @@ class Submission:
 
     def _open(self, name: str, fingerprint: str, scale: Floats) -> _Open:
         """Return the open jobs, read again only after a commit."""
-        key, version = (name, fingerprint), self._ledger.version()
+        key = (name, fingerprint)
+        version = self._ledger.version()
         with self._lock:
             known = self._known.get(key)
             if known is None or known.version != version:

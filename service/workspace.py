@@ -144,7 +144,8 @@ class Watcher:
                         entry.listener()
                 except Exception:
                     log.exception("a listener for changes failed; it is called again")
-                    entry.last, entry.not_before = object(), time.monotonic() + TROUBLE_S
+                    entry.last = object()
+                    entry.not_before = time.monotonic() + TROUBLE_S
 
 
 class Workspace:
@@ -273,7 +274,8 @@ class Workspace:
         surface, and TooFarError for a wrench far beyond the load range.
         """
         table = self.surrogate(name)
-        component, solver = self.library[name], self.solver_error(name)
+        component = self.library[name]
+        solver = self.solver_error(name)
         reply = table.packed.answer(wrench.tolist())
         shares = {} if table.solver_error is None else {"mesh": reply.discretisation}
         if table.solver_error is not None and "linearity" in table.solver_error.values:
@@ -345,7 +347,8 @@ class Workspace:
             damaged["(ledger)"] += f"--data {self.settings.data}"
         for seq, name in self.ledger.damaged.items():
             damaged[name] = f"row {seq} is damaged on the disk and left out of the table"
-        broken, touches = {**damaged, **self.tables.faults()}, CALLER.get().touches
+        broken = {**damaged, **self.tables.faults()}
+        touches = CALLER.get().touches
         return {k: v for k, v in broken.items() if touches(k)} | self.library.broken()
 
     def age(self) -> float | None:

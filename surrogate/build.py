@@ -77,8 +77,11 @@ class Group:
         started = thread_time()
         self.has_axes = load_range.space.is_default
         self.outputs = outputs or tuple(range(len(load_range.space.outputs)))
-        self.rows, self.load_range, self.tolerance = rows, load_range, tolerance
-        self.linear, self.locked = linear, tuple(locked)
+        self.rows = rows
+        self.load_range = load_range
+        self.tolerance = tolerance
+        self.linear = linear
+        self.locked = tuple(locked)
         self._off_axis: OffAxis = off_axis
         self.merged = merge(rows, load_range)
         self.used, self.members, self._observations = self.merged.usable()
@@ -122,7 +125,8 @@ class Group:
     @cached_property
     def axes(self) -> Axes:
         """The three axes of the straight direction influence, built when they are first needed."""
-        earlier, self._earlier_axes = self._earlier_axes, None
+        earlier = self._earlier_axes
+        self._earlier_axes = None
         return build_axes(self.used, self.load_range, self.fit, self._off_axis, earlier)
 
     @property
@@ -177,7 +181,8 @@ class Group:
 
     def coverage_summary(self) -> dict[str, Any]:
         """Return how the rows cover the load range, JSON-able; takes seconds for 100,000 rows."""
-        fit, no_axes = self.fit, self.default == "linear" or not self.has_axes
+        fit = self.fit
+        no_axes = self.default == "linear" or not self.has_axes
         kriging = self.kriging if self.by_kriging else None
         return {
             "rows": len(self.rows),
@@ -315,7 +320,8 @@ def _between_sources(rows: Rows, load_range: LoadRange, groups: Sequence[Group])
     contradict each other then agree with no source. Only outputs that the kriging answers have a
     distance.
     """
-    source, largest = np.zeros(len(rows), dtype=np.intp), np.zeros(rows.displacement.shape[1])
+    source = np.zeros(len(rows), dtype=np.intp)
+    largest = np.zeros(rows.displacement.shape[1])
     measured = ~rows.is_solved
     source[measured] = 1 + sessions_of(rows.take(np.flatnonzero(measured)))
     sources = np.unique(source)

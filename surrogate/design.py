@@ -68,7 +68,8 @@ class Known:
     """The wrenches that need no further solve: rows and pending wrenches."""
 
     def __init__(self, load_range: LoadRange, rows: Floats, pending: Floats) -> None:
-        self.scale, self.pending = load_range.scale, pending
+        self.scale = load_range.scale
+        self.pending = pending
         self.keys = {self._key(wrench) for wrench in np.concatenate((rows, pending))}
 
     def _key(self, wrench: Floats) -> tuple[int, ...]:
@@ -108,7 +109,8 @@ def first_design(span: LoadRange, known: Known, count: int) -> Floats:
     additive recurrence (Roberts 2018, the R sequence). A load whose span is a single value keeps
     this value. A narrow span that has fewer than `count` different wrenches returns fewer.
     """
-    middle, half = (span.low + span.high) / 2, (span.high - span.low) / 2
+    middle = (span.low + span.high) / 2
+    half = (span.high - span.low) / 2
     zero_load = np.clip(span.space.zero, span.low, span.high)
     signs = CORNERS if span.space.is_default else np.empty((0, len(half)))
     corners = middle + OUT * signs * half
@@ -155,7 +157,8 @@ def next_wrenches(
     """
     wrenches = table.rows.wrench
     waiting = np.asarray(() if pending is None else pending, dtype=float)
-    span, outputs = span or table.load_range, outputs or range(table.rows.displacement.shape[1])
+    span = span or table.load_range
+    outputs = outputs or range(table.rows.displacement.shape[1])
     known = Known(table.load_range, wrenches, waiting.reshape(-1, wrenches.shape[1]))
     # If some rows lack outputs, the group with the fewest rows has the largest errors.
     surrogate = table.groups[0]
@@ -223,13 +226,19 @@ class _Refinement:
 
         `joint`: indices of the loads on a joint's free axes, which no guide locks.
         """
-        self.table, surrogate = table, table.groups[0]
+        self.table = table
+        surrogate = table.groups[0]
         assert surrogate.kriging is not None
-        self.surrogate, self.kriging, self.known = surrogate, surrogate.kriging, known
-        self.tolerance, self.span, self.outputs = tolerance, span, outputs
+        self.surrogate = surrogate
+        self.kriging = surrogate.kriging
+        self.known = known
+        self.tolerance = tolerance
+        self.span = span
+        self.outputs = outputs
         spread = np.maximum(surrogate.ranges, np.finfo(float).tiny)
         self.allowed = np.array(allowed_by(tolerance, span.space)) if tolerance else spread
-        self.joint, self.indefinite = joint, span.low[None][:0]
+        self.joint = joint
+        self.indefinite = span.low[None][:0]
         if joint is not None:
             sample = sample_of(span.ends, span.space.zero, joint)
             turned = self.kriging.answer_many(sample)[0][:, span.space.is_rotation]
@@ -240,7 +249,8 @@ class _Refinement:
 
     def design(self, budget: int) -> Design:
         """Return the next round, or none where the tolerance is met once all pending is solved."""
-        sample, pending = spread_wrenches(self.span, SAMPLE), self.known.pending
+        sample = spread_wrenches(self.span, SAMPLE)
+        pending = self.known.pending
         losses = self._losses(sample) * self._reduction(pending, sample)
         # Where errors are not known no wrench is covered, however small the deviation is.
         known = np.isfinite(self.kriging.answer_many(sample)[1]).all(axis=1)
@@ -285,13 +295,16 @@ class _Refinement:
                 np.where(np.isin(np.arange(6), axis.inputs), single, zero_load) for axis in AXES
             ]
         candidates = self.known.new(np.concatenate(parts))
-        losses, pending = self._losses(candidates), self.known.pending
+        losses = self._losses(candidates)
+        pending = self.known.pending
         # Unknown errors: the kriging's own error bars order the candidates all the same.
         if not np.isfinite(losses).all():
             errors = self.kriging.answer_many(candidates)[1] / self.allowed
             losses = errors[:, self.outputs].max(axis=1)
-        expected, now = losses * self._reduction(pending, candidates), self._losses(sample)
-        first, before = len(pending), len(pending) + len(self.surrogate.used)
+        expected = losses * self._reduction(pending, candidates)
+        now = self._losses(sample)
+        first = len(pending)
+        before = len(pending) + len(self.surrogate.used)
         while (count := len(pending) - first) < min(budget, len(candidates)):
             if self.may_end and count and count % BETWEEN_CHECKS == 0:
                 within = now * self._reduction(pending, sample) <= 1.0
@@ -319,7 +332,8 @@ class _Refinement:
         the rows and the error with all rows. `worst` is the latter, over the tolerance.
         """
         rows, before = self.surrogate.rows, np.nan
-        count, some = len(rows), len(rows) // 2
+        count = len(rows)
+        some = len(rows) // 2
         half = build(rows.take(np.arange(some)), self.surrogate.load_range).groups[0]
         if half.kriging is not None:
             bars = half.kriging.sigma_with(sample[:0], sample) / self.allowed

@@ -52,8 +52,10 @@ class FieldWeights:
             hyperparameters = Hyperparameters.of_logarithms(start, groups)
         known = np.ones((count, 1 + loads), dtype=bool)
         known[:, 1:] = load_range.high > load_range.low
-        blank, none = np.zeros((count, 1 + loads, 1)), np.zeros((count, 1))  # no values, no noise
-        x, measured = _scaled(wrenches, load_range), np.ones((count, 1), dtype=bool)
+        blank = np.zeros((count, 1 + loads, 1))  # no values, no noise
+        none = np.zeros((count, 1))
+        x = _scaled(wrenches, load_range)
+        measured = np.ones((count, 1), dtype=bool)
         equations = Equations(x, known, blank, measured, none, none, none, groups)
         group = OutputGroup(np.arange(1), np.arange(count), np.zeros(count))
         factor = factorise(equations, hyperparameters, group, settings)
@@ -85,7 +87,8 @@ class FieldWeights:
         """
         count, _, size = values.shape
         scale = np.append(1.0, self.load_range.scale)[:, None]
-        errors, variances = np.empty((count, size)), np.empty(count)
+        errors = np.empty((count, size))
+        variances = np.empty(count)
         for start in range(0, size, COLUMNS):
             part = slice(start, start + COLUMNS)
             data = (values[:, :, part] * scale)[self.factor.equations.known]

@@ -74,7 +74,8 @@ def _score(errors: Floats, size: Floats) -> float:
     Only outputs that vary count: an error over a range of zero or of rounding has no meaning. The
     score is NaN where no error is known.
     """
-    known, varying = np.isfinite(errors).any(axis=1), size > 0
+    known = np.isfinite(errors).any(axis=1)
+    varying = size > 0
     if not varying.any():
         return 0.0
     if not np.isfinite(errors[:, varying]).any():

@@ -57,7 +57,8 @@ class SolverError:
         self.zero = _shaped(values.get("zero", [0.0] * n), (n,), "zero")
         linearity = values.get("linearity")
         self.linearity = None if linearity is None else _numbers(linearity, (m,), "linearity")
-        self.second, self._remainder = None, self.linearity
+        self.second = None
+        self._remainder = self.linearity
         if self.linearity is not None and "second_derivatives" in values:
             of = values["second_derivatives"]
             self.second = _shaped(of, (m, n, n), "second_derivatives")
@@ -70,7 +71,8 @@ class SolverError:
         self.stiffness = None
         if self.mesh is not None and "mesh_stiffness" in values:
             self.stiffness = _shaped(values["mesh_stiffness"], (n, m), "mesh_stiffness")
-        self._loads, self._sizes = loads, (n, m)
+        self._loads = loads
+        self._sizes = (n, m)
 
     @property
     def can_grow(self) -> bool:

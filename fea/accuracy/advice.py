@@ -114,7 +114,8 @@ def _worst(errors: Array, allowed: Array) -> tuple[float, str]:
     ratios = errors / np.resize(allowed, errors.shape)
     output = int(ratios.argmax())
     interface, freedom = divmod(output, len(_OUTPUTS))
-    worst, unit = float(ratios[output]), "m" if freedom < 3 else "rad"
+    worst = float(ratios[output])
+    unit = "m" if freedom < 3 else "rad"
     where = f" of interface {interface + 1}" if len(errors) > len(_OUTPUTS) else ""
     text = f"{errors[output]:.2g} {unit} in {_OUTPUTS[freedom]}{where}"
     return worst, f"{text}, {float(f'{worst:.2g}'):g} times the tolerance"

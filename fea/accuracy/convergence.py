@@ -67,10 +67,12 @@ def finer(solver: Solver, max_unknowns: int | None = None, factor: float = 2.0) 
     Raises BundleError if the mesh fails.
     """
     component = solver.component
-    bundle, limit = component.bundle, float("inf") if max_unknowns is None else max_unknowns
+    bundle = component.bundle
+    limit = float("inf") if max_unknowns is None else max_unknowns
     if bundle is None or bundle.mesh is None:
         return None
-    again, dependents = refined(bundle, factor), component.uncut_mesh.dependents
+    again = refined(bundle, factor)
+    dependents = component.uncut_mesh.dependents
     tied = sum(len(tie.nodes) for tie in component.ties)
     if dependents is not None and len(dependents.nodes) > tied:
         return None  # a deck's equations name no nodes of a finer mesh

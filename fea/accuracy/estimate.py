@@ -101,7 +101,8 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     )
     # The corners that turn, or else move, each interface most, and their opposites. Of corners that
     # turn it alike, the most loaded: a pull along a beam turns nothing, and stiffens its bending.
-    corners, zero = loads.corners(), solver.component.at_rest
+    corners = loads.corners()
+    zero = solver.component.at_rest
     moved = (corners @ compliance.T).reshape(len(corners), -1, 2, PER_INTERFACE // 2)
     moves, turns = np.moveaxis(np.linalg.norm(moved, axis=3), 2, 0)
     size = np.where(turns.any(axis=0), turns, moves)
@@ -110,7 +111,8 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     loaded = np.abs(corners) @ one_over
     alike = (size >= _ALIKE * size.max(axis=0)) & size.any(axis=0)
     chosen = np.where(alike, loaded[:, None], 0.0).argmax(axis=0)
-    scaled, why = np.full((len(_PARTS), len(compliance)), np.nan), ""
+    scaled = np.full((len(_PARTS), len(compliance)), np.nan)
+    why = ""
     lowest = np.inf
     for index in {min(index, len(corners) - 1 - index) for index in chosen.tolist()}:
         pair = corners[index], corners[len(corners) - 1 - index]
@@ -119,7 +121,8 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
             factors[1] = solver.buckling(pair[1] + zero)[0]
         for corner, factor in zip(pair, factors, strict=True):
             at_corner, end, reason = _at_corner(other, corner, factor)
-            scaled, lowest = np.fmax(scaled, at_corner), min(lowest, factor, end)
+            scaled = np.fmax(scaled, at_corner)
+            lowest = min(lowest, factor, end)
             why = why or reason
     # b such that the law has the ratio of its values at the smallest part and at the corner.
     powers = np.array(_PARTS)[:, None] ** (_order(solver) - 1)
@@ -142,11 +145,16 @@ def _at_corner(solver: Solver, wrench: Array, buckling: float) -> tuple[Array, f
     The remainders have the shape (parts, 6 i), all of a corner that is not solved in all parts the
     largest. The end is the least part of the wrench at which a solve ended.
     """
-    end, limit, why = np.inf, 1.0, ""
-    second, start = solver.second_derivatives, None
+    end = np.inf
+    limit = 1.0
+    why = ""
+    second = solver.second_derivatives
+    start = None
     if buckling < _STEEP:
-        limit, why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
-    parts, scaled = [limit * part for part in _PARTS], []
+        limit = 0.5 * buckling
+        why = f"it buckles at {buckling:.3g} of one"
+    parts = [limit * part for part in _PARTS]
+    scaled = []
     for part in parts:
         acting = part * wrench
         try:
@@ -239,7 +247,8 @@ def linearity_of(solver: Solver, coarse: Solver, loads: DeclaredRange) -> dict[s
     """
     fine, rough = (np.diag(mesh.compliance) for mesh in (solver, coarse))
     near = (np.abs(rough - fine) <= _NEAR * fine).all()
-    beyond, second = beyond_linear(coarse if near else solver, loads), solver.second_derivatives
+    beyond = beyond_linear(coarse if near else solver, loads)
+    second = solver.second_derivatives
     basis = "nonlinear solves at opposite corners of the load range"
     if beyond.why:
         basis += f", a part of them since {beyond.why}"
@@ -306,7 +315,8 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
         _ = fine and fine.linear
     except (BundleError, SolveFailed):
         fine = None
-    second, ratio = fine or coarse, np.ones(compliance.shape[1])
+    second = fine or coarse
+    ratio = np.ones(compliance.shape[1])
     if second is not None:
         ratio = recovered.coarsening(second.component.mesh) ** (-1 if fine else 1)
     if second is None or ratio.min() < MIN_RATIO:

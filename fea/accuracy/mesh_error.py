@@ -177,7 +177,9 @@ def polygons_of(mesh: Mesh) -> list[Polygon]:
     # Pairs of facets at an edge; both sides of a triangle's last corner are the same edge.
     facet, side = np.divmod(np.argsort(middles, axis=None, kind="stable"), 4)
     same = (np.diff(middles[facet, side]) == 0) & (facet[1:] != facet[:-1])
-    first, second, side = facet[:-1][same], facet[1:][same], side[:-1][same]
+    first = facet[:-1][same]
+    second = facet[1:][same]
+    side = side[:-1][same]
     turn = np.arccos(np.clip(np.einsum("pi,pi->p", normals[first], normals[second]), -1.0, 1.0))
     flat = turn < _EQUAL
     pairs = first[flat], second[flat]
@@ -193,7 +195,8 @@ def polygons_of(mesh: Mesh) -> list[Polygon]:
     fold = fold[index]
     at, first, second = side[fold], first[fold], second[fold]
     at -= (at == 2) & (corners[first, 2] == corners[first, 3])
-    start, end = points[first, at], points[first, (at + 1) % 4]
+    start = points[first, at]
+    end = points[first, (at + 1) % 4]
     along = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
     out = np.einsum("ki,ki->k", points[second].mean(axis=1) - start, normals[first])
     angle = turn[fold] * np.sign(out)  # negative at edges that stand out
@@ -300,7 +303,9 @@ def _corner_normals(corners: Array, points: Array, facet_normals: Array) -> tupl
 
     facet, corner = np.divmod(np.argsort(corners, axis=None, kind="stable"), 4)
     ends = np.append(np.flatnonzero(np.diff(corners[facet, corner])) + 1, len(facet))
-    normals, largest, start = np.empty_like(points), np.zeros(len(corners)), 0
+    normals = np.empty_like(points)
+    largest = np.zeros(len(corners))
+    start = 0
     for end in ends.tolist():  # the facets of one node
         at, of = facet[start:end], corner[start:end]
         cosines = np.clip(facet_normals[at] @ facet_normals[at].T, -1.0, 1.0)

@@ -75,7 +75,8 @@ class Movable:
         touched = np.flatnonzero((held_index >= 0).any(axis=1))
         if not touched.size:
             return matrices
-        local, size = matrices[touched], matrices.shape[1]
+        local = matrices[touched]
+        size = matrices.shape[1]
         held = np.zeros((touched.size, 3, nodes.shape[1], 3, nodes.shape[1]))
         cells, corners = np.nonzero(held_index[touched] >= 0)
         held[cells, :, corners, :, corners] = self._held[held_index[touched][cells, corners]]
@@ -218,7 +219,9 @@ class ElasticBody:
         Returns forces: shape (n, 3), N. energy: J. least: Smallest determinant of the deformation
         gradient over all quadrature points.
         """
-        total, energy, least = np.zeros_like(displacement), 0.0, np.inf
+        total = np.zeros_like(displacement)
+        energy = 0.0
+        least = np.inf
         for part, nodes in zip(self.parts, self.cells, strict=True):
             forces, part_energy, part_least = part.forces(
                 gather(displacement, nodes), _gather_pair(step, nodes)
@@ -308,7 +311,8 @@ class Tangent:
     ) -> None:
         self._body = body
         self._single = displacement is None and body.dissection.numbers > SINGLE_NUMBERS
-        self._displacement, self._step = displacement, step
+        self._displacement = displacement
+        self._step = step
         self._ready: dict[int, Array] = {}
 
     @property
@@ -402,7 +406,8 @@ class Tangent:
         displacements[order] = self.factor.solve(columns).reshape(order.size, 3, loads.shape[2])
         if rough or not self._single:
             return displacements
-        largest, before = np.abs(displacements).max(axis=(0, 1), initial=1e-300), 1.0
+        largest = np.abs(displacements).max(axis=(0, 1), initial=1e-300)
+        before = 1.0
         for _ in range(_SINGLE_STEPS):
             change = self.solve(loads - self._body.small_strain_forces(displacements), rough=True)
             displacements += change

@@ -175,7 +175,8 @@ class Linearisation:
 
         The inputs are those of `Balance.wrench`.
         """
-        nodal, border = np.zeros((self._body.size, 3, self._coupling.freedoms)), self.wrench_columns
+        nodal = np.zeros((self._body.size, 3, self._coupling.freedoms))
+        border = self.wrench_columns
         further = self.further
         if not further.shape[2]:
             return nodal, border
@@ -231,7 +232,8 @@ class Linearisation:
 
         Columns of locked freedoms are zero.
         """
-        active, all_columns = self._coupling.active, self._coupling.wrench_columns(self.state)
+        active = self._coupling.active
+        all_columns = self._coupling.wrench_columns(self.state)
         columns = np.zeros_like(all_columns)
         columns[:, active] = all_columns[:, active]
         return columns

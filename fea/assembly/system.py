@@ -43,7 +43,8 @@ class System:
         self._points = body.points if points is None else points
         self.body = body
         self.coupling = coupling
-        self.weight, self.preload = weight, preload
+        self.weight = weight
+        self.preload = preload
         self.body_force = np.zeros((body.size, 3, 0)) if body_force is None else body_force
 
     @property
@@ -164,7 +165,8 @@ class System:
         """
         nodal, border = self.coupling.residual(state, forces, wrench[: self.coupling.freedoms])
         nodal = self.body.movable.released(nodal)
-        thermal, temperature = (0.0, 0.0), self.temperature(wrench)
+        thermal = (0.0, 0.0)
+        temperature = self.temperature(wrench)
         if temperature:
             norm, energy_per_kelvin = self._per_kelvin
             thermal = abs(temperature) * norm, temperature**2 * energy_per_kelvin

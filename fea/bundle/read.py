@@ -106,7 +106,8 @@ def read_bundle(folder: str | Path) -> Bundle:
 
 def _syntax_problem(reason: str, text: str) -> BundleProblem:
     """Return the place of a mistake in TOML, with the line as it is written."""
-    lines, at = text.splitlines() or [""], _LINE.search(reason)
+    lines = text.splitlines() or [""]
+    at = _LINE.search(reason)
     if at is None and _END not in reason:  # Python's own refusal of a too long integer
         message = "has an integer of more than 4300 digits; write it with an exponent, such as 2e9"
         place = next((i for i, line in enumerate(lines, 1) if _LONG.search(line)), None)
@@ -140,7 +141,8 @@ class _Reader:
     """
 
     def __init__(self, table: Mapping[str, Any], folder: Path) -> None:
-        self.table, self.folder = table, folder
+        self.table = table
+        self.folder = folder
         self.problems: list[BundleProblem] = []
 
     def wrong(self, where: str, message: str) -> None:
@@ -319,7 +321,8 @@ class _Reader:
 
         The integration of an input deck's 20-node hexahedra is the default of its component.
         """
-        analysis, table = self.read("analysis") or Analysis(True), self.table.get("analysis")
+        analysis = self.read("analysis") or Analysis(True)
+        table = self.table.get("analysis")
         file = mesh.file if mesh is not None else None
         if file is None or file.suffix.lower() != ".inp":
             return analysis

@@ -75,8 +75,10 @@ pressed(document.getElementById("{{plot_id}}"), trace => {{
 
 def faces_figure(surface: Surface, faces: list[dict[str, Any]]) -> go.Figure:
     """Draw numbered faces, mm; each trace has the TOML that selects its face as ``meta``."""
-    figure, points = go.Figure(), 1e3 * surface.mesh.points
-    owners, off = surface.numbers[surface.owners], 0.01 * np.ptp(points, axis=0).max()
+    figure = go.Figure()
+    points = 1e3 * surface.mesh.points
+    owners = surface.numbers[surface.owners]
+    off = 0.01 * np.ptp(points, axis=0).max()
     for face in faces:
         nodes, rows = np.unique(surface.triangles[owners == face["number"]], return_inverse=True)
         x, y, z = points[nodes].T
@@ -204,7 +206,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status, reply, text = options.run(options)
     except options.errors as error:
         text = _text_of(error)
-        status, reply = 1, {"error": {"title": type(error).__name__, "detail": text}}
+        status = 1
+        reply = {"error": {"title": type(error).__name__, "detail": text}}
     try:
         print(json.dumps(reply) if options.json else text, flush=True)
     except BrokenPipeError:  # `| head` closed the pipe; the interpreter's own flush would fail too

@@ -97,7 +97,8 @@ def _free_nodes(component: ComponentModel) -> Array:
 
 def _nodes_of_cells(component: ComponentModel) -> list[Array]:
     """Return the nodes that move each cell, in groups of equal number, each of shape (m, s)."""
-    blocks, dependents = [block.nodes for block in component.mesh.blocks], component.mesh.dependents
+    blocks = [block.nodes for block in component.mesh.blocks]
+    dependents = component.mesh.dependents
     if dependents is None:
         return blocks
     plain, tied = [], []
@@ -120,7 +121,8 @@ def _elimination(points: Array, groups: list[Array], free: Array) -> tuple[float
     centres = np.concatenate([points[group].mean(axis=1) for group in groups])
     operations = numbers = 0.0
     for part in dissect(cells, centres, free).substructures:
-        m, b = float(part.eliminated), float(part.boundary.size)
+        m = float(part.eliminated)
+        b = float(part.boundary.size)
         operations += m**3 / 3 + m * m * b + m * b * b
         numbers += m * m / 2 + m * b
     return operations, numbers

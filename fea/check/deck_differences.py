@@ -143,7 +143,8 @@ def _turned(
     component: ComponentModel, section: SolidSection, material: Orthotropic, start: str, unit: str
 ) -> Iterator[str]:
     """Yield differences of a material's directions from the deck's at the section's nodes."""
-    mesh, axes = component.mesh, section.orientation or np.eye(3).ravel()
+    mesh = component.mesh
+    axes = section.orientation or np.eye(3).ravel()
     cells = zip(mesh.blocks, mesh.regions[section.region], strict=True)
     points = mesh.points[np.unique(np.concatenate([b.nodes[c].ravel() for b, c in cells]))]
     if len(axes) == 6:

@@ -170,7 +170,8 @@ def describe(motion: Array, centre: Array, extent: float) -> str:
 
     The motion has shape (6,), m, the mesh's centre (3,), m; the mesh's size is in m.
     """
-    shift, rotation = motion[:3], motion[3:] / extent
+    shift = motion[:3]
+    rotation = motion[3:] / extent
     if np.linalg.norm(motion[3:]) < _ZERO_PART:
         return f"slide along {_direction(shift)}"
     square = rotation @ rotation
@@ -185,7 +186,8 @@ def simplest(motions: Array) -> Array:
 
     By row reduction, rotations first, so that pure translations come last.
     """
-    rows, done = motions.copy(), 0
+    rows = motions.copy()
+    done = 0
     for column in (3, 4, 5, 0, 1, 2):
         if done == len(rows):
             break

@@ -66,7 +66,8 @@ class _Proposal:
     """
 
     def __init__(self, mesh: Mesh, unit: str, case: str | None) -> None:
-        self.mesh, self.unit = mesh, unit
+        self.mesh = mesh
+        self.unit = unit
         self.deck = mesh.deck or DeckContent()
         self.groups = {*mesh.facet_groups, *mesh.node_groups}
         self.decide: list[str] = []

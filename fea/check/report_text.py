@@ -100,7 +100,8 @@ def _mesh(report: Mapping[str, Any]) -> Iterator[str]:
 def _materials(report: Mapping[str, Any]) -> Iterator[str]:
     """Yield a line for each material."""
     for material in report.get("materials", []):
-        law, young = material["law"], f"E = {material['youngs_modulus']:.4g} Pa"
+        law = material["law"]
+        young = f"E = {material['youngs_modulus']:.4g} Pa"
         if law == "orthotropic":
             values = [f"orthotropic, largest {young}"]
         else:
@@ -157,7 +158,8 @@ def _joints(report: Mapping[str, Any]) -> Iterator[str]:
     for spring in report.get("springs", []):
         kind = "rigid joint" if spring["rigid"] else f"spring, {spring['coupling']}"
         nodes = " and ".join(map(str, spring["nodes"]))
-        groups, at = " and ".join(spring["groups"]), _vector(spring["point"])
+        groups = " and ".join(spring["groups"])
+        at = _vector(spring["point"])
         yield f"{kind} between {groups}: {nodes} nodes, point at {at} m"
 
 

@@ -92,7 +92,8 @@ def trial(solver: Solver, cost: Cost) -> tuple[Trial, list[BundleProblem]]:
     cost: estimate of one solve; above `_MAX_SECONDS` or `_MAX_BYTES` nothing is solved. The
     problems are ``mechanism`` and ``ill_conditioned``, with the text of the failure.
     """
-    component, result = solver.component, _untried(solver)
+    component = solver.component
+    result = _untried(solver)
     if cost["linear_seconds"] > _MAX_SECONDS or cost["memory_bytes"] > _MAX_BYTES:
         return result, []
     try:
@@ -148,7 +149,8 @@ def deflection_warnings(
     """
     if deflection is None:
         return []
-    moved, problems = np.array(deflection), []
+    moved = np.array(deflection)
+    problems = []
     degrees = float(np.degrees(largest_rotation(moved)))
     if degrees > MAX_DEGREES:
         several = len(component.interfaces) > 1
@@ -297,12 +299,14 @@ def _first_order_stresses(solver: Solver) -> list[LargestStress]:
     Raises ValueError if the range has too many corners, SolveFailed as `Solver.unit_stresses`.
     """
     component = solver.component
-    corners, count = component.bundle.acting.corners(), len(component.bundle.range.low)
+    corners = component.bundle.acting.corners()
+    count = len(component.bundle.range.low)
     limit = _MAX_CORNERS * 2 ** len(component.further)
     if len(corners) > limit:
         end = f"at most {limit} are compared; write 0 as the range of loads that do not act"
         raise ValueError(f"[range] has {len(corners)} corners, {end}")
-    unit, loads = solver.unit_stresses(), corners
+    unit = solver.unit_stresses()
+    loads = corners
     if component.analysis.gravity or component.bolts:  # a load that always acts
         sag = small_stress(solver.body, solver.at_rest[1][:, :, None])
         unit = np.concatenate((unit, sag), axis=2)
@@ -342,7 +346,8 @@ def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
     top = unit[np.argsort(bound)[-_FIRST_POINTS:]]
     reached = max(von_mises(top @ corner).max() for corner in corners)
     points = np.flatnonzero(bound >= (1 - _STRESS_ROUNDOFF) * reached)
-    candidates, worst_so_far = unit[points], (-1.0, 0, 0)
+    candidates = unit[points]
+    worst_so_far = (-1.0, 0, 0)
     for i, corner in enumerate(corners):
         equivalent = von_mises(candidates @ corner)
         worst = int(equivalent.argmax())
@@ -366,7 +371,8 @@ def _replace_by_nonlinear(solver: Solver, stresses: list[LargestStress]) -> list
             return [BundleProblem("stresses", message)]
         equivalent = np.where(numbers == regions.index(linear.region), von_mises(stress), -1.0)
         point = int(equivalent.argmax())
-        largest, at = float(equivalent[point]), coordinates[point].tolist()
+        largest = float(equivalent[point])
+        at = coordinates[point].tolist()
         stresses[i] = replace(linear, largest=largest, at=at, first_order=False)
     return []
 
@@ -375,7 +381,8 @@ def _yielding(component: ComponentModel, stresses: list[LargestStress]) -> list[
     """Return warnings for materials whose largest stress exceeds their yield strength."""
     problems = []
     for number, material in enumerate(component.materials):
-        key, strength = f"material[{number}].yield_strength", material.yield_strength
+        key = f"material[{number}].yield_strength"
+        strength = material.yield_strength
         if strength is None:
             continue
         if material.law == "orthotropic":

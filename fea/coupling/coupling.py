@@ -35,7 +35,8 @@ def from_origin(interface: Array, origin: Array) -> tuple[Array, Array]:
 
     The relative rotation is R R0^T. Derivatives: shape (6 i, 6 i).
     """
-    moved, rates = interface - origin, np.eye(len(interface))
+    moved = interface - origin
+    rates = np.eye(len(interface))
     for first in range(PER_INTERFACE // 2, len(interface), PER_INTERFACE):
         turn = slice(first, first + PER_INTERFACE // 2)
         now, zero = interface[turn], origin[turn]
@@ -293,7 +294,8 @@ class Coupling:
         Returns nodal: shape (n, 3), N. border: shape (border,): N and N·m for interface freedoms, m
         and m^2 for constraints.
         """
-        nodal, border = forces.copy(), np.zeros(self.border)
+        nodal = forces.copy()
+        border = np.zeros(self.border)
         loads = np.append(wrench, np.zeros(self._sprung))
         for attached, local in self._parts(state):
             added, unbalanced = attached.section.residual(
@@ -403,7 +405,8 @@ class Coupling:
         """Yield each section with the state of its nodes, in its interface's frame."""
         motions, multipliers = self._unknowns(state)
         for attached in self._attachments:
-            nodes, freedoms = attached.inwards(state.nodes), attached.freedoms
+            nodes = attached.inwards(state.nodes)
+            freedoms = attached.freedoms
             yield attached, CoupledState(nodes, motions[freedoms], multipliers[freedoms])
 
     def _unknowns(self, state: CoupledState) -> tuple[Array, Array]:

@@ -220,7 +220,8 @@ class Distributed(SectionCoupling):
 
         The derivatives are along k inputs, from the fields, (s, 3, k), m, and the border, (12, k).
         """
-        force, moment = border[_FORCE], skew(border[_MOMENT].T)
+        force = border[_FORCE]
+        moment = skew(border[_MOMENT].T)
         couple = skew(state.multipliers[3:])
         arms = self._weights[:, None] * self._arms
         Q = (self.points + state.nodes).T @ arms
@@ -246,7 +247,8 @@ class _Turned:
         self.centre = coupling._centre + R_minus_I @ coupling._centre
         self.points = coupling.points + state.nodes
         self.weights = coupling._weights
-        self.force, self.moment = state.multipliers[:3], state.multipliers[3:]
+        self.force = state.multipliers[:3]
+        self.moment = state.multipliers[3:]
 
     def inertia(self) -> Array:
         """Return sum w (x b^T - (b . x) I), shape (3, 3), m^2."""

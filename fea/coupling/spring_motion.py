@@ -67,7 +67,8 @@ def _motion_and_jacobian(motions: Array, turned: Array) -> tuple[Array, Array]:
     if len(motions) == _PER_FRAME:
         return motions, np.eye(_PER_FRAME)
     t1, r1, t2, r2 = motions.reshape(4, 3)
-    back, spin = rotation(r1).T, spin_per_vector(r1)
+    back = rotation(r1).T
+    spin = spin_per_vector(r1)
     rate = np.linalg.inv(spin_per_vector(turned)) @ back
     zero = np.zeros((3, 3))
     shifts = [-back, back @ skew(t2 - t1) @ spin, back, zero]

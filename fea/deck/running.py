@@ -187,7 +187,8 @@ def run_command(
 
     Raises OSError if the program cannot be started, OutOfTime if it takes longer than `timeout`.
     """
-    deadline, child = time.monotonic() + timeout, None
+    deadline = time.monotonic() + timeout
+    child = None
     try:
         with printed.open("wb") as file, _deferred(signal.SIGTERM):
             child = subprocess.Popen(

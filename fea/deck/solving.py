@@ -68,7 +68,8 @@ def solve_deck(
     with _work_folder(folder) as work_folder:
         runs = _Runs(bundle.deck, work_folder, report, accept)
         if bundle.analysis.nonlinear:
-            displacement, compliance = _nonlinear(runs, loads), np.full((6, 6), np.nan)
+            displacement = _nonlinear(runs, loads)
+            compliance = np.full((6, 6), np.nan)
             work = np.nan
         else:
             sizes = np.maximum(np.abs(bundle.range.low), np.abs(bundle.range.high))
@@ -185,9 +186,13 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
     """
     if runs.deck.moment == "spatial":
         return runs.run("wrench", wrench, 0.0, 1.0)
-    moment, size = wrench[3:], float(np.linalg.norm(wrench[3:]))
-    acting, inverse = moment.copy(), np.eye(3)
-    step, before, gap = np.zeros(3), np.zeros(3), np.inf
+    moment = wrench[3:]
+    size = float(np.linalg.norm(wrench[3:]))
+    acting = moment.copy()
+    inverse = np.eye(3)
+    step = np.zeros(3)
+    before = np.zeros(3)
+    gap = np.inf
     displacement = np.zeros(6)
     for number in range(_MAX_RUNS):
         name = f"wrench-{number + 1}"
@@ -204,7 +209,8 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
             scale = float(row @ change)
             if abs(scale) >= _LEAST_CHANGE * float(step @ step):
                 inverse = inverse + np.outer(step - inverse @ change, row) / scale
-        step, before = -inverse @ excess, excess
+        step = -inverse @ excess
+        before = excess
         acting = acting + step
     runs.accept(displacement)
     raise SolveFailed(
@@ -223,7 +229,8 @@ def _work_folder(folder: Path | None) -> Iterator[Path]:
         with tempfile.TemporaryDirectory(prefix="wrenchbook-deck-") as temporary:
             yield Path(temporary)
         return
-    path, number = Path(folder) / FOLDER, 1
+    path = Path(folder) / FOLDER
+    number = 1
     while path.exists():
         number += 1
         path = Path(folder) / f"{FOLDER}-{number}"

@@ -81,7 +81,8 @@ class CellState(ABC):
         Returns dF: shape (cells, points, 3 k, 3): the deformation gradient, dimensionless. dE, wdS:
         shape (k, cells, points, 3, 3): the strain, dimensionless, and `wS`, Pa times m^3.
         """
-        cells, count = len(self.slopes), len(fields)
+        cells = len(self.slopes)
+        count = len(fields)
         below = fields.swapaxes(0, 1).reshape(cells, 1, 3 * count, fields.shape[3])
         dF = below @ self.slopes.swapaxes(2, 3)
         half = _each_transposed(dF) @ self.F
@@ -119,7 +120,8 @@ class CellState(ABC):
 
     def cauchy(self, fields: Array) -> tuple[Array, Array]:
         """Return Cauchy stresses, Pa, and their changes with fields, m, shape (k, ...)."""
-        F_T, shape = self.F.swapaxes(2, 3), (*self.F.shape[:2], len(fields))
+        F_T = self.F.swapaxes(2, 3)
+        shape = (*self.F.shape[:2], len(fields))
         scale = (1.0 / (np.linalg.det(self.F) * self.weights))[..., None, None]
         stress = self.F @ self.wS @ F_T * scale
         dF, _, changes = self.changes(fields)
@@ -191,7 +193,8 @@ class DenseState(CellState):
         stress = (self.moduli() @ B).reshape(below.shape)
         np.matmul(below.swapaxes(1, 2), stress, out=out)
         if not self.undeformed:
-            K, geometric = out.reshape(cells, 3, nodes, 3, nodes), self.stressed()
+            K = out.reshape(cells, 3, nodes, 3, nodes)
+            geometric = self.stressed()
             for axis in range(3):
                 K[:, axis, :, axis] += geometric
 

@@ -95,7 +95,8 @@ class CellStiffness(ABC):
         the deformation gradient.
         """
         forces = np.empty_like(displacement)
-        energy, least = 0.0, np.inf
+        energy = 0.0
+        least = np.inf
         for part in self.chunks():
             state = self.state(part, displacement[part])
             if step is not None:

@@ -37,7 +37,8 @@ def nastran(part: Mapping[str, Any], first: int) -> str:
     """Return bulk data GRID, SPOINT and DMIG; `first` is the number of the first frame's point."""
     names = {key: name for key, name in _NAMES.items() if key in part}
     control = ", ".join(f"{name}2GG = {name}AAX" for name in names.values())
-    lines, rows = [f"$ Reduced part, SI units. Case control: {control}"], _rows(part, first, 0)
+    lines = [f"$ Reduced part, SI units. Case control: {control}"]
+    rows = _rows(part, first, 0)
     for node, (name, point) in enumerate(zip(part["names"], part["origins"], strict=True), first):
         x, y, z = (_number(value).replace("D", "E") for value in point)
         lines += [f"$ {name}", f"GRID*   {node:>16}{'':16}{x}{y}", f"*       {z}"]
@@ -53,7 +54,8 @@ def nastran(part: Mapping[str, Any], first: int) -> str:
 
 def abaqus(part: Mapping[str, Any], first: int) -> str:
     """Return *NODE and *MATRIX; `first` is the number of the first frame's node."""
-    rows, keys = _rows(part, first, 1), [key for key in _NAMES if key in part]
+    rows = _rows(part, first, 1)
+    keys = [key for key in _NAMES if key in part]
     points = {node: np.zeros(3) for node, _ in rows} | dict(enumerate(part["origins"], first))
     lines = ["** Reduced part, SI units", "*NODE"]
     lines += ["{}, {:.16e}, {:.16e}, {:.16e}".format(node, *at) for node, at in points.items()]

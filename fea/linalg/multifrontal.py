@@ -31,7 +31,8 @@ from wrenchbook.fea.linalg.nested_dissection import Dissection, Substructure
 
 Array = np.ndarray
 
-_BLAS, _LAPACK = ("trsm", "syrk"), ("potrf", "trttf", "tfsm")
+_BLAS = ("trsm", "syrk")
+_LAPACK = ("potrf", "trttf", "tfsm")
 _ROUTINES: dict[Any, Any] = {  # by precision and name
     np.dtype(kind): dict(zip(_BLAS, get_blas_funcs(_BLAS, dtype=kind), strict=True))
     | dict(zip(_LAPACK, get_lapack_funcs(_LAPACK, dtype=kind), strict=True))
@@ -210,7 +211,8 @@ class MultifrontalFactor:
 
     @_ONE_THREAD
     def __init__(self, dissection: Dissection, leaf: Leaf, single: bool = False) -> None:
-        self._dissection, self._single = dissection, single
+        self._dissection = dissection
+        self._single = single
         self.unknowns = dissection.unknowns
         try:
             self._fronts, self.diagonal = _eliminate(dissection, leaf, _CholeskyFront, single)
@@ -221,7 +223,8 @@ class MultifrontalFactor:
             self.definite = False
         if not self.definite:  # in this place, as the exception would keep the fronts in memory
             self._fronts, self.diagonal = _eliminate(dissection, leaf, _LUFront)
-        self.pivot_ratio, self.weakest = 1.0, -1
+        self.pivot_ratio = 1.0
+        self.weakest = -1
         if self.unknowns:
             ratios = np.concatenate([front.pivots for front in self._fronts])
             ratios /= self.diagonal
@@ -275,7 +278,8 @@ class _CholeskyFront:
 
     def products(self, boundary: int) -> Condensed:
         """Return the change of the boundary's stiffness by the elimination."""
-        W, syrk = self.W, _ROUTINES[self.W.dtype]["syrk"]
+        W = self.W
+        syrk = _ROUTINES[self.W.dtype]["syrk"]
         return products(W, W, partial(syrk, 1.0, trans=1, lower=1))
 
     def forward(self, x: Array, part: Substructure) -> None:
@@ -339,7 +343,8 @@ def _eliminate(dissection: Dissection, leaf: Leaf, kind: type, single: bool = Fa
 
     Returns the fronts and the diagonal of the matrix.
     """
-    diagonal, dtype = np.zeros(dissection.unknowns), np.float32 if single else np.float64
+    diagonal = np.zeros(dissection.unknowns)
+    dtype = np.float32 if single else np.float64
     fronts: list = []
     condensed: dict[int, Condensed] = {}
     for number, part in enumerate(dissection.substructures):
@@ -374,7 +379,8 @@ _EMPTY = _EmptyFront()
 
 def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed]:
     """Return the front of a leaf and its condensed stiffness."""
-    pivots, boundary = slice(0, part.eliminated), slice(part.eliminated, None)
+    pivots = slice(0, part.eliminated)
+    boundary = slice(part.eliminated, None)
     matrix = matrix.T  # symmetric; columns then are contiguous as in a front
     front = _EMPTY
     if part.eliminated:

@@ -117,7 +117,8 @@ class Cutter:
         low = max(int(count * (0.5 - _WINDOW)), 1)
         sizes = np.arange(low, max(count - low, low) + 1)  # sizes of the first half
         dearer = 1.0 + _UNEVEN * (2.0 * sizes / count - 1.0) ** 2
-        best, chosen = np.inf, np.arange(count) >= count // 2
+        best = np.inf
+        chosen = np.arange(count) >= count // 2
         for direction in _directions(centres):
             order = np.argsort(centres @ direction, kind="stable")
             rank = np.empty(count, dtype=np.int64)
@@ -126,7 +127,8 @@ class Cutter:
             cost = _on_both_sides(self._rank[pairs.cells], starts, count)[sizes] * dearer
             least = int(cost.argmin())
             if cost[least] < best:
-                best, chosen = cost[least], rank >= sizes[least]
+                best = cost[least]
+                chosen = rank >= sizes[least]
         return chosen
 
 
@@ -275,7 +277,8 @@ class _Builder:
         for part, eliminated, boundary in zip(
             self.parts, self.eliminated, self.boundaries, strict=True
         ):
-            part.start, part.stop = start, start + 3 * eliminated.size
+            part.start = start
+            part.stop = start + 3 * eliminated.size
             part.boundary = unknowns_of(np.sort(positions[boundary])).ravel()
             start = part.stop
             part.indices = tuple(part.find(self.parts[c].boundary) for c in part.children)

@@ -98,7 +98,8 @@ def _sides(mesh: Mesh, bolt: Bolt, key: str, problems: list[BundleProblem]) -> _
 
     If the shank cannot be cut, the result is None, with a problem at `key`, such as "bolt[0]".
     """
-    by_region, name = bolt.region is not None, bolt.region or bolt.group or ""
+    by_region = bolt.region is not None
+    name = bolt.region or bolt.group or ""
     key = f"{key}.{'region' if by_region else 'group'}"
     if by_region and name not in mesh.regions:
         problems.append(missing(key, name, "cell group", [*mesh.regions]))
@@ -158,7 +159,8 @@ def _why_uncut(
     if not has_faces and bolt.region is None:
         return f'"{bolt.group}" has cells on one side only; name facets inside the shank, across it'
     if not has_faces:
-        span, level = heights[_nodes_of(mesh, shank.cells)], np.concatenate(shank.levels)[0]
+        span = heights[_nodes_of(mesh, shank.cells)]
+        level = np.concatenate(shank.levels)[0]
         if span.min() < level < span.max():
             return (
                 f"has only one layer of cells at its cut, {level:.4g} m along axis; mesh the shank "
@@ -226,7 +228,8 @@ def _of_group(mesh: Mesh, bolt: Bolt, heights: Array) -> _Shank:
 
 def _pieces(mesh: Mesh, chosen: Sequence[Array], nodes: Array) -> int:
     """Return the number of pieces of cells, (m,) bool of each block, connected by some nodes."""
-    pairs, first = [], len(mesh.points)  # indices of cells come after those of nodes
+    pairs = []
+    first = len(mesh.points)  # indices of cells come after those of nodes
     for block, cells in zip(mesh.blocks, chosen, strict=True):
         cell, corner = np.nonzero(np.isin(block.nodes, nodes) & cells[:, None])
         pairs.append(np.stack([first + cell, block.nodes[cell, corner]]))

@@ -38,7 +38,8 @@ def in_si(quantity: str, unit: str) -> float:
     quantity: a key of ``[[material]]``, ``length``, ``force`` or ``moment``; others have no unit.
     unit: the deck's length unit, a key of `fea.spec.mesh_source.UNITS`.
     """
-    length, force = UNITS[unit], _FORCES.get(unit, 1.0)
+    length = UNITS[unit]
+    force = _FORCES.get(unit, 1.0)
     stress = force / length**2
     factors = {"youngs_modulus": stress, "yield_strength": stress, "density": stress / length**2}
     factors |= {"shear_modulus": stress, "length": length, "force": force, "moment": force * length}

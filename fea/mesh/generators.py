@@ -127,7 +127,8 @@ def bend_circle(section: PlaneMesh, core: int) -> None:
     The section's first quadrilaterals are those of `round_corners`.
     """
     along = section.quads[core * core : core * core + 4 * core]
-    ends, middles = section.points[along[:, 1]], along[:, 5]
+    ends = section.points[along[:, 1]]
+    middles = along[:, 5]
     chord = section.points[middles]
     stretch = np.hypot(*ends.T) / np.hypot(*chord.T)
     section.points[middles] = chord * stretch[:, None]
@@ -234,7 +235,8 @@ def sweep(section: PlaneMesh, layers: int, to_space: PointMap) -> Sweep:
     to_space: from section points, shape (k, 2), and the fraction of the way, shape (k,), from 0 to
     1, to points in space, shape (k, 3). Called once, so that any line is possible.
     """
-    stride, between = _stride(section), len(section.points)
+    stride = _stride(section)
+    between = len(section.points)
     level_of = np.concatenate([np.zeros(between), np.ones(section.corners)])
     flat = np.concatenate([section.points, section.points[: section.corners]])
     levels = (level_of + 2.0 * np.arange(layers + 1)[:, None]).ravel()
@@ -358,15 +360,19 @@ class Plate(Generator):
         # The frame's part of a grid of `lines` x `lines` nodes: its quadrilaterals, their nodes,
         # and the nodes of the inner rectangle, counter-clockwise from its lowest corner.
         lines = len(grid)
-        first, last = self.corner_cells, self.corner_cells + self.cells
+        first = self.corner_cells
+        last = self.corner_cells + self.cells
         quads = grid_quads(lines, lines)
-        column, row = quads[:, 0] // lines, quads[:, 0] % lines
+        column = quads[:, 0] // lines
+        row = quads[:, 0] % lines
         inside = (first <= column) & (column < last) & (first <= row) & (row < last)
         column, row = np.divmod(rim_of_grid(self.cells), self.cells + 1)
         inner = (first + column) * lines + first + row
-        frame, of_frame = quads[~inside], np.unique(quads[~inside])
+        frame = quads[~inside]
+        of_frame = np.unique(quads[~inside])
         arcs = 4 * self.cells
-        circle, rectangle = disc[-arcs:], grid.reshape(-1, 2)[inner]
+        circle = disc[-arcs:]
+        rectangle = grid.reshape(-1, 2)[inner]
         steps = np.arange(1, self.rings) / self.rings
         between = [circle + step * (rectangle - circle) for step in steps]
         on_frame = grid.reshape(-1, 2)[of_frame]

@@ -108,7 +108,8 @@ class Mesh:
 
 def row_numbers(rows: Array) -> Array:
     """Return the ranks of rows of indices (or -1), (k, c) to (k,): as `numpy.unique`, faster."""
-    numbers, above = rows[:, 0], int(rows.max(initial=0)) + 2
+    numbers = rows[:, 0]
+    above = int(rows.max(initial=0)) + 2
     for column in rows.T[1:]:
         numbers = np.unique(numbers * above + column, return_inverse=True)[1]
     return numbers

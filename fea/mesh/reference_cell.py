@@ -101,7 +101,8 @@ def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
         positions, weight = _gauss(count)
         grid = np.stack(np.meshgrid(*[positions] * dimension, indexing="ij"), axis=-1)
         products = np.stack(np.meshgrid(*[weight] * dimension, indexing="ij"), axis=-1)
-        points, weights = grid.reshape(-1, dimension), products.prod(axis=-1).ravel()
+        points = grid.reshape(-1, dimension)
+        weights = products.prod(axis=-1).ravel()
     else:
         mass = integration == "mass"
         if kind in _SIMPLEX_DEGREES:
@@ -163,8 +164,10 @@ def _products(kind: str, points: Array) -> tuple[Array, Array]:
     """Return values and slopes of the shape functions of `_PRODUCTS` at points; see `tabulate`."""
     factors_at = _wedge_factors if kind == "wedge15" else _pyramid_factors
     factors, slopes = factors_at(*points.T)
-    products, ones = _PRODUCTS[kind].split(), np.ones(len(points))
-    N, dN = np.zeros((len(products), len(points))), np.zeros((len(products), len(points), 3))
+    products = _PRODUCTS[kind].split()
+    ones = np.ones(len(points))
+    N = np.zeros((len(products), len(points)))
+    dN = np.zeros((len(products), len(points), 3))
     for product, value, slope in zip(products, N, dN, strict=True):
         value[:] = np.prod([factors[letter] for letter in product], axis=0)
         for i, letter in enumerate(product):
@@ -197,7 +200,8 @@ def _pyramid_factors(x: Array, y: Array, h: Array) -> tuple[dict[str, Array], di
     h is the height and d = 1 - h; p = x/d, q = 1 - p, r = y/d and s = 1 - r, so that the faces are
     those of hexahedra and tetrahedra. At the apex slopes are those on the line p = r = 1/2.
     """
-    ones, d = np.ones_like(h), np.maximum(1 - h, _TINY)
+    ones = np.ones_like(h)
+    d = np.maximum(1 - h, _TINY)
     p, r = (np.where(h < 1, each / d, 0.5) for each in (x, y))
     factors = {"d": d, "h": h, "p": p, "q": 1 - p, "r": r, "s": 1 - r}
     slopes = {"d": (0, 0, -ones), "h": (0, 0, ones)}

@@ -101,7 +101,8 @@ class Surface:
         self.sizes = np.linalg.norm(np.ptp(mesh.points[self.corners], axis=1), axis=1)
         if numbers is None:
             numbers, faces = self._smooth_parts()
-        self.numbers, self.faces = numbers, faces
+        self.numbers = numbers
+        self.faces = faces
 
     def _of_facets(self, values: Array) -> Array:
         """Sum values of triangles, shape (t, k), by facet."""
@@ -121,7 +122,8 @@ class Surface:
         order = np.lexsort(edges.T)
         same = np.concatenate([[False], (np.diff(edges[order], axis=0) == 0).all(axis=1), [False]])
         at = np.flatnonzero(same[1:-1] & ~same[:-2] & ~same[2:])  # edges of two triangles
-        facet, neighbour = order[at] // 3, order[at + 1] // 3
+        facet = order[at] // 3
+        neighbour = order[at + 1] // 3
         smooth = np.einsum("ij,ij->i", normals[facet], normals[neighbour]) > _SMOOTH
         return self.owners[facet[smooth]], self.owners[neighbour[smooth]]
 
@@ -139,7 +141,8 @@ class Surface:
             return connected_components(graph, directed=False)[1]
 
         turn = np.linalg.norm(np.cross(self.normals[first], self.normals[second]), axis=1)
-        smooth_parts, flat = parts(np.ones(len(turn), dtype=bool)), parts(turn < _FLAT)
+        smooth_parts = parts(np.ones(len(turn), dtype=bool))
+        flat = parts(turn < _FLAT)
         plane = self._in_planes(smooth_parts, flat)
         split = np.zeros(count, dtype=bool)
         for part in _members(smooth_parts):
@@ -151,7 +154,8 @@ class Surface:
         # Numbered by position, so that another mesh of the part has the same numbers.
         centres = np.array([face.centre for face in faces])
         centres = np.round(centres / (_NEAR * np.ptp(self.mesh.points, axis=0).max()))
-        ranked, numbers = np.lexsort(centres.T[::-1]).tolist(), np.zeros(count, dtype=np.int64)
+        ranked = np.lexsort(centres.T[::-1]).tolist()
+        numbers = np.zeros(count, dtype=np.int64)
         for number, i in enumerate(ranked, 1):
             numbers[members[i]] = number
         return numbers, tuple(replace(faces[i], number=n) for n, i in enumerate(ranked, 1))
@@ -163,19 +167,22 @@ class Surface:
         part has a node whose facets, two or more, all lie in that plane; a strip of a round face
         has none.
         """
-        count, nodes = len(self.corners), len(self.mesh.points)
+        count = len(self.corners)
+        nodes = len(self.mesh.points)
         keys = np.unique(np.arange(count).repeat(4) * nodes + self.corners.ravel())
         facets = keys // nodes
         keys = smooth[facets].astype(np.int64) * nodes + keys % nodes
         _, index, times = np.unique(keys, return_inverse=True, return_counts=True)
-        low, high = np.full(len(times), count), np.zeros(len(times), dtype=np.int64)
+        low = np.full(len(times), count)
+        high = np.zeros(len(times), dtype=np.int64)
         np.minimum.at(low, index, flat[facets])
         np.maximum.at(high, index, flat[facets])
         return np.asarray(np.isin(flat, low[(low == high) & (times > 1)]))
 
     def _face(self, members: Array) -> Face:
         """Return the plane, cylinder or curved face of facets, by their indices (k,)."""
-        x, areas = self.mesh.points[np.unique(self.corners[members])], self.areas[members]
+        x = self.mesh.points[np.unique(self.corners[members])]
+        areas = self.areas[members]
         if not areas.any():
             at = point_text(x.mean(axis=0))
             _refuse("mesh", f"has cells without volume at the surface near {at} m; mesh it again")
@@ -192,7 +199,8 @@ class Surface:
         members: indices of the facets, (k,). A radius that `face` already has is kept.
         """
         x = self.mesh.points[np.unique(self.corners[members])]
-        middle, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0)))
+        middle = x.mean(axis=0)
+        size = float(np.linalg.norm(np.ptp(x, axis=0)))
         vectors = self.normals[members] * self.areas[members, None] / size**2
         # First column: the direction square to the normals.
         frame = np.linalg.eigh(vectors.T @ vectors)[1]
@@ -224,7 +232,8 @@ class Surface:
         point = middle + size * frame @ [0, *fit[:2]]
         point += axis * (axis @ (middle - point))
         radius = face.radius or float(f"{size * fit[4]:.9g}")
-        axis, point = _three(np.round(axis, 9)), _three(point)
+        axis = _three(np.round(axis, 9))
+        point = _three(point)
         return replace(face, kind="Cylinder", radius=radius, axis=axis, point=point)
 
     def choose(self, groups: Mapping[str, FaceSelector]) -> Mesh:
@@ -242,7 +251,8 @@ class Surface:
             message = f"{' inside '.join(error.args[1])} is circular; remove one inside key"
             _refuse(f"mesh.groups.{error.args[1][0]}.inside", message)
         for name in order:
-            where, inside = f"mesh.groups.{name}", groups[name].inside
+            where = f"mesh.groups.{name}"
+            inside = groups[name].inside
             mask = None
             if name in there:
                 message = "the mesh file already has a group of this name; choose another name"
@@ -320,7 +330,8 @@ class Surface:
         off = np.linalg.norm(self.middles - np.array(point), axis=1)
         limit = (off + self.sizes).min() + _EDGE * self.sizes.max()
         close = (off - self.sizes <= limit)[self.owners]
-        owners, normals = self.owners[close], _unit(self._vectors[close])
+        owners = self.owners[close]
+        normals = _unit(self._vectors[close])
         x = self.mesh.points[self.triangles[close]] - np.array(point)
         edges = np.roll(x, -1, axis=1) - x
         # Above the inside of a triangle it is the distance to its plane, else that to an edge.
@@ -329,7 +340,8 @@ class Surface:
         to_edges = np.linalg.norm(x + np.clip(along, 0, 1)[:, :, None] * edges, axis=2).min(axis=1)
         height = np.abs(np.einsum("tx,tx->t", x[:, 0], normals))
         distance = np.where((sides >= 0).all(axis=1), height, to_edges)
-        least, size = distance.min(), self.sizes[owners[distance.argmin()]]
+        least = distance.min()
+        size = self.sizes[owners[distance.argmin()]]
         near = distance <= least + (_EDGE * size if least <= size else 0.0)
         numbers = np.unique(self.numbers[owners[near]]).tolist()
         if message := near_message(point, "face", numbers, least, size):
@@ -396,7 +408,8 @@ class Surface:
 
     def line(self, face: Face) -> str:
         """Return the TOML that selects a face alone, in the simplest form."""
-        members, middle = self.numbers == face.number, _short(*face.centre)
+        members = self.numbers == face.number
+        middle = _short(*face.centre)
         at = self.middles[members]
         ways: list[dict[str, Any]] = [  # keys of a `FaceSelector`, the simplest first
             {"near": _short(*at[np.linalg.norm(at - face.centre, axis=1).argmin()])},

@@ -381,7 +381,9 @@ def _mean_planes(points: Array, kind: str, nodes: Array) -> tuple[Array, Array]:
 
     The second result is the area, m^2, of each quadrature point in that plane, (f, q).
     """
-    at, element, count = points[nodes], reference_element(kind), corners_of(kind)
+    at = points[nodes]
+    element = reference_element(kind)
+    count = corners_of(kind)
     arms = at[:, :count] - at[:, :count].mean(axis=1)[:, None]
     normal = np.cross(arms, np.roll(arms, -1, axis=1)).sum(axis=1)
     plane = np.linalg.qr(np.stack([normal, arms[:, 0], arms[:, 1]], axis=2)).Q[:, :, 1:]
@@ -445,7 +447,9 @@ def _overlaps(
         of, to = all_of[pairs], all_to[pairs]
         flat = plane[facet[of]]
         pair, cuts = _intersections(corners[of] @ flat, opposite[to] @ flat)
-        of, to, flat = facet[of[pair]], facet_to[to[pair]], flat[pair]
+        of = facet[of[pair]]
+        to = facet_to[to[pair]]
+        flat = flat[pair]
         at = np.einsum("cq,sci->sqi", np.array([1 - _RULE[0].sum(axis=0), *_RULE[0]]), cuts)
         weights = np.abs(np.linalg.det(cuts[:, 1:] - cuts[:, :1]))[:, None] * _RULE[1]
         there = points[first.nodes[of]], points[second.nodes[to]]
@@ -463,7 +467,8 @@ def _located(kind: str, nodes: Array, at: Array) -> tuple[Array, Array]:
     """
     local = np.broadcast_to(node_coordinates(kind).mean(axis=0), at.shape).copy()
     size = np.ptp(nodes, axis=1).max(axis=1)[:, None]
-    values, converged = np.empty(0), np.zeros((1, 1), dtype=bool)
+    values = np.empty(0)
+    converged = np.zeros((1, 1), dtype=bool)
     for _ in range(_MAX_STEPS):
         values, slopes = tabulate(kind, local.reshape(-1, 2))
         values = values.reshape(*at.shape[:2], -1)
@@ -491,7 +496,9 @@ def _intersections(*pairs: Array) -> tuple[Array, Array]:
     # Corners inside the other triangle, and crossings of the sides.
     off = _cross(sides[::-1, :, None], corners[:, :, :, None] - corners[::-1, :, None])
     inside = np.asarray((off >= -least[::-1, :, None, None]).all(axis=3))
-    first, second, between = sides[0][:, :, None], sides[1][:, None], corners[1][:, None]
+    first = sides[0][:, :, None]
+    second = sides[1][:, None]
+    between = corners[1][:, None]
     between = between - corners[0][:, :, None]
     area = _cross(first, second)
     lengths = np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)

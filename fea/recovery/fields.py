@@ -101,7 +101,8 @@ def _stresses(
         return changes @ (solution.wrench - component.at_rest), changes
     # Changes that are not stored are not computed: they take six times the stresses.
     fields = slopes if shown.stop is None else slopes[:, :, :0]
-    nodes, temperature = solution.nodes @ component.axes.T, component.warming(solution.wrench)
+    nodes = solution.nodes @ component.axes.T
+    temperature = component.warming(solution.wrench)
     return cauchy_stress(body, nodes, fields, temperature, loads)
 
 
@@ -130,7 +131,8 @@ def surface_of(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> Surface:
         [facets[:, TRIANGLES[kind]].reshape(-1, 3) for kind, facets in blocks]
     )
     nodes, flat = np.unique(triangles, return_inverse=True)
-    triangles, count = flat.reshape(-1, 3), len(nodes)
+    triangles = flat.reshape(-1, 3)
+    count = len(nodes)
     if count > max_vertices:
         vertices, triangles = _clustered(mesh.points[nodes], triangles, max_vertices)
         nodes = nodes[vertices]
@@ -144,7 +146,8 @@ def _clustered(points: Array, triangles: Array, max_vertices: int) -> tuple[Arra
     the first of them, by the finest grid that leaves at most `max_vertices`.
     """
     span = np.ptp(points, axis=0).max()
-    few, many = 1, int(np.sqrt(max_vertices)) * 8  # boxes along the longest side
+    few = 1  # boxes along the longest side
+    many = int(np.sqrt(max_vertices)) * 8
     while few + 1 < many:
         middle = (few + many) // 2
         boxes = np.unique(_boxes(points, span / middle), axis=0)

@@ -147,7 +147,9 @@ def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -
 
 def material_of_parts(component: ComponentModel, body: ElasticBody) -> list[Array]:
     """Return for each of the body's parts its cells' material numbers, shape (cells,)."""
-    materials, first, by_part = integration_points(component, body.points)[1], 0, []
+    materials = integration_points(component, body.points)[1]
+    first = 0
+    by_part = []
     for part in body.parts:
         weights = part.gradients.weights
         by_part.append(materials[first : first + weights.size : weights.shape[1]])

@@ -127,7 +127,8 @@ class ArcPath:
         """
         length = float(np.linalg.norm(self._between(ahead)))
         s = np.linspace(0.0, 1.0, _SAMPLES)
-        start, end = length / self._point.speed, -length / ahead.speed
+        start = length / self._point.speed
+        end = -length / ahead.speed
         cubic = (
             self._point.size * (1 + 2 * s) * (1 - s) ** 2
             + start * s * (1 - s) ** 2

@@ -55,7 +55,8 @@ def linear_response(system: System) -> LinearResponse:
     """
     fields, border, correction = _refined(system, system.undeformed)
     condition = system.condition
-    displacements, loads = system.coupling.displacement_rows(border), system.coupling.freedoms
+    displacements = system.coupling.displacement_rows(border)
+    loads = system.coupling.freedoms
     compliance = displacements[:, :loads]
     scale = np.sqrt(np.abs(np.diagonal(compliance)))
     scale = np.where(scale > 0, scale, 1.0)
@@ -82,7 +83,8 @@ def linear_response(system: System) -> LinearResponse:
         energies[:, loads] += conjugate
         energies[loads, loads] += 2 * system.body.at(1.0, finite=False).forces(at_rest)[1]
     fields = system.body.expanded(fields)
-    sag, moved = fields[:, :, inputs:].sum(axis=2), displacements[:, inputs:].sum(axis=1)
+    sag = fields[:, :, inputs:].sum(axis=2)
+    moved = displacements[:, inputs:].sum(axis=1)
     fields = fields[:, :, :inputs]
     return LinearResponse(
         compliance, energies, fields, condition, asymmetry, energy_gap, sag, moved
@@ -103,7 +105,8 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
         acting = np.concatenate([acting, system.body.movable.released(weight)], axis=2)
         loads = np.hstack([loads, contract(border.constraint, weight)])
     nodes, moved = start.solve(acting, loads)
-    size, first = 0.0, system.coupling.freedoms
+    size = 0.0
+    first = system.coupling.freedoms
     for _ in range(_MAX_CORRECTIONS):
         fields = nodes + border.constraint @ moved
         forces = system.body.small_strain_forces(fields)

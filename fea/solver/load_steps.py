@@ -219,7 +219,8 @@ class LoadPath:
         # The factor as a cubic in the advance, by its values and slopes at both ends, integrated.
         mean = 0.5 * (self._factor + target) + advance * (1 / start - 1 / end) / 12
         self.work += self._size * advance * mean
-        self._balance, self._tangent = equilibrium.balance, equilibrium.tangent
+        self._balance = equilibrium.balance
+        self._tangent = equilibrium.tangent
         self._factor = target
         if equilibrium.iterations <= _FEW_ITERATIONS:
             self._step *= GROWTH
@@ -255,7 +256,8 @@ class LoadPath:
             spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
             advance += [(after - before)[:3], spin]
         if self._system.body.expands:
-            both, body = (self._balance, equilibrium.balance), self._system.body
+            both = (self._balance, equilibrium.balance)
+            body = self._system.body
             middle = 0.5 * sum(self._system.temperature(motion.wrench) for motion in both)
             before, after = (body.thermal_rates(motion.state.nodes, middle)[1] for motion in both)
             advance.append(np.array([before - after]))

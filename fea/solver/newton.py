@@ -118,7 +118,8 @@ def find_equilibrium(
 
     Raises Stuck if the iteration does not converge.
     """
-    consistent, corrections = False, []
+    consistent = False
+    corrections = []
     for iteration in range(1, max_iterations + 1):
         step = correct(system, balance, tangent, *tangent.correction(balance))
         balance = step.balance

@@ -101,7 +101,8 @@ def third_derivatives(
     body_part += coupling.third(state, (balance.forces, changes), fields, border, origin)
     if body.expands:
         # The strain energy's derivatives by the temperature, the input behind the loads.
-        nodes, temperature = balance.state.nodes, system.temperature(balance.wrench)
+        nodes = balance.state.nodes
+        temperature = system.temperature(balance.wrench)
         steps = _WARMER * np.arange(-2, 3)
         near = [system.body.at(temperature + step).forces(nodes) for step in steps]
         forces, energies, _ = zip(*near, strict=True)

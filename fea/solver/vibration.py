@@ -181,7 +181,8 @@ def _lowest_modes(
 
     Raises SolveFailed of kind ``ill_conditioned`` if Lanczos' method does not converge.
     """
-    mass, apply = Applied(inertia.size, inertia.times), Applied(inertia.size, inverse)
+    mass = Applied(inertia.size, inertia.times)
+    apply = Applied(inertia.size, inverse)
     try:
         # In shift-invert mode ARPACK applies only K^-1 and M; the first argument gives the size.
         squares, modes = eigsh(mass, k=count, M=mass, sigma=0.0, which="LM", OPinv=apply, v0=start)
@@ -221,7 +222,8 @@ def condensed_mass(inertia: Inertia) -> Array:
 
     Guyan (1965): the kinetic energy of the motions under static loads at the interfaces.
     """
-    active, count = inertia.active, len(inertia.interface_mass)
+    active = inertia.active
+    count = len(inertia.interface_mass)
     shapes, _ = static_shapes(inertia)
     energies = shapes.T @ np.stack([inertia.times(shape) for shape in shapes.T], axis=1)
     matrix = np.zeros((count, count))
@@ -252,7 +254,8 @@ class Inertia:
     """
 
     def __init__(self, system: System, mass: csr_array, interface_mass: Array) -> None:
-        self._mass, self.interface_mass = mass, interface_mass
+        self._mass = mass
+        self.interface_mass = interface_mass
         self._start = system.undeformed
         self.active = system.coupling.active
         self._free = np.flatnonzero(system.body.free)
@@ -484,7 +487,8 @@ def buckling_factors(
     # Eigenvalues of K^-1 (-G), those of largest size among them.
     modes = min(_MODES, stressed.size)
     motions = np.random.default_rng(_BUCKLING_SEED).standard_normal((modes, stressed.size))
-    before, values = np.zeros(2), np.zeros(modes)
+    before = np.zeros(2)
+    values = np.zeros(modes)
     for _ in range(_ITERATIONS):
         loads = np.stack([stressed.times(motion) for motion in motions])
         moved = stressed.solved(loads)

@@ -73,7 +73,8 @@ class _Joining:
         self.parts: list[str] = []
         self.pieces: list[tuple[int, str, int]] = []
         self.included: list[Path] = []
-        self.line, self.characters = 1, 0  # next line of the joined text; sum over all files
+        self.line = 1  # next line of the joined text
+        self.characters = 0  # sum over all files
 
     def add_part(self, part: str, name: str, line: int) -> None:
         """Add a stretch of a file's text that begins at its line `line`; end it with a newline."""
@@ -108,7 +109,8 @@ class _Joining:
             rows = "" if match[1].upper() == "INCLUDE" else _INPUT.sub("", match[0]) + "\n"
             self.add_part(text[end : match.start()] + rows, name, line)
             self.add_file(found, content, (*stack, found))
-            line, end = at + match[0].count("\n"), match.end()
+            line = at + match[0].count("\n")
+            end = match.end()
         self.add_part(text[end:], name, line)
 
     def included_file(self, name: str, stack: tuple[Path, ...], beside: str) -> tuple[Path, str]:

@@ -251,7 +251,8 @@ def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
 
     Raises ValueError if they are not orthonormal to `_ORTHONORMAL`, or are left-handed.
     """
-    axes, wanted = np.array(rows), "must be three directions of length 1 at right angles"
+    axes = np.array(rows)
+    wanted = "must be three directions of length 1 at right angles"
     for number, length in enumerate(np.hypot.reduce(axes, axis=1).tolist(), start=1):
         if abs(length - 1.0) > 0.5 * _ORTHONORMAL:  # the square differs by twice as much
             raise ValueError(
@@ -337,7 +338,10 @@ def extra_of(info: FieldInfo | None) -> Mapping[str, Any]:
 
 def _problems(kind: Any, where: str, entry: Mapping[str, Any]) -> Iterator[BundleProblem]:
     """Yield the mistakes of one entry of pydantic's, each at its path."""
-    path, info, classes, named = where, None, list(tables_in(kind)), False
+    path = where
+    info = None
+    classes = list(tables_in(kind))
+    named = False
     for part in entry["loc"]:
         if isinstance(part, int) and part < 0:  # the branch of a union
             classes = classes[~part:][:1]
@@ -392,7 +396,9 @@ _KINDS = {
 
 def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
     """Return the mistake and its correction, by the type of pydantic's error."""
-    error, value, context = entry["type"], entry["input"], entry.get("ctx", {})
+    error = entry["type"]
+    value = entry["input"]
+    context = entry.get("ctx", {})
     extra = extra_of(info)
     unit = extra.get("unit") or "no unit"
     if error == "missing":
@@ -421,7 +427,8 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
 
 def missing(info: FieldInfo | None) -> str:
     """Return the sentence for a required key."""
-    noun, example = _noun(info), extra_of(info).get("toml", "") if info is not None else ""
+    noun = _noun(info)
+    example = extra_of(info).get("toml", "") if info is not None else ""
     is_open = example and not noun.startswith("one of ")
     return f"is missing; write {noun}" + (f", such as {example}" if is_open else "")
 
@@ -430,7 +437,8 @@ def _noun(info: FieldInfo | None) -> str:
     """Return the expected value of a key, in words."""
     if info is None:
         return "a value"
-    extra, kind = extra_of(info), _adapter(kind_of(info)).json_schema()
+    extra = extra_of(info)
+    kind = _adapter(kind_of(info)).json_schema()
     kind = kind.get("anyOf", [kind])[0]  # without null
     unit = extra.get("unit") or "no unit"
     if write := extra.get("write"):

@@ -231,9 +231,11 @@ class Orthotropic(Solid):
     def isotropic_ratio(self) -> float:
         """Poisson's ratio of the isotropic material nearest to it (Voigt's mean of directions)."""
         matrix = self.elasticity
-        pulls, shears = np.trace(matrix[:3, :3]), np.trace(matrix[3:, 3:])
+        pulls = np.trace(matrix[:3, :3])
+        shears = np.trace(matrix[3:, 3:])
         across = matrix[0, 1] + matrix[0, 2] + matrix[1, 2]
-        bulk, shear = (pulls + 2 * across) / 9, (pulls - across + 3 * shears) / 15
+        bulk = (pulls + 2 * across) / 9
+        shear = (pulls - across + 3 * shears) / 15
         return float((3 * bulk - 2 * shear) / (6 * bulk + 2 * shear))
 
     @property

@@ -207,7 +207,9 @@ class GeometryMeshing:
 class GeometryFile(GeometryMeshing):
     """A geometry file, which holds its length unit."""
 
-    unit, generator, parameters = "m", None, None
+    unit = "m"
+    generator = None
+    parameters = None
     refused: ClassVar = {"unit": "a STEP file holds its length unit; leave this key out"}
     file: BundleFile = key("", '"bracket.step"', kw_only=True)
     """a STEP file"""

@@ -107,7 +107,8 @@ class Temperature:
     largest; all others rise in proportion"""
 
     def __post_init__(self) -> None:
-        zero, mistakes = _ABSOLUTE_ZERO[self.unit], []
+        zero = _ABSOLUTE_ZERO[self.unit]
+        mistakes = []
         for name, lowest in (("range", self.range[0]), ("reference", self.reference)):
             if lowest < zero:
                 bound = f"below {zero:g} {self.unit}, absolute zero"
@@ -136,7 +137,8 @@ class Inputs:
     @property
     def scalars(self) -> tuple[ScalarInput, ...]:
         """The inputs in their order: the temperature, then the three accelerations."""
-        warm, sizes = self.temperature, self.acceleration.range if self.acceleration else ()
+        warm = self.temperature
+        sizes = self.acceleration.range if self.acceleration else ()
         first = warm and ScalarInput(
             TEMPERATURE, warm.unit, *warm.range, warm.reference, warm.field
         )

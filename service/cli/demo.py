@@ -43,7 +43,8 @@ def run(out: Console, keep: Path | None = None) -> dict[str, Any]:
     """Run the demonstration; return its figures, with ``failed``: the cause, or None."""
     from wrenchbook.service.workers.private import private_server
 
-    started, complaint = time.monotonic(), None
+    started = time.monotonic()
+    complaint = None
     room = nullcontext(str(keep)) if keep else tempfile.TemporaryDirectory(prefix="wrenchbook-")
     with room as folder, private_server(Path(folder), SOLVERS) as client:
         steps = (_ask_an_empty_table, _solve_it, _fill, _refine, _compare)
@@ -54,7 +55,8 @@ def run(out: Console, keep: Path | None = None) -> dict[str, Any]:
             if complaint:
                 out.print(f"[red]The demonstration failed:[/red] {complaint}")
                 break
-        answer, component = client.displacement(COMPONENT, *WRENCH), client.component(COMPONENT)
+        answer = client.displacement(COMPONENT, *WRENCH)
+        component = client.component(COMPONENT)
     seconds = time.monotonic() - started
     if complaint is None:
         out.print(f"Done in {seconds:.0f} s.")
@@ -94,7 +96,8 @@ def _fill(out: Console, client: Client) -> str | None:
 
 def _refine(out: Console, client: Client) -> str | None:
     """Ask a wrench that no solve was made for, and solve it on a finer mesh."""
-    force, moment = [OTHER * load for load in WRENCH[0]], WRENCH[1]
+    force = [OTHER * load for load in WRENCH[0]]
+    moment = WRENCH[1]
     answer = client.displacement(COMPONENT, force, moment)
     out.print(answer_shown(answer))
     if answer.coverage != "covered":
@@ -153,7 +156,8 @@ def _compare(out: Console, client: Client) -> str | None:
     solved = np.array([row.job.raw["translation"][2] for row in compared])
     answered = np.array([row.answer.vector for row in compared], dtype=float)[:, 2]
     error = np.abs(answered - solved)
-    rows, limit = client.component(COMPONENT)["rows"], component["tolerance"]
+    rows = client.component(COMPONENT)["rows"]
+    limit = component["tolerance"]
     out.print(
         f"The table of {rows} rows answers in {np.median(times):.0f} µs; one solve takes "
         f"{np.median(seconds):.1f} s.\n"
@@ -179,9 +183,11 @@ def _time_table(times: Floats, seconds: Floats) -> Table:
     table = Table(title="Run time of one answer")
     for heading in ("", "median", "95 %"):
         table.add_column(heading, justify="right" if heading else "left")
-    middle, late = np.median(times), np.quantile(times, 0.95)
+    middle = np.median(times)
+    late = np.quantile(times, 0.95)
     table.add_row("table", f"{middle:.0f} µs", f"{late:.0f} µs")
-    solve, slow = np.median(seconds), np.quantile(seconds, 0.95)
+    solve = np.median(seconds)
+    slow = np.quantile(seconds, 0.95)
     table.add_row("FEA, a process of its own", f"{solve:.2f} s", f"{slow:.2f} s")
     table.caption = f"The table is {1e6 * solve / middle:,.0f} times faster."
     return table
@@ -194,7 +200,8 @@ def _error_table(compared: Sequence[Compared]) -> Table:
     error = np.abs(np.array([row.answer.vector for row in compared]) - true)
     plain_error = np.abs(np.array([row.plain.vector for row in compared]) - true)
     bars = np.array([row.answer.error_vector for row in compared])
-    span, method = np.ptp(true, axis=0), compared[0].answer.method
+    span = np.ptp(true, axis=0)
+    method = compared[0].answer.method
     table = Table(title=f"{method} against FEA, {len(compared)} full wrenches not in the table")
     for heading in ("", "range", "RMS error", "largest", "RMS/range", "in bar", "griddata"):
         table.add_column(heading, justify="right" if heading else "left")

@@ -78,7 +78,8 @@ def joint(
         facts = client.component(name)
         springs = None
         if linear:
-            table, wrench = client.download(name), (*force, *moment)
+            table = client.download(name)
+            wrench = (*force, *moment)
             springs = LinearPart.of(table, wrench, further_inputs(further))
     part, mass = _moving(name, facts, interface)
     locked = part.get("locked", ())
@@ -105,7 +106,8 @@ def _mass_note(name: str, facts: dict[str, Any], mass: list[list[float]] | None,
     """Return how much of a part's mass moves with the tip; `mass` as of `_moving`."""
     if mass is None:
         return f"{name} has no known mass; give its materials a density"
-    total, moving = facts["vibration"]["mass"], sum(mass[k][k] for k in range(3)) / 3
+    total = facts["vibration"]["mass"]
+    moving = sum(mass[k][k] for k in range(3)) / 3
     return (
         f"{moving:.4g} kg of the part's {total:.4g} kg move with {tip!r}. Add the mass that moves "
         "with no tip to the base's body"
@@ -171,10 +173,13 @@ def stiffness(
             shown: list[Any] = list(stiffness_lines(body))
         else:
             facts = client.component(name)
-            table, wrench = client.download(name), (*force, *moment)
+            table = client.download(name)
+            wrench = (*force, *moment)
             part = LinearPart.of(table, wrench, further_inputs(further))
             body = part.to_dict(_moving(name, facts)[1])
-            loads, freedoms, mass = body["loads"], part.freedoms, body["mass"]
+            loads = body["loads"]
+            freedoms = part.freedoms
+            mass = body["mass"]
             shown = [
                 matrix_table("stiffness, N/m to N·m/rad", loads, freedoms, body["stiffness"]),
                 matrix_table("condensed mass, kg to kg·m^2", freedoms, freedoms, mass),

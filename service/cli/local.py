@@ -197,7 +197,8 @@ def backup(
     from wrenchbook.service.ops.backup import back_up
 
     manifest = back_up(data, file)
-    size, count = sum(length for length, _ in manifest.files.values()), len(manifest.files)
+    size = sum(length for length, _ in manifest.files.values())
+    count = len(manifest.files)
     text = f"{file}: {count} files, {size / 1e6:.1f} MB, read again and complete."
     show({"file": file, "files": count, "bytes": size}, as_json, text)
 
@@ -239,7 +240,8 @@ def _restored_texts(
     data: Path, manifest: Manifest, former: Path | None, *, has_keys: bool
 ) -> list[str]:
     """Return the lines on a restored directory; `former`: the folder of its earlier files."""
-    state, option = manifest.state, _data_option(data)
+    state = manifest.state
+    option = _data_option(data)
     texts = [
         f"{data}: {len(manifest.files)} files restored. Start it with: wrenchbook serve{option}"
     ]

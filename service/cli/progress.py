@@ -23,13 +23,15 @@ class Pace:
     """The rate of ended solves over all rounds of a fill of at most `budget` solves."""
 
     def __init__(self, budget: int, clock: Callable[[], float] = time.monotonic) -> None:
-        self._budget, self._clock = budget, clock
+        self._budget = budget
+        self._clock = clock
         self._started = clock()
         self.ended = 0
 
     def note(self, in_round: float = 0.0) -> str:
         """Return solves a minute and the longest remaining time, including the present round."""
-        solves, seconds = self.ended + in_round, self._clock() - self._started
+        solves = self.ended + in_round
+        seconds = self._clock() - self._started
         if solves < 1 or seconds <= 0:
             return ""
         remaining = max(0.0, self._budget - solves) * seconds / solves
@@ -142,7 +144,10 @@ def fill(
 
     Raises RuntimeError if all solves of a round fail.
     """
-    spent, failures, pace, order = 0, 0, Pace(budget), None
+    spent = 0
+    failures = 0
+    pace = Pace(budget)
+    order = None
     plain(out, f"choosing wrenches for {name}")
     while spent < budget:
         order = client.fill(name, budget=min(round_size, budget - spent), **options)

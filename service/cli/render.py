@@ -211,7 +211,8 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
         spans = component["range"].get("loads") or {"": component["range"]}
         force = "; ".join(_largest(name, span["force"]) for name, span in spans.items())
         moment = "; ".join(_largest(name, span["moment"]) for name, span in spans.items())
-        rows, others = str(component["rows"]), component.get("another_setup", {}).get("rows")
+        rows = str(component["rows"])
+        others = component.get("another_setup", {}).get("rows")
         if others:
             rows += f" (and {others} of another setup)"
         if pending := component.get("pending_rows"):  # servers before 0.3 have none
@@ -233,8 +234,10 @@ def job_table(jobs: Sequence[Job]) -> Table:
         loads = job.raw.get("loads") or {"": job.raw}
         inputs = [_after_name(name, wrench_of(wrench)) for name, wrench in loads.items()]
         inputs += [_after_name(name, [value]) for name, value in job.raw.get("inputs", {}).items()]
-        attempt, state = str(job.raw["attempt"]), escape(job_state(job))
-        actor, wrench = escape(job.raw.get("actor") or ""), ", ".join(inputs)
+        attempt = str(job.raw["attempt"])
+        state = escape(job_state(job))
+        actor = escape(job.raw.get("actor") or "")
+        wrench = ", ".join(inputs)
         table.add_row(str(job.id), job.component, actor, job.status, attempt, wrench, state)
     return table
 

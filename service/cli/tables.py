@@ -233,7 +233,8 @@ def export_table(
 
     A .zip holds the C library that answers from the table: sources, example and CMakeLists.txt.
     """
-    to_stdout, ending = str(file) == "-", file.suffix.lower()
+    to_stdout = str(file) == "-"
+    ending = file.suffix.lower()
     if ending != ".fmu":
         refuse_alone("a file that ends in .fmu", {"--method": method, "--platforms": platforms})
     format_ = _format_of(file)
@@ -242,7 +243,8 @@ def export_table(
     curves = {}
     if bushing:
         _check_bushing(file, format_, units, table_version)
-        format_, curves = "bushing", {"others": bushing}
+        format_ = "bushing"
+        curves = {"others": bushing}
     if to_stdout and as_json:
         raise typer.BadParameter(
             "--json describes a written file, but - writes none; leave --json out"

@@ -50,7 +50,8 @@ class Host:
 
     def __init__(self, table: Table, method: str | None, tolerance: Tolerance | None) -> None:
         table.batch(np.zeros((1, table.packed.inputs)), tolerance, method)  # refuses wrong options
-        self.name, self.packed = table.name, table.packed
+        self.name = table.name
+        self.packed = table.packed
         self.options = table.allowed_errors(tolerance), method
         self.threads = os.cpu_count() or 1
 
@@ -75,7 +76,9 @@ class Host:
 
         NaN where there is none.
         """
-        shape, n, m = moved.shape[:-1], self.packed.inputs, self.packed.outputs
+        shape = moved.shape[:-1]
+        n = self.packed.inputs
+        m = self.packed.outputs
         targets = np.asarray(moved, dtype=float).reshape(-1, m)
         starts = np.broadcast_to(np.asarray(start, dtype=float), (*shape, n)).reshape(-1, n)
         wrenches = np.full((len(targets), n), np.nan)
@@ -118,7 +121,8 @@ class Evaluator:
     """
 
     def __init__(self, host: Host, framework: Framework) -> None:
-        self._host, self._framework = host, framework
+        self._host = host
+        self._framework = framework
 
     def __call__(self, wrenches: Array) -> Answers:
         """Return displacements, error bars and coverage."""
@@ -187,7 +191,8 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
     """
     package = required("jax", "arrays.jax", "'wrenchbook[jax]'")
     jnp = required("jax.numpy", "arrays.jax", "'wrenchbook[jax]'")
-    host, on_host = Host(table, method, tolerance), partial(_jax_on_host, package)
+    host = Host(table, method, tolerance)
+    on_host = partial(_jax_on_host, package)
     n, m = host.packed.inputs, host.packed.outputs
 
     def array(values: Array) -> Array:
@@ -287,7 +292,8 @@ def jax_joint(
     turned = None if axes is None else floats_of("axes", axes, square)
     if not 0.0 < dt < np.inf:
         raise InvalidArgument(f"dt must be a finite number above 0 s, not {dt}")
-    size, shapes = first.memory.shape[1], {n: first.replies[n].shape[1:] for n in REPLIED}
+    size = first.memory.shape[1]
+    shapes = {n: first.replies[n].shape[1:] for n in REPLIED}
     buffers = first.memory, first.poses, first.velocities, first.inverse_masses
     entered = [place.shape[1:] for place in buffers]
 
@@ -299,14 +305,16 @@ def jax_joint(
         for buffer, array in zip(buffers, arrays, strict=True):
             buffer[:] = np.asarray(array).reshape(buffer.shape)
         steps.step(dt, damping, os.cpu_count() or 1)
-        codes, coverage = status_of(joint, steps), steps.replies["coverage"]
+        codes = status_of(joint, steps)
+        coverage = steps.replies["coverage"]
         floats = [steps.replies[name] for name in REPLIED[:-1]]
         results = *floats, np.where(coverage < 0, OUTSIDE, coverage), codes, steps.memory
         return [array.reshape((*lead, *array.shape[1:])) for array in results]
 
     def step(memory: Array, poses: Array, velocities: Array, inverse_masses: Array) -> JointAnswers:
         arrays = [package.numpy.asarray(a) for a in (memory, poses, velocities, inverse_masses)]
-        lead, kind = arrays[0].shape[:-1], arrays[1].dtype
+        lead = arrays[0].shape[:-1]
+        kind = arrays[1].dtype
         expected = [(*lead, *shape) for shape in entered]
         if [array.shape for array in arrays] != expected:
             raise InvalidArgument(

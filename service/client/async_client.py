@@ -39,7 +39,8 @@ def _iterated(
         self: AsyncClient, /, *args: P.args, **options: P.kwargs
     ) -> AsyncGenerator[T, None]:
         connection = copy.copy(self._client)  # the iterator's own connection, which its end closes
-        items, end = call(connection, *args, **options), object()
+        items = call(connection, *args, **options)
+        end = object()
         try:
             while (item := await self.run(lambda _: next(items, end))) is not end:
                 yield item  # type: ignore[misc]

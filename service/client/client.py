@@ -142,10 +142,12 @@ class DisplacementCalls(Connection):
             derivatives=derivatives or None,
             beyond_range=beyond_range or None,
         )
-        path, wait_s = component_path(name, "displacements"), _server_wait(chosen)
+        path = component_path(name, "displacements")
+        wait_s = _server_wait(chosen)
         if len(block) >= BINARY_FROM if binary is None else binary:
             tolerance_query = chosen.pop("tolerance", {})
-            query, content = chosen | tolerance_query, block.astype("<f8").tobytes()
+            query = chosen | tolerance_query
+            content = block.astype("<f8").tobytes()
             reply = self.call("POST", path, content, kind=BINARY, query=query, wait_s=wait_s)
             return Displacements.read_binary(name, block, reply)
         reply = self.call_json("POST", path, {"wrenches": block.tolist()} | chosen, wait_s=wait_s)
@@ -189,7 +191,8 @@ class DisplacementCalls(Connection):
     def _displacement(
         self, name: str, call: str, loads: Document, chosen: Document
     ) -> Displacement:
-        path, body = component_path(name, call), loads | chosen
+        path = component_path(name, call)
+        body = loads | chosen
         reply = self.call_json("POST", path, body, wait_s=_server_wait(chosen))
         return Displacement.read({"component": name} | reply, wrench_of(loads), loads.get("loads"))
 
@@ -315,7 +318,9 @@ class EventCalls(Connection):
         ServerUnreachable
             If nothing answers at the first attempt.
         """
-        last, wait, first = after, AGAIN_S[0], True
+        last = after
+        wait = AGAIN_S[0]
+        first = True
         limit = float("inf") if timeout_s is None else timeout_s
         newest = time.monotonic()  # time of the last event
         while True:
@@ -330,7 +335,8 @@ class EventCalls(Connection):
                     while line := stream.readline():
                         event = parser.feed(line)
                         if event is not None:
-                            last, wait = event.id or last, AGAIN_S[0]
+                            last = event.id or last
+                            wait = AGAIN_S[0]
                             yield event
                             newest = time.monotonic()
                         elif newest + limit <= time.monotonic():
@@ -352,7 +358,8 @@ class EventParser:
     """Parser of server-sent events, by lines (WHATWG HTML, section 9.2.6)."""
 
     def __init__(self) -> None:
-        self._kind, self._id = "message", ""
+        self._kind = "message"
+        self._id = ""
         self._content: list[str] = []
 
     def feed(self, line: bytes) -> Event | None:
@@ -367,7 +374,8 @@ class EventParser:
             self._id = value
         elif not line.strip():
             kind, content = self._kind, self._content
-            self._kind, self._content = "message", []
+            self._kind = "message"
+            self._content = []
             return Event(kind, json.loads("\n".join(content)), self._id) if content else None
         return None
 

@@ -57,7 +57,8 @@ def moved(
         Shape (6,): F = R f and M = R m + p x F.
     """
     checked = single_wrench(wrench)
-    force, moment = checked[:3], checked[3:]
+    force = checked[:3]
+    moment = checked[3:]
     if rotation is not None:
         axes = np.asarray(rotation, dtype=float)
         is_square = axes.shape == (3, 3)

@@ -152,9 +152,11 @@ class JointWarning(UserWarning):
 
 def warn(message: str, category: type[Warning]) -> None:
     """Issue a warning at the line of the user's program that called the client."""
-    level, caller = 1, sys._getframe()
+    level = 1
+    caller = sys._getframe()
     while caller is not None and caller.f_code.co_filename.startswith(_FOLDER):
-        level, caller = level + 1, caller.f_back
+        level = level + 1
+        caller = caller.f_back
     warnings.warn(message, category, stacklevel=level)
 
 

@@ -136,7 +136,8 @@ class JobCalls(Connection):
         ServerTimeout
             If it has not ended by then; it goes on in the server.
         """
-        path, deadline = _path(job), time.monotonic() + timeout
+        path = _path(job)
+        deadline = time.monotonic() + timeout
         while True:
             began = time.monotonic()
             poll_s = max(0.0, min(deadline - began, LONGEST_POLL_S))
@@ -285,7 +286,8 @@ class JobCalls(Connection):
             queued = self.fill(
                 name, tolerance, size, range=range, outputs=outputs, for_joint=for_joint
             )
-            deadline, ended = time.monotonic() + timeout, ()
+            deadline = time.monotonic() + timeout
+            ended = ()
             for job in queued.jobs:
                 ended += (self.wait(job, deadline - time.monotonic()),)
             yield replace(queued, jobs=ended)

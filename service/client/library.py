@@ -205,7 +205,8 @@ class LibraryCalls(Connection):
         if isinstance(table, Path):
             filename, content = _named_file(table)
         else:
-            filename, content = "", table.encode() if isinstance(table, str) else table
+            filename = ""
+            content = table.encode() if isinstance(table, str) else table
         kind = BINARY
         if displacements is not None:
             logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
@@ -225,7 +226,8 @@ class LibraryCalls(Connection):
             "rig": _profile(rig) if rig else None,
             **columns,
         }
-        path, wait_s = component_path(name, "table"), _IMPORT_S + float(columns.get("wait_s") or 0)
+        path = component_path(name, "table")
+        wait_s = _IMPORT_S + float(columns.get("wait_s") or 0)
         return self.call("POST", path, content, kind=kind, query=query, wait_s=wait_s).json()
 
     def append(

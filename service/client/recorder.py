@@ -88,18 +88,23 @@ class Recorder:
             raise InvalidArgument(f"kind must be one of {', '.join(KINDS)}, not {kind!r}")
         if not 1 <= block <= MAX_BLOCK:
             raise InvalidArgument(f"block must be 1 to {MAX_BLOCK} wrenches, not {block}")
-        self.component, self.recorded = component, 0
+        self.component = component
+        self.recorded = 0
         self.kind: Kind = kind
         self.reply: Document = {}
-        self._client, self._width = client, FLOAT_BYTES * inputs
+        self._client = client
+        self._width = FLOAT_BYTES * inputs
         self._size = block * self._width
-        self._key, self._sequence = secrets.token_hex(16), 0
+        self._key = secrets.token_hex(16)
+        self._sequence = 0
         self._changed = threading.Condition()
         self._blocks: deque[bytes] = deque()  # full blocks, oldest first
-        self._open, self._opened_at = bytearray(), 0.0  # the current block, and when it began
+        self._open = bytearray()  # the current block
+        self._opened_at = 0.0  # s of the monotonic clock
         self._count = self._sealed = 0  # pending wrenches; full blocks so far
         self._trouble: Exception | None = None
-        self._failed, self._closing = False, False
+        self._failed = False
+        self._closing = False
         self._hurry = False  # `flush` waits: the pause between attempts ends
         self._thread = threading.Thread(target=self._send_all, name="recorder", daemon=True)
         self._thread.start()
@@ -137,7 +142,8 @@ class Recorder:
         RecorderError
             If the server refuses what is recorded, if 100,000 wrenches wait, or after `close`.
         """
-        inputs, shape = self._width // FLOAT_BYTES, np.shape(wrench)
+        inputs = self._width // FLOAT_BYTES
+        shape = np.shape(wrench)
         default = inputs == len(LOADS)
         if shape != (inputs,):
             form = "six numbers, force then moment" if default else f"{inputs} numbers"
@@ -185,7 +191,8 @@ class Recorder:
         """
         with self._changed:
             self._seal()
-            sealed, self._hurry = self._sealed, True
+            sealed = self._sealed
+            self._hurry = True
             self._changed.notify_all()
             self._changed.wait_for(lambda: self._failed or self._sequence >= sealed, timeout_s)
             if self._sequence >= sealed:
@@ -263,7 +270,8 @@ class Recorder:
                 if isinstance(error, ProblemError):
                     again = error.status >= 500 or error.status in _AGAIN
                 with self._changed:
-                    self._trouble, self._failed = error, not again
+                    self._trouble = error
+                    self._failed = not again
                     self._changed.notify_all()
                     if self._failed:
                         return
@@ -279,7 +287,8 @@ class Recorder:
                     self._count -= len(block) // self._width
                     self.recorded += len(block) // self._width
                     self._sequence += 1
-                    self.reply, self._trouble = reply, None
+                    self.reply = reply
+                    self._trouble = None
                     self._changed.notify_all()
 
     def _seal(self) -> None:

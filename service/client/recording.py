@@ -137,7 +137,9 @@ class RecordingCalls(Connection):
 
     def _send_blocks(self, name: str, kind: Kind, wrenches: ArrayLike) -> Document:
         """Send wrenches, shape (n, inputs), N and N·m, in as many blocks as needed."""
-        block, key, reply = many_wrenches(wrenches, None), secrets.token_hex(16), {}
+        block = many_wrenches(wrenches, None)
+        key = secrets.token_hex(16)
+        reply = {}
         path = component_path(name, kind)
         for sequence, start in enumerate(range(0, max(len(block), 1), MAX_BLOCK)):
             part = np.ascontiguousarray(block[start : start + MAX_BLOCK], dtype="<f8").tobytes()

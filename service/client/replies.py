@@ -274,10 +274,12 @@ class Displacements(messages.Displacements):
         rad, then coverage as 0, 1 or 2 for `COVERAGE`; with derivatives shape (n, m, inputs)
         follows, du/dw.
         """
-        numbers, count = np.frombuffer(reply.content, dtype="<f8").astype(float), len(wrenches)
+        numbers = np.frombuffer(reply.content, dtype="<f8").astype(float)
+        count = len(wrenches)
         m = int(reply.headers.get("Wrenchbook-Outputs", 6))
         width = 2 * m + 1
-        block, slopes = numbers[: width * count].reshape(count, width), numbers[width * count :]
+        block = numbers[: width * count].reshape(count, width)
+        slopes = numbers[width * count :]
         version, elapsed, jobs = (
             reply.headers.get(f"Wrenchbook-{name}")
             for name in ("Table-Version", "Elapsed-Us", "Jobs")

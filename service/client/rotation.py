@@ -19,7 +19,8 @@ def rotation_matrix(rotation: ArrayLike) -> Vector:
     """
     x, y, z = np.asarray(rotation, dtype=float).tolist()
     angle = math.sqrt(x * x + y * y + z * z)
-    s, c = sinc(angle), 0.5 * sinc(0.5 * angle) ** 2  # sin(a)/a and (1 - cos(a))/a^2
+    s = sinc(angle)  # sin(a) / a
+    c = 0.5 * sinc(0.5 * angle) ** 2  # (1 - cos(a)) / a^2
     # Element by element: every step of a simulator computes it, and numpy's calls would take half
     # of its time.
     return np.array(
@@ -40,7 +41,8 @@ def checked_rotation(name: str, matrix: ArrayLike) -> Vector:
     Raises InvalidArgument if it is no rotation matrix.
     """
     axes = floats_of(name, matrix, (3, 3))
-    skew, determinant = float(np.abs(axes.T @ axes - np.eye(3)).max()), np.linalg.det(axes)
+    skew = float(np.abs(axes.T @ axes - np.eye(3)).max())
+    determinant = np.linalg.det(axes)
     if skew > _SINGLE_PRECISION or determinant < 0.0:
         raise InvalidArgument(
             f"{name} must be a right-handed rotation matrix with the frame's axes as columns, but "

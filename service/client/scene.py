@@ -220,7 +220,8 @@ def _wrench(where: str, need: Json, parts: Iterable[str]) -> Document:
     _refuse_unknown(where, parts, ("force", "moment"))
     body: Document = {}
     for part in parts:
-        spans, place = need.get(part), f"{where}.{part}"
+        spans = need.get(part)
+        place = f"{where}.{part}"
         if spans is None:
             raise SceneError(
                 f"{place} is missing; write a range [low, high] for x, y and z, such as {_SPANS}, "

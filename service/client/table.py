@@ -75,7 +75,8 @@ class Table:
     ) -> None:
         self._now = packed, etag  # replaced as a pair: threads read it
         self.name: str = name or packed.meta["provenance"]["component"]
-        self._client, self._scene = client, scene
+        self._client = client
+        self._scene = scene
         self._fetching = threading.Lock()
 
     @classmethod
@@ -170,7 +171,8 @@ class Table:
             missing, or there is no such method.
         """
         values, wrenches = self._values(force, moment, loads, inputs)
-        packed, limit = self.packed, self.allowed_errors(tolerance)
+        packed = self.packed
+        limit = self.allowed_errors(tolerance)
         started = perf_counter_ns()
         try:
             reply = packed.answer(values, limit, method)
@@ -205,7 +207,8 @@ class Table:
         """
         moved, error = (None, None) if first is None else (reply.outputs, reply.error)
         start = first or 0
-        source, reason = "table" if reply.outputs else None, reply.reason
+        source = "table" if reply.outputs else None
+        reason = reply.reason
         if reply.row is not None:
             source = reply.source
             reason = f"{EXACT if reply.exact else ROUNDED} {reason}".rstrip()
@@ -252,7 +255,8 @@ class Table:
         ):
             wrench = single_wrench(force, moment)
             return (wrench + 0.0).tolist(), {"": wrench}
-        body, space = loads_body(force, moment, loads, inputs), packed.space
+        body = loads_body(force, moment, loads, inputs)
+        space = packed.space
         if "force" in body and space.several:
             names = ", ".join(f"{name!r}: WRENCH" for name in space.several)
             raise InvalidArgument(
@@ -292,7 +296,8 @@ class Table:
         Displacements
             Shapes (n, outputs), m and rad; with `derivatives` also `Displacements.derivatives`.
         """
-        packed, limit = self.packed, self.allowed_errors(tolerance)
+        packed = self.packed
+        limit = self.allowed_errors(tolerance)
         block = many_wrenches(wrenches, packed.inputs)
         loads = block + 0.0  # no negative zeros, as the server reads them
         started = perf_counter_ns()
@@ -436,7 +441,8 @@ class Table:
             if a or b
         ]
         units = ["N", "N·m", *dict.fromkeys(load.unit for load in self.space.scalars)]
-        rows, size = self.packed.meta["provenance"]["rows"], self.packed.size
+        rows = self.packed.meta["provenance"]["rows"]
+        size = self.packed.size
         return (
             f"<Table {self.name!r}, version {self.version}: {rows} rows, method {self.method}, "
             f"range {', '.join(spans)} ({', '.join(units)}), {size / 1e6:.3g} MB>"
@@ -462,7 +468,8 @@ class Table:
         MissingPackage
             If pandas is not installed.
         """
-        pandas, frames = required("pandas", "to_pandas", "pandas"), []
+        pandas = required("pandas", "to_pandas", "pandas")
+        frames = []
         arrays, space = self.packed.arrays, self.space
         for group in itertools.count():
             if f"g{group}/row/wrench" not in arrays:
@@ -535,9 +542,11 @@ def _fetch(
     client: Connection, name: str, scene: Scene | None, etag: str | None
 ) -> tuple[PackedTable, str | None] | None:
     """Return a component's table and its ETag; None if the server's is that of `etag`."""
-    call, query = "table", {"format": "packed"}
+    call = "table"
+    query = {"format": "packed"}
     if scene is not None:
-        call, query = "scene", {"wanted": scene.query(name)}
+        call = "scene"
+        query = {"wanted": scene.query(name)}
     headers = {"If-None-Match": etag} if etag else None
     reply = client.call("GET", component_path(name, call), query=query, headers=headers)
     newest = reply.headers.get("ETag")

@@ -150,7 +150,8 @@ class Connection:
 
     def close(self) -> None:
         """Close the idle connections; a later call opens a new one."""
-        idle, self._idle = self._idle, []  # those of requests on the way close after the answer
+        idle = self._idle  # those of requests on the way close after the answer
+        self._idle = []
         while (connection := _last(idle)) is not None:
             connection.close()
 

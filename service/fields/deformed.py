@@ -114,8 +114,10 @@ class DeformedSurfaces:
         """
         acting = component.acting(np.asarray(wrench, dtype=float))
         loads = component.load_range
-        room, beyond = FARTHEST * loads.scale, why_beyond(loads, acting)
-        low, high = np.minimum(loads.low, 0.0) - room, np.maximum(loads.high, 0.0) + room
+        room = FARTHEST * loads.scale
+        beyond = why_beyond(loads, acting)
+        low = np.minimum(loads.low, 0.0) - room
+        high = np.maximum(loads.high, 0.0) + room
         too_far = (acting < low) | (acting > high)
         if too_far.any():
             load = int(too_far.argmax())
@@ -130,7 +132,9 @@ class DeformedSurfaces:
         if shape.error is not None:  # the coverage stays that of the table
             wrench = np.array(shape.wrench)
             parts = error_parts(shape.error, shape.follows, solver, wrench, at_interface)
-            limit, total, within = component.tolerance, parts.total, None
+            limit = component.tolerance
+            total = parts.total
+            within = None
             if limit is not None and parts.are_complete:
                 within = bool(total.max(initial=0.0) <= limit.translation)
             shape = replace(shape, error=total, parts=parts, within_tolerance=within)

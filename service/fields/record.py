@@ -77,14 +77,16 @@ def unpack(content: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
     Raises DamagedFieldsError if the file differs from what was written.
     """
     header, start = _header(content)
-    body, digest = content[start:], header.pop("digest", None)
+    body = content[start:]
+    digest = header.pop("digest", None)
     try:
         intact = digest == _digest(header, body)
     except ValueError:  # a number of the header is infinite or NaN
         intact = False
     if not intact:
         raise DamagedFieldsError("its checksum is wrong, so the file is damaged")
-    columns, start = {}, 0
+    columns = {}
+    start = 0
     for entry in header["columns"]:
         columns[entry["name"]] = _unpacked(entry, body[start : start + entry["bytes"]])
         start += entry["bytes"]
@@ -147,7 +149,9 @@ def _packed(name: str, column: Column) -> tuple[dict[str, Any], bytes]:
 
 def _unpacked(entry: Mapping[str, Any], payload: bytes) -> Array:
     """Return the array of a column from its header entry and compressed bytes."""
-    name, shape, kind = entry["name"], tuple(entry["shape"]), np.dtype(f"<{entry['kind']}")
+    name = entry["name"]
+    shape = tuple(entry["shape"])
+    kind = np.dtype(f"<{entry['kind']}")
     size = int(np.prod(shape, dtype=object)) * kind.itemsize
     if not 0 <= size <= MAX_BYTES:
         raise DamagedFieldsError(f"its column {name} claims {size} bytes, more than {MAX_BYTES}")

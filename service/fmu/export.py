@@ -133,7 +133,8 @@ def _unit(text: str) -> str:
 def _add_variables(root: ElementTree.Element, space: Space) -> None:
     """Add the variables; their value references are their positions, as in c/fmu.h."""
     for load in space.inputs:
-        unit, kind = _unit(load.unit), "input" if load.kind == "scalar" else "load"
+        unit = _unit(load.unit)
+        kind = "input" if load.kind == "scalar" else "load"
         point = f", about {MOMENT_POINT}" if load.kind == "moment" else ""
         # The loads of a single interface are Fx to Mz.
         only = not load.interface and load.kind != "scalar"
@@ -278,7 +279,9 @@ def make_fmu(
     _require_rows(component, table)
     table.answer(table.space.zero.tolist(), None, method)  # raises if the table has no such method
     methods = ", ".join(dict.fromkeys(method or group["method"] for group in table.meta["groups"]))
-    provenance, space, identifier = table.meta["provenance"], table.space, identifier_of(component)
+    provenance = table.meta["provenance"]
+    space = table.space
+    identifier = identifier_of(component)
     summary = f"table version {provenance['version']}, {provenance['rows']} rows, method {methods}"
     zeros = " ".join(f"{load.zero:.17g}" for load in space.inputs)
     method_index = -1 if method is None else METHODS.index(method)  # -1: the default of each group
@@ -324,7 +327,8 @@ def _binaries(platforms: Sequence[str]) -> dict[str, bytes]:
 def universal(slices: Sequence[bytes]) -> bytes:
     """Return a universal Mach-O of the libraries of several processors."""
     header = struct.pack(">2I", _FAT_MAGIC, len(slices))
-    content, size = b"", 1 << _FAT_ALIGNMENT  # the header has the first page
+    content = b""
+    size = 1 << _FAT_ALIGNMENT  # the header has the first page
     for part in slices:
         processor = struct.unpack_from("<2I", part, 4)  # type and subtype
         header += struct.pack(">5I", *processor, size + len(content), len(part), _FAT_ALIGNMENT)

@@ -67,7 +67,8 @@ def number_text(cell: str, *, comma: bool, declared: bool = False) -> str | None
     `comma`: the decimal mark is a comma. `declared`: the sender has stated the mark, so that 1,234
     with a point is 1234.
     """
-    grouped, mark = _GROUPED.fullmatch(cell), "," if comma else "."
+    grouped = _GROUPED.fullmatch(cell)
+    mark = "," if comma else "."
     # 915.009 has the form of thousands, and the point is the decimal mark.
     if grouped and grouped["gap"] == mark and not (grouped["mark"] or grouped["more"]):
         grouped = None
@@ -132,7 +133,8 @@ def number_problem(cell: str, *, comma: bool) -> str:
         name, mark = ("comma", ",") if comma else ("point", ".")
         text = number_text(cell, comma=comma, declared=True)
         if text is None:
-            mark, text = "." if comma else ",", number_text(cell, comma=not comma)
+            mark = "." if comma else ","
+            text = number_text(cell, comma=not comma)
         meant = f", or set decimal={mark} (--decimal {mark}) for {text}" if text is not None else ""
         return f"{quoted(cell)} does not fit the decimal {name}; write no other mark{meant}"
     if number_text(cell.split()[0], comma=comma) is not None:
@@ -269,7 +271,8 @@ def si_factor(unit: str, quantity: Quantity) -> float:
         return factors[unit]
     if parts is None or len(unit) > _LONGEST:
         raise UnitError(f"the unit [{unit[:_LONGEST]}] cannot be read; {_offer(quantity, unit)}")
-    parsed, si = _parsed("*".join(parts)), _parsed(quantity.si)
+    parsed = _parsed("*".join(parts))
+    si = _parsed(quantity.si)
     if parsed is None:
         raise UnitError(f"the unit [{unit}] is not known; {_offer(quantity, unit)}")
     # Pint's root units keep the radian, so that a percent does not count as an angle.

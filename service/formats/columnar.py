@@ -127,7 +127,8 @@ def read_hdf5(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         if not is_table(path):
             yield from read_columns(foreign_columns(path), options, report)
             return
-        header, pieces = array_header(columns), _stored_pieces(path, columns)
+        header = array_header(columns)
+        pieces = _stored_pieces(path, columns)
         yield from read_pieces(header, pieces, options, report, CellFormat())
     except (ValueError, RuntimeError, OSError) as error:
         report.mistakes.ruin(0, "file", str(error))
@@ -139,9 +140,11 @@ def _stored_pieces(path: Path, columns: Columns) -> Iterator[Piece]:
     for rows, notes in foreign_tables(path):
         if rows.space != columns.space:
             raise ContentError(_space_problem(rows.space, columns.space))
-        n, cells = len(rows), []
+        n = len(rows)
+        cells = []
         for key in ARRAYS:
-            block, width = getattr(rows, key), len(getattr(columns, key))
+            block = getattr(rows, key)
+            width = len(getattr(columns, key))
             cells += [*(block.reshape(n, width) if block.size else unknown_column(n, width)).T]
         cells += [rows.source.tolist(), notes, rows.fingerprint.tolist()]
         yield Piece(range(read + 1, read + n + 1), cells, n)
@@ -261,7 +264,8 @@ def _tdms_pieces(
     channels: Sequence[Any], options: Options
 ) -> Iterator[tuple[list[str], list[np.ndarray]]]:
     """Yield labels and channels, some rows at a time; with a time if all channels are waveforms."""
-    lengths, columns = {len(channel) for channel in channels}, options.columns
+    lengths = {len(channel) for channel in channels}
+    columns = options.columns
     if len(channels) > columns.most:
         raise ContentError(
             f"its group has {len(channels)} channels, but at most {columns.most} are read; leave "

@@ -107,7 +107,8 @@ class Columns:
     def __init__(self, space: Space) -> None:
         scalars = {item.name: item.unit for item in space.inputs if item.kind == "scalar"}
         self.space = space
-        self.wrench, self.displacement = space.input_names, space.output_names
+        self.wrench = space.input_names
+        self.displacement = space.output_names
         self.loads = tuple(name for name in self.wrench if name not in scalars)
         self.further = tuple(scalars)
         self.uncertainty = tuple(f"{name}_err" for name in self.displacement)

@@ -100,7 +100,8 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         header, rest = read_head(until_broken(records(content), report.mistakes), options)
         first = next(rest, None)
     with path.open("rb") as content:
-        mark, inputs = "," if cell_format.comma else ".", options.columns.wrench
+        mark = "," if cell_format.comma else "."
+        inputs = options.columns.wrench
         body = _Body(content, encoding, delimiter, header, mark, inputs, report.mistakes)
         pieces = body.pieces(first[0]) if first else iter(())
         yield from read_pieces(header, pieces, options, report, cell_format)
@@ -383,13 +384,15 @@ def records_of(
     if delimiter == " ":
         yield from _blank_records(lines, first, width)
         return
-    fresh, length = True, 0
+    fresh = True
+    length = 0
 
     def uncommented() -> Iterator[str]:
         # A comment begins at the start of a record, not inside a quoted text.
         nonlocal fresh, length
         for line in lines:
-            begins, fresh = fresh, False
+            begins = fresh
+            fresh = False
             length = len(line) if begins else length + len(line)
             if length > MAX_RECORD:
                 raise csv.Error(f"a record longer than {MAX_RECORD:,} characters")
@@ -402,7 +405,8 @@ def records_of(
     try:
         for cells in reader:
             fresh = True
-            line, before = before + 1, first - 1 + reader.line_num
+            line = before + 1
+            before = first - 1 + reader.line_num
             if any(cell.strip() for cell in cells):
                 row = before
                 yield line, cells
@@ -430,7 +434,8 @@ def _blank_records(lines: Iterator[str], first: int, width: int) -> Iterator[Rec
 
 def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
     """Return the mistake of a record; an empty text if it has none."""
-    width, text = header.width, "".join(cells)
+    width = header.width
+    text = "".join(cells)
     broken = "\n" in text or "\r" in text
     if len(cells) != width:
         message = f"has {len(cells)} fields, but the header has {width}; make both equal"

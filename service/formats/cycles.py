@@ -77,12 +77,15 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
         names = "skip_cycles, branch, thin and mean_cycles"
         message = f"{problem}, but {names} need measured rows; leave these options out"
         raise _CycleError("file", message)
-    loads, span = len(options.columns.loads), options.load_range
+    loads = len(options.columns.loads)
+    span = options.load_range
     size = np.abs(rows.wrench).max(axis=0) if span is None else largest_loads(span) / LOAD_LIMIT
     size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
     main = int(np.argmax(np.ptp(rows.wrench[:, :loads], axis=0) / size[:loads]))
-    name, load = options.columns.wrench[main], rows.wrench[:, main]
-    passes, omitted = passes_of(load), report.omitted
+    name = options.columns.wrench[main]
+    load = rows.wrench[:, main]
+    passes = passes_of(load)
+    omitted = report.omitted
 
     retained = _after_first_cycles(load, passes, options.skip_cycles, name)
     omitted["skipped"] = int((~retained).sum())
@@ -117,7 +120,8 @@ def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> N
         message = f"is {count}, but the main load {name} has {complete} complete cycles"
         raise _CycleError("skip_cycles", f"{message}; give at most {complete}")
     retained = passes.number >= 2 * count
-    first, margin = load[0], TURN * np.ptp(load)
+    first = load[0]
+    margin = TURN * np.ptp(load)
     if count and load.min() + margin < first < load.max() - margin:
         # A test to both sides begins within its range: its cycles end at the load of its first row.
         direction = np.sign(load[passes.number == 0][-1] - first)
@@ -153,7 +157,8 @@ def _branch_mean(
     stated one stays. `size` is that of each input, (inputs,).
     """
     chosen = np.flatnonzero(passes.sure & (passes.loading == loading))
-    number, inputs = passes.number[chosen], rows.wrench.shape[1]
+    number = passes.number[chosen]
+    inputs = rows.wrench.shape[1]
     by_pass = [chosen[number == pass_number] for pass_number in np.unique(number)]
     by_pass = [indices for indices in by_pass if len(indices) > 1]
     if not by_pass:
@@ -171,7 +176,8 @@ def _branch_mean(
     scatter = np.sqrt(squares / np.where(freedom > 0, freedom, np.nan))
     half_width = stdtrit(np.maximum(freedom, 1), 0.975) * scatter
     half_width = half_width / np.sqrt(np.maximum(counts[:, inputs:], 1))
-    wrench, displacement = mean[:, :inputs], mean[:, inputs:]
+    wrench = mean[:, :inputs]
+    displacement = mean[:, inputs:]
     stated = np.fmax(half_width, rows.uncertainty[widest])
     rows = rows.take(widest)
     return replace(rows, wrench=wrench, displacement=displacement, uncertainty=stated)

@@ -105,7 +105,8 @@ class Preamble:
             return False
         self._any = True
         for match in filter(None, matches):
-            key, value = match["key"].lower(), match["value"].strip().strip(":, ")
+            key = match["key"].lower()
+            value = match["value"].strip().strip(":, ")
             quantity = "torque" if "torque" in key else "force"
             if key.startswith("counts"):
                 self.counts[quantity] = _positive(match["key"], value)
@@ -181,7 +182,8 @@ def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Opti
 
     Raises ValueError if blanks and commas both make a row.
     """
-    heads, columns = [bare(line) for line in islice(lines, MAX_TITLES + 1)], options.columns
+    heads = [bare(line) for line in islice(lines, MAX_TITLES + 1)]
+    columns = options.columns
     marks = _SURE_DELIMITERS + _OTHER_DELIMITERS
 
     def names(line: str, mark: str) -> int:
@@ -258,7 +260,8 @@ class Header:
 
 def array_header(columns: Columns) -> Header:
     """Return the header of rows as arrays in SI: ``wrench[0]``, ``compliance[1][2]``."""
-    header, inputs = Header(0, named=False), len(columns.wrench)
+    header = Header(0, named=False)
+    inputs = len(columns.wrench)
     for key in ARRAYS:
         for at, name in enumerate(getattr(columns, key)):
             place = f"[{at // inputs}][{at % inputs}]" if key == "compliance" else f"[{at}]"
@@ -271,7 +274,8 @@ def array_header(columns: Columns) -> Header:
 
 def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iterator[Record]]:
     """Return the header below preamble and titles, with its mistakes, and the records below it."""
-    preamble, columns = Preamble(), options.columns
+    preamble = Preamble()
+    columns = options.columns
     for line, cells in records:
         try:
             if preamble.add(cells):
@@ -409,7 +413,8 @@ def _add_column(
         elif kind[0].lower().startswith("rdt"):
             header.sequence = bare
         return
-    columns, text = options.columns, (target or bare.label).strip()
+    columns = options.columns
+    text = (target or bare.label).strip()
     sign = -1.0 if target and text.startswith("-") else 1.0
     text = text.removeprefix("-") if target else text
     if target and text.startswith("-"):
@@ -501,7 +506,8 @@ def _unknown(name: str, columns: Columns) -> str:
 
 def _missing_of_profile(named: set[str], labels: Sequence[str], options: Options) -> Iterator[str]:
     """Yield a message on each load that a profile names and the file lacks: it is not zero."""
-    there, columns = _keys(labels), options.columns
+    there = _keys(labels)
+    columns = options.columns
     for load in columns.loads:
         others = [
             label
@@ -524,7 +530,8 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
         r.column for label in labels if label not in known for r in readings_of(label, columns)
     }
     named = mistaken | set(header.columns)
-    has_loads, needed = options.role != "displacements", []
+    has_loads = options.role != "displacements"
+    needed = []
     if options.role != "loads":
         needed.append(("displacement", columns.displacement))
     if has_loads:

@@ -249,7 +249,8 @@ def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, s
     cells: list[Any] = []
     problems = [(key, message) for key in unknown]
     for key in ARRAYS:
-        names, values = getattr(columns, key), row.get(key)
+        names = getattr(columns, key)
+        values = row.get(key)
         if values is None and key not in _REQUIRED:
             cells += [None] * len(names)
             continue

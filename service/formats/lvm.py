@@ -65,18 +65,23 @@ def _rows(
     """
     tags: dict[str, list[str]] = {}
     more_x: set[int] = set()
-    first, place, clock, count = None, "tags", None, 0
+    first = None
+    place = "tags"
+    clock = None
+    count = 0
     for line, cells in records:
         key = cells[0].strip()
         if place != "tags" and key in _TAGS:
-            tags, place = {key: cells}, "tags"
+            tags = {key: cells}
+            place = "tags"
         elif place == "tags":
             tags[key] = cells
             place = "labels" if key == _END else "tags"
         elif place == "labels":
             labels, clock = _segment(cells, tags, has_x, columns)
             more_x = {at for at, cell in enumerate(cells) if at and cell.strip() == _X}
-            place, count = "rows", 0
+            place = "rows"
+            count = 0
             if first is None:
                 yield line, labels
             elif labels != first:
@@ -117,7 +122,8 @@ def _segment(
             )
         return texts
 
-    units, kind = values("Y_Unit_Label"), set(values("X_Dimension").values())
+    units = values("Y_Unit_Label")
+    kind = set(values("X_Dimension").values())
     labels = [with_unit(name, units.get(at, ""), columns) for at, name in enumerate(names)]
     labels = [label if label != _X else "" for label in labels]  # further X columns have no name
     if names[0] != _X or not kind <= {"Time"}:

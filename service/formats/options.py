@@ -269,7 +269,8 @@ class ReadReport:
 
     def as_json(self, good: int, preview: list[dict[str, Any]]) -> dict[str, Any]:
         """Return the report as in the HTTP reply, with the number of good rows and a preview."""
-        names, omitted = ("column", "name", "unit"), sum(self.omitted.values())
+        names = ("column", "name", "unit")
+        omitted = sum(self.omitted.values())
         return {
             "format": self.format,
             "gzip": self.gzip,
@@ -404,7 +405,8 @@ def _excess_loads(wrench: Array, load_range: LoadRange | None) -> Iterator[Probl
     limit = largest_loads(load_range)
     for at, load in np.argwhere(np.abs(wrench) > limit).tolist():
         column = load_range.space.inputs[load]
-        unit, kind = column.unit.replace("·", "*"), "input" if column.kind == "scalar" else "load"
+        unit = column.unit.replace("·", "*")
+        kind = "input" if column.kind == "scalar" else "load"
         message = (
             f"the {kind} is {wrench[at, load]:.6g} {unit}, but the component's range is "
             f"{load_range.low[load]:g} to {load_range.high[load]:g} {unit} and its table ends at "

@@ -191,7 +191,8 @@ def rigged(
     if not options.rig:
         yield from pieces
         return
-    rig, names = Rig.read(options.rig), options.columns.displacement
+    rig = Rig.read(options.rig)
+    names = options.columns.displacement
     at_interface = (rig.axes == np.eye(3)).all() and not np.any(
         [rig.load_point, rig.displacement_point]
     )
@@ -236,22 +237,29 @@ def with_known_point(
         yield from pieces
         return
     size = largest_loads(span) / LOAD_LIMIT
-    count, rows, row, value, worst = np.zeros(len(size) + 1), 0, 0, 0.0, 0.0
+    count = np.zeros(len(size) + 1)
+    rows = 0
+    row = 0
+    value = 0.0
+    worst = 0.0
     for piece in pieces:
         yield piece
-        asked, names = np.ones(len(piece), dtype=bool), {name for _, name, _ in report.columns}
+        asked = np.ones(len(piece), dtype=bool)
+        names = {name for _, name, _ in report.columns}
         if not options.rig:
             asked = ~(_of_interface(piece) | (piece.source != ""))
             size[[bool(names) and name not in names for name in options.columns.wrench]] = np.inf
         shift = np.nan_to_num(_shift(piece.wrench, piece.displacement))[asked]
-        share, rows = np.abs(shift) / size, rows + len(shift)
+        share = np.abs(shift) / size
+        rows = rows + len(shift)
         count[:-1] += (share > _SMALL_SHIFT).sum(axis=0)
         if solved is not None and any(piece.uncertainty.strides):
             effect = np.abs(shift @ np.transpose(solved))
             count[-1] += (effect > piece.uncertainty[asked]).any(axis=1).sum()
         if share.max(initial=0.0) > worst:
             at, load = np.unravel_index(share.argmax(), share.shape)
-            worst, value = float(share[at, load]), float(np.abs(shift[at, load]))
+            worst = float(share[at, load])
+            value = float(np.abs(shift[at, load]))
             row = int(piece.seq[asked][at])
     if (count > _FEW_ROWS * rows).any():
         more = " or the row's stated uncertainty" if count[-1] > _FEW_ROWS * rows else ""
@@ -287,7 +295,8 @@ def _problems(
     piece: ParsedTable, rig: Rig, moved: Array, shift: Array, names: tuple[str, ...]
 ) -> Iterator[Problem]:
     """Yield the rows that are the interface's already, and those that cannot be moved to it."""
-    missing, done = np.isnan(piece.displacement), _of_interface(piece)
+    missing = np.isnan(piece.displacement)
+    done = _of_interface(piece)
     loose = np.asarray(missing[:, 3:].any(axis=1) & ~missing[:, :3].all(axis=1))
     loose &= rig.displacement_point.any()
     lost = np.asarray(np.isnan(moved).all(axis=1))
@@ -392,7 +401,8 @@ def zeroed(
 
 def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Array, Array] | None:
     """Return times (n,), s, and wrenches of a log of loads; None if it has a mistake."""
-    parts, mistakes = list(pieces), report.mistakes
+    parts = list(pieces)
+    mistakes = report.mistakes
     if mistakes:
         mistakes.of_file = True
         return None
@@ -487,7 +497,8 @@ def with_loads(
             return
         when = piece.time + lag
         after = np.clip(np.searchsorted(time, when, side="right"), 1, len(time) - 1)
-        start, end = time[after - 1], time[after]
+        start = time[after - 1]
+        end = time[after]
         on_a_sample = (when == start) | (when == end)
         within = (when >= start) & (when <= end)
         good = within & ((end - start <= longest) | on_a_sample)

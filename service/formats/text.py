@@ -130,7 +130,8 @@ def read_columns(
     def numbered() -> Iterator[Piece]:
         end = 0
         for _, columns in chain([(labels, first)], pieces):
-            start, end = end, end + len(next(iter(columns), ()))
+            start = end
+            end = end + len(next(iter(columns), ()))
             skip = max(skipped - start, 0)
             yield Piece(range(start + skip + 1, end + 1), [c[skip:] for c in columns], end - start)
 
@@ -192,7 +193,8 @@ def _refuse_ambiguous(ambiguous: AmbiguousCell, mistakes: Mistakes) -> None:
     """Refuse a file whose decimal mark is unknown."""
     cell = ambiguous.text
     mark, point = (",", ".") if "," in cell else (".", ",")
-    fraction, thousands = cell.replace(",", "."), cell.replace(mark, "")
+    fraction = cell.replace(",", ".")
+    thousands = cell.replace(mark, "")
     message = (
         f"'{cell}' may mean {fraction} or {thousands}, and no other number shows which; set "
         f"decimal={mark} (--decimal {mark}) for {fraction}, or decimal={point} for {thousands}"
@@ -294,9 +296,13 @@ class _Conversion:
         options: Options,
         mistakes: Mistakes,
     ) -> None:
-        self._options, self._names = options, options.columns
-        self._header, self._format, self._mistakes = header, cell_format, mistakes
-        self._row, self._columns = np.asarray(piece.row, dtype=np.int64), piece.columns
+        self._options = options
+        self._names = options.columns
+        self._header = header
+        self._format = cell_format
+        self._mistakes = mistakes
+        self._row = np.asarray(piece.row, dtype=np.int64)
+        self._columns = piece.columns
         self._good = np.ones(len(self._row), dtype=bool)
 
     def table(self, report: ReadReport) -> ParsedTable:
@@ -421,7 +427,8 @@ class _Conversion:
     def _number(self, column: HeaderColumn, at: int) -> float:
         """Return a cell's number in its unit; NaN and a mistake if it is not a finite number."""
         cell = self._columns[column.index][at]
-        comma, text = self._format.comma and type(cell) is not Digits, str(cell).strip()
+        comma = self._format.comma and type(cell) is not Digits
+        text = str(cell).strip()
         if not text and column.name not in self._names.wrench:
             return np.nan  # not measured, or unknown
         number = number_text(text, comma=comma, declared=self._format.declared)
@@ -434,9 +441,11 @@ class _Conversion:
     def _times(self) -> Array:
         """Return the times of the rows, shape (n,), s, from a sequence or a column of times."""
         sequence, rate = self._header.sequence, self._header.preamble.rate
-        column, factor = self._header.columns.get(TIME_COLUMN), None
+        column = self._header.columns.get(TIME_COLUMN)
+        factor = None
         if sequence is not None and rate:
-            column, factor = sequence, 1.0
+            column = sequence
+            factor = 1.0
         elif column is None:
             return np.full(len(self._row), np.nan)
         elif column.unit:

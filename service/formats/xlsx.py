@@ -53,7 +53,8 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         # Opened here, because openpyxl checks the ending of a name.
         with path.open("rb") as values, path.open("rb") as formulas, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # warnings about styles and extensions
-            sheets, most = _sheets(values, values=True), options.columns.most
+            sheets = _sheets(values, values=True)
+            most = options.columns.most
 
             def is_filled(name: str) -> bool:
                 rows = sheets[name].iter_rows(values_only=True)
@@ -276,7 +277,8 @@ def entry_sizes(path: Path, most: int) -> dict[str, int]:
                 raise ContentError(too_large)
             sizes: dict[str, int] = {}
             for entry in entries:
-                size, remaining = 0, most - sum(sizes.values())
+                size = 0
+                remaining = most - sum(sizes.values())
                 with archive.open(entry) as content:
                     while size <= remaining and (block := content.read(_BLOCK)):
                         size += len(block)

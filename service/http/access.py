@@ -155,9 +155,12 @@ class Rates:
 
     def take(self, key: Key) -> tuple[int, float]:
         """Take some requests of a key; return their number, and the seconds until the next one."""
-        name, rate, file = bytes.fromhex(key.digest[:16]), key.rate, self._file
+        name = bytes.fromhex(key.digest[:16])
+        rate = key.rate
+        file = self._file
         burst_s = max(_BURST_S, 1.0 / rate)  # duration of a full bucket, s
-        content, now = b"", time.monotonic()  # the same clock in all processes
+        content = b""
+        now = time.monotonic()  # the same clock in all processes
         if file is not None:
             for _ in range(_TRIES):
                 with suppress(BlockingIOError):
@@ -202,7 +205,8 @@ class Permission:
         self.key = key
         self._rates = rates
         self._remaining = 0
-        self._keyring, self._note_at = keyring, 0.0  # the use of a stored key is noted
+        self._keyring = keyring
+        self._note_at = 0.0  # when the use of a stored key is noted next
         self.caller = Caller(ANONYMOUS)
         if key is not None:
             self.caller = Caller(key.name, key.components, key.allows("admin"))
@@ -302,10 +306,12 @@ class AccessControl:
             return None
         try:
             if PERMISSION not in scope:  # the fast path has admitted and counted it already
-                proxy, names = self.security.proxy, [name for name, _ in scope["headers"]]
+                proxy = self.security.proxy
+                names = [name for name, _ in scope["headers"]]
                 for name in (proxy.user, proxy.groups) if proxy else ():
                     if names.count(name) > 1:
-                        title, why = "A proxy header is there twice", _TWICE.format(name.decode())
+                        title = "A proxy header is there twice"
+                        why = _TWICE.format(name.decode())
                         raise HttpProblemError(400, "users", title, why)
                 peer = scope.get(PEER) or (scope.get("client") or ("",))[0]
                 head[PEER_FIELD] = peer.encode()
@@ -380,7 +386,8 @@ class AccessControl:
         """
         site = "another site"
         if (origin := head.get(b"origin")) is not None:
-            site, host = origin.decode("latin-1").lower(), head.get(b"host", b"").decode("latin-1")
+            site = origin.decode("latin-1").lower()
+            host = head.get(b"host", b"").decode("latin-1")
             if site in self.security.origins or site.partition("://")[2] == host.lower():
                 return
         elif head.get(b"sec-fetch-site", b"none") not in (b"cross-site", b"same-site"):
@@ -486,7 +493,8 @@ def _check_components(caller: Caller, method: str, path: str) -> None:
         return
     concern, command = "the whole server", "wrenchbook keys add NAME"
     if name is not None:
-        concern, command = repr(name[:100]), "wrenchbook keys add NAME --component PATTERN"
+        concern = repr(name[:100])
+        command = "wrenchbook keys add NAME --component PATTERN"
     why = (
         f"The key {caller.actor!r} is for {', '.join(caller.components)}, but this call concerns "
         f"{concern}; nothing was changed. Create another key with: {command} {_DATA}"

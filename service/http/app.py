@@ -100,7 +100,8 @@ class Application(FastAPI):
         if scope["type"] != "http":
             await super().__call__(scope, receive, send)
             return
-        started, status = perf_counter(), CLIENT_GONE
+        started = perf_counter()
+        status = CLIENT_GONE
         sent_id = id_of(scope["headers"])
         request_id = sent_id or secrets.token_hex(8).encode()
         REQUEST_ID.set(request_id.decode())  # each request runs in a context of its own
@@ -134,7 +135,8 @@ class Application(FastAPI):
     def _count(self, scope: Scope, status: int, seconds: float) -> None:
         """Count an answered request, and write its line of the access log."""
         # The template of the route, such as ``/v1/jobs/{job_id}``, without the caller's words.
-        route, method = getattr(scope.get("route"), "path", NO_ROUTE), scope["method"]
+        route = getattr(scope.get("route"), "path", NO_ROUTE)
+        method = scope["method"]
         known = method if method in _METHODS else "other"
         self.state.counts.add_request(route, known, status, seconds)
         if self.logged:
@@ -197,7 +199,8 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         strict_content_type=False,  # programs may leave it out, see `access`
         **openapi.OPTIONS,
     )
-    app.state.counts, app.state.large_batches = counts, asyncio.Semaphore(AT_ONCE)
+    app.state.counts = counts
+    app.state.large_batches = asyncio.Semaphore(AT_ONCE)
     app.state.access = AccessControl(Keyring(settings.data), security or SecuritySettings(), rates)
     problems.install(app)
     app.include_router(umbridge.router)  # a protocol with its own form of errors
@@ -206,7 +209,8 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         app.include_router(part.router, responses=openapi.refused(403, 500, 503, 507))
     app.include_router(page.router)
     openapi.install(app)
-    app.logged, app.read_only = settings.access_log, bool(settings.read_only)
+    app.logged = settings.access_log
+    app.read_only = bool(settings.read_only)
     if app.logged:
         access_log.setLevel(logging.INFO)
     else:

@@ -115,14 +115,16 @@ def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.n
     finds what it is.
     """
     # The list of wrenches is body[start : end + 1], the options are all around it.
-    key, end = body.find(_WRENCHES), body.rfind(b"]]") + 1
+    key = body.find(_WRENCHES)
+    end = body.rfind(b"]]") + 1
     start = body.find(b"[", key)
     if key < 0 or end <= start or body[key + len(_WRENCHES) : start].strip() != b":":
         return None
     options = body[:start] + b"[]" + body[end + 1 :]
     if len(options) > PIECE or options.count(_WRENCHES) != 1:
         return None
-    blocks, place = [], start + 1
+    blocks = []
+    place = start + 1
     while place < end:
         cut = body.find(b"]", min(place + PIECE, end - 1)) + 1
         text = body[place:cut].strip()
@@ -168,7 +170,8 @@ class HoldingReply(Response):
     """A reply that releases what `held` holds once it is sent, or cannot be sent."""
 
     def __init__(self, reply: Response, held: AsyncExitStack) -> None:
-        self._reply, self._held = reply, held
+        self._reply = reply
+        self._held = held
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the reply."""
@@ -221,7 +224,8 @@ def read_wrenches(
     bad = np.argwhere(~(np.isfinite(wrenches) & (np.abs(wrenches) <= largest)))
     if len(bad):
         row, load = bad[0].tolist()
-        value, unit = wrenches[row, load], space.inputs[load].unit
+        value = wrenches[row, load]
+        unit = space.inputs[load].unit
         why = "not finite; give a finite number"
         if np.isfinite(value):
             why = f"beyond the limit of {largest:g} {unit}; give a smaller number"
@@ -257,7 +261,8 @@ def write_batch(outcome: BatchOutcome) -> Response:
         table_version=outcome.table.version,
         elapsed_us=outcome.elapsed_us,
     )
-    status, pieces = 202 if outcome.unsolved else 200, _pieces(reply, len(replies.coverage))
+    status = 202 if outcome.unsolved else 200
+    pieces = _pieces(reply, len(replies.coverage))
     if len(replies.coverage) <= WRITTEN:
         return Response(b"".join(pieces), status, None, "application/json")
     return StreamingResponse(pieces, status, None, "application/json")
@@ -265,7 +270,8 @@ def write_batch(outcome: BatchOutcome) -> Response:
 
 def _pieces(reply: Displacements, count: int) -> Iterator[bytes]:
     """Lay out a reply's JSON; fields with an entry a wrench by `WRITTEN` of them."""
-    option, before = orjson.OPT_SERIALIZE_NUMPY, b"{"
+    option = orjson.OPT_SERIALIZE_NUMPY
+    before = b"{"
     for name, value in vars(reply).items():
         yield b'%b"%b":' % (before, name.encode())
         before = b","

@@ -51,7 +51,8 @@ def _as_many(count: Literal["inputs", "outputs"]) -> AfterValidator:
     """Return the check of a vector's length against the space in the validation's context."""
 
     def check(values: list[float], info: ValidationInfo) -> list[float]:
-        size, length = len(getattr((info.context or {})["space"], count)), len(values)
+        size = len(getattr((info.context or {})["space"], count))
+        length = len(values)
         if length == size:
             return values
         kind, limit = ("too_short", "min_length") if length < size else ("too_long", "max_length")

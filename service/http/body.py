@@ -45,9 +45,11 @@ def too_large(
     most: int, limit: str = "the limit of this call", remedy: str = ""
 ) -> HttpProblemError:
     """Return the refusal of a body of more than `most` bytes, which are a `limit`."""
-    size, usual = f"{most:,} bytes", "Leave out what the call does not need, or send parts."
+    size = f"{most:,} bytes"
+    usual = "Leave out what the call does not need, or send parts."
     if most >= MIB:
-        size, usual = f"{most >> 20} MiB", "Send it in parts."
+        size = f"{most >> 20} MiB"
+        usual = "Send it in parts."
     detail = f"The body has more than {size}, {limit}; nothing was changed. {remedy or usual}"
     return HttpProblemError(413, "too-large", "The body is too large", detail)
 
@@ -142,7 +144,9 @@ async def spooled(receive: Receive, most: int) -> AsyncIterator[Spooled]:
     It raises 413 as soon as more than `most` bytes have arrived, 503 while bodies in files are too
     large together, and ClientDisconnect if the caller has left.
     """
-    body, buffer, size = Spooled(), bytearray(), 0
+    body = Spooled()
+    buffer = bytearray()
+    size = 0
     try:
         async for piece in Request({"type": "http"}, counted(receive, most)).stream():
             buffer += piece

@@ -175,10 +175,12 @@ def problem_of(error: Exception) -> HttpProblemError:
         return bad_body([{"loc": "body", "msg": str(error)}])
     if isinstance(error, BundleError):
         errors = [{"loc": p.where, "msg": p.message} for p in error.problems[:MAX_ERRORS]]
-        title, detail = "The component bundle has mistakes", f"Nothing was added. {error}"
+        title = "The component bundle has mistakes"
+        detail = f"Nothing was added. {error}"
         return HttpProblemError(422, "bad-bundle", title, detail, errors=errors)
     if isinstance(error, SolveFailedError):
-        title, link = f"The solve failed: {error.kind}", job_link(error.job)
+        title = f"The solve failed: {error.kind}"
+        link = job_link(error.job)
         return HttpProblemError(424, "solve-failed", title, str(error), job=link, **error.facts)
     if isinstance(error, OSError) and error.errno in _FULL:
         detail = f"{error.strerror}: the disk of the data directory or of temporary files "

@@ -150,7 +150,9 @@ class FastPath:
 
     def answer(self, head: Head, body: bytes) -> bytes | dict[str, Any]:
         """Return the JSON of a 200 to a query, or further entries of its request's scope."""
-        started, state, permission = perf_counter(), self._state, head.permission
+        started = perf_counter()
+        state = self._state
+        permission = head.permission
         if permission.key is not None and permission.wait() > 0.0:
             return {}
         known: dict[str, Any] = {PERMISSION: permission}
@@ -160,7 +162,8 @@ class FastPath:
                 outcome, is_complete = answered_at_once(state.workspace, head.component, query)
                 known[ANSWERED] = query, outcome
                 if is_complete:
-                    content, reply = orjson.dumps(fields_of(outcome)), outcome.reply
+                    content = orjson.dumps(fields_of(outcome))
+                    reply = outcome.reply
                     state.counts.add(reply.coverage, reply.method, outcome.elapsed_us)
                     state.counts.add_request(ROUTE, "POST", 200, perf_counter() - started)
                     return content
@@ -180,7 +183,8 @@ class FastPath:
         except (HttpParserError, HttpParserUpgrade):
             return None
         named = dict(head.fields)
-        length, request_id = named.get(b"content-length", b""), id_of(head.fields)
+        length = named.get(b"content-length", b"")
+        request_id = id_of(head.fields)
         if (
             not head.is_complete
             or not parser.should_keep_alive()
@@ -280,7 +284,8 @@ class FastPathProtocol(HttpToolsProtocol):
         if self._drops_input:
             return
         if self._partial or not self._in_request:
-            data, self._partial = self._partial + data, b""
+            data = self._partial + data
+            self._partial = b""
             # No other request is being answered, and the caller reads replies.
             free = not self.flow.write_paused and not self.transport.is_closing()
             if self._fast and free and self._is_answered() and self._answer(self._fast, data):
@@ -325,7 +330,8 @@ class FastPathProtocol(HttpToolsProtocol):
         if [name for name, _ in self.headers].count(b"host") > 1:
             self.app = _HOSTS.response()
         super().on_headers_complete()
-        self.app, self._in_body = app, True
+        self.app = app
+        self._in_body = True
         scope: Any = self.scope
         scope.update(self._known)
         # uvicorn replaces the scope's address by X-Forwarded-For.
@@ -410,7 +416,8 @@ class FastPathProtocol(HttpToolsProtocol):
         self.app = refusal.response()
         self.parser = HttpRequestParser(self)
         self.parser.feed_data(b"GET / HTTP/1.1\r\n\r\n")
-        kind, now = FastPathProtocol, self.loop.time()
+        kind = FastPathProtocol
+        now = self.loop.time()
         kind._refusals += 1
         if now - kind._logged_at >= REFUSALS_S:
             log.warning(
@@ -419,7 +426,8 @@ class FastPathProtocol(HttpToolsProtocol):
                 kind._refusals,
                 self.client[0] if self.client else "a socket",
             )
-            kind._refusals, kind._logged_at = 0, now
+            kind._refusals = 0
+            kind._logged_at = now
 
     def _begin(self, *, in_body: bool) -> None:
         """Start the time limits of a request."""
@@ -447,11 +455,13 @@ class FastPathProtocol(HttpToolsProtocol):
             if not self._in_request:
                 self._begin(in_body=True)
                 self._unset_keepalive_if_required()
-            self._partial, self._body_bytes = data, len(data) - head.size
+            self._partial = data
+            self._body_bytes = len(data) - head.size
             return True
         known = fast.answer(head, data[head.size :]) if missing == 0 else {}
         if isinstance(known, bytes):
-            self._in_request, self._used = False, True
+            self._in_request = False
+            self._used = True
             fields = self.server_state.default_headers
             self.transport.write(reply_bytes(fields, head, known, close=self._is_last))
             self.server_state.total_requests += 1
@@ -483,7 +493,8 @@ class FastPathProtocol(HttpToolsProtocol):
         if self.flow.write_paused:
             unsent = self.transport.get_write_buffer_size()
             if unsent != self._unread:
-                self._unread, self._unread_since = unsent, now
+                self._unread = unsent
+                self._unread_since = now
             return "an answer that is not read" if now - self._unread_since > READ_S else ""
         self._unread = 0
         self._since = now if self.flow.read_paused else self._since  # the caller waits for replies

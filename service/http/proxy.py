@@ -51,7 +51,8 @@ class ProxyTrust:
             listed = ", ".join(sorted(named - {"*", ""}))[:200] or "none"
             why = f"No group of {sent} has a scope here (groups: {listed}). Start the server with:"
             raise _refused(why + " wrenchbook serve --trust-proxy-scopes GROUP=read")
-        name, scope = f"{USER}{sent}", max(allowed, key=SCOPES.index)
+        name = f"{USER}{sent}"
+        scope = max(allowed, key=SCOPES.index)
         return Key(name, scope, digest_of(name), 0.0)
 
     def trusts(self, peer: str) -> bool:

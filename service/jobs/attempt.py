@@ -226,7 +226,8 @@ def read_outcome(attempt: Attempt) -> Outcome | None:
         raise BadOutcomeError(f"{path} is no outcome: it lacks digest, asked or status")
     if content.pop("digest") != _digest(content):
         raise BadOutcomeError(f"{path} is damaged: its checksum is wrong")
-    answered, asked = content.pop("asked"), attempt.question
+    answered = content.pop("asked")
+    asked = attempt.question
     if answered != asked:
         names = ", ".join(name for name in asked if answered.get(name) != asked[name])
         raise BadOutcomeError(f"{path} is the answer of another attempt: it differs in {names}")
@@ -281,7 +282,8 @@ def zipped(folder: Path) -> IO[bytes]:
     machine.
     """
     file: Any = tempfile.SpooledTemporaryFile(_MAX_TEXT)  # noqa: SIM115 (closed by the reader)
-    room, missing = MAX_BYTES, []
+    room = MAX_BYTES
+    missing = []
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(folder.rglob("*")):  # rglob does not follow links
             if path.is_dir() and not path.is_symlink():

@@ -245,7 +245,8 @@ class DaskEngine(attempts.Listeners):
                 client = Client(scheduler, asynchronous=True, set_as_default=False, **options)
                 try:
                     await client
-                    pause, self._client = AWAY_SECONDS[0], client
+                    pause = AWAY_SECONDS[0]
+                    self._client = client
                     await self._follow(client)
                 finally:
                     self._client = None
@@ -288,7 +289,8 @@ class DaskEngine(attempts.Listeners):
             except (TimeoutError, OSError):
                 self._set_disconnected("does not answer")
                 continue
-            self._disconnected, known = None, self._workers
+            self._disconnected = None
+            known = self._workers
             self._workers = {
                 address: known.get(address) or _Worker.of(address, entry)
                 for address, entry in roster["workers"].items()
@@ -331,7 +333,8 @@ class DaskEngine(attempts.Listeners):
 
     def _suspend(self, worker: _Worker, why: str | None) -> None:
         """Send a worker no tasks until its next probe, if there is a reason."""
-        worker.unfit, worker.probed = why and f"{worker.address}: {why}", time.monotonic()
+        worker.unfit = why and f"{worker.address}: {why}"
+        worker.probed = time.monotonic()
         if why:
             _log.warning("a Dask worker gets nothing to solve: %s", worker.unfit)
 
@@ -496,7 +499,8 @@ class DaskEngine(attempts.Listeners):
 
         Declared resources are reserved by Dask; other workers are chosen by threads and memory.
         """
-        memory, cores = task.attempt.memory or 0, task.attempt.cores
+        memory = task.attempt.memory or 0
+        cores = task.attempt.cores
         while True:
             fit = self._fit
             large = [worker for worker in fit if worker.memory >= memory and worker.cores >= cores]
@@ -536,7 +540,8 @@ class DaskEngine(attempts.Listeners):
                 or sent.content.status not in ("pending", "finished")
             ):
                 content = await asyncio.to_thread(pack, Path(folder), BUNDLE_BYTES)
-                name, limit = digest(content), "distributed.admin.large-graph-warning-threshold"
+                name = digest(content)
+                limit = "distributed.admin.large-graph-warning-threshold"
                 with dask.config.set({limit: BUNDLE_BYTES}):
                     key = f"wrenchbook-bundle-{name}"
                     future = client.submit(bytes, content, key=key, retries=FAULTS)
@@ -564,7 +569,8 @@ def _store(task: _Task, payload: dict[str, Any]) -> None:
 
 def _mark_begun(task: _Task, seconds: float) -> None:
     """Write the lock as a solver does that began `seconds` ago."""
-    lock, now = task.attempt.folder / LOCK, time.time()
+    lock = task.attempt.folder / LOCK
+    now = time.time()
     if not lock.exists():
         write_atomically(lock, f"{task.worker}\n".encode(), durable=False)
         os.utime(lock, (now, now - seconds))

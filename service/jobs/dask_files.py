@@ -30,7 +30,8 @@ class BadPayloadError(Exception):
 
 def read_files(folder: Path, limit: int, skip: Iterable[str] = ()) -> tuple[Files, list[str]]:
     """Return the files of a folder that are within a limit of bytes, and the names of others."""
-    files, too_large = {}, []
+    files = {}
+    too_large = []
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         name = path.relative_to(folder).as_posix()
         size = path.stat().st_size
@@ -118,7 +119,8 @@ def artifacts(attempt: Attempt) -> tuple[bytes | None, Files]:
     files, too_large = read_files(
         attempt.folder, FILES_BYTES, (SPEC, LOCK, PROGRESS, LOG, OUTCOME, *names)
     )
-    text, notes = b"", ""
+    text = b""
+    notes = ""
     with contextlib.suppress(FileNotFoundError), log.open("rb") as file:
         if (beyond := log.stat().st_size - LOG_BYTES) > 0:
             file.seek(beyond)

@@ -74,7 +74,8 @@ def run_task(sent: bytes, name: str, files: bytes) -> dict[str, Any]:
         return result
     folder = Path(worker.local_directory, "wrenchbook")
     bundle = folder / "bundles" / name  # a worker stores it under its digest
-    attempt.folder, attempt.bundle = folder / "attempts" / attempt.task, str(bundle)
+    attempt.folder = folder / "attempts" / attempt.task
+    attempt.bundle = str(bundle)
     try:
         if not bundle.is_dir():
             unpack(files, name, bundle.parent)
@@ -104,14 +105,18 @@ def _supervise(worker: Worker, attempt: Attempt, engine: LocalEngine) -> bool:
     """
     changed, key = threading.Event(), worker.get_current_task()
     stop_listening = engine.listen(lambda task: changed.set() if task == attempt.task else None)
-    last, due, repeat = None, 0.0, 0.0
+    last = None
+    due = 0.0
+    repeat = 0.0
     try:
         while (state := engine.poll(attempt)) in ALIVE:
             now = time.monotonic()
             if state == "running" and now >= due:
                 progress = attempts.read_progress(attempt.folder)
                 if progress != last or now >= repeat:
-                    last, due, repeat = progress, now + REPORT_SECONDS, now + REPEAT_SECONDS
+                    last = progress
+                    due = now + REPORT_SECONDS
+                    repeat = now + REPEAT_SECONDS
                     event = {
                         "task": attempt.task,
                         "worker": worker.address,

@@ -114,7 +114,8 @@ class Lease:
             return True
         if not has_file and (engine == "local" or heartbeat is None):
             return True
-        now, number = time.monotonic(), -1 if heartbeat is None else heartbeat.number
+        now = time.monotonic()
+        number = -1 if heartbeat is None else heartbeat.number
         known = self._known.get(owner)
         if known is None or known[0] != number:
             self._known[owner] = number, now
@@ -169,9 +170,11 @@ class Dispatcher:
         self._unstarted: str | None = None
         self._ledger = ledger
         self._engine = engine
-        self._bundles, self._setups = bundles, setups
+        self._bundles = bundles
+        self._setups = setups
         self._jobs_folder = Path(jobs_folder).absolute()
-        self._fields, self._errors = fields, errors
+        self._fields = fields
+        self._errors = errors
         self._deadline = deadline
         self._lease: Lease | None = None
         self._attempts: dict[str, Attempt] = {}  # by task key, as the next dictionary
@@ -196,7 +199,9 @@ class Dispatcher:
         if self._thread is not None:
             raise RuntimeError("the dispatcher is already running; call stop first")
         self._stopping.clear()
-        self._version, self._may_claim, self._changed = None, True, True
+        self._version = None
+        self._may_claim = True
+        self._changed = True
         self._next_poll = self._next_sweep = self._next_heartbeat = 0.0
         self._orphans_stopped = False
         self._ends = self._ledger.on_change(self._on_change), self._engine.listen(self._on_end)
@@ -264,7 +269,8 @@ class Dispatcher:
                 if str(error) != self._failing:
                     _log.exception("the dispatcher tries again every %s s", TROUBLE_SECONDS)
                 self._failing = str(error) or repr(error)
-                self._may_claim, self._next_sweep = True, 0.0
+                self._may_claim = True
+                self._next_sweep = 0.0
                 self._stopping.wait(TROUBLE_SECONDS)
             else:
                 self._wake.wait(POLL_SECONDS)
@@ -279,7 +285,8 @@ class Dispatcher:
             self._changed = False
             version = self._ledger.version()
             if version != self._version:
-                self._version, self._may_claim = version, True
+                self._version = version
+                self._may_claim = True
                 self._leave_unwanted(lease)
             self._next_poll = now + POLL_SECONDS
         while self._reported:
@@ -392,7 +399,8 @@ class Dispatcher:
         memory, seconds = check.get("memory_bytes"), check.get("nonlinear_seconds")
         deadline = UNKNOWN_DEADLINE
         if isinstance(memory, int) and isinstance(seconds, int | float):
-            attempt.memory, deadline = memory, max(MIN_DEADLINE, DEADLINE_MARGIN * seconds)
+            attempt.memory = memory
+            deadline = max(MIN_DEADLINE, DEADLINE_MARGIN * seconds)
         attempt.deadline = deadline if self._deadline is None else self._deadline
         attempt.bundle = str(bundle.absolute())
 
@@ -496,7 +504,8 @@ def record(
     except BadOutcomeError as error:
         _log.warning("taken for a lost attempt: %s", error)
         outcome = None
-    setup, seconds = (attempt.component, attempt.fingerprint), solver_seconds(attempt.folder)
+    setup = (attempt.component, attempt.fingerprint)
+    seconds = solver_seconds(attempt.folder)
     if errors is not None:  # before the row: then the table's version with the row has it
         errors.record(*setup, outcome and outcome.solver_error)
     if outcome is None:

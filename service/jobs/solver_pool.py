@@ -189,7 +189,8 @@ class LocalEngine(attempts.Listeners):
 
     def _end_if_due(self, attempt: Attempt) -> None:
         """Signal the solver of an attempt that was cancelled or is beyond its deadline."""
-        folder, now = attempt.folder, time.monotonic()
+        folder = attempt.folder
+        now = time.monotonic()
         if folder in self._kill_after:
             late = now > self._kill_after[folder]
             self._signal(attempt, signal.SIGKILL if late else signal.SIGTERM)
@@ -286,7 +287,8 @@ class LocalEngine(attempts.Listeners):
                     self._free(solver, stays=word == attempts.FREE)
         solver.process.wait()
         with self._changed:
-            attempt, solver.attempt = solver.attempt, None
+            attempt = solver.attempt
+            solver.attempt = None
             self._processes.discard(solver.process.pid)
             if solver in self._solvers:
                 self._solvers.remove(solver)
@@ -308,7 +310,8 @@ class LocalEngine(attempts.Listeners):
     def _free(self, solver: SolverProcess, *, stays: bool) -> None:
         """Take the attempt from a solver, which waits for the next one if it `stays`."""
         with self._changed:
-            attempt, solver.attempt = solver.attempt, None
+            attempt = solver.attempt
+            solver.attempt = None
             if stays and solver in self._solvers and len(self._solvers) <= self.slots:
                 self._solvers.remove(solver)
                 self._solvers.append(solver)  # the solver longest without work is first

@@ -40,7 +40,8 @@ def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None)
     which no job runs.
     """
     now = time.time()
-    ahead, attempts = ledger.ahead(job.id, job.priority, now), ledger.running()
+    ahead = ledger.ahead(job.id, job.priority, now)
+    attempts = ledger.running()
     queued = sum(run.is_queued for run in attempts)
     before = sum(part.waiting for part in ahead) + queued
     running = len(attempts) - queued
@@ -51,7 +52,8 @@ def why_waiting(ledger: Ledger, job: JobRecord, slots: int, trouble: str | None)
     # Remaining time of attempts, s: 0 for one that takes longer than the mean.
     remaining: list[float | None] = []
     for run in attempts:
-        mean, began = means[run.component], run.began or run.started or now
+        mean = means[run.component]
+        began = run.began or run.started or now
         elapsed = 0.0 if run.is_queued else max(0.0, now - began)
         remaining.append(None if mean is None else max(0.0, mean - elapsed))
     work = [None if part.seconds is None else part.waiting * part.seconds for part in ahead]

@@ -149,7 +149,8 @@ def _insert_hidden(
     """Insert the new rows of an import."""
     number: int | None = None
     parts: list[tuple[int, bytes]] = []
-    sent, now = 0, time.time()
+    sent = 0
+    now = time.time()
     values = {"component": component, "created": now, "rows": 0, **asdict(origin)}
     import_keys: set[bytes] = set()
     for block in blocks:
@@ -163,7 +164,8 @@ def _insert_hidden(
         import_keys.update(keys)
         for begin in range(0, len(positions), ROWS_AT_ONCE):
             chosen = positions[begin : begin + ROWS_AT_ONCE]
-            part, part_keys = rows.rows_at(block, chosen), [keys[at] for at in chosen]
+            part = rows.rows_at(block, chosen)
+            part_keys = [keys[at] for at in chosen]
             with ledger.writing(durable=False) as db:
                 if number is None:
                     number = db.execute(_INSERT, values).lastrowid
@@ -320,7 +322,8 @@ def withdrawn_counts(db: Connection, component: str) -> Counter[int]:
 
 def _counts_by_import(db: Connection, component: str, seqs: Iterable[int]) -> Counter[int]:
     """Return the number of the given rows in each import; solved rows are in none."""
-    spans, counts = import_spans(db, component), Counter[int]()
+    spans = import_spans(db, component)
+    counts = Counter[int]()
     for seq in seqs:
         at = bisect_right(spans, seq, key=itemgetter(0)) - 1
         if at >= 0 and seq <= spans[at].last:

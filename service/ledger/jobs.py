@@ -111,7 +111,8 @@ def accept(
         caller = {"asked_by": asked_by, "actor": charged(db, component, quota)}
         job = _by_caller(db, job, "reopen", row=None, **caller, **_FRESH)
     if job.status == "waiting" and priority > job.priority:
-        before, after = {"priority": job.priority}, {"priority": priority}
+        before = {"priority": job.priority}
+        after = {"priority": priority}
         note(db, "job.priority", job.id, component, before=before, after=after)
         job = _save(db, replace(job, priority=priority))
     return job, False
@@ -275,7 +276,8 @@ def lose(db: Connection, job_id: int, attempt: int, cause: str = "") -> JobRecor
 
     `cause` describes the death.
     """
-    job, now = _check_attempt(get(db, job_id), attempt), time.time()
+    job = _check_attempt(get(db, job_id), attempt)
+    now = time.time()
     if job.lost < len(BACKOFF_SECONDS):
         later = now + BACKOFF_SECONDS[job.lost]
         return _moved(db, job, "lose", lost=job.lost + 1, **_UNSTARTED, not_before=later)
@@ -328,7 +330,8 @@ def cancel(db: Connection, job_id: int) -> JobRecord:
 
     Raises NotPermittedError for a job of another actor, unless the caller has the scope admin.
     """
-    job, caller = get(db, job_id), CALLER.get()
+    job = get(db, job_id)
+    caller = CALLER.get()
     if not caller.admin and job.actor != caller.actor:
         raise NotPermittedError(
             f"job {job_id} belongs to {job.actor or 'an unknown actor'}, but {caller.actor} may "

@@ -215,7 +215,8 @@ class Ledger:
         with self.writing() as db:
             new, known = row_sql.insert(db, component, block, keys, time.time(), above=above)
             if new:
-                last, after = sequences(db)["rows"], {"rows": new}
+                last = sequences(db)["rows"]
+                after = {"rows": new}
                 audit_sql.note(db, "row.insert", last, component, after=after)
             return new, known
 
@@ -241,7 +242,8 @@ class Ledger:
             if not durable:
                 writer.execute("PRAGMA synchronous = NORMAL")
             try:
-                writer.jobs, writer.rows = {}, 0
+                writer.jobs = {}
+                writer.rows = 0
                 begin(writer)
                 yield writer
                 numbers = _numbers(writer)
@@ -427,7 +429,8 @@ class Ledger:
         self._writer = open_file(self.path)
         self._writer.damaged = self.damaged
         self._inode = inode(self.path)
-        self._refused, self._frozen = None, False
+        self._refused = None
+        self._frozen = False
         noted = self._acknowledged.read()  # before the ledger, which others may be writing
         lost = self._acknowledged.compare(noted, _numbers(self._writer))
         if lost is not None:  # noted; these numbers are never used again

@@ -149,7 +149,8 @@ class Record(NamedTuple):
     def row(self, seq: int) -> LedgerRow:
         """Return one of the rows, undamaged."""
         row = self._slice(seq - self.seq, seq - self.seq + 1)
-        wrench, flat = unpack_vector(row.wrench), _unpacked_if_known(row.compliance) or ()
+        wrench = unpack_vector(row.wrench)
+        flat = _unpacked_if_known(row.compliance) or ()
         lines = [flat[k : k + len(wrench)] for k in range(0, len(flat), len(wrench))]
         return LedgerRow(
             seq=seq,
@@ -197,7 +198,8 @@ def records_of(
     job: int | None = None,
 ) -> Iterator[Record]:
     """Yield rows as records, numbered from `first`."""
-    rows, total = block.rows, len(block.rows)
+    rows = block.rows
+    total = len(block.rows)
     texts = list(zip(rows.fingerprint.tolist(), rows.source.tolist(), block.note, strict=True))
     wrench, displacement = _plain(rows.wrench).tobytes(), _plain(rows.displacement).tobytes()
     compliance, curvature = _known(rows.compliance, np.all), _known(rows.curvature, np.all)
@@ -351,7 +353,8 @@ def _keys(
         return []
     name = _part(component.encode())
     width, size = len(wrenches) // len(texts), len(displacements) // len(texts)  # bytes a row
-    middle, unknown = _length(size), _part(b"")
+    middle = _length(size)
+    unknown = _part(b"")
     hashers = {}
     for fingerprint, source in dict.fromkeys(texts):
         start = name + _part(fingerprint.encode()) + _part(source.encode()) + _length(width)

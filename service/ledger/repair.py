@@ -90,7 +90,8 @@ class Acknowledged:
             content = self._path.read_bytes()
         except OSError:
             return Numbers()
-        text, digest = content[:-_DIGEST], content[-_DIGEST:]
+        text = content[:-_DIGEST]
+        digest = content[-_DIGEST:]
         if blake2b(text, digest_size=_DIGEST).digest() != digest:
             return Numbers()
         return Numbers(*map(int, text.split()))
@@ -241,7 +242,9 @@ def _copy(source: Connection, new: Connection, table: str, highest: dict[str, in
     select = f"SELECT {', '.join(common)} FROM {table} NOT INDEXED WHERE rowid BETWEEN ? AND ?"
     marks = ", ".join("?" * len(common))
     insert = f"INSERT OR IGNORE INTO {table} ({', '.join(common)}) VALUES ({marks})"
-    count, misses, ranges = 0, 0, [(0, until)]
+    count = 0
+    misses = 0
+    ranges = [(0, until)]
     while ranges and misses < _MAX_MISSES:
         first, last = ranges.pop()
         try:
@@ -269,7 +272,8 @@ def _place(db: Connection, component: str, table_rows: Rows, now: float) -> None
     gaps = np.flatnonzero(np.diff(table_rows.seq) != 1) + 1
     for run in np.split(np.arange(len(table_rows)), gaps):
         block = NotedRows(table_rows.take(run), ["table file"] * len(run))
-        first, keys = int(table_rows.seq[run[0]]), row_keys(component, block)
+        first = int(table_rows.seq[run[0]])
+        keys = row_keys(component, block)
         for record in records_of(component, block, keys, first, now):
             _restore_record(db, record)
 
@@ -281,7 +285,9 @@ def _restore_record(db: Connection, record: Record) -> int:
     """
     last = record.seq + record.count - 1
     used = {seq for seq, _ in rows.containing(db, range(record.seq, last + 1))}
-    known, keys, count = rows.stored(db, record.keys()), record.keys(), 0
+    known = rows.stored(db, record.keys())
+    keys = record.keys()
+    count = 0
     free = [
         record.seq + at not in used and key not in known
         for at, key in enumerate(keys[: record.count])
@@ -307,7 +313,9 @@ def rewrite(db: Connection, component: str, seq: int, copy: Rows) -> bool:
     if rows.numbered(db, [seq]):
         return False
     now = time.time()
-    job, created, note = None, now, "table file"
+    job = None
+    created = now
+    note = "table file"
     for _, damaged in rows.containing(db, [seq]):  # at most one record
         job = damaged.job
         if isinstance(damaged.created, float):

@@ -99,7 +99,8 @@ def insert(
     positions = new_positions(keys, stored(db, keys).keys())
     known = len(keys) - len(positions)
     if positions:
-        block, keys = rows_at(block, positions), [keys[at] for at in positions]
+        block = rows_at(block, positions)
+        keys = [keys[at] for at in positions]
         first = number(db, component, block, keys, now, job)
         hashes = key_hashes(b"".join(keys)).tolist()
         enter(db, sorted(zip(hashes, range(first, first + len(keys)), strict=True)))
@@ -128,7 +129,8 @@ def stored(db: Connection, keys: Sequence[bytes], *, hidden: bool = False) -> di
     for marks, some in in_parts(hashes):
         select = f"SELECT seq FROM row_keys WHERE hash IN ({marks})"
         seqs += (seq for (seq,) in db.execute(select, some))
-    wanted, numbers = set(keys), {}
+    wanted = set(keys)
+    numbers = {}
     for seq, record in containing(db, seqs, "NOT " * hidden + SHOWN):
         at = KEY_BYTES * (seq - record.seq)
         if (key := record.key[at : at + KEY_BYTES]) in wanted:
@@ -364,7 +366,8 @@ def table_at(
     ).fetchone()
 
     def lots() -> Iterator[NotedRows]:
-        gone, after = withdrawn(db, component, until), 0
+        gone = withdrawn(db, component, until)
+        after = 0
         while after is not None:
             values = after, until, gone, MAX_CHANGES
             block, after = _read(db, component, *values, space, fingerprint)
@@ -392,10 +395,12 @@ def get(db: Connection, seq: int) -> LedgerRow:
 def numbered(db: Connection, seqs: Iterable[int]) -> dict[int, LedgerRow]:
     """Return the existing undamaged ones of some rows, by number."""
     rows: dict[int, LedgerRow] = {}
-    last, sound = None, [False]
+    last = None
+    sound = [False]
     for seq, record in containing(db, seqs):
         if record is not last:
-            last, sound = record, record.sound()
+            last = record
+            sound = record.sound()
         if sound[seq - record.seq]:
             rows[seq] = record.row(seq)
     return rows
@@ -495,7 +500,8 @@ def of_other_setups(db: Connection, component: str, fingerprint: str) -> dict[by
 
 def digest(db: Connection, component: str, until: int) -> str:
     """Return a digest of a component's rows and their edits, up to a seq."""
-    total, values = blake2b(digest_size=16), (component, until)
+    total = blake2b(digest_size=16)
+    values = (component, until)
     where = "WHERE component = ? AND seq <= ? ORDER BY seq"
     for first, keys in db.execute(f"SELECT seq, key FROM rows {where}", values):
         last = min(len(keys) // KEY_BYTES, until - first + 1)
@@ -566,7 +572,8 @@ def _read(
     second value is the number of the last row read, None if there are no further ones.
     """
     values = {"component": component, "after": after, "until": until}
-    records, count = [], 0
+    records = []
+    count = 0
     for record in _records(db, f"{_BETWEEN} AND {SHOWN} ORDER BY seq", values):
         records.append(record)
         span = range(max(record.seq, after + 1), min(record.seq + record.count - 1, until) + 1)

@@ -116,7 +116,8 @@ class UnknownComponentError(KeyError):
         self.known = known
 
     def __str__(self) -> str:
-        name, some = self.name[:MAX_QUOTED], self.known
+        name = self.name[:MAX_QUOTED]
+        some = self.known
         if len(some) > MAX_NAMES:
             some = get_close_matches(name, some, MAX_NAMES, 0.0)
         known = ", ".join(some) or "none yet"

@@ -75,11 +75,17 @@ class Library:
             lambda _: contextlib.nullcontext()
         ),
     ) -> None:
-        self._local, self._shipped = local, shipped
-        self._on_added, self._on_checked, self._on_copy = on_added, on_checked, on_copy
-        self._allow_decks, self._noted = allow_decks, noted
+        self._local = local
+        self._shipped = shipped
+        self._on_added = on_added
+        self._on_checked = on_checked
+        self._on_copy = on_copy
+        self._allow_decks = allow_decks
+        self._noted = noted
         self._lock = threading.Lock()
-        self._version, self._next_poll, self._local_stamp = 0, 0.0, 0
+        self._version = 0
+        self._next_poll = 0.0
+        self._local_stamp = 0
         self._components: dict[str, Component] = {}
         self._broken: dict[Path, str] = {}  # by folder: a shipped one may have the same name
         with contextlib.suppress(OSError):  # the upload of a component reports it
@@ -117,7 +123,8 @@ class Library:
 
     def broken(self) -> dict[str, str]:
         """Return by folder of the library the reason why its component cannot be used."""
-        broken, touches = self._broken.items(), CALLER.get().touches
+        broken = self._broken.items()
+        touches = CALLER.get().touches
         return {folder.name: reason for folder, reason in broken if touches(folder.name)}
 
     def __contains__(self, name: str) -> bool:

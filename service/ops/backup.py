@@ -105,7 +105,8 @@ def back_up(folder: Path, target: Path) -> Manifest:
         draft.replace(target)
         sync(target.parent)
     except OSError as error:
-        path, problem = Path(str(error.filename)), f"{target} cannot be written"
+        path = Path(str(error.filename))
+        problem = f"{target} cannot be written"
         problem = f"{problem}: {with_remedy(error)}"
         if path.is_relative_to(folder) and HELD.fullmatch(path.relative_to(folder).as_posix()):
             problem = f"{path} cannot be read: {error.strerror}"
@@ -216,7 +217,8 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
     """
     try:
         fields: dict[str, Any] = json.loads(archive.read(MANIFEST))
-        kind, schema = fields["format"], int(fields["schema"])
+        kind = fields["format"]
+        schema = int(fields["schema"])
     except _UNREADABLE as error:
         there = MANIFEST in archive.namelist()
         problem = f"in its {MANIFEST} {reason_of(error)}" if there else f"it has no {MANIFEST}"
@@ -249,7 +251,8 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
 
 def _copied(file: IO[bytes], target: IO[bytes]) -> tuple[int, str]:
     """Copy a file; return its length and digest."""
-    length, digest = 0, blake2b(digest_size=32)
+    length = 0
+    digest = blake2b(digest_size=32)
     while piece := file.read(PIECE):
         target.write(piece)
         digest.update(piece)

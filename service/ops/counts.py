@@ -112,7 +112,8 @@ class Counts:
 
 def cumulative(edges: Sequence[float], numbers: Sequence[float]) -> list[tuple[str, float]]:
     """Return cumulative counts by upper edge, the last one infinite."""
-    total, buckets = 0, []
+    total = 0
+    buckets = []
     for edge, number in zip((*map(repr, edges), "+Inf"), numbers, strict=True):
         total += number
         buckets.append((edge, float(total)))
@@ -128,14 +129,16 @@ class SharedCounts:
     """
 
     def __init__(self, folder: Path, counts: Counts, listeners: Callable[[], int]) -> None:
-        self._counts, self._listeners = counts, listeners
+        self._counts = counts
+        self._listeners = listeners
         number = 0
         with suppress(OSError):  # on a read-only disk counts are not shared
             folder.mkdir(parents=True, exist_ok=True)
             # The lowest number that no other process has, locked until this process ends.
             numbers = count(1)
             number = next(n for n in numbers if take(folder / f"{n}.lock", 0.0) is not None)
-        self._folder, self._path = folder, folder / f"{number}.json"
+        self._folder = folder
+        self._path = folder / f"{number}.json"
         counts.add_all(_read(self._path)[0])
         self._writing = threading.Lock()
         self._stopping = threading.Event()
@@ -145,7 +148,9 @@ class SharedCounts:
     def together(self) -> tuple[Counts, int, dict[str, int]]:
         """Return the counts, the event listeners and the pids, by number, of all processes."""
         self._write()
-        total, listeners, pids = Counts(), 0, {}
+        total = Counts()
+        listeners = 0
+        pids = {}
         for path in sorted(self._folder.glob("*.json")):
             counts, more, pid = _read(path)
             total.add_all(counts)

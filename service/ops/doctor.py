@@ -126,9 +126,11 @@ def _has_bytes(path: Path) -> bool:
 
 def _rebuilt(folder: Path, problem: str) -> list[DataFinding]:
     """Replace a damaged ledger by its readable part and the table files."""
-    path, tables = folder / LEDGER, folder / "tables"
+    path = folder / LEDGER
+    tables = folder / "tables"
     with tempfile.TemporaryDirectory(prefix=".repairing-", dir=folder) as scratch:
-        copy, new = Path(scratch) / "damaged.sqlite", Path(scratch) / LEDGER
+        copy = Path(scratch) / "damaged.sqlite"
+        new = Path(scratch) / LEDGER
         shutil.copyfile(path, copy)
         if _has_bytes(log := path.with_name(f"{LEDGER}-wal")):
             shutil.copyfile(log, copy.with_name(f"{copy.name}-wal"))
@@ -142,7 +144,9 @@ def _rebuilt(folder: Path, problem: str) -> list[DataFinding]:
                 move_aside(old)
         new.rename(path)
         sync(folder)
-    jobs, rows, highest = salvaged.read["jobs"], salvaged.read["rows"], salvaged.highest_job
+    jobs = salvaged.read["jobs"]
+    rows = salvaged.read["rows"]
+    highest = salvaged.highest_job
     text = f"a new one was created: {jobs} jobs of {highest} and {rows} rows could be read, others "
     text += "come from the tables' files"
     text += f"; jobs that were lost: {highest - jobs}" if highest > jobs else ""
@@ -234,8 +238,10 @@ def _check_component(
     ledger: Ledger, component: Component, store: TableStore, tables: Tables, *, repair: bool
 ) -> Iterator[DataFinding]:
     """Compare a component's table file with the ledger, and report its rows of another setup."""
-    name, count = component.name, ledger.count_rows(component.name)
-    text, known = "", tables.get(name)
+    name = component.name
+    count = ledger.count_rows(component.name)
+    text = ""
+    known = tables.get(name)
     if known is None:
         if count and store.written(name) is None:  # otherwise `_read_all` has reported the damage
             text = f"tables/{name}.h5 is not there; the ledger has {count} rows of it"

@@ -54,7 +54,8 @@ class Metrics(Collector):
     def __init__(
         self, workspace: MetricsSource, counts: Counts, listeners: Callable[[], int]
     ) -> None:
-        settings, self._workspace = workspace.settings, workspace
+        settings = workspace.settings
+        self._workspace = workspace
         self._lock = threading.Lock()
         self._read_at = -FRESH_S
         self._read: Statistics | None = None
@@ -79,7 +80,8 @@ class Metrics(Collector):
         yield HistogramMetricFamily(
             "wrenchbook_query_seconds", text, counts.histogram(), counts.seconds
         )
-        requests, of_route = {}, dict[str, list[float]]()
+        requests = {}
+        of_route = dict[str, list[float]]()
         for (route, method, status), numbers in counts.of("request"):
             requests[route, method, status] = sum(numbers[:-1])
             total = of_route.get(route, [0.0] * len(numbers))
@@ -107,7 +109,8 @@ class Metrics(Collector):
         yield from self._of_workspace()
 
     def _of_ledger(self) -> Iterator[Metric]:
-        ledger, usable = self._workspace.ledger, False
+        ledger = self._workspace.ledger
+        usable = False
         with self._lock, contextlib.suppress(LedgerUnavailableError):
             if time.monotonic() - self._read_at >= FRESH_S:
                 self._read_at = time.monotonic()
@@ -115,7 +118,8 @@ class Metrics(Collector):
                 if self._read is None or version != self._version:
                     # Earlier numbers are not shown while the ledger cannot be read.
                     self._read = None
-                    self._read, self._version = ledger.statistics(), version
+                    self._read = ledger.statistics()
+                    self._version = version
             usable = self._read is not None
         read = self._read
         yield _gauge("ledger_usable", "1 if the ledger can be used now", int(usable))
@@ -132,7 +136,8 @@ class Metrics(Collector):
         yield _gauges("ledger_bytes", text, "file", ledger.sizes())
 
     def _of_workspace(self) -> Iterator[Metric]:
-        workspace, now = self._workspace, time.time()
+        workspace = self._workspace
+        now = time.time()
         names, present = workspace.library.names(), workspace.tables.present()
         some = names[:MAX_COMPONENTS]
         known = {name: present[name] for name in some if present.get(name) is not None}

@@ -42,7 +42,9 @@ def restore(
     """
     folder = folder.absolute()
     unpacked = _source(source, until)
-    draft, aside, state = folder / _DRAFT, None, "Nothing was changed"
+    draft = folder / _DRAFT
+    aside = None
+    state = "Nothing was changed"
     is_new = not folder.exists()
 
     def place(name: str):

@@ -121,7 +121,8 @@ def _start(
     table = workspace.tables.caught_up(name, CATCH_UP_S)
     rows = set(packed(component.acting(table.rows.wrench)))
     solved = np.array([key in rows for key in packed(wrenches)], dtype=bool)
-    beyond, inside = int((~holds & ~solved).sum()), wrenches[holds & ~solved]
+    beyond = int((~holds & ~solved).sum())
+    inside = wrenches[holds & ~solved]
     covered = np.zeros(len(inside), dtype=bool)
     if len(inside) and purpose == "recording":
         covered = table.packed.batch(inside).coverage == COVERED
@@ -136,7 +137,8 @@ def _start(
     accepted = workspace.submission.fill(name, fresh[order], asked_by=purpose)
     present = [jobs[key] for key in keys if key in jobs]
     queued = [job for job in present if job.status in ("waiting", "running")]
-    failed, over_budget = status.count("failed"), len(fresh) - len(order)
+    failed = status.count("failed")
+    over_budget = len(fresh) - len(order)
     reason = _unqueued(over_budget, failed, beyond)
     if not len(unknown) and not reason:
         any_known = solved.any() or covered.any()

@@ -122,7 +122,8 @@ class RecordingStore:
     """
 
     def __init__(self, workspace: Workspace) -> None:
-        self._library, self._ledger = workspace.library, workspace.ledger
+        self._library = workspace.library
+        self._ledger = workspace.ledger
         self._subsets: dict[str, tuple[int, tuple[Subset, Subset]]] = {}
         self._lock = threading.Lock()
 
@@ -135,8 +136,10 @@ class RecordingStore:
         used for other wrenches or is too old to be known.
         """
         component = self._library[name]
-        acting, scale = component.acting(wrenches), component.load_range.scale
-        points, keys = scaled_loads(acting, scale), packed(acting)
+        acting = component.acting(wrenches)
+        scale = component.load_range.scale
+        points = scaled_loads(acting, scale)
+        keys = packed(acting)
         inside = component.load_range.holds(acting) if len(keys) else np.ones(0, dtype=bool)
         outside = int((~inside).sum())
         with self._ledger.writing() as db:
@@ -196,7 +199,8 @@ class RecordingStore:
         """
         count = len(self._library[name].load_range.low)
         with self._ledger.reading() as db:
-            tally, keys = _tally(db, name, "recording"), _recorded(db, name, count)
+            tally = _tally(db, name, "recording")
+            keys = _recorded(db, name, count)
         return RecordingState(tally, unpacked(keys, count))
 
     def envelope(self, name: str) -> EnvelopeState:
@@ -206,7 +210,8 @@ class RecordingStore:
         """
         count = len(self._library[name].load_range.low)
         with self._ledger.reading() as db:
-            tally, extremes = _tally(db, name, "envelope"), _extremes(db, name)
+            tally = _tally(db, name, "envelope")
+            extremes = _extremes(db, name)
         current = _of_width(extremes.values(), count)
         if len(current) != 2 * count:
             return EnvelopeState(tally, unpacked([], count), unpacked([], count))
@@ -233,7 +238,8 @@ class RecordingStore:
         self, component: Component, tally: Tally, db: Connection
     ) -> tuple[Subset, Subset]:
         """Return the ledger's subsets within the load range and outside."""
-        scale, cached = component.load_range.scale, self._subsets.get(component.name)
+        scale = component.load_range.scale
+        cached = self._subsets.get(component.name)
         same = tally.scale is None or tally.scale == _packed_scale(scale)
         if cached is not None and cached[0] == tally.revision and same:
             return cached[1]
@@ -243,7 +249,8 @@ class RecordingStore:
             stretched = max(1.0, float((unpacked([tally.scale], len(scale))[0] / scale).max()))
         keys = _recorded(db, component.name, len(scale))
         wrenches = unpacked(keys, len(scale))
-        points, inside = scaled_loads(wrenches, scale), component.load_range.holds(wrenches)
+        points = scaled_loads(wrenches, scale)
+        inside = component.load_range.holds(wrenches)
         within = Subset(*_chosen(points, keys, inside), tally.radius, tally.within * stretched)
         beyond = tally.radius_outside, tally.within_outside * stretched, MAX_OUTSIDE
         return within, Subset(*_chosen(points, keys, ~inside), *beyond)
@@ -354,9 +361,11 @@ def _wider(
     """Return the new extremes of wrenches, shape (n, inputs), N and N·m, with their indices."""
     if not keys:
         return []
-    wider, count = [], wrenches.shape[1]
+    wider = []
+    count = wrenches.shape[1]
     for place in range(2 * count):
-        load, sign = place % count, -1.0 if place < count else 1.0
+        load = place % count
+        sign = -1.0 if place < count else 1.0
         best = int(np.argmax(sign * wrenches[:, load]))
         before = _of_width((extremes.get(place, b""),), count)
         if not before or sign * wrenches[best, load] > sign * unpacked(before, count)[0, load]:
@@ -407,12 +416,14 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
         largest = _largest_linear(table, low, high) + answers.errors.max(axis=0)
         at_zero = table.packed.batch(np.zeros((1, len(low)))).outputs[0]
         largest = largest + np.abs(at_zero)
-        kind, formula = "bound", EXACT
+        kind = "bound"
+        formula = EXACT
     else:
         # NaN stays: with an unknown value at one point the largest is unknown.
         largest = (np.abs(answers.outputs) + answers.errors).max(axis=0)
         number = f"the {len(corners)}" if len(corners) < MAX_CORNERS else len(corners)
-        kind, formula = "estimate", ESTIMATE.format(number)
+        kind = "estimate"
+        formula = ESTIMATE.format(number)
     if np.isnan(largest).any():
         kind = "unknown"
     negligible, reason = _negligible(largest, space, tolerance, kind, coverage)

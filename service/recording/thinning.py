@@ -75,7 +75,9 @@ def scaled_loads(wrenches: Floats, scale: Floats) -> Floats:
 
 def take(subset: Subset, points: Floats, keys: list[bytes]) -> Step:
     """Return the subset with points, shape (n, m), dimensionless, added in their order."""
-    before, all_merged, all_thinned = subset, 0, 0
+    before = subset
+    all_merged = 0
+    all_thinned = 0
     for start in range(0, len(points), CHUNK):
         chunk = points[start : start + CHUNK]
         apart = np.full(len(chunk), np.inf)
@@ -96,7 +98,8 @@ def take(subset: Subset, points: Floats, keys: list[bytes]) -> Step:
             subset.limit,
         )
         if len(subset.keys) > subset.limit:
-            count, subset = len(subset.keys), _coarser(subset)
+            count = len(subset.keys)
+            subset = _coarser(subset)
             thinned += count - len(subset.keys)
         all_merged, all_thinned = all_merged + merged, all_thinned + thinned
     now, had = set(subset.keys), set(before.keys)
@@ -113,7 +116,8 @@ def spaced(points: Floats, radius: float) -> NDArray[np.bool_]:
     keep = np.ones(len(points), dtype=bool)
     if len(points) < 2:
         return keep
-    tree, bound = _tree(points), radius * _EDGE
+    tree = _tree(points)
+    bound = radius * _EDGE
     nearest = tree.query(points, k=2, p=np.inf, distance_upper_bound=bound)[0][:, 1]
     for place in np.flatnonzero(nearest < np.inf).tolist():
         if keep[place]:
@@ -150,7 +154,8 @@ def _coarser(subset: Subset) -> Subset:
         radius = max(MIN_GROWTH * radius, float(np.quantile(nearest, DROPPED)))
         keep = spaced(points, radius)
         if not keep.all():
-            points, within = points[keep], within + radius
+            points = points[keep]
+            within = within + radius
             keys = [key for key, is_far in zip(keys, keep.tolist(), strict=True) if is_far]
     return Subset(points, keys, radius, within, subset.limit)
 

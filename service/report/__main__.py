@@ -37,7 +37,8 @@ def main(folder: Path) -> int:
     try:
         order = json.loads((folder / ORDER).read_bytes())
         rows, meta = read_table(order["table"])
-        bundle, chosen = read_bundle(order["bundle"]), (order["wrenches"], order["seed"])
+        bundle = read_bundle(order["bundle"])
+        chosen = (order["wrenches"], order["seed"])
         report = measure(bundle, rows, meta.load_range, *chosen, note)
         report |= {"summary": layout.summary_of(report), "advice": layout.advice_of(report)}
         report["sections"] = [asdict(section) for section in layout.sections_of(report)]

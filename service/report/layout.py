@@ -78,7 +78,8 @@ def advice_of(report: dict[str, Any]) -> str:
 
 def sections_of(report: dict[str, Any]) -> list[ReportSection]:
     """Return a report's figures."""
-    default, outputs = report["default"], tuple(report["outputs"])
+    default = report["default"]
+    outputs = tuple(report["outputs"])
     omitted = tuple((name, f"{error:.2e}") for name, error in default["errors_left_out"].items())
     failed = "".join(map(_failures_in, report["fea"]))
     unsolved = " Failed solves: see Finite elements." if failed else ""

@@ -60,7 +60,8 @@ def measure(
             f"the range in component.toml, or see the cause with: wrenchbook solve {bundle.name} "
             "--force FX FY FZ"
         )
-    reference, same_mesh = displacements[-1][solved], displacements[index_of_own][solved]
+    reference = displacements[-1][solved]
+    same_mesh = displacements[index_of_own][solved]
     # An error is relative to the range of its output, or to a minimum if that is near zero.
     span = np.ptp(reference, axis=0)
     scale = np.maximum(span, NEAR_ZERO * space.largest_of_kind(span))
@@ -194,7 +195,8 @@ def _compare_method(
         # None if the error is zero.
         ratios.append(float(np.median(bars)) / median if median > 0.0 else None)
     median_us, p99_us = answer_times(table, method, wrenches)
-    of_finest, of_mesh = errors(np.abs(answers.outputs - finest), scale), errors(error, scale)
+    of_finest = errors(np.abs(answers.outputs - finest), scale)
+    of_mesh = errors(error, scale)
     return {
         "covered": float(np.mean(answers.coverage == 0)),
         "seconds": median_us * 1e-6,

@@ -108,8 +108,12 @@ class TableBuilder:
         memory: float = Settings.table_memory,
         trouble: Callable[[], str | None] = lambda: None,
     ) -> None:
-        self._store, self._ledger, self._library = files, files.ledger, library
-        self._state, self._memory, self._trouble = state, memory, trouble
+        self._store = files
+        self._ledger = files.ledger
+        self._library = library
+        self._state = state
+        self._memory = memory
+        self._trouble = trouble
         # By component name. The thread that builds a component writes its entries: one at a time,
         # by `_running`. The files' thread writes `save_at`, `packed` and `table` of a version, and
         # `_unwritten`. Others read; single operations of a dict or set are atomic.
@@ -171,7 +175,8 @@ class TableBuilder:
                     self._behind |= {name for name in self._library.names() if self._lags(name)}
                     version = now
             except LedgerUnavailableError:
-                version, pause = None, RETRY_S  # the ledger reports the error
+                version = None  # the ledger reports the error
+                pause = RETRY_S
             except Exception:
                 log.exception("following the ledger failed; trying again")
                 pause = RETRY_S
@@ -242,7 +247,8 @@ class TableBuilder:
         """Build a component's table from the newest rows if it lags behind the ledger."""
         if not self._lags(name):
             return
-        component, known = self._library[name], self._versions.get(name)
+        component = self._library[name]
+        known = self._versions.get(name)
         if known is not None and known.component is not component:
             known = None  # its files were edited, so its rows may differ
         try:
@@ -256,9 +262,11 @@ class TableBuilder:
             if known is None:  # its file answers while the ledger cannot be read
                 content = self._store.read(component)
                 if content is None or content[1].fingerprint != component.fingerprint:
-                    rows, version = Rows.empty(component.space), 0
+                    rows = Rows.empty(component.space)
+                    version = 0
                 else:
-                    rows, version = content[0], content[1].last_seq
+                    rows = content[0]
+                    version = content[1].last_seq
                 self._build(component, rows, version)
                 self._versions[name].number = _UNCONFIRMED
                 self._versions[name].save_at = None
@@ -297,7 +305,8 @@ class TableBuilder:
         component = self._library[name]
         with suppress(LedgerUnavailableError):
             number = self._ledger.last_seq(name)
-            origin, saved = self._store.origin(component, number), None
+            origin = self._store.origin(component, number)
+            saved = None
             if self._store.is_current(component, number, origin):
                 saved = self._store.saved(component, number, origin["ledger"])
             if saved is None:

@@ -52,7 +52,8 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
             f"{', '.join(table.load_range.space.input_names)}; use an FMU or the C library"
         )
     loop, hidden = loop_of(table.rows, table.load_range)
-    lines, why = [_HEAD], ""
+    lines = [_HEAD]
+    why = ""
     for axis in range(len(LOADS)):
         if axis in table.locked:
             continue
@@ -93,7 +94,9 @@ class _Curve:
     """
 
     def __init__(self, table: ServedTable, axis: int, others: Others) -> None:
-        self.table, self.axis, self.others = table, axis, others
+        self.table = table
+        self.axis = axis
+        self.others = others
         self.unit = np.eye(len(LOADS))[axis]
         self.low, self.high = table.load_range.low[axis], table.load_range.high[axis]
         if not self.low < self.high:
@@ -104,7 +107,8 @@ class _Curve:
                 f"the load range of {LOADS[axis]}, {self.low:g} to {self.high:g} {unit}, does not "
                 f"contain 0 {unit}, where the curve starts; widen it under [range]"
             )
-        loads, rounding = table.rows.wrench[:, axis], _ROUNDING * (self.high - self.low)
+        loads = table.rows.wrench[:, axis]
+        rounding = _ROUNDING * (self.high - self.low)
         self.rows = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
         self.rest = 0.0 if others == "displacement" else self._moved(0.0)
         self.at(self.rest)
@@ -116,7 +120,8 @@ class _Curve:
 
     def end(self, side: int) -> float:
         """Return the last covered displacement on a side, m or rad."""
-        inside, outside = self.rest, self._moved(self.high if side > 0 else self.low)
+        inside = self.rest
+        outside = self._moved(self.high if side > 0 else self.low)
         middle = outside
         for _ in range(HALVINGS):
             try:
@@ -150,9 +155,11 @@ class _Curve:
             slope = packed.derivatives(wrench[None], without_rows=True)[0, axis, axis]
             row = self.unit / slope
         reply = packed.batch(wrench[None], without_rows=True)
-        coverage, errors = int(reply.coverage[0]), reply.errors[0]
+        coverage = int(reply.coverage[0])
+        errors = reply.errors[0]
         # Beyond its rows a thin table extrapolates, and a linear one answers.
-        load, loads = wrench[axis], self.table.load_range
+        load = wrench[axis]
+        loads = self.table.load_range
         if not loads.holds(wrench[None])[0]:
             raise BushingError(f"{why_beyond(loads, wrench)}; widen the load range")
         if coverage != _COVERED and not self.rows[0] <= load <= self.rows[1]:

@@ -112,7 +112,8 @@ def _selection(
 
     Raises UncomparableError if there are no rows to compare, or both sides are the same.
     """
-    of_import, measured = _imports(rows.seq, spans), rows.source != SOLVED
+    of_import = _imports(rows.seq, spans)
+    measured = rows.source != SOLVED
     for wanted in (number, against):
         if wanted is not None and not (measured & (of_import == wanted)).any():
             listed = np.unique(of_import[measured & (of_import > 0)])[-10:].tolist()
@@ -124,7 +125,8 @@ def _selection(
     reference = ~measured if against is None else measured & (of_import == against)
     chosen = measured & ~reference & (number is None or of_import == number)
     inside = np.asarray(component.load_range.holds(rows.wrench))
-    compared, used = np.flatnonzero(chosen & inside), np.flatnonzero(reference)
+    compared = np.flatnonzero(chosen & inside)
+    used = np.flatnonzero(reference)
     return _Selection(
         of_import=of_import,
         measured=int(chosen.sum()),
@@ -159,7 +161,8 @@ def _answers(
     `solved`: whether the reference is the solves, with the `error` of their solver.
     """
     if not len(rows) or not len(reference):
-        unknown, none = np.full(rows.displacement.shape, np.nan), np.full(len(rows), _OUTSIDE)
+        unknown = np.full(rows.displacement.shape, np.nan)
+        none = np.full(len(rows), _OUTSIDE)
         return _Answers("none", none, unknown, unknown, np.full(rows.displacement.shape[1], np.nan))
     of_rig = replace(component, linear=False)  # measured rows need not be linear
     noise = build_table(of_rig, rows, 0).observation_noise
@@ -196,7 +199,8 @@ def comparison(
     Raises UncomparableError if the table has no measured rows of an import, or the two are the
     same.
     """
-    selection, solved = _selection(component, rows, spans, number, against), against is None
+    selection = _selection(component, rows, spans, number, against)
+    solved = against is None
     compared, reference = rows.take(selection.compared), rows.take(selection.used)
     campaign = selection.of_import[selection.compared]
     answers = _answers(component, compared, reference, error, solved=solved)
@@ -293,7 +297,8 @@ def _bound(bar: Floats, scatter: Floats) -> Floats:
 
 def _summary(measured: Floats, expected: Floats, bar: Floats, scatter: Floats) -> dict[str, Any]:
     """Return the differences of one output, (n,) each, m or rad: None if unknown."""
-    residual, bound = measured - expected, _bound(bar, scatter)
+    residual = measured - expected
+    bound = _bound(bar, scatter)
     known = residual[np.isfinite(residual)]
     factor, half_width, of_reference = scale_factor(measured, expected, bar, scatter)
     numbers = {

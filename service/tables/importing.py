@@ -194,7 +194,8 @@ def solved_compliance(component: Component, table: ServedTable) -> list[list[flo
     packed = table.packed
     fea = [number for number, names in enumerate(packed.meta["sources"]) if "fea" in names]
     solves = packed.arrays["g0/row/seq"][np.isin(packed.arrays["g0/row/source"], fea)]
-    setup, cached = (component.fingerprint, solves.tobytes()), _solved.get(component.name)
+    setup = (component.fingerprint, solves.tobytes())
+    cached = _solved.get(component.name)
     if cached is None or cached[0] != setup:
         rows = table.rows
         solved = rows.take(np.flatnonzero(rows.source == "fea")[:MAX_ROWS])
@@ -227,7 +228,8 @@ def _with_stored_numbers(
         end = np.searchsorted(sums, total + 2.0 * SAME * size, side="right")
         unmatched = np.flatnonzero(first < end)
         for step in range(_MAX_TRIED):
-            candidates, received = stored[order[first[unmatched] + step]], numbers[unmatched]
+            candidates = stored[order[first[unmatched] + step]]
+            received = numbers[unmatched]
             same = np.abs(candidates - received) <= SAME * np.abs(received)
             same = np.all(same | (np.isnan(candidates) & np.isnan(received)), axis=1)
             numbers[unmatched[same]] = candidates[same]

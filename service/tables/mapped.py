@@ -79,7 +79,9 @@ class ServedTable:
         built: Table | None = None,
         method: str | None = None,
     ) -> None:
-        self.packed, self._rows_of, self.built = packed, rows_of, built
+        self.packed = packed
+        self._rows_of = rows_of
+        self.built = built
         self._rows = None if built is None else built.rows
         self.used, self._lock = time.monotonic(), threading.Lock()
         provenance, self.summary = packed.meta["provenance"], packed.meta["summary"]
@@ -104,7 +106,8 @@ class ServedTable:
     @property
     def rows(self) -> Rows:
         """The rows of this version, read on first use: 0.05 s for 20,000."""
-        rows, self.used = self._rows, time.monotonic()
+        rows = self._rows
+        self.used = time.monotonic()
         if rows is None:
             assert self._rows_of is not None
             rows = self._rows = self._rows_of()
@@ -113,7 +116,8 @@ class ServedTable:
     def surrogate(self) -> Table:
         """Return the numpy table, built from the rows on first use: seconds for 20,000."""
         with self._lock:
-            built, self.used = self.built, time.monotonic()
+            built = self.built
+            self.used = time.monotonic()
             if built is None:
                 built = self.built = build(
                     self.rows,
@@ -144,7 +148,8 @@ class ServedTable:
         """The compliance of each output's group; its known loads are those that all groups know."""
         names = [f"g{group}/fit/known" for group in range(len(self.packed.meta["groups"]))]
         known = np.all([self.packed.arrays[name] for name in names], axis=0)
-        matrix, origin = self._of_groups("fit/matrix", len(known)), self.summary["compliance"]
+        matrix = self._of_groups("fit/matrix", len(known))
+        origin = self.summary["compliance"]
         half_width, offset = self._of_groups("fit/bar"), self._of_groups("fit/offset")
         return ComplianceFit(matrix, known, half_width, origin["origin"], offset)
 
@@ -199,8 +204,12 @@ class MappedTables:
         memory: float = Settings.table_memory,
         method: str | None = None,
     ) -> None:
-        self._store, self._ledger, self._library = files, files.ledger, library
-        self._state, self._memory, self._method = state, memory, method
+        self._store = files
+        self._ledger = files.ledger
+        self._library = library
+        self._state = state
+        self._memory = memory
+        self._method = method
         self.written = files.written
         # The following thread writes these; `surrogate` adds empty tables. Requests read.
         self._tables: dict[str, ServedTable] = {}
@@ -276,7 +285,8 @@ class MappedTables:
 
         Return False after the timeout, or if the table cannot be built: see `faults`.
         """
-        goal, end = self._ledger.last_seq(name), time.monotonic() + timeout
+        goal = self._ledger.last_seq(name)
+        end = time.monotonic() + timeout
         wanted = setup_of(self._library[name])
 
         def holds() -> bool:
@@ -338,7 +348,8 @@ class MappedTables:
 
     def _map_new(self) -> None:
         """Map the newest readable file of each table, and publish which versions answer."""
-        status, failed = self._state.read(), None
+        status = self._state.read()
+        failed = None
         for name, files in self._store.packed_files().items():
             if name in self._library:
                 component = self._library[name]
@@ -365,7 +376,8 @@ class MappedTables:
 
         Return whether it is mapped.
         """
-        name, version = component.name, (file, component)
+        name = component.name
+        version = (file, component)
         if version in (self._mapped.get(name), self._refused.get(file.path)):
             return version == self._mapped.get(name)
         level = logging.ERROR

@@ -30,11 +30,16 @@ class ExportRows:
     """
 
     def __init__(self, stored: NotedRows, spans: Sequence[ImportSpan] = ()) -> None:
-        rows, firsts = stored.rows, [span.first for span in spans]
-        self.wrench, self.displacement = rows.wrench, rows.displacement
-        self.uncertainty, self.compliance = rows.uncertainty, rows.compliance
+        rows = stored.rows
+        firsts = [span.first for span in spans]
+        self.wrench = rows.wrench
+        self.displacement = rows.displacement
+        self.uncertainty = rows.uncertainty
+        self.compliance = rows.compliance
         self.curvature = rows.curvature
-        self.source, self.fingerprint, self.note = rows.source, rows.fingerprint, stored.note
+        self.source = rows.source
+        self.fingerprint = rows.fingerprint
+        self.note = stored.note
         self.seq = rows.seq.tolist()
         self.when = [iso_time(created) for created in stored.created]
         self.who: list[str] = []

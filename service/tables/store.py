@@ -61,7 +61,9 @@ class TableStore:
     """
 
     def __init__(self, folder: Path, ledger: Ledger, errors: SolverErrors | None = None) -> None:
-        self._folder, self.ledger, self._errors = folder, ledger, errors
+        self._folder = folder
+        self.ledger = ledger
+        self._errors = errors
         self.caveats: dict[str, str] = {}
 
     def solver_error(self, component: Component) -> SolverError | None:
@@ -225,7 +227,8 @@ class TableStore:
         If the ledger cannot be read, the file may be the last copy of the rows: it is written
         without the ledger's digest, so that the rows are restored from it.
         """
-        name, of_ledger = component.name, dict[str, Any]()
+        name = component.name
+        of_ledger = dict[str, Any]()
         with suppress(LedgerUnavailableError):
             edits = self.ledger.edits(name, last_seq)
             of_ledger = {

@@ -130,7 +130,9 @@ def prune(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event)
         False: (settings.keep_failed_days, settings.keep_failed_count),  # they have the cause
     }
     numbers = sorted((int(name) for name in _names(jobs) if name.isdecimal()), reverse=True)
-    remaining, removed, now = {True: 0, False: 0}, 0, time.time()
+    remaining = {True: 0, False: 0}
+    removed = 0
+    now = time.time()
     for start in range(0, len(numbers), PART):
         part = numbers[start : start + PART]
         known = ledger.attempts(part)
@@ -140,7 +142,8 @@ def prune(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event)
             status, last, ended = known.get(number, ("unknown", 0, None))
             if status not in FINAL or ended is None:
                 continue
-            done, folder = status == "done", jobs / str(number)
+            done = status == "done"
+            folder = jobs / str(number)
             days, most = limits[done]
             if remaining[done] < most and now - ended < days * DAY:
                 remaining[done] += 1
@@ -213,7 +216,8 @@ def note_settings(ledger: Ledger, settings: Settings) -> None:
     """Add to the audit the settings that differ from those of the last start."""
     with suppress(LedgerError):  # tables answer without it
         known = ledger.audit(action="settings", limit=1)
-        before, after = known[0].after if known else None, asdict(settings)
+        before = known[0].after if known else None
+        after = asdict(settings)
         texts = {k: shown(str(v)) for k, v in after.items() if isinstance(v, str | Path)}
         after |= texts
         if before != after:

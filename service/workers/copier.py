@@ -49,7 +49,8 @@ def run(settings: Settings, started: threading.Event) -> None:
 
 def ship(settings: Settings, stop: threading.Event) -> None:
     """Ship each half interval, and once after `stop`, so that committed changes are soon copied."""
-    shipper, again = None, False
+    shipper = None
+    again = False
     with closing(Ledger(settings.data / LEDGER, patient=True)) as ledger:
         while True:
             last, begun = stop.is_set(), time.monotonic()
@@ -59,7 +60,8 @@ def ship(settings: Settings, stop: threading.Event) -> None:
                 again = True
                 facts = {**shipper.facts, "trouble": None, "seconds": time.monotonic() - begun}
             except Exception as error:  # any error of a storage
-                shipper, facts = None, {"trouble": shown(str(error) or repr(error))}
+                shipper = None
+                facts = {"trouble": shown(str(error) or repr(error))}
                 log.warning("the replica was not written: %s", facts["trouble"])
             _report(settings, "replica", SLACK_S + settings.replicate_interval, facts)
             if last:
@@ -70,7 +72,8 @@ def ship(settings: Settings, stop: threading.Event) -> None:
 
 def keep(settings: Settings, stop: threading.Event) -> None:
     """Make a backup whenever one is due, test it by a restore, and remove old ones."""
-    folder, period = settings.backup_folder or settings.data / "backups", settings.backup_every
+    folder = settings.backup_folder or settings.data / "backups"
+    period = settings.backup_every
     pause = 0.0
     while not stop.wait(pause):
         pause = POLL_S
@@ -86,7 +89,8 @@ def keep(settings: Settings, stop: threading.Event) -> None:
                 path.unlink(missing_ok=True)
         except Exception as error:
             log.exception("the scheduled backup failed")
-            facts, pause = {"trouble": str(error) or repr(error)}, SLACK_S
+            facts = {"trouble": str(error) or repr(error)}
+            pause = SLACK_S
         _report(settings, "backup", LATE_PERIODS * period * HOUR + SLACK_S, facts)
 
 

@@ -98,7 +98,8 @@ def answer_at_zero(rows: Rows, load_range: LoadRange, tables: Sequence[AxisTable
     unloaded = (np.abs(rows.wrench) <= ZERO_LOAD * load_range.scale).all(axis=1)
     if unloaded.any():
         return rows.displacement[unloaded].mean(axis=0)
-    zero, answers = np.zeros((1, 3)), list[Floats]()
+    zero = np.zeros((1, 3))
+    answers = list[Floats]()
     for table in tables:
         if table is not None:
             simplices = table.triangulation.locate(zero)
@@ -208,7 +209,8 @@ def _axis_summary(axis: LoadAxis, table: AxisTable | None) -> dict[str, Any]:
             "coverage": "outside",
             "part_of_range": 0.0,
         }
-    shape, points = table.triangulation, table.rows.points * table.scale
+    shape = table.triangulation
+    points = table.rows.points * table.scale
     return {
         "axis": axis.name,
         "inputs": inputs,
@@ -240,9 +242,11 @@ class PureMomentCut:
 
     def __init__(self, table: AxisTable, column: int) -> None:
         """Cut a table along its input `column`, 1 or 2."""
-        self.shape, self.column = table.triangulation, column
+        self.shape = table.triangulation
+        self.column = column
         self.stations = _stations(table.triangulation, column)
-        low, width = self.stations[:-1], np.diff(self.stations)
+        low = self.stations[:-1]
+        width = np.diff(self.stations)
         simplices = table.triangulation.locate(self._points(low + 0.5 * width))
         self.state = np.where(simplices >= 0, INSIDE, OFF_HULL).astype(np.int32)
         start, end = (

@@ -27,7 +27,8 @@ class AxisTable:
 
     def __init__(self, rows: AxisRows, load_range: LoadRange) -> None:
         """Triangulate the rows, at least one."""
-        self.rows, self.axis = rows, rows.axis
+        self.rows = rows
+        self.axis = rows.axis
         self.scale = load_range.scale[list(rows.axis.inputs)]
         self.triangulation = Triangulation(rows.points)
         self.values = rows.displacement

@@ -75,7 +75,8 @@ class Triangulation:
         """Set the simplices, with a lower dimension if qhull calls the points flat."""
         dimension, basis = _span(self.points)
         while True:
-            self.dimension, self.basis = dimension, basis[:dimension]
+            self.dimension = dimension
+            self.basis = basis[:dimension]
             local = (self.points - self.origin) @ self.basis.T
             off = self.points - self.origin - local @ self.basis
             extent = float(np.abs(self.points - self.origin).max(initial=0.0))
@@ -152,7 +153,8 @@ class Triangulation:
         centred = points - self.origin
         off = np.abs(centred - centred @ self.basis.T @ self.basis).max(axis=1, initial=0.0)
         simplices = np.asarray(self._middles.query(points)[1], dtype=np.intp)
-        walking, lost = np.arange(len(points)), []
+        walking = np.arange(len(points))
+        lost = []
         for _ in range(STEPS):
             parts = self.barycentric(simplices[walking], points[walking])
             behind, least = parts.argmin(axis=1), parts.min(axis=1)
@@ -168,14 +170,16 @@ class Triangulation:
 
     def _compared(self, points: Floats) -> Indices:
         """Return the regular simplex that holds each point (k, 3) best, of all; -1 if none."""
-        simplices, most = np.full(len(points), -1), np.full(len(points), -ROUNDED)
+        simplices = np.full(len(points), -1)
+        most = np.full(len(points), -ROUNDED)
         for radius, members, middles in self._by_size:
             count = middles.query_ball_point(points, radius, return_length=True)
             held = np.flatnonzero(count)
             ends = np.flatnonzero(np.diff(np.cumsum(count[held]) // PAIRS)) + 1
             for some in np.split(held, ends) if len(held) else ():
                 near = middles.query_ball_point(points[some], radius)
-                of, every = np.repeat(some, count[some]), members[np.concatenate(near)]
+                of = np.repeat(some, count[some])
+                every = members[np.concatenate(near)]
                 least = self.barycentric(every, points[of]).min(axis=1)
                 order = np.lexsort((least, of))  # the last of each point is the best
                 order = order[np.diff(of[order], append=len(points)) > 0]
@@ -317,14 +321,16 @@ def recovered_slopes(triangulation: Triangulation, values: Floats) -> Floats:
     mean of the adjacent simplices. Points are dimensionless, so that slopes are in the unit of the
     values (n, q): m and rad.
     """
-    dimension, n = triangulation.dimension, len(values)
+    dimension = triangulation.dimension
+    n = len(values)
     neighbours = NEIGHBOURS.get(dimension, 0)
     if not neighbours or n <= neighbours:
         return mean_slopes(triangulation, values)
     slopes = np.empty((n, values.shape[1], 3))
     local = triangulation.local_coordinates(triangulation.points)
     nearest = KDTree(local).query(local, k=neighbours + 1)
-    distances, near = np.asarray(nearest[0])[:, 1:], np.asarray(nearest[1], dtype=np.intp)[:, 1:]
+    distances = np.asarray(nearest[0])[:, 1:]
+    near = np.asarray(nearest[1], dtype=np.intp)[:, 1:]
     for start in range(0, n, CHUNK):
         some = slice(start, start + CHUNK)
         delta = local[near[some]] - local[some, None]
@@ -357,7 +363,8 @@ def mean_slopes(triangulation: Triangulation, values: Floats) -> Floats:
     """
     weight = np.where(triangulation.degenerate, 0.0, triangulation.volumes)
     weighted = weight[:, None, None] * triangulation.gradients(values)
-    total, size = np.zeros((len(values), values.shape[1], 3)), np.zeros(len(values))
+    total = np.zeros((len(values), values.shape[1], 3))
+    size = np.zeros(len(values))
     for corner in triangulation.simplices.T:
         np.add.at(total, corner, weighted)
         np.add.at(size, corner, weight)

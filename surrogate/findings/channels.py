@@ -62,7 +62,8 @@ def channel_findings(
     `still` (6,): outputs that do not move, by the component's solves.
     """
     findings: list[RigFinding] = []
-    terms, moved = terms_of(rows.wrench / load_range.scale), rows.displacement.copy()
+    terms = terms_of(rows.wrench / load_range.scale)
+    moved = rows.displacement.copy()
     varies = np.ptp(rows.wrench, axis=0) > ZERO_LOAD * load_range.scale
     for output in np.flatnonzero(varies & ~still).tolist():
         # A logger's mark for "no value" is no reading of the channel.
@@ -77,11 +78,13 @@ def channel_findings(
             listed = () if len(at) == len(known) else tuple(rows.seq[at].tolist())
             findings.append(RigFinding(fault.cause, message, listed, {"output": OUTPUTS[output]}))
             moved[at, output] = np.nan
-        load, unit = rows.wrench[known, output], "N" if output < 3 else "N*m"
+        load = rows.wrench[known, output]
+        unit = "N" if output < 3 else "N*m"
         for fault in _load_faults(load, terms[known], moved[known, output]):
             at = known[fault.rows]
             fields = {**names, **fault._asdict(), "unit": unit, "count": len(at)}
-            listed, numbers = tuple(rows.seq[at].tolist()), {"load": LOADS[output]}
+            listed = tuple(rows.seq[at].tolist())
+            numbers = {"load": LOADS[output]}
             findings.append(RigFinding(fault.cause, OF_LOADS.format(**fields), listed, numbers))
             moved[at] = np.nan
     kept = np.isfinite(moved).any(axis=1)
@@ -101,7 +104,8 @@ def dead_channels(rows: Rows, load_range: LoadRange) -> NDArray[np.bool_]:
         return np.zeros(moved.shape[1], dtype=bool)
     low, high = np.fmin.reduce(moved), np.fmax.reduce(moved)
     is_equal = high - low <= ROUNDING * np.fmax(np.abs(low), np.abs(high))
-    known, loads = np.isfinite(moved), rows.wrench / load_range.scale
+    known = np.isfinite(moved)
+    loads = rows.wrench / load_range.scale
     levels = np.array([len(np.unique(moved[at, k])) for k, at in enumerate(known.T)])
     for output in np.flatnonzero((levels <= DIGITS) & ~is_equal & known.any(axis=0)):
         at = known[:, output]
@@ -119,7 +123,8 @@ def _output_faults(terms: Floats, y: Floats) -> list[Fault]:
     all_rows = np.arange(len(y))
     if len(y) < MIN_CHANNEL_ROWS:
         return []
-    size, equal = float(np.ptp(y)), ROUNDING * float(np.abs(y).max())
+    size = float(np.ptp(y))
+    equal = ROUNDING * float(np.abs(y).max())
     if size <= equal:
         return [Fault("dead", all_rows, float(y[0]), 0.0)]
     if not _is_explained(terms, y):
@@ -158,11 +163,13 @@ def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Fault]:
     the response of all rows as elsewhere, or all deviate by the same amount, where the response is
     no polynomial.
     """
-    known, faults = np.isfinite(y), list[Fault]()
+    known = np.isfinite(y)
+    faults = list[Fault]()
     equal = ROUNDING * float(np.abs(load).max(initial=0.0))
     if known.sum() < MIN_CHANNEL_ROWS or np.ptp(load) <= equal:
         return []
-    off, size = y - fitted(terms, y), float(np.ptp(y[known]))
+    off = y - fitted(terms, y)
+    size = float(np.ptp(y[known]))
     high, low, run = _constant_rows(load, equal)
     run = np.setdiff1d(run, np.concatenate((high, low)))
     moving = y.copy()
@@ -170,7 +177,8 @@ def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Fault]:
     is_enough = np.isfinite(moving).sum() >= ROWS_A_TERM * terms.shape[1]
     off_moving = moving - fitted(terms, moving) if is_enough else off
     for is_end, constant in ((True, high), (True, low), (False, run)):
-        some, others = constant[known[constant]], np.setdiff1d(np.flatnonzero(known), constant)
+        some = constant[known[constant]]
+        others = np.setdiff1d(np.flatnonzero(known), constant)
         if len(some) < MIN_EQUAL or len(others) < ROWS_A_TERM * terms.shape[1]:
             continue
         spread = np.median(np.abs(off[some] - np.median(off[some])))
@@ -180,7 +188,8 @@ def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Fault]:
         usual = np.nanmedian(np.abs(of_others - np.nanmedian(of_others)))
         if spread > max(CONFIDENT * usual, REMARKABLE * size):
             cause = "clipped" if is_end else "stuck"
-            value, worst = float(load[some[0]]), np.abs(off[some]).max() / size
+            value = float(load[some[0]])
+            worst = np.abs(off[some]).max() / size
             faults.append(Fault(cause, some, value, worst))
     return faults
 
@@ -198,7 +207,8 @@ def _constant_rows(values: Floats, equal: float) -> list[NDArray[np.intp]]:
 def _is_explained(terms: Floats, y: Floats) -> bool:
     """Return whether the terms (n, t) explain more of the variance of y (n,) than of pure noise."""
     y = y.clip(*np.percentile(y, [TAIL, 100 - TAIL]))
-    y, free = y - y.mean(), terms.shape[1] - 1
+    y = y - y.mean()
+    free = terms.shape[1] - 1
     residual = y - terms @ np.linalg.lstsq(terms, y, rcond=RANK)[0]
     by_chance = (free + CONFIDENT * np.sqrt(2 * free)) / len(y)
     return float(residual @ residual) < (1 - min(by_chance, 1.0)) * float(y @ y) or by_chance >= 1

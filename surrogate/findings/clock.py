@@ -105,12 +105,14 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
 
     # Another lag, another rate and a loop each must explain the residual better than the others.
     at_best, at_applied, loop = fit.residual(best), fit.residual(applied), fit.with_loop(applied)
-    rate, with_rate = 0.0, at_best
+    rate = 0.0
+    with_rate = at_best
     if at_best.mean() > MIN_MISFIT**2:
         rate, with_rate = fit.rate(best)
     drift = abs(rate) * float(np.ptp(logs.when))
     if drift < step or not with_rate.sum() < min(ALIKE * at_best.sum(), loop.sum()):
-        rate, with_rate = 0.0, at_best
+        rate = 0.0
+        with_rate = at_best
     if with_rate.mean() > 1 - RELATED or not np.isfinite(error):
         return None
     return Lag(
@@ -169,7 +171,8 @@ def _correlated_lags(logs: Logs, applied: float, step: float) -> list[float]:
     x = _on_grid(grid + applied, logs.time, logs.wrench)
     y = _on_grid(grid, logs.when[order], logs.displacement[order])
     size = 2 * len(grid)
-    of_loads, of_moved = np.fft.rfft(x, size, axis=0), np.conj(np.fft.rfft(y, size, axis=0))
+    of_loads = np.fft.rfft(x, size, axis=0)
+    of_moved = np.conj(np.fft.rfft(y, size, axis=0))
     products = (of_loads * spectrum[:, None] for spectrum in of_moved.T)
     cross = np.stack([np.fft.irfft(product, size, axis=0) for product in products])
     shifts = np.arange(-int(longest / step), int(longest / step) + 1)
@@ -197,7 +200,8 @@ def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> tuple[float, 
     displacements that both have loads for. A search that ends at its bound has no result and starts
     again there, with twice the width.
     """
-    width, most = 2 * step, MAX_LAG * float(np.ptp(logs.when))
+    width = 2 * step
+    most = MAX_LAG * float(np.ptp(logs.when))
     while width < most:
         fit = _Fit(logs, lags, step, width + step)
         if len(fit.logs.when) < MIN_DISPLACEMENTS:
@@ -210,7 +214,8 @@ def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> tuple[float, 
         )
         if abs(result.x - start) < INNER_PART * width:
             return float(result.x), fit
-        lags, width = (lags[0], float(result.x)), 2 * width
+        lags = (lags[0], float(result.x))
+        width = 2 * width
     return None
 
 
@@ -227,18 +232,21 @@ class _Fit:
 
     def __init__(self, logs: Logs, lags: tuple[float, float], step: float, width: float) -> None:
         """Choose the displacements that have loads within `width`, s, of both `lags`, s."""
-        low, high = min(lags) - width, max(lags) + width
+        low = min(lags) - width
+        high = max(lags) + width
         inside = (logs.when + low >= logs.time[0]) & (logs.when + high <= logs.time[-1])
         indices = np.flatnonzero(inside)
         indices = indices[:: max(-(-len(indices) // MAX_DISPLACEMENTS), 1)]
         self.logs = logs._replace(when=logs.when[indices], displacement=logs.displacement[indices])
-        self._scale, self._step = np.abs(logs.wrench).max(axis=0), step
+        self._scale = np.abs(logs.wrench).max(axis=0)
+        self._step = step
 
     def _terms(self, lag: float | Floats) -> Floats:
         return terms_of(self._loads(lag) / self._scale)
 
     def _loads(self, lag: float | Floats) -> Floats:
-        time, when = self.logs.time, self.logs.when + lag
+        time = self.logs.time
+        when = self.logs.when + lag
         return np.stack([np.interp(when, time, load) for load in self.logs.wrench.T], axis=1)
 
     def residual(self, lag: float | Floats) -> Floats:
@@ -251,8 +259,10 @@ class _Fit:
 
     def with_loop(self, lag: float) -> Floats:
         """Return `residual` of a response with one more term: the direction of the motion."""
-        terms, y = self._terms(lag), self.logs.displacement
-        after, before = self._loads(lag + self._step), self._loads(lag - self._step)
+        terms = self._terms(lag)
+        y = self.logs.displacement
+        after = self._loads(lag + self._step)
+        before = self._loads(lag - self._step)
         coefficients = np.linalg.lstsq(self._loads(lag), y, rcond=RANK)[0]
         signs = np.sign((after - before) @ coefficients)
         return np.concatenate(
@@ -276,7 +286,8 @@ class _Fit:
             if not curvature.sum() > 0:
                 return lag, np.inf
             lag += step * float(np.clip((low - high).sum() / curvature.sum() / 2, -1, 1))
-        terms, y = self._terms(lag), self.logs.displacement
+        terms = self._terms(lag)
+        y = self.logs.displacement
         residual = y - terms @ np.linalg.lstsq(terms, y, rcond=RANK)[0]
         # The correlation of neighbours in time leaves fewer degrees of freedom.
         products = (residual[1:] * residual[:-1]).sum(axis=0)

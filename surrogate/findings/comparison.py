@@ -28,7 +28,8 @@ def differences(moved: Floats, expected: Floats, bars: Floats) -> Floats:
     """
     known = np.isfinite(bars)
     size, pair, deviation, _ = _fitted(moved, np.where(known, expected, np.nan))
-    is_fitted, differs = size > 0, np.zeros(len(size), dtype=bool)
+    is_fitted = size > 0
+    differs = np.zeros(len(size), dtype=bool)
     bar = np.nanmedian(np.where(known, bars, np.nan)[:, is_fitted], axis=0)
     least = CONFIDENT * deviation[:, is_fitted] + bar / size[is_fitted]
     is_large = np.abs(pair[:, is_fitted]) > np.maximum(least, REMARKABLE)

@@ -139,7 +139,8 @@ def unit_findings(fit: Fit, solved: Fit | None, *, linear: bool) -> list[RigFind
         return _against_solves(fit, solved, CALIBRATION if linear else FAR)
     # Maxwell and Betti: a moment's displacement by a force equals the force's rotation by the
     # moment.
-    moved, turned = fit.matrix[:3, 3:], fit.matrix[3:, :3].T
+    moved = fit.matrix[:3, 3:]
+    turned = fit.matrix[3:, :3].T
     sure = fit.sure[:3, 3:] & fit.sure[3:, :3].T
     factor = _common(moved[sure], turned[sure])
     if factor is None:
@@ -229,14 +230,18 @@ def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
     before = after = _Skew.of(fit, np.eye(6), load_range)
     if not before.sure.any():
         return []
-    size, complete = before.size, bool((before.known.all() & fit.matrix.any(axis=0)).all())
-    lever, deviation, moved = np.zeros(3), np.full(3, np.inf), np.eye(6)
+    size = before.size
+    complete = bool((before.known.all() & fit.matrix.any(axis=0)).all())
+    lever = np.zeros(3)
+    deviation = np.full(3, np.inf)
+    moved = np.eye(6)
     for _ in range(LEVER_ROUNDS if complete else 0):  # the weights depend on the lever
         by_lever = [_Skew.of(fit, np.eye(6) + way, load_range).values for way in by_axis]
         changes = np.stack(by_lever, axis=1) - before.values[:, None]
         weighted = np.linalg.solve(after.covariance, changes)
         covariance = np.linalg.inv(changes.T @ weighted)
-        lever, deviation = -covariance @ weighted.T @ before.values, np.sqrt(np.diag(covariance))
+        lever = -covariance @ weighted.T @ before.values
+        deviation = np.sqrt(np.diag(covariance))
         moved = np.eye(6) + np.tensordot(lever, by_axis, axes=1)
         after = _Skew.of(fit, moved, load_range)
     is_sure = (
@@ -275,7 +280,8 @@ class _Skew(NamedTuple):
     @classmethod
     def of(cls, fit: Fit, change: Floats, load_range: LoadRange) -> _Skew:
         """Return the asymmetry of a fit times a change (6, 6) of the loads."""
-        scale, measured = load_range.scale, np.asarray(fit.matrix.any(axis=1))
+        scale = load_range.scale
+        measured = np.asarray(fit.matrix.any(axis=1))
         unit = np.abs(fit.matrix * np.outer(scale, scale)).max()
         covariance = (REMARKABLE / CONFIDENT) ** 2 * np.eye(len(PAIRS[0]))
         for output in range(6):

@@ -40,7 +40,9 @@ class Passes(NamedTuple):
 
 def passes_of(load: Floats) -> Passes:
     """Return the passes of a load, (n,), in the order of its measurement."""
-    span, number, sure = np.ptp(load), np.zeros(len(load), dtype=np.intp), np.ones(len(load), bool)
+    span = np.ptp(load)
+    number = np.zeros(len(load), dtype=np.intp)
+    sure = np.ones(len(load), bool)
     if span == 0.0:
         return Passes(number, sure.copy(), sure)
     peaks, valleys = (find_peaks(way, prominence=TURN * span)[0] for way in (load, -load))
@@ -100,7 +102,9 @@ def measured_stiffness(
     their range, N and N·m.
     """
     rows = rows.take(~rows.is_solved & np.isfinite(rows.displacement[:, output]))
-    load, moved, session = rows.wrench[:, axis], rows.displacement[:, output], sessions_of(rows)
+    load = rows.wrench[:, axis]
+    moved = rows.displacement[:, output]
+    session = sessions_of(rows)
     loading, sure = np.zeros((2, len(rows)), dtype=bool)
     for number in np.unique(session):
         at = np.flatnonzero(session == number)
@@ -123,7 +127,8 @@ def measured_stiffness(
             half = np.hypot(first["unloaded_half_width"], second["unloaded_half_width"])
             width = abs(width) if name == "branches" else width
             play[name] = {"value": width, "half_width": float(half)}
-    names, loads = load_range.space.input_names, rows.wrench[chosen]
+    names = load_range.space.input_names
+    loads = rows.wrench[chosen]
     ranges = np.ptp(loads, axis=0) if len(loads) else np.zeros(len(names))
     varied = np.flatnonzero(ranges > ALONG * load_range.scale).tolist()
     other_loads = {names[load]: float(ranges[load]) for load in varied if load != axis}

@@ -162,7 +162,8 @@ def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:
         if not len(remarkable):
             continue
         parts = np.abs(most[remarkable]) / ranges[remarkable]
-        name, part = OUTPUTS[remarkable[parts.argmax()]], parts.max()
+        name = OUTPUTS[remarkable[parts.argmax()]]
+        part = parts.max()
         numbers = {entry: {OUTPUTS[output]: float(most[output]) for output in remarkable}}
         findings.append(RigFinding(cause, EFFECTS[cause].format(part=part, name=name), (), numbers))
     return findings

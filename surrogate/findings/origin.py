@@ -58,14 +58,16 @@ def slopes_at_zero(rows: Rows, load_range: LoadRange, response: RobustFit) -> Sl
     chosen = evenly(len(rows), MAX_ROWS)
     loads = rows.wrench[chosen] / load_range.scale
     time = np.linspace(-0.5, 0.5, len(rows))[chosen]
-    mean, covariances = np.zeros((6, N_SLOPES)), np.zeros((6, N_SLOPES, N_SLOPES))
+    mean = np.zeros((6, N_SLOPES))
+    covariances = np.zeros((6, N_SLOPES, N_SLOPES))
     measured = np.isfinite(rows.displacement[chosen])
     # Outputs that the same rows have share the decomposition of the kernel.
     for pattern in np.unique(measured, axis=1).T:
         if not pattern.any():
             continue
         outputs = np.flatnonzero((measured == pattern[:, None]).all(axis=0))
-        x, y = loads[pattern], rows.displacement[np.ix_(chosen[pattern], outputs)]
+        x = loads[pattern]
+        y = rows.displacement[np.ix_(chosen[pattern], outputs)]
         signs = np.sign(np.where(np.abs(x) > ZERO_LOAD, x, 0.0))
         columns = []
         for output in outputs:
@@ -79,7 +81,8 @@ def slopes_at_zero(rows: Rows, load_range: LoadRange, response: RobustFit) -> Sl
         covariances[outputs] = scaled * size[:, None, None] ** 2
     is_varied = np.ptp(loads, axis=0) > ZERO_LOAD
     mean[:, :6][:, ~is_varied] = 0.0
-    scale, own_load = load_range.scale, np.arange(6)
+    scale = load_range.scale
+    own_load = np.arange(6)
     own_jump = 6 + own_load
     # A jump is twice the coefficient of the load's sign, from -1 to 1.
     return Slopes(
@@ -107,13 +110,17 @@ def _posterior(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Flo
     `columns`: the terms of each output's mean at the readings, (n, c); the first 12 of them are
     the loads and their signs.
     """
-    n, count = len(x), columns[0].shape[1]
-    values, slopes = np.ones((n, 1), dtype=bool), np.ones((1, 7), dtype=bool)
+    n = len(x)
+    count = columns[0].shape[1]
+    values = np.ones((n, 1), dtype=bool)
+    slopes = np.ones((1, 7), dtype=bool)
     slopes[:, 0] = False
-    zero_load, picked = np.zeros((1, 6)), np.eye(count)[:N_SLOPES]  # picked: E
+    zero_load = np.zeros((1, 6))
+    picked = np.eye(count)[:N_SLOPES]  # E
     # One entry for each kernel, noise and output.
     shape = len(KERNELS), len(RATIOS), y.shape[1]
-    negative_log_likelihoods, means = np.empty(shape), np.empty((*shape, N_SLOPES))
+    negative_log_likelihoods = np.empty(shape)
+    means = np.empty((*shape, N_SLOPES))
     second_moments = np.empty((*shape, N_SLOPES, N_SLOPES))
     for number, (theta, weight) in enumerate(KERNELS):
         kernel = Hyperparameters.of_logarithms(np.array([theta] * 6 + [weight]))
@@ -128,7 +135,8 @@ def _posterior(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Flo
             factors = np.column_stack((vectors.T @ terms, across, vectors.T @ y[:, output]))
             products = (factors[:, :, None] * factors[:, None]).reshape(n, -1)
             weighted = (inverse @ products).reshape(len(RATIOS), *[factors.shape[1]] * 2)
-            b, k = slice(0, count), slice(count, count + N_SLOPES)
+            b = slice(0, count)
+            k = slice(count, count + N_SLOPES)
             normal = weighted[:, b, b] + np.eye(count) / PRIOR**2
             covariances = np.linalg.inv(normal)
             estimate = np.einsum("rab,rb->ra", covariances, weighted[:, b, -1])

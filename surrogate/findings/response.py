@@ -219,7 +219,8 @@ def _outliers(rows: Rows, response: RobustFit, flagged: NDArray[np.bool_]) -> li
     residual = np.abs(np.nan_to_num(response.residual)) / response.range
     worst = np.where(flagged, residual, 0.0)
     order = at[np.argsort(-worst[at].max(axis=1), kind="stable")]
-    row, output = order[0], int(np.argmax(worst[order[0]]))
+    row = order[0]
+    output = int(np.argmax(worst[order[0]]))
     message = (
         f"{len(at)} of {len(rows)} rows differ from those around them; the worst is row "
         f"{rows.seq[row]}, whose {OUTPUTS[output]} is off by {residual[row, output]:.1%} of its "

@@ -80,7 +80,8 @@ def kernel() -> Kernel:
     for library in libraries:
         for name, (result, arguments) in forms.items():
             function = getattr(library, name)
-            function.restype, function.argtypes = result, arguments
+            function.restype = result
+            function.argtypes = arguments
     return libraries
 
 
@@ -133,7 +134,8 @@ class _Work:
         """
         if tolerance is None and method is None and not without_rows:
             return None
-        self._options.method, self._options.tolerance = method_code(method), None
+        self._options.method = method_code(method)
+        self._options.tolerance = None
         self._options.without_rows = without_rows
         if tolerance is not None:
             if len(tolerance) != len(self.tolerance):
@@ -167,8 +169,12 @@ class PackedTable:
 
     def __init__(self, handle: int, packed: Packed, source: Floats | Path, size: int) -> None:
         """Take an open handle, the views of the file, its buffer or path, and its size in bytes."""
-        self._handle, self._packed, self._source, self.size = handle, packed, source, size
-        self.arrays, self.meta = packed.arrays, packed.meta
+        self._handle = handle
+        self._packed = packed
+        self._source = source
+        self.size = size
+        self.arrays = packed.arrays
+        self.meta = packed.meta
         arrays = packed.arrays
         self.load_range, self.load_scale = arrays["space/range"], arrays["space/scale"]
         self.locked = arrays["space/locked"] != 0
@@ -176,7 +182,8 @@ class PackedTable:
         self.tolerance = None if math.isnan(limits[0]) else (limits[0], limits[1])
         self.bars_are_complete = bool(arrays["solver/flags"][SOLVER_BARS_COMPLETE])
         library = kernel().with_gil
-        self._answer, self._release = library.wb_answer, library.wb_close
+        self._answer = library.wb_answer
+        self._release = library.wb_close
         self.inputs, self.outputs = library.wb_inputs(handle), library.wb_outputs(handle)
         self._scratch = library.wb_scratch(handle)
         self._read = ReplyReader(packed, self.inputs, self.outputs).read
@@ -367,7 +374,8 @@ class PackedTable:
         tangents = self.derivatives(np.zeros(self.inputs), without_rows=True)[0]
         row = np.full_like(tangents, np.nan)
         for group in range(len(self.meta["groups"])):
-            outputs, name = arrays[f"g{group}/outputs"] != 0, f"g{group}/row/"
+            outputs = arrays[f"g{group}/outputs"] != 0
+            name = f"g{group}/row/"
             unknown = (arrays[f"g{group}/fit/known"] == 0) & ~locked
             tangents[np.ix_(outputs, unknown)] = np.nan
             distances = np.abs(arrays[f"{name}wrench"] / self.load_scale).max(axis=1)
@@ -428,10 +436,12 @@ class PackedTable:
         quaternions, angular velocities and moments refer to the tip's axes. Many joints release the
         interpreter lock, a single joint keeps it.
         """
-        code, library = method_code(method or self.method), kernel()
+        code = method_code(method or self.method)
+        library = kernel()
         form = library.with_gil if count == 1 else library.without_gil
         k, memory = form.wb_joint_interfaces(self.handle), form.wb_joint_memory(self.handle)
-        options, arguments = (code, axes), (count, method, axes)
+        options = (code, axes)
+        arguments = (count, method, axes)
         sizes = k, memory, self._scratch
         return JointSteps(self, form.wb_joint_step, count, options, sizes, arguments)
 
@@ -497,7 +507,8 @@ class PackedTable:
 
     def close(self) -> None:
         """Unmap the table. No thread may use it during or after this call."""
-        handle, self._handle = self._handle, 0
+        handle = self._handle
+        self._handle = 0
         if handle:
             self._answer = _closed
             self._release(handle)

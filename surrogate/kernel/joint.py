@@ -25,7 +25,8 @@ def shape_of(interfaces: int, *numbers: int) -> tuple[int, ...]:
 
 def types_of(k: int) -> tuple[np.dtype[np.void], np.dtype[np.void]]:
     """Return the types of ``wb_joint_reply`` and the kernel's ``history`` for k interfaces."""
-    each, square = shape_of(k, 6), (6 * k, 6 * k)
+    each = shape_of(k, 6)
+    square = (6 * k, 6 * k)
     largest = np.dtype([(name, float, each) for name in ("value", "step", "time")])
     reply = [
         *((name, float, each) for name in ("wrench", "displacement", "still", "force")),
@@ -86,8 +87,11 @@ class JointSteps:
         `sizes`: number of interfaces, doubles of a joint's memory, bytes of scratch.
         """
         method, self._axes = options
-        self._table, self._call, self.arguments = table, call, arguments
-        self.inputs, self.interfaces = np.zeros(table.inputs), sizes[0]
+        self._table = table
+        self._call = call
+        self.arguments = arguments
+        self.inputs = np.zeros(table.inputs)
+        self.interfaces = sizes[0]
         k = self.interfaces
         if not 1 <= k <= MAX_INTERFACES:
             raise ValueError(
@@ -98,7 +102,8 @@ class JointSteps:
         self.poses[..., 3] = 1.0
         self.inverse_masses = np.zeros((count, FREEDOMS * k, FREEDOMS * k))
         reply, history = types_of(k)
-        self.memory, self.replies = np.zeros((count, sizes[1])), np.zeros(count, reply)
+        self.memory = np.zeros((count, sizes[1]))
+        self.replies = np.zeros(count, reply)
         self.history = self.memory[:, -(history.itemsize // 8) :].view(history)[:, 0]
         self._scratch = np.zeros(sizes[2] // 8 + 1)
         self._options = _Options(
@@ -123,7 +128,9 @@ class JointSteps:
 
     def step(self, dt: float, damping: float, threads: int = 1) -> None:
         """Compute the wrenches of a step of `dt`, s; `damping` is a ratio of critical damping."""
-        self._options.dt, self._options.damping, self._options.law = dt, damping, 0
+        self._options.dt = dt
+        self._options.damping = damping
+        self._options.law = 0
         self._done(self._call(self._table.handle, *self._step, threads, self._at))
 
     def law(self, dt: float, damping: float, threads: int = 1) -> None:
@@ -131,7 +138,9 @@ class JointSteps:
 
         The simulator then solves for the velocities after the step.
         """
-        self._options.dt, self._options.damping, self._options.law = dt, damping, 1
+        self._options.dt = dt
+        self._options.damping = damping
+        self._options.law = 1
         self._done(self._call(self._table.handle, *self._step, threads, self._at))
 
     def state(self) -> None:

@@ -75,7 +75,8 @@ def _filled(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     if reason.code == _OFF_HULL:
         return _off_hull(reason, inputs, packed)
     side = "outputs" if reason.code == _OVER_TOLERANCE else "inputs"
-    entry, ends = packed.meta["space"][side][reason.item], (0.0, 0.0)
+    entry = packed.meta["space"][side][reason.item]
+    ends = (0.0, 0.0)
     if reason.code in _RANGES:
         ends = packed.arrays[_RANGES[reason.code].format(reason.group)][:, reason.item].tolist()
     fields = reason._asdict() | {"name": entry["name"], "unit": entry["unit"]}
@@ -88,7 +89,9 @@ def _filled(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
 
 def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     """Return the loads that lie outside the rows' range, and this range, as a text."""
-    name, axes, sentences = "xyz"[reason.axis], f"g{reason.group}/axes/", []
+    name = "xyz"[reason.axis]
+    axes = f"g{reason.group}/axes/"
+    sentences = []
     span = packed.arrays[axes + "span"][reason.axis]
     floats = packed.arrays[axes + "floats"][reason.axis]
     for column, load in enumerate(axis_inputs(reason.axis)):

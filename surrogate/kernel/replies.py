@@ -115,7 +115,8 @@ class ReplyReader:
         if missing:
             text = "; ".join(filter(None, (text, unmeasured_text(missing, self._packed))))
             names = tuple(name for bit, name in enumerate(self._names) if missing >> bit & 1)
-        by_row, source = index >= 0, None
+        by_row = index >= 0
+        source = None
         if by_row:
             number = int(self._packed.arrays[f"g{group}/row/source"][index])
             source = ", ".join(self._packed.meta["sources"][number])
@@ -169,12 +170,14 @@ def mistake(
     """
     space = packed.meta["space"]
     if code == NOT_FINITE:
-        names, values = space["inputs"], inputs
+        names = space["inputs"]
+        values = inputs
         if displacement is not None and np.isfinite(inputs).all():
             names, values = space["outputs"], displacement[None]
         row, column = np.argwhere(~np.isfinite(values))[0]
         where = f"wrench {row}: " if len(values) > 1 else ""
-        name, value = names[column]["name"], values[row, column]
+        name = names[column]["name"]
+        value = values[row, column]
         return ValueError(f"{where}{name} must be finite, not {value}")
     if code == NO_METHOD:
         return _no_method(method, packed)

@@ -80,7 +80,8 @@ def factors_of(residuals: Errors, n_derivatives: int, outputs: int) -> Floats:
 
 def errors_of(factor: KrigingFactor, out: LeftOutRows, rows: Indices) -> Errors:
     """Return the errors of some rows (k,) that were left out, without the floor of all bars."""
-    noise, variances = factor.output_group.noise[rows], out.variances[rows]
+    noise = factor.output_group.noise[rows]
+    variances = out.variances[rows]
     # An observation differs from its answer by its noise and by the error of the mean, and both
     # variances add up to that of its error.
     squared = np.maximum(variances - noise, factor.min_variance)
@@ -88,7 +89,8 @@ def errors_of(factor: KrigingFactor, out: LeftOutRows, rows: Indices) -> Errors:
     # The nugget's part of spreads is added to each bar separately.
     above = np.sqrt(np.maximum(errors**2 - factor.nugget, 0.0))
     part = np.divide(above, np.abs(errors), out=np.zeros_like(above), where=above > 0)
-    above, sigma = above / np.sqrt(factor.variance), np.sqrt(squared)
+    above = above / np.sqrt(factor.variance)
+    sigma = np.sqrt(squared)
     sizes = np.where(noise[:, None] > 0, above / sigma[:, None], part * out.sizes[rows])
     finite = np.isfinite(above).all(axis=1)
     return Errors(above[finite], sizes[finite], sigma[finite])
@@ -223,17 +225,22 @@ def left_out_as_far(
     `distant`: the distance from the rest, process deviations.
     """
     scaled = factor.equations.x * np.sqrt(factor.hyperparameters.inverse_squares)
-    count, noise = len(scaled), factor.output_group.noise
+    count = len(scaled)
+    noise = factor.output_group.noise
     near = rows[leave_one_out.variances[rows] - noise[rows] < distant**2]
-    largest, passed = count // settings.min_left_out + 1, np.zeros(count, dtype=np.bool_)
-    with_nearest, far = LeftOutRows(*map(np.copy, leave_one_out)), []
+    largest = count // settings.min_left_out + 1
+    passed = np.zeros(count, dtype=np.bool_)
+    with_nearest = LeftOutRows(*map(np.copy, leave_one_out))
+    far = []
     for row in rows[list(farthest_first(scaled[rows]))].tolist():
         if passed[row]:
             continue
         squared = ((scaled - scaled[row]) ** 2).sum(axis=1)
         # The row itself is first, before rows that differ only in loads of no influence.
         squared[row] = -1.0
-        order, size, out = np.argsort(np.round(squared, DECIMALS), kind="stable"), 1, leave_one_out
+        order = np.argsort(np.round(squared, DECIMALS), kind="stable")
+        size = 1
+        out = leave_one_out
         while out.variances[row] - noise[row] < distant**2 and size < largest:
             size = min(size + (size + 1) // 2, largest)
             labels = np.full(count, -1, dtype=np.intp)
@@ -261,7 +268,8 @@ def calibrated(
     `widenings` (q,), dimensionless: see `Estimate.widening`.
     """
     factor, settings = neighbours.factor, neighbours.settings
-    subset, outputs = factor.equations, len(factor.output_group.outputs)
+    subset = factor.equations
+    outputs = len(factor.output_group.outputs)
     if not subset.known[:, 1:].any() and not has_levels(subset.x[:, scaling.active]):
         return Calibration.unknown(outputs, settings)
     if subset.count <= 1 + scaling.active.sum():  # the mean takes all of them
@@ -297,7 +305,8 @@ def _of_kind(kind: Kind, neighbours: Neighbourhoods, leave_one_out: LeftOutRows)
     distant = settings.comparable * float(np.median(complete))
     far, near = left_out_as_far(factor, leave_one_out, rows, distant, settings)
 
-    factors, max_sigma = np.zeros(len(factor.output_group.outputs)), 0.0
+    factors = np.zeros(len(factor.output_group.outputs))
+    max_sigma = 0.0
     if len(far.sigma) >= settings.min_left_out:
         factors = np.maximum(factors, factors_of(far, *size_of_table) / wider)
         # As far as left-out rows and their neighbourhoods can be, comparable both ways.

@@ -179,7 +179,8 @@ def effects_of(rows: Rows, load_range: LoadRange, good: Indices) -> Effects:
     moved, good = readings.rows.displacement, readings.good
     measured = np.isfinite(moved[good]).T
     # Of each output the terms of its response with the signs, and its readings.
-    signs, evidence = np.zeros(moved.shape), dict[int, tuple[Floats, Floats]]()
+    signs = np.zeros(moved.shape)
+    evidence = dict[int, tuple[Floats, Floats]]()
     for output in np.flatnonzero(measured.any(axis=1)).tolist():
         known = measured[output]
         # The loop itself bends the response that determines the directions: settled after a round.
@@ -227,7 +228,8 @@ def _with_common_kinds(significant: Floats, estimates: _Estimates) -> Floats:
 
     `significant` and result (2 + 4 s, m), m and rad: the mean where it is significant, else 0.
     """
-    reported, means = significant.copy(), _by_kind(estimates.mean)
+    reported = significant.copy()
+    means = _by_kind(estimates.mean)
     # The noise of the outputs is independent, so together they may show a drift of the scale that
     # no output shows alone.
     half_width = _by_kind(estimates.half_width).scale_drift
@@ -285,7 +287,8 @@ def _is_no_polynomial(parts: Floats, loads: Floats, degree: int) -> NDArray[np.b
     terms = np.column_stack([loads[:, :1] ** 0, *(loads ** (1 + k) for k in range(degree))])
     left, sizes, _ = np.linalg.svd(terms, full_matrices=False)
     basis = left[:, sizes > RANK * sizes.max(initial=0.0)]
-    unexplained, square = parts - basis @ (basis.T @ parts), (parts**2).sum(axis=1)
+    unexplained = parts - basis @ (basis.T @ parts)
+    square = (parts**2).sum(axis=1)
     # Against the smaller of the session and all others: a session may be most of the rows.
     smaller = np.minimum(square, square.sum(axis=0) - square)
     return np.asarray((unexplained**2).sum(axis=1) > MIN_UNEXPLAINED * smaller)
@@ -316,7 +319,8 @@ def positions_of(loads: Floats, sessions: list[Indices]) -> Indices:
     place = np.arange(len(loads))
     for rows in sessions:
         moved_on = np.abs(np.diff(loads[rows], axis=0)).max(axis=1, initial=0.0) > 2 * PLACE
-        points, first = loads[rows].tolist(), 0
+        points = loads[rows].tolist()
+        first = 0
         for at, is_far in enumerate(moved_on.tolist(), 1):
             if is_far or max(map(abs, map(sub, points[at], points[first]))) > PLACE:
                 first = at
@@ -375,10 +379,12 @@ def sure_directions(x: Floats, y: Floats, steps: Floats) -> Floats:
     `steps` (n, t): the change of the terms from the row before.
     """
     left, sizes, right = _directions(x)
-    along, back = left.T @ y, right.T / sizes
+    along = left.T @ y
+    back = right.T / sizes
     residual = y - left @ along
     noise = np.sqrt(residual @ residual / max(len(y) - len(sizes), 1))
-    change, deviation = steps @ (back @ along)[:-1], np.empty(len(steps))
+    change = steps @ (back @ along)[:-1]
+    deviation = np.empty(len(steps))
     for at in range(0, len(steps), BLOCK):
         deviation[at : at + BLOCK] = np.linalg.norm(steps[at : at + BLOCK] @ back[:-1], axis=1)
     deviation *= noise
@@ -407,7 +413,8 @@ def _estimates(
     # others. So outputs with a loop are estimated again, from rows with a sure direction.
     for _ in range(2):
         for known in np.unique(measured[pending], axis=0):
-            outputs, used = np.flatnonzero(pending & (measured == known).all(axis=1)), good[known]
+            outputs = np.flatnonzero(pending & (measured == known).all(axis=1))
+            used = good[known]
             # Columns of the effects, (n, c, k): sign; time and session; both of the scale.
             time = np.repeat(middle[used][:, :, None], len(outputs), axis=2)
             signed = signs[used][:, None, outputs]
@@ -433,12 +440,14 @@ def _estimated(
     """
     moved = rows.displacement[:, outputs]
     size, offset = moved.std(axis=0), moved.mean(axis=0)
-    n, y = len(rows), (moved - offset) / np.where(size > 0, size, 1.0)
+    n = len(rows)
+    y = (moved - offset) / np.where(size > 0, size, 1.0)
     x = (rows.wrench - load_range.space.zero) / load_range.scale
     linear = x[:, np.ptp(x, axis=0) > ZERO_LOAD]
     # The coefficients are those of the loads, of the zero offset and of the columns. Effects are
     # contrasts of the coefficients without those of the loads.
-    first, sessions = linear.shape[1], columns.shape[1] // 4
+    first = linear.shape[1]
+    sessions = columns.shape[1] // 4
     count = first + 1 + columns.shape[1]
     contrasts = np.eye(count)[first:]
     # Offset and scale of a session: relative to the mean over the sessions.
@@ -510,7 +519,8 @@ def _posterior(
     # digits.
     basis, sizes, right = _directions(columns)
     parts = right.T / sizes
-    back, along = contrasts @ parts, basis.T @ y
+    back = contrasts @ parts
+    along = basis.T @ y
     pull = parts.T * prior @ parts  # the prior pulls coefficients towards zero
     residual_data = y - basis @ along
     results: list[tuple[Floats, Floats, Floats]] = []
@@ -518,7 +528,8 @@ def _posterior(
         b, data = vectors.T @ basis, vectors.T @ residual_data
         products = b[:, :, None] * b[:, None]
         normal = (inverse @ products.reshape(len(b), -1)).reshape(len(inverse), *[b.shape[1]] * 2)
-        right, square = inverse @ (b * data[:, None]), inverse @ data**2
+        right = inverse @ (b * data[:, None])
+        square = inverse @ data**2
         # The prior counts relative to the process variance, which follows from it.
         variance, posterior, covariances, estimate = np.ones(len(inverse)), *(normal,) * 2, right
         for _ in range(2):
@@ -552,7 +563,8 @@ def _half_widths(
     `free`: degrees of freedom.
     """
     n, outputs = moved.shape
-    half_width, freedom = np.empty_like(deviation), np.full(len(deviation), float(free))
+    half_width = np.empty_like(deviation)
+    freedom = np.full(len(deviation), float(free))
     misfits = np.empty(outputs)
     for output in range(outputs):
         b = np.column_stack((terms, np.ones(n), columns[:, :, output]))
@@ -587,5 +599,6 @@ def _covariances(x: Floats, space: Space) -> Iterator[Floats]:
         *axes, joint = (matern(np.exp(theta) * square, 0)[0] for square in squares)
         for joint_weight, kink_weight in JOINT_AND_KINK_WEIGHTS:
             matrix = sum(axes) + joint_weight * joint + kink_weight * kinks
-            across, at_zero = matrix[:-1, -1], matrix[-1, -1]
+            across = matrix[:-1, -1]
+            at_zero = matrix[-1, -1]
             yield (matrix[:-1, :-1] - np.outer(across, across) / at_zero) / at_zero

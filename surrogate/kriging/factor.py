@@ -225,7 +225,8 @@ def factorise(
         matrix = table[np.ix_(indices, indices)]
     inverse = _factored(subset, group.noise, matrix, hyperparameters, settings.nugget, settings)
     precision = inverse.TF.T @ inverse.TF + np.eye(inverse.TF.shape[1]) / settings.mean_variance
-    mean_covariance, none = np.asarray(np.linalg.inv(precision), dtype=float), np.empty(0)
+    mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
+    none = np.empty(0)
     parts = hyperparameters, inverse.nugget, inverse.T, inverse.TF
     blank = KrigingFactor(*parts, subset, group, mean_covariance, none, none, none)
     return blank.of_data(subset.data[subset.known][:, group.outputs])
@@ -253,7 +254,8 @@ def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
 
     `labels` (r,): group of each of the factor's rows; -1 of rows that stay.
     """
-    equations, outputs = factor.equations, len(factor.variance)
+    equations = factor.equations
+    outputs = len(factor.variance)
     sizes = equations.known.sum(axis=1)
     ends = np.cumsum(sizes)
     out = LeftOutRows(
@@ -268,7 +270,8 @@ def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
         indices = np.concatenate([np.arange(ends[row] - sizes[row], ends[row]) for row in rows])
         # T is triangular: its entries above the group are zero.
         below = factor.T[indices[0] :, indices]
-        block, means = below.T @ below, below.T @ factor.TF[indices[0] :]
+        block = below.T @ below
+        means = below.T @ factor.TF[indices[0] :]
         diagonal = np.diag_indices_from(block)
         block[diagonal] += REGULAR * block[diagonal].mean()
         covariance = np.linalg.inv(block - means @ factor.mean_covariance @ means.T)
@@ -321,7 +324,9 @@ class Neighbourhoods:
         `of_all_rows`: sigma is that of all rows, however many.
         """
         x, known = factor.equations.x, factor.equations.known
-        self.equations, self.factor, self.settings = equations, factor, settings
+        self.equations = equations
+        self.factor = factor
+        self.settings = settings
         self.size = known.sum(axis=1)
         self.plain_size = known[:, : 1 + x.shape[1]].sum(axis=1)
         all_first = np.roll(factor.hyperparameters.groups, 1, axis=0)
@@ -383,7 +388,8 @@ class Neighbourhoods:
             + np.arange(subset.n_derivatives)
         )[known]
         number = self._numbers[near][known]
-        noise, within = factor.output_group.noise[near], table[np.ix_(number, number)]
+        noise = factor.output_group.noise[near]
+        within = table[np.ix_(number, number)]
         model = factor.hyperparameters
         inverse = _factored(subset, noise, within, model, factor.nugget, self.settings)
         return LocalFactor(model, inverse.nugget, inverse.T, inverse.TF, columns, number)
@@ -398,9 +404,11 @@ class Neighbourhoods:
         squared = np.empty(len(x))
         number = np.zeros(len(x), dtype=np.intp) if self.is_global else self.number[self.nearest(x)]
         for anchor in np.unique(number).tolist():
-            queries, local = np.flatnonzero(number == anchor), self.local_factors[anchor]
+            queries = np.flatnonzero(number == anchor)
+            local = self.local_factors[anchor]
             # Each point separately, so that its digits do not depend on the other points.
-            near, mean = across[np.ix_(queries, local.columns)], terms[queries]
+            near = across[np.ix_(queries, local.columns)]
+            mean = terms[queries]
             reduced, unexplained = (
                 part[:, 0] for part in local.explained(near[:, None], mean[:, None])
             )

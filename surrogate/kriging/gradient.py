@@ -25,7 +25,8 @@ def contracted(
     The derivatives are by the logarithms of the hyperparameters.
     """
     # Sums of the symmetric matrix over the entries of each derivative.
-    n, count = len(equations), equations.n_derivatives
+    n = len(equations)
+    count = equations.n_derivatives
     full = np.zeros((n, count, n, count))
     known = np.flatnonzero(equations.known)
     full.reshape(n * count, n * count)[np.ix_(known, known)] = sensitivity
@@ -39,9 +40,12 @@ def contracted(
     delta = np.concatenate(
         (equations.x[first] - equations.x[second], np.zeros((1, equations.loads)))
     )
-    parts, delta = gather @ pairs.reshape(len(pairs), -1).T, np.ascontiguousarray(delta.T)
-    order, loads = 2 * order_of(equations.n_derivatives, equations.loads), equations.loads
-    by_rate, by_weight = np.zeros(loads), []
+    parts = gather @ pairs.reshape(len(pairs), -1).T
+    delta = np.ascontiguousarray(delta.T)
+    order = 2 * order_of(equations.n_derivatives, equations.loads)
+    loads = equations.loads
+    by_rate = np.zeros(loads)
+    by_weight = []
     for rates, weight in zip(*hyperparameters.terms, strict=True):
         chosen = np.flatnonzero(rates)
         columns = parts[list(positions_of(loads, tuple(chosen.tolist()), order))]
@@ -63,10 +67,12 @@ def _by_rates(parts: Floats, delta: Floats, rates: Floats, order: int, smoothnes
         zip(listed, derivatives_of_term(delta, rates, order, smoothness, 1), strict=True)
     )
     total = sum(part * derivatives[index] for part, index in zip(parts, listed, strict=True))
-    once, twice = np.zeros_like(delta), np.zeros(len(rates))
+    once = np.zeros_like(delta)
+    twice = np.zeros(len(rates))
     for part, index in zip(parts, listed, strict=True):
         for load in set(index):
-            lower_index, count = list(index), index.count(load)
+            lower_index = list(index)
+            count = index.count(load)
             lower_index.remove(load)
             once[load] += count * part * derivatives[tuple(lower_index)]
             if count > 1:

@@ -74,13 +74,15 @@ def spread_points(
     known = np.ones((len(x), 1), dtype=bool)
     weighted = list(zip(kernels, signal_to_noise / len(signal_to_noise), strict=True))
     prior = sum(float(kernel.prior(1)[0]) * weight for kernel, weight in weighted)
-    remaining, chosen = np.full(len(x), prior), list[int]()
+    remaining = np.full(len(x), prior)
+    chosen = list[int]()
     most = min(settings.inducing, len(x) // 2)  # with more one factor of all rows costs less
     reduced = np.empty((most, len(x)))
     while len(chosen) < most:
         if remaining.mean() <= len(chosen) / count:
             return np.array(chosen, dtype=np.intp), True
-        pivot, size = int(np.argmax(np.round(remaining / prior, DECIMALS))), len(chosen)
+        pivot = int(np.argmax(np.round(remaining / prior, DECIMALS)))
+        size = len(chosen)
         if remaining[pivot] <= settings.nugget * prior:
             break
         column = -reduced[:size, pivot] @ reduced[:size]
@@ -177,12 +179,14 @@ def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings)
         prior = _prior_factor(pseudo, estimate.kernels[group.outputs[0]], settings)
         return sums_of(equations, group, pseudo.x, prior)
 
-    factors, noise = list[KrigingFactor](), estimate.noise.copy()
+    factors = list[KrigingFactor]()
+    noise = estimate.noise.copy()
     groups = output_groups(relative, typical, settings, estimate.kernels)
     # Each group in a thread of its own, with the same bits on any number of processors.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for sums in pool.map(summed, groups):
-            likely, outputs = likely_noise(sums, settings), sums.outputs
+            likely = likely_noise(sums, settings)
+            outputs = sums.outputs
             # The noise of an output that does not vary says nothing about the others' noise.
             varying = estimate.noise[outputs] > 0
             if varying.any():
@@ -199,7 +203,8 @@ def _inducing_rows(
 
     `typical` (6,), spreads squared: mean unit noise of the rows.
     """
-    count, variance = len(equations), estimate.variance
+    count = len(equations)
+    variance = estimate.variance
     fits_one_factor = count <= settings.dense_equations
     noisy = np.flatnonzero(estimate.noise * typical > settings.nugget * variance)
     if not len(noisy) and fits_one_factor:
@@ -219,7 +224,8 @@ def _without_readings(equations: Equations) -> Equations:
 
     Their arrays have columns for slopes, as the equations of other krigings.
     """
-    shape, n_derivatives = equations.measured.shape, 1 + equations.loads
+    shape = equations.measured.shape
+    n_derivatives = 1 + equations.loads
     return replace(
         equations,
         known=np.arange(n_derivatives) < equations.known,
@@ -233,7 +239,8 @@ def _without_readings(equations: Equations) -> Equations:
 
 def _prior_factor(pseudo: Equations, kernel: Hyperparameters, settings: KrigingSettings) -> Factor:
     z, known = pseudo.x, pseudo.known
-    matrix, prior = covariance(z, known, z, known, kernel), np.tile(kernel.prior(1), len(z))
+    matrix = covariance(z, known, z, known, kernel)
+    prior = np.tile(kernel.prior(1), len(z))
     matrix[np.diag_indices_from(matrix)] += settings.nugget * prior
     inverse, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)
     return Factor(kernel, nugget, inverse, inverse @ mean_terms(z, known))
@@ -242,11 +249,14 @@ def _prior_factor(pseudo: Equations, kernel: Hyperparameters, settings: KrigingS
 def sums_of(equations: Equations, group: OutputGroup, z: Floats, prior: Factor) -> Sums:
     """Return the sums over the rows of a group, in blocks; `z` are the inducing wrenches (m, 6)."""
     kernel, loads, outputs = prior.hyperparameters, equations.loads, group.outputs
-    A, moments = np.zeros((len(z), len(z))), np.zeros((1 + loads, 1 + loads + len(outputs)))
-    crossed, square = np.zeros((len(z), moments.shape[1])), np.zeros(len(outputs))
+    A = np.zeros((len(z), len(z)))
+    moments = np.zeros((1 + loads, 1 + loads + len(outputs)))
+    crossed = np.zeros((len(z), moments.shape[1]))
+    square = np.zeros(len(outputs))
     for start in range(0, len(group.rows), ROWS):
         rows = group.rows[start : start + ROWS]
-        x, values = equations.x[rows], equations.data[rows, 0][:, outputs]
+        x = equations.x[rows]
+        values = equations.data[rows, 0][:, outputs]
         explained = values_between(x, z, kernel) @ prior.T.T
         precision = 1 / group.noise[start : start + ROWS]
         terms = np.concatenate((np.ones((len(rows), 1)), x, values), axis=1)
@@ -278,7 +288,8 @@ def likely_noise(sums: Sums, settings: KrigingSettings) -> LikelyNoise:
     total = sums.square - np.einsum("ak,ak->k", sums.h, of_data)
     freedom = sums.rows - len(H) + sums.repeats
     logarithms = np.arange(*settings.ratio_bounds, STEP)
-    ratios, values = np.exp(logarithms)[:, None], np.maximum(values, 0.0)
+    ratios = np.exp(logarithms)[:, None]
+    values = np.maximum(values, 0.0)
     residual = total + sums.scatter - (1 / (values + ratios)) @ squares
     variance = np.maximum(residual / ratios / freedom, ROUNDING)
     unlikely = freedom * (np.log(variance) + logarithms[:, None])
@@ -293,7 +304,8 @@ def posterior_factor(
     sums: Sums, likely: LikelyNoise, pseudo: Equations, settings: KrigingSettings
 ) -> KrigingFactor:
     """Return the factor of a group's outputs (k,); their readings are written to `pseudo`."""
-    prior, ratio = sums.prior, float(np.exp(np.log(likely.ratios).mean()))
+    prior = sums.prior
+    ratio = float(np.exp(np.log(likely.ratios).mean()))
     A, G, H, b, h = (part / ratio for part in (sums.A, sums.G, sums.H, sums.b, sums.h))
     values, vectors = np.linalg.eigh(A)
     values = np.maximum(values, 0.0)

@@ -183,7 +183,9 @@ class Kriging:
 
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
-        x, spread, offset = self.scaling.loads(wrenches), self.scaling.spread, self.scaling.offset
+        x = self.scaling.loads(wrenches)
+        spread = self.scaling.spread
+        offset = self.scaling.offset
         displacement, error_bars = np.empty((2, len(x), len(spread)))
         with single_thread():
             for part in self._chunks(len(x)):
@@ -199,10 +201,13 @@ class Kriging:
         answers err by more.
         """
         n_outputs = self.weights.shape[2]
-        errors, known = np.empty((len(x), n_outputs)), np.empty((len(x), n_outputs), dtype=bool)
+        errors = np.empty((len(x), n_outputs))
+        known = np.empty((len(x), n_outputs), dtype=bool)
         values = self.coefficients[0] + (x[:, None] @ self.coefficients[1:])[:, 0]
-        weights, terms = self.weights.reshape(-1, n_outputs), self.equations.n_derivatives
-        kernel, across = None, np.empty((0, 0))
+        weights = self.weights.reshape(-1, n_outputs)
+        terms = self.equations.n_derivatives
+        kernel = None
+        across = np.empty((0, 0))
         for neighbours, calibration in zip(self.neighbourhoods, self.calibrations, strict=True):
             outputs = neighbours.factor.output_group.outputs
             if neighbours.factor.hyperparameters is not kernel:
@@ -306,7 +311,8 @@ class _TrainingData(NamedTuple):
         if len(rows) > settings.many_rows and not np.isfinite(rows.compliance).any():
             chosen = evenly(len(rows), settings.most_rows)
             few, behind = rows.take(chosen), observations.take(chosen)
-            equations, total = values_of(few, scaling, behind, settings), len(rows)
+            equations = values_of(few, scaling, behind, settings)
+            total = len(rows)
         else:
             equations = equations_of(rows, scaling, observations, settings)
             if len(equations) < settings.min_rows:
@@ -346,7 +352,9 @@ class _Model(NamedTuple):
     @classmethod
     def of(cls, data: _TrainingData, settings: KrigingSettings) -> _Model:
         """Estimate covariances and noise."""
-        equations, scaling, through = data.equations, data.scaling, None
+        equations = data.equations
+        scaling = data.scaling
+        through = None
         values_alone = equations.n_derivatives == 1
         some = equations.take(evenly(len(equations), CANDIDATES)) if values_alone else equations
         estimate = estimated(some, scaling, data.kinds[0].queries, settings)
@@ -369,7 +377,8 @@ class _Model(NamedTuple):
         else:
             if values_alone:
                 equations = equations_of(data.rows, scaling, data.observations, settings)
-            equations, inducing = replace(equations, noise=equations.unit_noise * noise), []
+            equations = replace(equations, noise=equations.unit_noise * noise)
+            inducing = []
             of_equations = f" of {data.total}" if is_part else ""
             detail = f"kriging, one factor over {len(equations)}{of_rows} rows "
             detail += f"({equations.count}{of_equations} equations)"
@@ -386,7 +395,8 @@ class _Model(NamedTuple):
         for number, group in enumerate(groups):
             kernel = estimate.kernels[group.outputs[0]]
             if kernel is not previous:
-                table, previous = covariance(x, known, x, known, kernel), kernel
+                table = covariance(x, known, x, known, kernel)
+                previous = kernel
             if self.inducing:
                 yield self.inducing[number], table
                 continue

@@ -34,7 +34,8 @@ def negative_log_likelihood(
     """
     hyperparameters = _hyperparameters(logarithms, equations)
     outputs = sum(len(group.outputs) for group in groups)
-    value, gradient = 0.0, np.zeros(len(logarithms))
+    value = 0.0
+    gradient = np.zeros(len(logarithms))
     for group in groups:
         try:
             factor = factorise(equations, hyperparameters, group, settings)
@@ -132,7 +133,8 @@ def spread_rows(equations: Equations, max_equations: int) -> NDArray[np.intp]:
 
     Shape (k,): indices of the rows.
     """
-    total, chosen = 0, []
+    total = 0
+    chosen = []
     for row in farthest_first(equations.x):
         total += int(equations.known[row].sum())
         if chosen and total > max_equations:

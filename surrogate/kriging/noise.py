@@ -86,7 +86,8 @@ def noisy_rows(
     equations: Equations, scaling: Scaling, settings: KrigingSettings
 ) -> list[NoisyRows]:
     """Return the rows whose noise is estimated, for each group of outputs."""
-    unit, noisy = equations.unit_noise, []
+    unit = equations.unit_noise
+    noisy = []
     with_noise = _with_noise(equations, scaling)
     size = np.log(np.where(with_noise, unit, 1.0)).sum(axis=0)
     scale = np.exp(size / np.maximum(with_noise.sum(axis=0), 1))
@@ -96,7 +97,9 @@ def noisy_rows(
         if not len(outputs):
             continue
         rows = equations.take(group.rows)
-        known, basis, squares = rows.known, np.empty((0, 0)), np.empty((0, 0))
+        known = rows.known
+        basis = np.empty((0, 0))
+        squares = np.empty((0, 0))
         parts = np.zeros(known.shape)
         parts[:, 0] = group.noise
         if (parts[known] > 0).all():
@@ -139,9 +142,12 @@ def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings
 
     Raises SingularCovarianceError if solves contradict each other.
     """
-    x, known, terms = rows.equations.x, rows.equations.known, []
+    x = rows.equations.x
+    known = rows.equations.known
+    terms = []
     if len(rows.squares):
-        matrix, pairs = np.empty((len(x), len(x))), np.triu_indices(len(x))
+        matrix = np.empty((len(x), len(x)))
+        pairs = np.triu_indices(len(x))
         rates, weights = kernel.terms
         terms = [matern(rate @ rows.squares, 1, kernel.smoothness) for rate in rates]
         matrix[pairs] = sum(weight * m[0] for weight, m in zip(weights, terms, strict=True))
@@ -150,19 +156,23 @@ def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings
         matrix = covariance(x, known, x, known, kernel)
     prior = np.tile(kernel.prior(rows.equations.n_derivatives), (len(x), 1))[known]
     matrix[np.diag_indices_from(matrix)] += settings.nugget * prior
-    data, exact = rows.equations.data[known][:, rows.outputs], rows.parts <= 0
+    data = rows.equations.data[known][:, rows.outputs]
+    exact = rows.parts <= 0
     white = 1 / np.sqrt(rows.parts[~exact])
     if not exact.any():
         basis = white[:, None] * rows.basis
         values, vectors = np.linalg.eigh(basis.T @ matrix @ basis)
-        rotation, count, logarithm = vectors.T @ basis.T, 0, 0.0
+        rotation = vectors.T @ basis.T
+        count = 0
+        logarithm = 0.0
     else:
         mean = mean_terms(x, known)
         matrix += settings.mean_variance * mean @ mean.T
         inverse, _ = inverse_factor(
             matrix[np.ix_(exact, exact)], settings.nugget, settings.nugget_limit, prior[exact]
         )
-        count, logarithm = len(inverse), -float(np.log(np.diag(inverse)).sum())
+        count = len(inverse)
+        logarithm = -float(np.log(np.diag(inverse)).sum())
         across = inverse @ matrix[np.ix_(exact, ~exact)]
         remainder = matrix[np.ix_(~exact, ~exact)] - across.T @ across
         values, vectors = np.linalg.eigh(white[:, None] * remainder * white)
@@ -211,7 +221,8 @@ def negative_log_posterior(
     """
     example = groups[0].equations
     kernel = Hyperparameters.of_logarithms(logarithms, example.groups, example.smoothness)
-    total, gradient = 0.0, np.zeros(len(logarithms))
+    total = 0.0
+    gradient = np.zeros(len(logarithms))
     centre, deviation = settings.length_prior
     away = (logarithms[: example.loads] - centre) / deviation
     total, gradient[: example.loads] = 0.5 * float(away @ away), away / deviation
@@ -368,14 +379,16 @@ def _fitted(
     centre, deviation = settings.length_prior
     lengths = logarithms[:, : search[0].equations.loads]
     prior = 0.5 * (((lengths - centre) / deviation) ** 2).sum(axis=1)
-    joint, weights = -prior, []
+    joint = -prior
+    weights = []
     for group in range(len(complete)):
         values = np.array([item.posteriors[group].values for item in candidates])  # (kernels, g, k)
         joint = joint + np.logaddexp.reduce(-values, axis=1).sum(axis=1)
         values += prior[:, None, None]
         weight = np.exp(values.min(axis=(0, 1)) - values)
         weights.append(weight / weight.sum(axis=(0, 1)))
-    chosen, kernels = int(np.argmax(joint)), [candidate.kernel for candidate in candidates]
+    chosen = int(np.argmax(joint))
+    kernels = [candidate.kernel for candidate in candidates]
     estimates = {}
     for group, rows in enumerate(complete):
         posteriors = [candidate.posteriors[group] for candidate in candidates]
@@ -390,7 +403,8 @@ def _candidates(
 ) -> list[_Candidate]:
     """Return the likely kernels whose covariance is not singular, at least one."""
     example = search[0].equations
-    candidates, singular = [], SingularCovarianceError()
+    candidates = []
+    singular = SingularCovarianceError()
     for row in _likely_logarithms(search, settings):
         kernel = Hyperparameters.of_logarithms(row, example.groups, example.smoothness)
         try:  # solves may bear the likeliest lengths and not those shifted from them
@@ -467,7 +481,8 @@ def _noise_quantile(
     posterior, itself uncertain, was a third of the noise of 30 to 60 rows.
     """
     noises = np.concatenate([item.noise[:, index] for item in posteriors])
-    order, weights = np.argsort(noises), weight[:, :, index].ravel()
+    order = np.argsort(noises)
+    weights = weight[:, :, index].ravel()
     below = np.cumsum(weights[order]) - weights[order] / 2
     return float(np.exp(np.interp(level, below, np.log(noises[order]))))
 

@@ -82,7 +82,9 @@ def _dependence(differences: Floats, squared_step: float) -> float:
 
     `squared_step`: mean squared difference of consecutive rows of one visit.
     """
-    count, total, ratio = len(differences), float(differences @ differences), 1.0
+    count = len(differences)
+    total = float(differences @ differences)
+    ratio = 1.0
     confirmed = 1 - squared_step * count / total if total else 0.0
     for lag in range(1, count // 2):
         correlation = float(differences[lag:] @ differences[:-lag]) / (total or 1.0)

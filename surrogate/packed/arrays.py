@@ -233,15 +233,18 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
         described = {} if block is None else {array.name: array for array in block.arrays}
         lacking = {array.name for array in described.values() if not array.optional} - names
         if names - set(described) or lacking:
-            what, wrong = "lacks", lacking
+            what = "lacks"
+            wrong = lacking
             if not lacking:
-                what, wrong = "has unknown arrays:", names - set(described)
+                what = "has unknown arrays:"
+                wrong = names - set(described)
             listed = ", ".join(sorted(wrong))
             raise PackedTableError(f"{start} {what} {listed}; build the table again")
         sizes = dict(table)
         # In the order of names, so that the same array is named each time.
         for name in sorted(names):
-            array, values = described[name], arrays[start + name]
+            array = described[name]
+            values = arrays[start + name]
             dimensions = array.shape.split()
             same = values.dtype == TYPES[array.type] and values.ndim == len(dimensions)
             for symbol, size in zip(dimensions, values.shape, strict=False):

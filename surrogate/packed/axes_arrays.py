@@ -101,7 +101,8 @@ def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> dict[str, Arr
     named: dict[str, Array] = arrays._asdict()
     for moment, cuts in enumerate(axes.cuts):
         for cut in cuts:
-            name, count = f"cut{moment}{cut.column - 1}", len(cut.state)
+            name = f"cut{moment}{cut.column - 1}"
+            count = len(cut.state)
             stations = cut.stations if count else np.empty(0)
             named[f"{name}/state"], named[f"{name}/stations"] = cut.state.astype(np.int32), stations
             named[f"{name}/outputs"] = cut.outputs.reshape(count, 2, 6)
@@ -113,9 +114,11 @@ def _grids(
     tables: Sequence[AxisTable | None], first_simplex: list[int]
 ) -> tuple[Floats, NDArray[np.int32], NDArray[np.int32]]:
     """Return `floats`, `ints` and `grid` of `AxesArrays`."""
-    floats, ints = np.zeros((3, FLOATS)), np.zeros((3, INTS), dtype=np.int32)
+    floats = np.zeros((3, FLOATS))
+    ints = np.zeros((3, INTS), dtype=np.int32)
     ints[:, DIMENSION] = -1
-    grids, cells = [np.empty(0, dtype=np.int32)], 0
+    grids = [np.empty(0, dtype=np.int32)]
+    cells = 0
     for axis, table in enumerate(tables):
         if table is None:
             continue
@@ -209,7 +212,8 @@ def _members_of(
     """Return the members of some groups (k,): the index in `which` of each, and the member."""
     sizes = np.fromiter(map(len, groups), np.int64, len(groups))
     members = np.fromiter(chain.from_iterable(groups), np.int64, int(sizes.sum()))
-    ends, counts = np.cumsum(sizes), sizes[which]
+    ends = np.cumsum(sizes)
+    counts = sizes[which]
     owner = np.repeat(np.arange(len(which)), counts)
     return owner, members[(ends[which] - np.cumsum(counts))[owner] + np.arange(len(owner))]
 
@@ -237,10 +241,13 @@ def numbered_of(shape: Triangulation) -> Numbered:
     """Return a triangulation numbered for walks."""
     numbered = _KNOWN.get(shape)
     if numbered is None:
-        local, dimension = shape.local_coordinates(shape.points), shape.dimension
+        local = shape.local_coordinates(shape.points)
+        dimension = shape.dimension
         weights = shape.weights if dimension == 3 else shape.weights @ shape.basis.T
-        points, way = curve_order(local), curve_order(local[shape.simplices].mean(axis=1))
-        new_point, new_simplex = np.empty(len(points), np.intp), np.empty(len(way) + 1, np.intp)
+        points = curve_order(local)
+        way = curve_order(local[shape.simplices].mean(axis=1))
+        new_point = np.empty(len(points), np.intp)
+        new_simplex = np.empty(len(way) + 1, np.intp)
         new_point[points] = np.arange(len(points))
         new_simplex[way], new_simplex[-1] = np.arange(len(way)), -1
         simplex = np.zeros((len(way), 8), dtype=np.int32)
@@ -253,7 +260,8 @@ def numbered_of(shape: Triangulation) -> Numbered:
         for corner in range(dimension):
             maps[:, 3 * corner : 3 * corner + dimension] = weights[way, corner]
         maps[:, 9:] = positions[simplex[:, dimension]]
-        floats, ints = np.zeros(FLOATS), np.zeros(INTS, dtype=np.int32)
+        floats = np.zeros(FLOATS)
+        ints = np.zeros(INTS, dtype=np.int32)
         floats[:3], ints[CELLS : CELLS + 3], ints[DIMENSION] = 1.0, 1, dimension
         floats[ORIGIN : ORIGIN + 3], floats[SLACK] = shape.origin, shape.slack
         floats[BASIS : BASIS + 3 * dimension] = shape.basis.ravel()

@@ -117,13 +117,18 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
 
 def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
     """Yield the arrays of the solver's error."""
-    error, n = table.solver_error, len(table.load_range.low)
-    by_tangent, known, linear, linearity_known = False, table.bars_are_complete, False, True
+    error = table.solver_error
+    n = len(table.load_range.low)
+    by_tangent = False
+    known = table.bars_are_complete
+    linear = False
+    linearity_known = True
     arrays = SolverError({"loads": [0.0] * n}).packed
     if error is not None:
         arrays = error.packed
         by_tangent, known = error.stiffness is not None, error.mesh is not None
-        linear, linearity_known = "linearity" in error.values, error.linearity is not None
+        linear = "linearity" in error.values
+        linearity_known = error.linearity is not None
     flags = [by_tangent, known, linear, linearity_known, table.bars_are_complete]
     yield "solver/flags", np.array(flags, dtype=np.int32)
     yield from named("solver/", arrays).items()
@@ -267,7 +272,8 @@ def _factor_arrays(
     count = len(local_factors)
     most = max(len(local.columns) for local in local_factors)
     padded = -(-most // PANEL) * PANEL
-    number, least = np.zeros(stride, dtype=np.int32), np.full(stride, np.inf)
+    number = np.zeros(stride, dtype=np.int32)
+    least = np.full(stride, np.inf)
     columns = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
     unsettled = np.zeros((count, local_factors[0].TF.shape[1], padded))

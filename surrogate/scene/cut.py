@@ -111,7 +111,8 @@ def _cut_rows(rows: Arrays, need: Need) -> Arrays:
 
 def _cut_kriging(kriging: Arrays, need: Need, needs_all: bool) -> Arrays:
     """Return a kriging, without factors of outputs that are not read unless all are needed."""
-    count, outputs = int(kriging["factor_count"][0]), list(need.outputs)
+    count = int(kriging["factor_count"][0])
+    outputs = list(need.outputs)
     factors = [block_of(kriging, f"factor{number}/") for number in range(count)]
     stay = [
         number
@@ -192,7 +193,8 @@ def _cut_axes(block: Arrays, loaded: Mask) -> Arrays:
 
 def _renumbered(axes: AxesArrays, points: _Selected, simplices: _Selected) -> Floats:
     """Return the selected simplices (s, 16) with new numbers of points and neighbours."""
-    simplex_rows, axis = axes.simplex[simplices.entries], simplices.part
+    simplex_rows = axes.simplex[simplices.entries]
+    axis = simplices.part
     ints = np.ascontiguousarray(simplex_rows[:, :4]).view(np.int32)
     corner = np.arange(4) <= axes.ints[axis, DIMENSION][:, None]
     ints[:, :4] -= np.where(corner, points.removed[axis, None], 0).astype(np.int32)

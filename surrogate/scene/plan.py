@@ -237,18 +237,21 @@ def _bound(table: Table, need: Need) -> tuple[Floats, str]:
     the slopes: see `_by_answers`. NaN where it is unknown.
     """
     space, largest_loads = need.span.space, need.span.largest
-    bound, why = np.full(len(space.outputs), np.nan), NO_ROWS
+    bound = np.full(len(space.outputs), np.nan)
+    why = NO_ROWS
     if not table.linear and not space.is_default:
         return bound, LOOKED_UP  # with many inputs there are too many corners
     solver = np.zeros(len(bound))
     if table.solver_error is not None:  # the solver's error is largest at the largest loads
         parts = table.solver_error.parts(largest_loads).values()
         solver = solver + sum(np.array(part) for part in parts if part is not None)
-    answered, by_slopes = np.zeros_like(bound), np.full_like(bound, np.nan)
+    answered = np.zeros_like(bound)
+    by_slopes = np.full_like(bound, np.nan)
     if not table.linear:
         answered, by_slopes = _by_answers(table, need)
     for group in table.groups:
-        outputs, fit = list(group.outputs), group.fit
+        outputs = list(group.outputs)
+        fit = group.fit
         if not len(group.used):
             continue
         unknown = np.flatnonzero(need.occurring & ~fit.known)
@@ -298,7 +301,8 @@ def _single_compliance(table: Table, need: Need) -> tuple[Floats | None, str]:
     """
     if need.tolerance is None:
         return None, "its table is used, because no tolerance says what may be left out; set one"
-    wrenches, read = _sample(need), list(need.outputs)
+    wrenches = _sample(need)
+    read = list(need.outputs)
     answers = packed_of(table).batch(wrenches, allowed_by(need.tolerance))
     scale = table.load_range.scale
     finite = np.asarray(np.isfinite(answers.outputs).all(axis=0))

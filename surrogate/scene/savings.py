@@ -70,7 +70,8 @@ def measured(table: Table, plan: ScenePlan) -> Savings:
 
 def _us(table: PackedTable, wrenches: Floats) -> float:
     """Return the time of one answer, µs: the best of some runs."""
-    queries, times = [tuple(wrench) for wrench in wrenches.tolist()], []
+    queries = [tuple(wrench) for wrench in wrenches.tolist()]
+    times = []
     for _ in range(RUNS):
         started = perf_counter()
         for wrench in queries:

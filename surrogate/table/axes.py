@@ -34,11 +34,13 @@ def has_levels(points: Floats) -> bool:
 
 def _levels(values: Floats) -> int:
     """Return the number of groups of values that are `MIN_STEP` of their span apart."""
-    count, last = 0, -np.inf
+    count = 0
+    last = -np.inf
     step = MIN_STEP * min(float(np.ptp(values)) / 2, 1.0)
     for value in np.sort(values).tolist():
         if value > last + step:
-            count, last = count + 1, value
+            count = count + 1
+            last = value
     return count
 
 

@@ -91,7 +91,8 @@ def _stored(rows: Rows, load_range: LoadRange) -> ComplianceFit:
     row = int(sizes.max(axis=1).argmin())
     offset = rows.displacement[row] - moved[row]
     # Translations and rotations, (2, 3), of each interface.
-    of_kinds, sizes_of_kinds = offset.reshape(-1, 3), sizes[row].reshape(-1, 3)
+    of_kinds = offset.reshape(-1, 3)
+    sizes_of_kinds = sizes[row].reshape(-1, 3)
     is_rounding = np.abs(of_kinds).max(axis=1) <= SAME_LINE * sizes_of_kinds.max(axis=1)
     error = np.ptp(rows.compliance, axis=0) / 2 @ load_range.largest
     return ComplianceFit(
@@ -112,7 +113,8 @@ def _from_displacements(rows: Rows, load_range: LoadRange, *, linear: bool) -> C
         none = np.zeros(shape[1], dtype=bool)
         return ComplianceFit(np.zeros(shape), none, np.zeros(shape[0]), "none")
     basis, sizes, directions = np.linalg.svd(scaled, full_matrices=False)
-    basis, spanned = basis[:, sizes > RANK * sizes[0]], directions[sizes > RANK * sizes[0]]
+    basis = basis[:, sizes > RANK * sizes[0]]
+    spanned = directions[sizes > RANK * sizes[0]]
     # A load is determined if its unit vector lies in the span of the rows' wrenches.
     known = (spanned**2).sum(axis=0) > 1 - OFF_SPAN
     columns, *_ = np.linalg.lstsq(scaled, rows.displacement, rcond=RANK)

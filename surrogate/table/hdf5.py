@@ -80,7 +80,8 @@ def write_table(
 
     Raises OSError if the folder cannot be written; the earlier file is then unchanged.
     """
-    target, content = Path(path), BytesIO()
+    target = Path(path)
+    content = BytesIO()
     with h5py.File(content, "w", userblock_size=USER_BLOCK) as file:
         _write_meta(file, meta)
         _write_rows(file, rows)
@@ -160,7 +161,8 @@ def _write_meta(file: h5py.File, meta: TableMeta) -> None:
         bound = file.create_dataset(f"load_range/{name}", data=getattr(meta.load_range, name))
         bound.attrs["units"] = _UNITS["wrench"]
     if meta.edits is not None:
-        kind, group = h5py.string_dtype("utf-8", KEY_DIGITS), file.create_group("edits")
+        kind = h5py.string_dtype("utf-8", KEY_DIGITS)
+        group = file.create_group("edits")
         keys = np.array([key.encode() for key, _, _ in meta.edits], dtype=kind)
         _write_column(group, "key", keys)
         _write_column(group, "withdrawn", np.array([gone for _, gone, _ in meta.edits], dtype=bool))
@@ -213,7 +215,8 @@ def _check_schema(file: h5py.File, source: Path) -> None:
 def _read_meta(file: h5py.File) -> TableMeta:
     """Return the metadata from the attributes of a table file."""
     low, high = (_numbers(file, f"load_range/{name}") for name in ("low", "high"))
-    space, attributes = _read_space(file), cast("Any", file.attrs)
+    space = _read_space(file)
+    attributes = cast("Any", file.attrs)
     off_axis = str(attributes.get("off_axis", "correct"))
     if off_axis not in get_args(OffAxis):
         choices = ", ".join(get_args(OffAxis))
@@ -483,7 +486,8 @@ def _named_columns(file: h5py.File) -> list[NamedColumn]:
     inside = [dataset for name, dataset in file.items() if not name.startswith("#")]
     for _ in range(MAX_DEPTH):
         if len(inside) == 1 and isinstance(inside[0], h5py.Group):
-            group, inside = inside[0], list(inside[0].values())
+            group = inside[0]
+            inside = list(inside[0].values())
     if inside and all(isinstance(member, h5py.Group) for member in inside):
         groups = ", ".join(list(group)[:MAX_LISTED])
         raise TableFileError(

@@ -94,7 +94,8 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     order = np.lexsort((rows.seq, -(scaled**2).sum(axis=1), loaded, owner))
     first = order[np.cumsum(sizes) - sizes]
     order, starts = _several(owner)
-    part, present = rows.take(order), present[order]
+    part = rows.take(order)
+    present = present[order]
     mean = _means(part.displacement, starts, ())
     high = np.maximum.reduceat(np.where(present, part.displacement, -np.inf), starts)
     low = np.minimum.reduceat(np.where(present, part.displacement, np.inf), starts)
@@ -138,7 +139,8 @@ class RowIndex:
     """
 
     def __init__(self, wrenches: Floats, scale: Floats) -> None:
-        self._wrenches, self._scale = wrenches, scale
+        self._wrenches = wrenches
+        self._scale = scale
         roots = np.sqrt(np.array(_PRIMES[: len(scale)], dtype=float))
         self.rates = (roots / roots.sum()) / scale
         keys = wrenches @ self.rates
@@ -179,7 +181,8 @@ def row_conflicts(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
     """
     groups = repeated(rows, load_range)
     size = AGREE * np.abs(np.nan_to_num(rows.displacement)).max(axis=0, initial=0.0)
-    names, conflicts = rows.space.output_names, []
+    names = rows.space.output_names
+    conflicts = []
     for indices in groups:
         moved = rows.displacement[indices]
         # NaN where no row measured the output.
@@ -231,12 +234,15 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     near, most = _maybe_near(distinct)
     # Readings of a held load are dense. Readings of one cell are one group, represented by its
     # first reading; cells grow until the remaining pairs fit into memory.
-    shown, cell, edge = np.arange(len(near)), np.arange(len(near)), NEAR
+    shown = np.arange(len(near))
+    cell = np.arange(len(near))
+    edge = NEAR
     tree = KDTree(distinct[near])
     while most > MAX_PAIRS and tree.count_neighbors(tree, NEAR, p=np.inf) > MAX_PAIRS:
         cells = np.floor(distinct[near] / edge)
         _, shown, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        tree, edge = KDTree(distinct[near[shown]]), 2 * edge
+        tree = KDTree(distinct[near[shown]])
+        edge = 2 * edge
     pairs = near[shown[tree.query_pairs(NEAR, p=np.inf, output_type="ndarray")]]
     pairs = np.concatenate((pairs, np.stack((near, near[shown[cell.reshape(-1)]]), axis=1)))
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(distinct),) * 2)
@@ -253,7 +259,8 @@ def _maybe_near(points: Floats) -> tuple[NDArray[np.intp], int]:
     Points that are near each other are near along any direction; few others are near along several
     directions.
     """
-    remaining, most = np.arange(len(points)), 0
+    remaining = np.arange(len(points))
+    most = 0
     directions = np.random.default_rng(0).uniform(0.5, 1.0, (DIRECTIONS, points.shape[1]))
     for direction in directions:
         along = points[remaining] @ direction

@@ -143,7 +143,8 @@ def _symmetric(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[st
 def _extreme_eigenvalues(energies: Floats) -> tuple[Floats, Floats]:
     """Return the smallest and largest eigenvalues of the symmetric parts, (...)."""
     values = np.linalg.eigvalsh((energies + np.swapaxes(energies, -2, -1)) / 2)
-    low, high = values[..., 0], np.maximum(values[..., -1], np.finfo(float).tiny)
+    low = values[..., 0]
+    high = np.maximum(values[..., -1], np.finfo(float).tiny)
     return np.asarray(low, dtype=float), np.asarray(high, dtype=float)
 
 

@@ -102,7 +102,8 @@ class LoadRange:
     @cached_property
     def ends(self) -> Floats:
         """The ends of the range, extended to zero load and by rounding, (2, n)."""
-        slack, zero = ZERO_LOAD * self.scale, self.space.zero
+        slack = ZERO_LOAD * self.scale
+        zero = self.space.zero
         return np.stack((np.minimum(self.low, zero) - slack, np.maximum(self.high, zero) + slack))
 
     def exceeded(self, wrenches: ArrayLike) -> NDArray[np.bool_]:
@@ -188,7 +189,9 @@ class Rows:
     def __post_init__(self) -> None:
         if not self.session.size:
             object.__setattr__(self, "session", np.zeros(len(self.seq)))
-        n, inputs, outputs = len(self.seq), len(self.space.inputs), len(self.space.outputs)
+        n = len(self.seq)
+        inputs = len(self.space.inputs)
+        outputs = len(self.space.outputs)
         absent = np.isnan(self.curvature)
         if absent.all():
             object.__setattr__(self, "curvature", np.empty((n, 0)))

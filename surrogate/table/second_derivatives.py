@@ -78,13 +78,15 @@ def load_change(
     `wrench` (n, I), SI; `displacement` (n, O), m and rad.
     `compliance` (n, O, I), SI: the rows' tangents by (F, M); the result is NaN where they are NaN.
     """
-    free, inputs = np.any(compliance != 0, axis=1), len(space.inputs)
+    free = np.any(compliance != 0, axis=1)
+    inputs = len(space.inputs)
     acting = np.where(free, wrench, 0.0)
     by_load = np.broadcast_to(np.eye(inputs), (*free.shape, inputs)).copy()
     by_motion = np.zeros_like(np.swapaxes(compliance, 1, 2))
     bend = np.zeros((*free.shape, inputs, inputs))
     for first in range(PER_INTERFACE // 2, len(space.outputs), PER_INTERFACE):
-        r, turned = slice(first, first + 3), compliance[:, first : first + 3]
+        r = slice(first, first + 3)
+        turned = compliance[:, first : first + 3]
         # [n, k, i] is J^T's column k: J itself; its slope times the moment is S.
         unit = moment_map(displacement[:, None, r], np.eye(3))
         by_load[:, r, r] = np.swapaxes(unit.value, 1, 2)

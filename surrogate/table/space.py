@@ -182,7 +182,8 @@ class Space:
 
         Values and result have shape (m,), in the outputs' units.
         """
-        rotation, largest = self.is_rotation, np.empty(len(self.outputs))
+        rotation = self.is_rotation
+        largest = np.empty(len(self.outputs))
         for kind in (rotation, ~rotation):
             largest[kind] = values[kind].max(initial=-np.inf)
         return largest

@@ -65,7 +65,8 @@ def weakest(compliances: Floats, scale: Floats) -> tuple[Floats, Floats]:
     Compliances are scaled by `scale`, (n,), SI; the loads are over it, the largest 1. Below zero
     the part moves against the loads; NaN where a compliance is not known.
     """
-    least, loads = np.full(len(compliances), np.nan), np.full(compliances.shape[:2], np.nan)
+    least = np.full(len(compliances), np.nan)
+    loads = np.full(compliances.shape[:2], np.nan)
     known = np.isfinite(compliances).all(axis=(1, 2))
     energy = compliances[known] * np.outer(scale, scale)
     values, vectors = np.linalg.eigh(0.5 * (energy + energy.transpose(0, 2, 1)))

@@ -127,7 +127,8 @@ def _in_child(
     command = [sys.executable, "-P", "-m", "wrenchbook.fea.mesh.cad.child"]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0) as process:
-        request, process.stdin = process.stdin, None  # stays open until the child has answered
+        request = process.stdin  # stays open until the child has answered
+        process.stdin = None
         assert request is not None
         with request:
             with contextlib.suppress(BrokenPipeError):  # its exit status has the cause

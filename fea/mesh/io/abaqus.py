@@ -113,7 +113,8 @@ def radial_axes(axis: Array, out: Array) -> Array:
 
     Raises MeshFileError if the point lies on the axis.
     """
-    around, size = np.cross(axis, out), np.linalg.norm(axis)
+    around = np.cross(axis, out)
+    size = np.linalg.norm(axis)
     if not np.linalg.norm(around) > _ON_AXIS * size * max(size, np.linalg.norm(out)):
         raise MeshFileError("has a node on the axis of its cylinder; use rectangular axes for it")
     return axes_through(np.zeros(3), np.cross(around, axis), around)
@@ -250,7 +251,8 @@ def kind_of(name: str) -> str | None:
 def _take_set(deck: Deck, keyword: Keyword) -> None:
     """Add the members of *NSET or *ELSET; ELSET in *NSET adds the nodes of an element set."""
     sets = deck.node_sets if keyword.word == "NSET" else deck.element_sets
-    name, entries = keyword.option(keyword.word), _members(deck, sets, keyword)
+    name = keyword.option(keyword.word)
+    entries = _members(deck, sets, keyword)
     if keyword.word == "NSET" and "ELSET" in keyword.options:
         for element in named(deck, deck.element_sets, keyword.option("ELSET"), keyword.frame):
             if element not in deck.where:

@@ -213,7 +213,8 @@ def _finish(
     case.supports = [replace(support, group=groups[support.group]) for support in case.supports]
     case.loads = {groups[key]: loads for key, loads in case.loads.items()}
     on_springs = {id(end) for spring in case.springs for end in spring.ends}
-    couplings, case.couplings = case.couplings, []
+    couplings = case.couplings
+    case.couplings = []
     for coupled in couplings:
         coupled.group = faces.get(coupled.group) or groups[coupled.group]
         is_fixed = len(coupled.held) == 6
@@ -313,7 +314,8 @@ def _take_orientation(reader: Reader, _: Deck, keyword: Keyword) -> None:
     else:
         axes = axes_through(origin, first, second)
         if angle:  # rotates the two axes after the axis of the angle, from 1
-            i, j = int(number) % 3, (int(number) + 1) % 3
+            i = int(number) % 3
+            j = (int(number) + 1) % 3
             cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
             axes[[i, j]] = cos * axes[i] + sin * axes[j], cos * axes[j] - sin * axes[i]
         if keyword.frame.rotation:
@@ -332,7 +334,8 @@ def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     if kind == "R":
         axes = [axes_through(np.zeros(3), first, second) @ rotation.T] * len(labels)
     else:
-        start, axial = np.array(frame.transformed(first.tolist())), rotation @ (second - first)
+        start = np.array(frame.transformed(first.tolist()))
+        axial = rotation @ (second - first)
         axes = []
         for label in labels:
             if label not in deck.nodes:
@@ -480,9 +483,11 @@ def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 def _take_step(reader: Reader, _: Deck, keyword: Keyword) -> None:
     """Begin a step at the end of the last general step, or a load case at the state of its step."""
     # The kind of this step, and the kinds at whose end it begins.
-    kind, bases = "general", {"general"}
+    kind = "general"
+    bases = {"general"}
     if keyword.word == "LOAD CASE":
-        kind, bases = "load case", {"general", "perturbation"}
+        kind = "load case"
+        bases = {"general", "perturbation"}
     elif "PERTURBATION" in keyword.options:
         kind = "perturbation"
     base = next(step for step in reversed(reader.steps) if step.kind in bases)

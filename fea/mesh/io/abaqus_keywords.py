@@ -98,7 +98,9 @@ def read_keywords(text: DeckText) -> Iterator[Keyword]:
         return
     parts: dict[str, list[Keyword]] = {}
     lines: dict[str, str] = {}  # lines of each part
-    frame, part, count = Frame(), None, 0
+    frame = Frame()
+    part = None
+    count = 0
     for keyword in _blocks(text):
         if keyword.word == "PART":
             name = keyword.options.get("NAME", "").upper()
@@ -174,7 +176,8 @@ def _frame(keyword: Keyword, number: int) -> Frame:
         name = keyword.option("NAME")
         if not keyword.rows:
             return Frame(name, number)
-        shift, rotation = numbers(keyword, 0, 3), np.eye(3)
+        shift = numbers(keyword, 0, 3)
+        rotation = np.eye(3)
         if len(keyword.rows) > 1:
             if (count := len(keyword.rows[1])) < 7:
                 raise MeshFileError(

@@ -96,7 +96,8 @@ def couplings_of(reader: Reader, deck: Deck) -> list[CoupledGroup]:
             message = f"has the reference node {label} of another coupling; merge the two"
             reader.lack(coupled.keyword, message)
             continue
-        key, point = coupled.key, () if coupled.ref is None else tuple(deck.nodes[coupled.ref])
+        key = coupled.key
+        point = () if coupled.ref is None else tuple(deck.nodes[coupled.ref])
         if point and math.isfinite(coupled.radius):
             labels = [n for n in _nodes_of(deck, key) if n in deck.nodes]
             near = [n for n in labels if math.dist(deck.nodes[n], point) <= coupled.radius]
@@ -118,7 +119,8 @@ def couplings_of(reader: Reader, deck: Deck) -> list[CoupledGroup]:
             is_turned = not reader.turned.keys().isdisjoint(_nodes_of(deck, key))
             if is_turned or "ORIENTATION" in coupled.keyword.options:
                 group.directions = ""  # along other axes than the mesh's
-        number, first_freedoms = len(couplings), ((coupled.ref, 0), (coupled.rot, 3))
+        number = len(couplings)
+        first_freedoms = ((coupled.ref, 0), (coupled.rot, 3))
         reader.points |= {n: (number, first) for n, first in first_freedoms if n is not None}
         couplings.append(group)
     return couplings
@@ -129,7 +131,8 @@ def _nodes_of(deck: Deck, key: str) -> list[int]:
     labels = dict.fromkeys(deck.node_sets.get(key, ()))
     for element, face in deck.surfaces.get(key, ()):
         block, row = deck.where[element]
-        kind, cell = deck.kinds[block], deck.cells[block][row]
+        kind = deck.kinds[block]
+        cell = deck.cells[block][row]
         corners = {int(c) - 1 for c in SOLID_FACES[kind.rstrip("0123456789")][int(face[1]) - 1]}
         face_nodes = next(nodes for nodes in FACES[kind] if corners <= set(nodes))
         labels |= dict.fromkeys(cell[i] for i in face_nodes)

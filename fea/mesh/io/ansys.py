@@ -13,7 +13,8 @@ from wrenchbook.fea.mesh.mesh import NODES_PER_CELL
 from wrenchbook.fea.spec.problems import MeshFileError
 
 # SOLID elements by number: hexahedra, which may be collapsed, and tetrahedra
-_HEX, _TET = ("45", "185", "95", "186"), ("92", "187", "285")
+_HEX = ("45", "185", "95", "186")
+_TET = ("92", "187", "285")
 _SKIPPED = {"CE", "CEINTF", "CERIG", "CP", "CPINTF", "DSYM", "NROTAT", "RBE3"}  # constraints, axes
 _SKIPPED |= {"DA", "DK", "DL", "FK", "SF", "SFA", "SFE", "SFGRAD", "SFL"}  # on geometry and faces
 _SKIPPED |= {"BF", "BFA", "BFE", "BFK", "BFL", "BFUNIF", "BFV", "TUNIF"}  # temperature, body loads
@@ -101,7 +102,8 @@ def read_ansys(text: str) -> Translated:
 def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
     """Read a command of one line, with parameters replaced by their values."""
     if assigned := re.fullmatch(r"(\w+)\s*=\s*(.+)", word):
-        word, fields = "*SET", [assigned[1], assigned[2]]
+        word = "*SET"
+        fields = [assigned[1], assigned[2]]
     values = [archive.parameters.get(each, each) for each in fields]
     if word == "*SET":  # *SET,Par,VALUE
         archive.parameters[fields[0]] = "".join(values[1:2])
@@ -120,7 +122,8 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
 def _take_control(archive: _Archive, word: str, fields: list[str]) -> None:
     """Read a command of load steps, conditions or selections; count skipped commands."""
     if word == "LSCLEAR" and fields[:1] in (["FE"], ["ALL"]):  # LSCLEAR,Lab
-        archive.held, archive.forces = {}, {}
+        archive.held = {}
+        archive.forces = {}
     elif word in ("*IF", "*ENDIF"):  # *IF,VAL1,Oper1,VAL2,THEN; without THEN no *ENDIF follows
         archive.branches += -1 if word == "*ENDIF" else "THEN" in fields
     elif word in ("LSWRITE", "SOLVE"):
@@ -171,7 +174,8 @@ def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) ->
         nodes = numbers[_FIRST_NODE:]
         while len(nodes) < int(numbers[_NODE_COUNT]):
             nodes += _fixed(next(rows), width)
-        kind, region = archive.type_of(numbers[_TYPE]), f"MAT_{numbers[_MATERIAL]}"
+        kind = archive.type_of(numbers[_TYPE])
+        region = f"MAT_{numbers[_MATERIAL]}"
         _take_cell(archive, kind, region, numbers[_ELEMENT], nodes)
 
 
@@ -202,7 +206,8 @@ def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: 
 
 # CMBLOCK,Cname,Entity,NUMITEMS; a format such as (8i10); rows of numbers, a negative ends a range
 def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
-    width, count = int(re.findall(r"[iI](\d+)", next(rows))[0]), int(fields[2])
+    width = int(re.findall(r"[iI](\d+)", next(rows))[0])
+    count = int(fields[2])
     numbers: list[int] = []
     while len(numbers) < count:
         numbers += map(int, _fixed(next(rows), width))
@@ -238,7 +243,8 @@ def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
     if archive.branches:
         raise MeshFileError("is inside *IF; write the lines that apply, without the condition")
     node, label, *values = (*fields, *[""] * 9)
-    removes, acting = word.endswith("DELE"), archive.held if word[0] == "D" else archive.forces
+    removes = word.endswith("DELE")
+    acting = archive.held if word[0] == "D" else archive.forces
     value, _, last, step, *further = ("", "", *values) if removes else values
     nodes = archive.groups.get(node, [])
     if node.isdigit():

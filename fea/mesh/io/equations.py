@@ -27,7 +27,8 @@ def take_equations(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     fields = [each for row in keyword.rows for each in row if each]
     while fields and "REMOVE" not in keyword.options:
         count = whole(fields[0])
-        terms, fields = fields[1 : 3 * count + 1], fields[3 * count + 1 :]
+        terms = fields[1 : 3 * count + 1]
+        fields = fields[3 * count + 1 :]
         if count < 1 or len(terms) != 3 * count:
             raise MeshFileError(
                 f"has an equation of {count} terms with {len(terms)} fields; write node, freedom "
@@ -60,7 +61,8 @@ def _equate(reader: Reader, keyword: Keyword, terms: list[tuple[int, str, float]
     if not all(map(math.isfinite, weights.values())):
         listed = ", ".join(f"{each:g}" for _, _, each in terms)
         raise MeshFileError(f"has factors {listed}; write finite numbers, the first not 0")
-    rows, axis = reader.equations.setdefault(node, {}), whole(freedom) - 1
+    rows = reader.equations.setdefault(node, {})
+    axis = whole(freedom) - 1
     alone = {other for _, other, _ in terms} == {freedom} and axis not in rows
     rows[axis if alone else None] = keyword, weights
 
@@ -70,7 +72,8 @@ def following(reader: Reader, deck: Deck) -> list[tuple[int, int, float]]:
 
     All belong to second-order cells, and have the same weights and axes in all three directions.
     """
-    row, entries = {label: i for i, label in enumerate(deck.nodes)}, []
+    row = {label: i for i, label in enumerate(deck.nodes)}
+    entries = []
     blocks = zip(deck.kinds, deck.cells, strict=True)
     second = [cell for kind, cells in blocks if kind in SECOND.values() for cell in cells]
     solid = {label for cell in second for label in cell}

@@ -439,7 +439,9 @@ def _read_mat9(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read a material of nine constants; its shears are xy, yz, zx."""
     padded = [*fields, *[""] * _MAT9_FIELDS]
     values = [_real(text) for text in padded[:_MAT9_FIELDS]]
-    constants, density, expansion = values[1:22], values[22], values[23:]
+    constants = values[1:22]
+    density = values[22]
+    expansion = values[23:]
     stiffness = np.zeros((6, 6))
     stiffness[np.triu_indices(6)] = constants
     if np.triu(stiffness, 1)[:, 3:].any():
@@ -627,7 +629,10 @@ def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[flo
 
 def _read_load(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read a FORCE on the freedoms 1 to 3 of a node, or a MOMENT on 4 to 6, in basic axes."""
-    number, node, system, size = fields[0], fields[1], fields[2], _real(fields[3])
+    number = fields[0]
+    node = fields[1]
+    system = fields[2]
+    size = _real(fields[3])
     load = np.array([size * _real(text) for text in fields[4:7]]) @ data.axes_at(system, node)
     for freedom, value in enumerate(load.tolist(), 1 if name == "FORCE" else 4):
         data.sets["LOAD", number].append(_Entry(node, str(freedom), value))

@@ -170,10 +170,12 @@ def _refuse_outside(path: Path) -> None:
     except (ET.ParseError, ValueError, LookupError) as error:
         raise MeshFileError(f"cannot be read as {path.suffix} ({error}); export it again") from None
     for item in items:
-        kind, text = item.get("Format"), (item.text or "").strip()
+        kind = item.get("Format")
+        text = (item.text or "").strip()
         if kind == "Binary":
             raise MeshFileError('has its numbers in a binary file; write it with Format="HDF"')
-        folder, name = path.parent.resolve(), text.partition(":")[0]
+        folder = path.parent.resolve()
+        name = text.partition(":")[0]
         beside = Path(name).name == name and (folder / name).resolve().parent == folder  # no link
         if kind == "HDF" and not beside:
             raise MeshFileError(

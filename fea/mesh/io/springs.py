@@ -28,7 +28,8 @@ def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
     Raises MeshFileError if one occurs twice or lacks a node.
     """
-    labels, kind = list[int](), keyword.option("TYPE").upper()
+    labels = list[int]()
+    kind = keyword.option("TYPE").upper()
     for row in keyword.rows:
         label, *nodes = (keyword.frame.label(each) for each in row if each)
         if label in reader.springs or label in deck.where:
@@ -43,7 +44,8 @@ def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
     """Add springs, joined if they connect the same couplings; note unusable ones in the reader."""
-    remaining, joined = dict(reader.springs), dict[tuple[int, ...], tuple[Keyword, Array]]()
+    remaining = dict(reader.springs)
+    joined = dict[tuple[int, ...], tuple[Keyword, Array]]()
     # The held freedoms of each node of a spring in this step.
     held = {node: set[int]() for _, nodes in remaining.values() for node in nodes}
     for motion in step.motions.rows if held else ():
@@ -125,7 +127,8 @@ def _spring(
         both = " and ".join(str(way + 1) for way in sorted(ways))
         raise MeshFileError(f"its ends have the freedoms {both}, but need the same")
     way = max(ways, default=0)
-    direction, is_rotation = axes[way % 3], way > 2
+    direction = axes[way % 3]
+    is_rotation = way > 2
     if len(free) == 2:
         shift = np.zeros(3) if is_rotation else direction
         _check_between(case, [case.couplings[number] for number in free], shift)
@@ -137,7 +140,8 @@ def _constants(
     reader: Reader, keyword: Keyword, nodes: list[int]
 ) -> tuple[list[int], Array, float]:
     """Return the freedom from 0 at each node, the axes in rows, and the stiffness."""
-    rows, axes = [row for row in keyword.rows if any(row)], np.eye(3)
+    rows = [row for row in keyword.rows if any(row)]
+    axes = np.eye(3)
     if further := sorted(keyword.options.keys() - {"ELSET", "ORIENTATION"}):
         raise MeshFileError(f"it has {', '.join(further)}, but must have one constant stiffness")
     if len(rows) != 2:

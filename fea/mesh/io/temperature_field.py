@@ -35,7 +35,8 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     point two temperatures or lies far from the part, or if nothing is heated.
     """
     table = _table(field)
-    points, rise = table[:, :3], table[:, 3] - reference
+    points = table[:, :3]
+    rise = table[:, 3] - reference
     largest = float(rise[np.abs(rise).argmax()])
     if largest == 0.0:
         raise _wrong(
@@ -48,7 +49,8 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
         raise _wrong(f"has the point ({x:g}, {y:g}, {z:g}) twice, with two temperatures; keep one")
     values = rise / largest
     distance, nearest = KDTree(points).query(nodes)
-    shape, size = values[nearest], np.ptp(nodes, axis=0).max()
+    shape = values[nearest]
+    size = np.ptp(nodes, axis=0).max()
     if np.median(distance) > size:
         raise _wrong(
             f"its points are {np.median(distance):.3g} m from the part, which is {size:.3g} m "
@@ -60,7 +62,8 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
         centre = points.mean(axis=0)
         _, sizes, axes = np.linalg.svd(points - centre, full_matrices=False)
         axes = axes[sizes > _SAME * sizes[0]]
-        here, there = (points - centre) @ axes.T, (nodes[between] - centre) @ axes.T
+        here = (points - centre) @ axes.T
+        there = (nodes[between] - centre) @ axes.T
         if len(axes) == 1:
             order = np.argsort(here[:, 0])
             inside = np.interp(there[:, 0], here[order, 0], values[order], np.nan, np.nan)
@@ -88,7 +91,8 @@ def _table(field: Path) -> Array:
         table = np.loadtxt(field, delimiter=",", skiprows=1, ndmin=2)
         is_complete = table.shape[1:] == (_COLUMNS,) and table.size and np.isfinite(table).all()
     except (ValueError, UnicodeDecodeError):
-        table, is_complete = np.empty(0), False
+        table = np.empty(0)
+        is_complete = False
     if not is_complete:
         with field.open(encoding="utf-8", errors="replace") as file:
             lines = ((number, line.strip()) for number, line in enumerate(file, 1) if number > 1)

@@ -111,7 +111,9 @@ class Joint:
         method: str | None = None,
         inputs: Mapping[str, float] | None = None,
     ) -> None:
-        self._table, self.damping, self._method = table, damping, method
+        self._table = table
+        self.damping = damping
+        self._method = method
         self._at, self.free, self.interfaces = moving(table, interface)
         self._packed = table.packed  # fixed version: a refresh of the table does not change it
         self._several, self._size = len(self.interfaces) > 1, FREEDOMS * len(self.interfaces)
@@ -141,14 +143,16 @@ class Joint:
         is_nearest_row = (compliances == 0.0).all(axis=(1, 2))  # an answer without a slope
         compliances[rotates_too_far | is_nearest_row] = np.nan
         least, loads = packed.weakest(compliances, packed.load_scale[free])
-        known, is_indefinite = int(np.isfinite(least).sum()), least < 0.0
+        known = int(np.isfinite(least).sum())
+        is_indefinite = least < 0.0
         if not known:
             raise InvalidArgument(
                 f"{self._table.name} has no stiffness, because no row of its table gives a "
                 f"derivative; {self._more_rows()}, and download the table again"
             )
         if is_indefinite.any():
-            worst, is_covered = int(np.nanargmin(least)), answers.coverage == 0
+            worst = int(np.nanargmin(least))
+            is_covered = answers.coverage == 0
             self._remedy = f"The compliance is not positive definite: {self._more_rows()}"
             warn(
                 f"{self._indefinite(sample[worst][at], loads[worst])}. So it is at "
@@ -243,10 +247,12 @@ class Joint:
 
     def _use(self, steps: JointSteps, at: int) -> None:
         """Set this joint to the entry `at` of the kernel's arrays; its attributes are views."""
-        self._entry, self._steps = at, steps
+        self._entry = at
+        self._steps = steps
         self._reply, self._memory = steps.replies[at], steps.memory[at]
         self._history = steps.history[at]
-        names, replies = ("status", "ranges", "coverage"), steps.replies[at : at + 1]
+        names = ("status", "ranges", "coverage")
+        replies = steps.replies[at : at + 1]
         self._status, self._ranges, self._coverage = (replies[name].reshape(-1) for name in names)
         self._static_wrench, self._stiffness = self._reply["still"], self._reply["stiffness"]
 
@@ -310,7 +316,8 @@ class Joint:
             If the inverse mass is not symmetric and positive definite, the step not above zero, R
             no rotation, or a shape wrong or a number not finite.
         """
-        k, size = len(self.interfaces), self._size
+        k = len(self.interfaces)
+        size = self._size
         rotations = floats_of("R", R, (k, 3, 3)) if self._several else [R]
         p = floats_of("p", p, shape_of(k, 3))
         velocity = floats_of("velocity", velocity, shape_of(k, FREEDOMS))
@@ -347,7 +354,8 @@ class Joint:
         InvalidArgument, JointRangeError
             See `step`.
         """
-        last_step, steps = (self._steps, self._entry), self.new_steps(1, None)
+        last_step = (self._steps, self._entry)
+        steps = self.new_steps(1, None)
         each = shape_of(len(self.interfaces), 3)
         translation = floats_of("translation", translation, each)
         rotation = floats_of("rotation", rotation, each)
@@ -374,7 +382,8 @@ class Joint:
     def _warn_uncovered(self, wrench: Vector) -> None:
         """Warn once of a wrench that the table does not cover."""
         if not self._warned_uncovered:
-            self._warned_uncovered, packed = True, self._packed
+            self._warned_uncovered = True
+            packed = self._packed
             answer = packed.answer(self._inputs(wrench).tolist(), None, self._method)
             warn(
                 f"{self._name}: the wrench of a step is {answer.coverage} by the method "
@@ -487,7 +496,8 @@ def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, .
 
     Raises InvalidArgument if an input is unknown, missing or beyond its range.
     """
-    space, count = table.space, len(table.space.scalars)
+    space = table.space
+    count = len(table.space.scalars)
     if not isinstance(by_name, Mapping):
         raise InvalidArgument(
             f"inputs must map names to numbers, such as {{'temperature': 80.0}}, not {by_name!r}"

@@ -30,7 +30,8 @@ _STATUS[[NO_MASS, INDEFINITE]] = "no inverse mass", "not positive definite"
 
 def status_of(joint: Joint, steps: JointSteps) -> NDArray[np.int32]:
     """Return the codes (n,) of a call's joints; wrenches and forces without OK become NaN."""
-    replies, codes = steps.replies, np.array(steps.replies["status"])
+    replies = steps.replies
+    codes = np.array(steps.replies["status"])
     doubtful = np.flatnonzero(codes == INDEFINITE)
     if len(doubtful):
         least, _ = joint._weakest(replies["stiffness"][doubtful])
@@ -70,7 +71,9 @@ class Joints:
 
     def _hold(self, joint: Joint, count: int, axes: Vector | None) -> None:
         """Store the options of a joint, and make the arrays; `axes` as in `Joint.new_steps`."""
-        self._joint, self._steps, self._warned = joint, joint.new_steps(count, axes), False
+        self._joint = joint
+        self._steps = joint.new_steps(count, axes)
+        self._warned = False
         self._codes = np.zeros(count, dtype=np.int32)
         Joints.restart(self)
 
@@ -158,7 +161,8 @@ class Joints:
 
         Raises InvalidArgument if a shape is wrong or the step not above zero.
         """
-        steps, n = self._steps, len(self)
+        steps = self._steps
+        n = len(self)
         arrays = poses, velocities, inverse_masses
         inputs = [np.asarray(a.detach().cpu() if hasattr(a, "detach") else a) for a in arrays]
         shapes = tuple(array.shape for array in inputs)
@@ -178,8 +182,10 @@ class Joints:
 
     def _check_status(self) -> None:
         """Store the joints' status, and warn once of each kind."""
-        self._codes, replies = status_of(self._joint, self._steps), self._steps.replies
-        failed, within = self.status[self.failed].tolist(), replies["ranges"] <= 1.0
+        self._codes = status_of(self._joint, self._steps)
+        replies = self._steps.replies
+        failed = self.status[self.failed].tolist()
+        within = replies["ranges"] <= 1.0
         if failed and not self._warned:
             self._warned = True
             counts = ", ".join(f"{failed.count(kind)} {kind}" for kind in dict.fromkeys(failed))

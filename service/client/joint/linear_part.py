@@ -72,7 +72,8 @@ class LinearPart:
             range; if the table's derivative there is not known or not that of springs.
         """
         at, free, _ = moving(table, None, several=False)
-        packed, indices = table.packed, at[free]
+        packed = table.packed
+        indices = at[free]
         load = floats_of("wrench", np.zeros(FREEDOMS) if wrench is None else wrench, (FREEDOMS,))
         further = further_inputs(table, inputs or {})
         centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
@@ -101,7 +102,8 @@ class LinearPart:
             )
         loads = packed.sample(centre, indices)
         answers = packed.batch(np.vstack([centre, loads]))
-        moved, first = answers.outputs[1:, indices], answers.outputs[0, indices]
+        moved = answers.outputs[1:, indices]
+        first = answers.outputs[0, indices]
         wrong = moved - first - (loads - centre)[:, indices] @ compliance
         return cls(
             component=table.name,

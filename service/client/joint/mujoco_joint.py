@@ -111,7 +111,8 @@ class MujocoJoint(Joint):
             )
         super().__init__(table, damping, interface=interface, method=method, inputs=inputs)
         refuse_rk4(model)
-        self._model, self._data = model, data
+        self._model = model
+        self._data = data
         self._base, self._tips = base, self._bodies(tip, bodies)
         tips = ", ".join(map(repr, self._tips))
         self._name = f"{table.name} at {'tips' if self._several else 'tip'} {tips}"
@@ -168,7 +169,8 @@ class MujocoJoint(Joint):
         self._blocks: list[slice] = []  # freedoms of tips whose pairs are in the mass matrix
         pairs, dofs, ball_axes = [], [], []
         for k, name in enumerate(self._tips):
-            free, first = self.free[self.free // FREEDOMS == k] % FREEDOMS, len(dofs)
+            free = self.free[self.free // FREEDOMS == k] % FREEDOMS
+            first = len(dofs)
             tip = find_tip(self._model, name, free, self._table.name)
             self._starts.append(tip.dof)
             ball_axes.append(tip.ball_axes)
@@ -207,18 +209,24 @@ class MujocoJoint(Joint):
             )
         self._use(steps, at)
         before = _JOINTS.get(self._data, {})
-        self._data, self._pose, reply, self._scene = data, None, self._reply, self._model.opt
+        self._data = data
+        self._pose = None
+        reply = self._reply
+        self._scene = self._model.opt
         self._solved = np.empty_like(self._units)
         self._pose_of_tip, self._inverse_mass = steps.poses[at], steps.inverse_masses[at]
         self._before = steps.velocities[at].reshape(-1)
         self._before[:] = np.nan
         self._force, self._slope, self._spin = reply["force"], reply["rate"], reply["spin"]
-        poses, qpos = self._pose_of_tip.reshape(-1, 7), data.qpos
+        poses = self._pose_of_tip.reshape(-1, 7)
+        qpos = data.qpos
         self._read_from = [
             (poses[k, to : to + n], qpos[at : at + n]) for k, to, at, n in self._runs
         ]
         self._turned = [(poses[k, 3:], axis, qpos[at : at + 1]) for k, axis, at in self._hinges]
-        self._velocities, self._applied, self._mass = data.qvel, data.qfrc_applied, data.M
+        self._velocities = data.qvel
+        self._applied = data.qfrc_applied
+        self._mass = data.M
         self._base_pose = data.xpos[self._unmoved], data.xquat[self._unmoved]
         for start in self._starts:
             before.pop((start, id(self)), None)
@@ -270,7 +278,8 @@ class MujocoJoint(Joint):
         dt, (force, slope) = self._scene.timestep, self._law_of_free()
         # The mass matrix cannot be changed: use the last step's constraint forces.
         if not self._blocks:
-            force, slope = _with_last_contacts([self], self._solved)[0], np.zeros_like(slope)
+            force = _with_last_contacts([self], self._solved)[0]
+            slope = np.zeros_like(slope)
         self._pull(force, slope, dt)
 
     def _pull(self, force: Vector, slope: Vector, dt: float) -> None:
@@ -289,7 +298,8 @@ class MujocoJoint(Joint):
 
     def report(self) -> JointReport:
         """Return coverage, largest error bars and energy of all steps since `restart`."""
-        parts, began = joints_of(self._data), self._began
+        parts = joints_of(self._data)
+        began = self._began
         time, energy = began or (0.0, np.nan)
         if began and all(part._began == began for part in parts) and self._data.time in self._times:
             return report_of(self, time, _energy(parts) - energy)
@@ -323,7 +333,8 @@ class MujocoJoint(Joint):
         data, body = self._data, self._unmoved
         position, turned = self._base_pose
         pose = data.time, position.tobytes(), turned.tobytes()  # faster than lists
-        before, self._pose = self._pose, pose
+        before = self._pose
+        self._pose = pose
         if before is None or pose[0] <= before[0] or pose[1:] == before[1:]:
             return
         self._unmoved = 0
@@ -364,7 +375,8 @@ def advance(joints: Sequence[MujocoJoint]) -> None:
     """Advance a scene whose joints pull."""
     engine.mj_step2(joints[0]._model, joints[0]._data)
     for joint in joints:
-        law, velocity = joint._law, joint._velocities[joint._dofs].copy()
+        law = joint._law
+        velocity = joint._velocities[joint._dofs].copy()
         joint._law = _Law(law.force, law.slope, velocity)  # faster than _replace
         joint._mass[joint._at_pairs], joint._with_part = joint._own_mass, None
 
@@ -463,7 +475,8 @@ def pull(joints: Collection[MujocoJoint]) -> None:
 
 def push(joints: Collection[MujocoJoint]) -> None:
     """Add the kernel's wrenches and rates to the equation of motion of a scene."""
-    first, several = next(iter(joints)), []
+    first = next(iter(joints))
+    several = []
     for joint in joints:
         if joint._several:
             several.append(joint)
@@ -485,9 +498,11 @@ def _push_together(joints: Sequence[MujocoJoint]) -> None:
     """
     dt = joints[0]._scene.timestep
     wrench, velocity, mobility, implicit = _with_last_contacts(joints)
-    velocity, pulled = velocity - dt * mobility @ wrench, np.linalg.solve(implicit.T, mobility)
+    velocity = velocity - dt * mobility @ wrench
+    pulled = np.linalg.solve(implicit.T, mobility)
     for joint in joints:
-        first, count = len(velocity) - len(wrench), len(joint.free)
+        first = len(velocity) - len(wrench)
+        count = len(joint.free)
         slope = np.zeros((count, count))
         for block in joint._blocks:
             at = slice(first + block.start, first + block.stop)
@@ -507,7 +522,9 @@ def _with_last_contacts(
     """
     model, data, dt = joints[0]._model, joints[0]._data, joints[0]._scene.timestep
     dofs = np.concatenate([np.arange(model.nv)[joint._dofs] for joint in joints])
-    force, slope, first = np.zeros(len(dofs)), np.zeros((len(dofs), len(dofs))), 0
+    force = np.zeros(len(dofs))
+    slope = np.zeros((len(dofs), len(dofs)))
+    first = 0
     for joint in joints:
         block = slice(first, first := first + len(joint.free))
         force[block], slope[block, block] = joint._law_of_free()
@@ -519,7 +536,8 @@ def _with_last_contacts(
     if solved is None:
         solved = np.empty((len(dofs), model.nv))
         engine.mj_solveM(model, data, solved, np.eye(model.nv)[dofs])
-    velocity, mobility = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs], solved[:, dofs]
+    velocity = (data.qvel + dt * (data.qacc_smooth + pushed[0]))[dofs]
+    mobility = solved[:, dofs]
     implicit = np.eye(len(slope)) + dt * slope @ mobility
     return np.linalg.solve(implicit, force + slope @ velocity), velocity, mobility, implicit
 
@@ -552,7 +570,8 @@ def _energy(joints: Collection[MujocoJoint]) -> float:
     """
     first = next(iter(joints))
     model, data, fields = first._model, first._data, engine.mjtState.mjSTATE_INTEGRATION
-    then, state = engine.MjData(model), np.empty(engine.mj_stateSize(model, fields))
+    then = engine.MjData(model)
+    state = np.empty(engine.mj_stateSize(model, fields))
     engine.mj_getState(model, data, state, fields)
     engine.mj_setState(model, then, state, fields)
     engine.mj_integratePos(model, then.qpos, then.qvel, -0.5 * first._scene.timestep)

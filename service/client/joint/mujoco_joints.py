@@ -54,7 +54,8 @@ class MujocoJoints(Joints):
         options: Any = {"interface": interface, "method": method, "inputs": inputs}
         first = MujocoJoint(model, datas[0], table, base, tip, damping, bodies=bodies, **options)
         self.joints = [first, *(copy.copy(first) for _ in datas[1:])]
-        self._model, self._pool = model, ThreadPoolExecutor()
+        self._model = model
+        self._pool = ThreadPoolExecutor()
         self._hold(first, len(datas), first._spin_axes)
         for at, (joint, data) in enumerate(zip(self.joints, datas, strict=True)):
             joint._watch(data, self._steps, at)
@@ -79,7 +80,8 @@ class MujocoJoints(Joints):
         `others` are the joints at other tips of the same environments; `threads` 0 means one for
         each processor. Errors are those of `step_joints`.
         """
-        batches, threads = (self, *others), max(threads, 0) or os.cpu_count() or 1
+        batches = (self, *others)
+        threads = max(threads, 0) or os.cpu_count() or 1
         for batch in others:
             if len(batch) != len(self):
                 raise InvalidArgument(

@@ -77,16 +77,19 @@ def scene_with_springs(
     if spec.option.integrator == engine.mjtIntegrator.mjINT_EULER:
         spec.option.integrator = engine.mjtIntegrator.mjINT_IMPLICITFAST
     model = spec.compile()
-    data, names = engine.MjData(model), [f"{tip}_{name}" for name in springs.freedoms]
+    data = engine.MjData(model)
+    names = [f"{tip}_{name}" for name in springs.freedoms]
     engine.mj_forward(model, data)
     dofs = [int(model.joint(name).dofadr[0]) for name in names]
     solved = np.empty((len(dofs), model.nv))
     engine.mj_solveM(model, data, solved, np.eye(model.nv)[dofs])
-    inverse_mass, stiffness = solved[:, dofs], np.array(springs.stiffness)
+    inverse_mass = solved[:, dofs]
+    stiffness = np.array(springs.stiffness)
     rate = PackedTable.joint_rate(stiffness, inverse_mass.copy(), model.opt.timestep, damping)
     root = np.linalg.cholesky(inverse_mass)
     squares, turned = np.linalg.eigh(root.T @ stiffness @ root)
-    modes, lengths = root @ turned, np.linalg.solve(root.T, turned)
+    modes = root @ turned
+    lengths = np.linalg.solve(root.T, turned)
     lengths[np.abs(lengths) < ROUNDING * np.abs(lengths).max(axis=1, keepdims=True)] = 0.0
     for k, square in enumerate(squares):
         tendon = spec.add_tendon(name=f"{tip}_mode_{k + 1}", stiffness=[square, 0.0, 0.0])
@@ -130,11 +133,14 @@ def _with_freedoms(
         if site not in [item.name for item in body.sites]:
             names = _names(body.sites)
             raise JointError(f"body {tip!r} has no site {site!r}; name one of: {names}")
-        model, matrix = spec.compile(), np.zeros(9)
+        model = spec.compile()
+        matrix = np.zeros(9)
         number = engine.mj_name2id(model, engine.mjtObj.mjOBJ_SITE, site)
         engine.mju_quat2Mat(matrix, model.site_quat[number])
-        at, axes = model.site_pos[number].copy(), matrix.reshape(3, 3)
-    kinds, before = engine.mjtJoint, spec.compile()
+        at = model.site_pos[number].copy()
+        axes = matrix.reshape(3, 3)
+    kinds = engine.mjtJoint
+    before = spec.compile()
     joints = [  # a slide for each free translation, then a ball or hinges for free rotations
         (name, kinds.mjJNT_SLIDE if place < 3 else kinds.mjJNT_HINGE, axes[:, place % 3].tolist())
         for place, name in enumerate(OUTPUTS)
@@ -202,8 +208,11 @@ def _add_mass(body: Spec, mass: Vector) -> None:
     moments[2] = min(moments[2], (1.0 - DIGITS) * (moments[0] + moments[1]))
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1.0
-    body.mass, body.ipos, body.inertia = total, centre, moments
-    body.iquat, body.explicitinertial = _quaternion(axes), 1
+    body.mass = total
+    body.ipos = centre
+    body.inertia = moments
+    body.iquat = _quaternion(axes)
+    body.explicitinertial = 1
 
 
 def _names(items: list[Spec]) -> str:

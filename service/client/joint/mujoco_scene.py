@@ -105,7 +105,8 @@ def find_tip(model: Model, body: str, free: NDArray[np.intp], part: str) -> Tip:
     number = body_number(model, body)
     first = int(model.body_jntadr[number])
     joints = list(range(first, first + int(model.body_jntnum[number])))
-    slides, turns = free[free < 3], free[free >= 3]
+    slides = free[free < 3]
+    turns = free[free >= 3]
     has_ball = len(turns) == 3
     refuse_one_locked_rotation(part, [OUTPUTS[place] for place in free])
     turning = [] if not len(turns) else [_JOINT.mjJNT_BALL if has_ball else _JOINT.mjJNT_HINGE]

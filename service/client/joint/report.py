@@ -78,8 +78,11 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
 
     `energy_drift`, J, is NaN if unknown.
     """
-    history, count = joint._history, int(joint._history["steps"])
-    outputs, loads, covered_at = OUTPUTS, LOADS, {}
+    history = joint._history
+    count = int(joint._history["steps"])
+    outputs = OUTPUTS
+    loads = LOADS
+    covered_at = {}
     if len(joint.interfaces) > 1:
         space = joint._table.space
         outputs = tuple(space.output_names[index] for index in joint._at)

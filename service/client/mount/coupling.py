@@ -157,7 +157,8 @@ class Relaxation:
         """Delete all residuals, for another scene or another time."""
         self.factor = self.start if self._fixed is None else self._fixed
         self._before: Vector | None = None
-        self._watch, self._turned = ContractionWatch(), False
+        self._watch = ContractionWatch()
+        self._turned = False
 
     def follow(self, residual: Vector, *, driven: bool) -> float:
         """Return the fraction of a residual (6,), in tolerances, by which the pose moves.
@@ -168,12 +169,14 @@ class Relaxation:
         Raises CouplingDiverged, without changing anything, if the residual changes its sign again
         and again and does not become smaller.
         """
-        before, size = self._before, math.hypot(*residual.tolist())
+        before = self._before
+        size = math.hypot(*residual.tolist())
         if not size < ABSURD:
             raise _run_away(self._watch.size, size)
         rests = driven and min(size, self._watch.size) <= RESTS
         along = 0.0 if before is None or rests else float(residual @ before)
-        watch, turned = self._watch.updated(size, along), along < 0.0
+        watch = self._watch.updated(size, along)
+        turned = along < 0.0
         if self._fixed is None and before is not None:
             grown = GROWTH * self.factor
             if turned and (self._turned or not driven):  # Aitken's next factor
@@ -181,7 +184,9 @@ class Relaxation:
                 grown = -self.factor * float(before @ change) / float(change @ change)
                 grown = max(grown, SMALLEST)
             self.factor = min(grown, LARGEST)
-        self._before, self._watch, self._turned = residual, watch, turned
+        self._before = residual
+        self._watch = watch
+        self._turned = turned
         return self.factor
 
 
@@ -243,7 +248,8 @@ class CycleWatch:
         self._count += 1
         if self._count < SPAN:
             return
-        self._count, before = 0, self._spread
+        self._count = 0
+        before = self._spread
         spreads = np.ptp(self._answers, axis=0)
         output = int(spreads.argmax())
         self._spread = float(spreads[output])
@@ -381,13 +387,15 @@ def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> Coupling
     Raises CouplingDiverged if scene and component drive each other apart, or do not converge.
     """
     relaxation.restart()
-    state, runaway = loop.evaluate(start), 0
+    state = loop.evaluate(start)
+    runaway = 0
     while state.size > loop.accuracy:
         try:
             factor = relaxation.follow(state.scaled, driven=False)
         except CouplingDiverged as error:
             raise CouplingDiverged(str(error), loop.residuals) from None
-        before, state = state, loop.evaluate(state.displacement + factor * state.residual)
+        before = state
+        state = loop.evaluate(state.displacement + factor * state.residual)
         # Both in the present tolerances, as those derived from answers grow.
         same_way = float(loop.scale.measure(before.residual) @ state.scaled) > 0
         runaway = runaway + 1 if same_way and state.size > before.size else 0
@@ -411,7 +419,8 @@ def by_newton(
 
     Raises CouplingDiverged if no part of a step leads nearer, or there is no equilibrium.
     """
-    state, radius = loop.evaluate(start), None
+    state = loop.evaluate(start)
+    radius = None
     while state.size > loop.accuracy:
         slope = stiffness
         if slope is None:  # by small motions of the scene
@@ -441,7 +450,8 @@ def by_newton(
                 loop.residuals,
                 radius,
             ) from None
-        fraction, before = 1.0, state  # the part of the step that leads nearer
+        fraction = 1.0  # the part of the step that leads nearer
+        before = state
         for _ in range(HALVINGS):
             state = loop.evaluate(before.displacement + fraction * step)
             if state.size < before.size or state.size <= loop.accuracy:

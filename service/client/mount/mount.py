@@ -194,8 +194,10 @@ class Mount:
         _require_word("mode", mode, MODES)
         _require_word("on_thin", on_thin, ON_THIN)
         _require_word("unmeasured", unmeasured, ("refuse", "rigid"))
-        self.component, self.mode = component, mode
-        self._unmeasured, self._newton = unmeasured, relaxation == "newton"
+        self.component = component
+        self.mode = mode
+        self._unmeasured = unmeasured
+        self._newton = relaxation == "newton"
         self._relaxation = Relaxation(relaxation)
         self._stepped = self._warned = self._primed = False
         self._stiffness = None if stiffness is None else floats_of("stiffness", stiffness, (6, 6))
@@ -252,7 +254,9 @@ class Mount:
     def restart(self) -> None:
         """Go back to the undeformed pose, and count anew: another run begins."""
         self.displacement: Vector = np.zeros(6)
-        self._stepped, self._beyond, self._cycles = False, 0, CycleWatch()
+        self._stepped = False
+        self._beyond = 0
+        self._cycles = CycleWatch()
         self.coverage = Coverage()
         self.last: Displacement | None = None
         self._relaxation.restart()
@@ -333,7 +337,8 @@ class Mount:
         answer, target = self._answer(wrench)
         if target is not None:
             self._scale.see(target)
-            residual, product = target - self.displacement, None
+            residual = target - self.displacement
+            product = None
             if self._newton:
                 if self._stiffness is None:
                     raise InvalidArgument(
@@ -357,7 +362,8 @@ class Mount:
             if self._beyond > BEYOND:
                 require_within_limit(target, self.component)
             self.displacement = moved
-        self.last, self._stepped = answer, True
+        self.last = answer
+        self._stepped = True
         return self.pose
 
     def settle(
@@ -403,7 +409,8 @@ class Mount:
             )
 
         def read(displacement: Vector) -> Vector:
-            before, self.displacement = self.displacement, within_limit(displacement)
+            before = self.displacement
+            self.displacement = within_limit(displacement)
             try:
                 wrench = scene(*self.pose)  # `wrench_of` takes moments about this pose
             finally:
@@ -421,13 +428,15 @@ class Mount:
                 )
             return answer, target
 
-        loop, radius = Loop(read, ask, self._scale, accuracy, most), None
+        loop = Loop(read, ask, self._scale, accuracy, most)
+        radius = None
         if self._newton:
             state, radius = by_newton(loop, self.displacement, self._stiffness)
         else:
             state = by_relaxation(loop, self.displacement, self._relaxation)
         require_within_limit(state.displacement, self.component)
-        self.displacement, self.last = state.displacement, state.answer
+        self.displacement = state.displacement
+        self.last = state.answer
         residuals = tuple(loop.residuals)
         return Settled(
             *self.pose, state.wrench, state.displacement, state.answer, residuals, radius

@@ -108,7 +108,9 @@ class MujocoMount:
         step = float(model.opt.timestep)
         if sync is not None and not sync >= (1.0 - _ROUNDING) * step:
             raise InvalidArgument(f"sync must be at least the step of {step:g} s, not {sync:g} s")
-        self._model, self._data, self._sync = model, data, sync or 0.0
+        self._model = model
+        self._data = data
+        self._sync = sync or 0.0
         cut = _division(model, mocap, force, torque)
         # Views of the arrays that are read and written: MjData's arrays never move.
         self._axes: Vector = data.site_xmat[cut.site].reshape(3, 3)
@@ -119,10 +121,12 @@ class MujocoMount:
         self._torque: Vector = data.sensordata[cut.torque]
         self._position: Vector = data.mocap_pos[cut.mocap]
         self._quaternion: Vector = data.mocap_quat[cut.mocap]
-        unit, matrix = self._quaternion.copy(), np.empty(9)
+        unit = self._quaternion.copy()
+        matrix = np.empty(9)
         engine.mju_normalize4(unit)
         engine.mju_quat2Mat(matrix, unit)
-        axes, point = matrix.reshape(3, 3), self._position.copy()
+        axes = matrix.reshape(3, 3)
+        point = self._position.copy()
         undeformed = (axes if R0 is None else R0, point if p0 is None else p0)
         self.mount = Mount(source, component, *undeformed, **options)
         R0_, p0_ = self.mount.undeformed
@@ -133,7 +137,8 @@ class MujocoMount:
         self._floating = _floating(model, cut, gravcomp)
         # At rest the sensors read the weight of all bodies on the mount. It is computed in a copy,
         # at the scene's present position, without contacts.
-        aside, flags = engine.MjData(model), model.opt.disableflags
+        aside = engine.MjData(model)
+        flags = model.opt.disableflags
         aside.qpos[:], aside.mocap_pos[:] = data.qpos, data.mocap_pos
         aside.mocap_quat[:] = data.mocap_quat
         try:
@@ -181,7 +186,8 @@ class MujocoMount:
         self._due += self._sync
         if self._due < now:  # syncs were missed
             self._due = now + self._sync - self._half_step
-        self._now, self.wrench = now, wrench
+        self._now = now
+        self.wrench = wrench
         self.read_at = now - self._model.opt.timestep
         return True
 
@@ -205,7 +211,8 @@ class MujocoMount:
             self._write(*before)
             engine.mj_forward(self._model, self._data)
             raise
-        self.wrench, self.read_at = settled.wrench, self._data.time
+        self.wrench = settled.wrench
+        self.read_at = self._data.time
         return settled
 
     def place(self, R0: ArrayLike, p0: ArrayLike) -> None:
@@ -285,7 +292,8 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
         )
     mounted = int(model.site_bodyid[site])
     if mounted != body:  # on the mocap body sensors read all bodies above it, and its own mass
-        name, first = _name(model, mounted), model.body_jntadr[mounted]
+        name = _name(model, mounted)
+        first = model.body_jntadr[mounted]
         kinds = model.jnt_type[first : first + model.body_jntnum[mounted]]
         if (kinds == engine.mjtJoint.mjJNT_FREE).any():
             raise SensorError(
@@ -352,7 +360,8 @@ def _check_forces(model: Model, body: int, mounted: int) -> None:
                 f"the equality constraint {name!r} holds the scene to the mocap body, but it "
                 f"yields, and its load is wrong by several per cent or more; {_REMEDY}"
             )
-    hanging, unfelt = _hangs_on(model, mounted), []
+    hanging = _hangs_on(model, mounted)
+    unfelt = []
     for number in range(model.nu):
         kind, target = model.actuator_trntype[number], model.actuator_trnid[number]
         at_site = kind == engine.mjtTrn.mjTRN_SITE and target[1] < 0

@@ -31,7 +31,8 @@ def list_audit(
     times = {"since": since, "until": until}
     ends: dict[str, Any] = {name: time and time.timestamp() for name, time in times.items()}
     page = workspace.ledger.audit(**which, **ends, limit=limit + 1, below=after)
-    more, page = len(page) > limit, page[:limit]
+    more = len(page) > limit
+    page = page[:limit]
     next_url = None
     if more:
         which |= {name: time and time.isoformat() for name, time in times.items()}

@@ -66,7 +66,9 @@ def list_components(
     limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
     after: Annotated[str | None, Query(max_length=300)] = None,
 ) -> dict[str, Any]:
-    library, cards, searched = workspace.library, workspace.catalogue, q.casefold().split()
+    library = workspace.library
+    cards = workspace.catalogue
+    searched = q.casefold().split()
     components = []
     for name in library.names():
         text = f"{name} {library[name].title} {cards[name].notes}".casefold()
@@ -152,7 +154,8 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
 def fill(name: str, workspace: Opened, order: FillBody) -> Response:
     began = time.time()
     limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
-    need, component = None, workspace.library[name]
+    need = None
+    component = workspace.library[name]
     if order.for_joint:
         loads = sum(load.kind != "scalar" for load in component.space.inputs)
         if len(component.idle) == loads or order.range is not None or order.outputs is not None:

@@ -74,7 +74,9 @@ def coverage(name: str, table: Newest) -> Response:
     response_model=Compliance,
 )
 def compliance(name: str, table: Newest) -> Response:
-    fit, tangent, space = table.fit, table.packed.tangent_at_zero(), table.load_range.space
+    fit = table.fit
+    tangent = table.packed.tangent_at_zero()
+    space = table.load_range.space
     measured = np.any(np.isfinite(table.rows.displacement), axis=0)
     return json_reply(
         Compliance(
@@ -108,7 +110,8 @@ def glance(name: str, workspace: Opened) -> Response:
     wrenches = span.low + (layers + 0.5) / SAMPLE * (span.high - span.low)
     replies = [table.packed.answer(wrench) for wrench in wrenches.tolist()]
     within = [reply.within_tolerance for reply in replies if reply.coverage == "covered"]
-    axes, outputs = AXES if span.space.is_default else (), len(span.space.outputs)
+    axes = AXES if span.space.is_default else ()
+    outputs = len(span.space.outputs)
     used = table.rows.wrench[span.holds(table.rows.wrench)]
     body = {
         "component": name,
@@ -197,7 +200,8 @@ def drawing(
     most: Annotated[int, Query(ge=1, le=MAX_ROWS)] = 2_000,
 ) -> Response:
     require_single_wrench(name, table.load_range.space)
-    rows, drawn = table.rows, next((known for known in AXES if known.name == axis), None)
+    rows = table.rows
+    drawn = next((known for known in AXES if known.name == axis), None)
     loaded = np.abs(rows.wrench) > ZERO_LOAD * table.load_range.scale
     chosen = np.arange(len(rows))
     single_axis: NDArray[np.bool_] = np.zeros(len(rows), dtype=bool)

@@ -82,7 +82,8 @@ def _reply(workspace: Workspace, name: str, loads: NDArray[np.float64], form: st
             "Wrenchbook-Within-Tolerance": json.dumps(shape.within_tolerance),
         }
         return Response(write(shape), 200, headers, kind)
-    geometry, count = shape.geometry, len(shape.geometry.vertices)
+    geometry = shape.geometry
+    count = len(shape.geometry.vertices)
     stress = None
     if shape.stress is not None:
         stress = Stress(**{**shape.stress._asdict(), "at": np.array(shape.stress.at)})

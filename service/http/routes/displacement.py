@@ -100,8 +100,10 @@ async def displacement(name: str, request: Request) -> Response:
 )
 async def displacements(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
-    binary, permission = batch.is_binary(request), permission_of(request.scope)
-    space, options = workspace.library.as_read(name).space, dict(request.query_params)
+    binary = batch.is_binary(request)
+    permission = permission_of(request.scope)
+    space = workspace.library.as_read(name).space
+    options = dict(request.query_params)
     if not binary:
         refuse_query(request.query_params)
 
@@ -131,7 +133,8 @@ async def displacements(name: str, request: Request) -> Response:
 )
 async def solve(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
-    content, space = await read_limited(request.receive), workspace.library.as_read(name).space
+    content = await read_limited(request.receive)
+    space = workspace.library.as_read(name).space
     body: SolveBody = checked(SolveBody, parsed_json(content))
     query = Query(loads_of(body, space), "solve", body.wait_s, beyond_range=body.beyond_range)
     return write_outcome(await answer_or_submit(workspace, name, query))

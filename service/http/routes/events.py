@@ -57,7 +57,8 @@ class EventStream(StreamingResponse):
     """Events until the connection ends, the listener is ended, or the caller stops reading."""
 
     def __init__(self, feed: Feed, listener: Listener) -> None:
-        self._feed, self._listener = feed, listener
+        self._feed = feed
+        self._listener = listener
 
         async def lines() -> AsyncIterator[bytes]:
             while not listener.ended:

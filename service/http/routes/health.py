@@ -35,8 +35,11 @@ async def live() -> dict[str, str]:
     | refused(404, 422),
 )
 def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
-    faults, broken, tables = workspace.faults(), workspace.broken(), table_states(workspace)
-    names, present = set(workspace.library.names()), workspace.tables.present().items()
+    faults = workspace.faults()
+    broken = workspace.broken()
+    tables = table_states(workspace)
+    names = set(workspace.library.names())
+    present = workspace.tables.present().items()
     counts = {name: workspace.unbuilt(name, table)[0] for name, table in present if name in names}
     # Rows that are not in tables yet.
     pending = {name: count for name, count in counts.items() if count}
@@ -79,7 +82,8 @@ def table_states(workspace: Workspace) -> dict[str, TableState]:
 
     `degraded` answers although rows or files are damaged; `broken` does not answer.
     """
-    present, broken = workspace.tables.present(), workspace.broken()
+    present = workspace.tables.present()
+    broken = workspace.broken()
     building = workspace.tables.building()
     states: dict[str, TableState] = {}
     for name in sorted({*workspace.library.names(), *workspace.library.broken()}):

@@ -31,7 +31,8 @@ from wrenchbook.surrogate.table.space import DEFAULT
 
 async def _touched(request: Request, workspace: Opened) -> None:
     """Refuse the job of a component that the key may not use, as if it did not exist."""
-    caller, job_id = CALLER.get(), request.path_params.get("job_id", "")
+    caller = CALLER.get()
+    job_id = request.path_params.get("job_id", "")
     if caller.components != ANY and job_id:
         if job_id.isdecimal() and len(job_id) < 19:
             with suppress(UnknownJobError):  # the same refusal as for another key's job
@@ -108,7 +109,8 @@ def list_jobs(
 ) -> dict[str, Any]:
     _check_known(workspace, component)
     jobs = workspace.ledger.jobs(component, status, limit + 1, below=after, actor=actor)
-    more, jobs = len(jobs) > limit, jobs[:limit]
+    more = len(jobs) > limit
+    jobs = jobs[:limit]
     rows = workspace.ledger.rows_of([job.row for job in jobs if job.row is not None])
     next_url = None
     if more:
@@ -211,14 +213,16 @@ def _attempt_files(workspace: Workspace, job: JobRecord) -> pathlib.Path:
     folder = workspace.attempt_folder(job)
     if folder.is_dir():
         return folder
-    title, state = "No files yet", f"Job {job.id} is {job.status}"
+    title = "No files yet"
+    state = f"Job {job.id} is {job.status}"
     retry = f"To have files, retry it: POST /v1/jobs/{job.id}/retry."
     if not job.is_final:
         why = f"{state}, and no solver has begun it; ask again later."
     elif not job.attempt:
         why = f"{state}, and no solver began it. {retry}"
     else:
-        title, place = "The files are gone", f"jobs/{folder.parent.name}/{folder.name}"
+        title = "The files are gone"
+        place = f"jobs/{folder.parent.name}/{folder.name}"
         remedy = "Its row needs no files." if job.status == "done" else retry
         gone = f"{state}, but its folder {place} was pruned (--keep-days), deleted or not copied. "
         why = gone + remedy

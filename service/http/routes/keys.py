@@ -54,7 +54,8 @@ def list_keys(request: Request) -> dict[str, Any]:
     responses=answers(dict[str, Any], "name, scope, and the secret as `key`", 201) | refused(422),
 )
 def add_key(request: Request, workspace: Opened, body: KeyBody) -> Response:
-    keyring, fields = _keyring(request), body.model_dump()
+    keyring = _keyring(request)
+    fields = body.model_dump()
     with noted(workspace.ledger, "key.add", body.name, after=fields):
         secret = keyring.add(**fields)
     return json_reply({"name": body.name, "scope": body.scope, "key": secret}, 201)
@@ -67,7 +68,8 @@ def add_key(request: Request, workspace: Opened, body: KeyBody) -> Response:
     responses=answers(dict[str, Any], "name, and the new secret as `key`", 201) | refused(404, 422),
 )
 def rotate_key(name: str, request: Request, workspace: Opened, body: RotateBody) -> Response:
-    keyring, after = _keyring(request), body.model_dump()
+    keyring = _keyring(request)
+    after = body.model_dump()
     with noted(workspace.ledger, "key.rotate", name, after=after):
         secret = keyring.rotate(name, 3600.0 * body.overlap_hours)
     return json_reply({"name": name, "key": secret, **after}, 201)

@@ -237,7 +237,8 @@ def _compared(
     against: int | None,
     form: str,
 ) -> Response:
-    component, spans = workspace.library[name], workspace.ledger.import_spans(name)
+    component = workspace.library[name]
+    spans = workspace.ledger.import_spans(name)
     try:
         source = component, table.rows, table.version, table.solver_error
         reply = comparison(*source, spans, number, against)
@@ -258,7 +259,8 @@ def get_stiffness(
     of: str = "",
     number: Annotated[int | None, Query(alias="import", ge=1, lt=2**63)] = None,
 ) -> Response:
-    component, table = workspace.library[name], workspace.tables.caught_up(name, CATCH_UP_S)
+    component = workspace.library[name]
+    table = workspace.tables.caught_up(name, CATCH_UP_S)
     rows, space, span = table.rows, component.space, component.load_range
     loads = [item.name for item in space.inputs if item.kind != "scalar"]
     ends = _two_loads(between)

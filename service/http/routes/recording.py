@@ -191,7 +191,8 @@ def _store(request: Request) -> RecordingStore:
 async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] | None]:
     """Return a block's wrenches, shape (n, inputs), SI, and its key if there is one."""
     space = request.app.state.workspace.library.as_read(name).space
-    binary, body = is_binary(request), await read_limited(request.receive, MAX_BLOCK_BYTES)
+    binary = is_binary(request)
+    body = await read_limited(request.receive, MAX_BLOCK_BYTES)
     if binary:
         wrenches = read_wrenches(body, MAX_BLOCK, np.inf, space)
         key: BlockKey = checked(BlockKey, dict(request.query_params))
@@ -254,7 +255,8 @@ def _started(
     *store: RecordingStore,
 ) -> Response:
     """Queue solves by the options in the body."""
-    workspace, began = request.app.state.workspace, time.time()
+    workspace = request.app.state.workspace
+    began = time.time()
     started = start(workspace, name, *store, **order.model_dump())
     links = tuple(messages.JobLink(**job_link(job, began)) for job in started.jobs)
     body = messages.Started(**{**vars(started), "component": name, "jobs": links})

@@ -47,7 +47,8 @@ def make_report(
             f"/v1/components/{name}/coverage shows what its rows cover."
         )
     # The builder writes the file of a table after its rows.
-    deadline, tables = time.monotonic() + CATCH_UP_S, workspace.tables
+    deadline = time.monotonic() + CATCH_UP_S
+    tables = workspace.tables
     rows = tables.caught_up(name, CATCH_UP_S).row_count
     while rows and tables.written(name) is None:
         if time.monotonic() > deadline:

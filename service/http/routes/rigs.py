@@ -42,7 +42,8 @@ def get_rig(name: RigName, workspace: Opened) -> Response:
 @router.put("/{name}", summary="Store or replace a rig profile", openapi_extra=_SENT)
 async def put_rig(name: RigName, request: Request, workspace: Opened) -> dict[str, str]:
     content = await read_limited(request.receive, _UTF8 * MAX_RIG)
-    text, message = content.decode("utf-8-sig", "replace"), ""
+    text = content.decode("utf-8-sig", "replace")
+    message = ""
     if "\ufffd" in text:
         line = text.partition("\ufffd")[0].count("\n") + 1
         message = f"must be UTF-8 text, but line {line} is not; save it as UTF-8"

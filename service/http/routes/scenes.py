@@ -51,7 +51,8 @@ async def plan_scene(workspace: Opened, scene: bodies.SceneBody) -> Response:
     }
     plans = {}
     for name, need in needs.items():
-        component, table = workspace.library[name], await workspace.newest(name, CATCH_UP_S)
+        component = workspace.library[name]
+        table = await workspace.newest(name, CATCH_UP_S)
         plans[name] = await run_in_threadpool(_plan, workspace, component, table, need)
     return json_reply({"components": plans})
 
@@ -223,7 +224,9 @@ def _unknown(span: bodies.SpaceSpan, space: Space, where: str) -> list[dict[str,
 
 def _bounds(span: bodies.SpaceSpan, load_range: LoadRange) -> Floats:
     """Return the low and the high end of each input, shape (n, 2), N, N·m and further units."""
-    loads, further, spans = span.loads or {}, span.inputs or {}, []
+    loads = span.loads or {}
+    further = span.inputs or {}
+    spans = []
     zero = [[0.0, 0.0]] * 3
     for name in load_range.space.interfaces:
         of_interface = loads.get(name, bodies.InterfaceSpan()) if name else span

@@ -145,7 +145,8 @@ def _export(
     workspace: Workspace, name: str, export: ExportRequest, if_none_match: str | None
 ) -> Response:
     """Return the rows as a file that is written now and deleted after it has been sent."""
-    component, form = workspace.library[name], export.format
+    component = workspace.library[name]
+    form = export.format
     # Only a table that is behind the ledger must be read before its version is known.
     if export.version is None and workspace.tables.catch_up(name, 0.0):
         tag = _tag(component, workspace.tables.surrogate(name).version)
@@ -252,7 +253,9 @@ def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
 
     `unit`: to send again.
     """
-    errors, rows, first = reply["errors"], reply["rows"], reply["errors"][0]
+    errors = reply["errors"]
+    rows = reply["rows"]
+    first = reply["errors"][0]
     places = [
         {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
         for error in errors

@@ -277,7 +277,8 @@ def _failure(error: Exception) -> tuple[Kind, str]:
     except Exception:
         log.exception("a call of /umbridge failed")
         return "InvalidOutput", "the server made a mistake; its log has the traceback"
-    message, mistakes = str(problem.body["detail"]), problem.body.get("errors")
+    message = str(problem.body["detail"])
+    mistakes = problem.body.get("errors")
     if problem.status == 422 and mistakes:
         texts = []
         for mistake in mistakes:
