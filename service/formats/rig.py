@@ -120,7 +120,7 @@ class Rig:
         if unknown := [key for key in values if key not in known]:
             near = suggest(unknown[0][:100], known)
             named = f"the rig has no key {unknown[0][:100]!r}{near}"
-            raise RigError(f"{named}{'. Known: ' if near else '; use '}{', '.join(known)}")
+            raise RigError(f"{named}{' Known: ' if near else '; use '}{', '.join(known)}")
         name = values.get("name", cls.digest(text))
         if not isinstance(name, str):
             raise RigError(

@@ -192,6 +192,7 @@ def mistake(
             f"the compliance at {reached or 'zero load'} is unknown or singular, so the "
             "displacement has no wrench there; solve or import rows near it"
         )
+    assert displacement is not None  # only an inverse iterates
     low, high = packed.arrays["space/range"]
     outside = bool(((inputs[0] < low) | (inputs[0] > high)).any())
     wanted = _listed(space["outputs"], displacement)

@@ -13,6 +13,7 @@ from scipy.io import savemat
 
 from tests.service import table_files
 from tests.service.table_files import ReadTable, read_hdf5, write_hdf5
+from wrenchbook.surrogate.table.hdf5 import TableFileError, foreign_tables
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
@@ -106,6 +107,14 @@ def test_a_table_cannot_point_at_files_of_the_server(changed, tmp_path):
     assert "rows in another file" in only_error(read_hdf5(changed(linked_group))).message
     missing = only_error(read_hdf5(changed(lambda file: file.pop("load_range"))))
     assert "no group load_range" in missing.message
+
+
+def test_an_edited_table_file_says_how_to_edit_its_rows(tmp_path):
+    path = tmp_path / "edited.h5"
+    content = write_hdf5(ROWS, range(1, 7), META)
+    path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    with pytest.raises(TableFileError, match="differs from what wrenchbook wrote"):
+        list(foreign_tables(path))
 
 
 def test_a_group_in_the_place_of_a_column_and_long_texts_are_named(changed):
