@@ -80,8 +80,8 @@ def split(label: str) -> tuple[str, str]:
     if match is None or not match["name"]:
         name, opening, unit = label.partition("[")
         if name.strip() and opening and "]" not in unit and "[" not in unit:
-            label = f"{name.strip()} [{unit.strip()}]"
-            raise UnitError(f"lacks its closing bracket; write {label}")
+            complete = f"{name.strip()} [{unit.strip()}]"
+            raise UnitError(f'"{label}" lacks its closing bracket; write {complete}')
         raise UnitError("must have the form name [unit]; write for example fx [N]")
     return match["name"], (match["a"] or match["b"] or "").strip()
 

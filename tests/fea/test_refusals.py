@@ -92,3 +92,14 @@ def test_a_bundle_is_refused_by_its_key_with_what_to_do(bundle, good, case):
     with pytest.raises(BundleError) as caught:
         build(read_bundle(folder))
     assert_told(case, [str(problem) for problem in caught.value.problems])
+
+
+def test_a_list_of_one_interface_has_one_mistake(bundle):
+    folder = bundle("plate")
+    file = folder / "component.toml"
+    text = file.read_text()
+    assert text.count("[interface]") == 1
+    file.write_text(text.replace("[interface]", "[[interface]]"))
+    with pytest.raises(BundleError) as caught:
+        read_bundle(folder)
+    assert [str(problem.where) for problem in caught.value.problems] == ["interface"]
