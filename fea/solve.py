@@ -540,7 +540,8 @@ def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> No
     load.
     """
     degrees = np.degrees(np.linalg.norm(displacement.reshape(-1, 6)[:, 3:], axis=1))
-    if (largest := float(degrees.max())) > MAX_DEGREES:
+    largest = float(degrees.max())
+    if largest > MAX_DEGREES:
         number = f" {degrees.argmax() + 1} of component.toml" if len(degrees) > 1 else ""
         raise rotation_too_large(largest, MAX_DEGREES, load_factor, f"Interface{number}")
 
@@ -552,22 +553,7 @@ def system_of(component: ComponentModel, active: Array) -> System:
     """
     mesh = component.mesh
     mesh = replace(mesh, points=(mesh.points - component.interfaces[0].point) @ component.axes.T)
-    # Each interface's coupling, its nodes, and its axes in the body's if they differ.
-    sections: list[tuple[SectionCoupling, Array, Array | None]] = []
-    for attached in (*component.interfaces, *component.frames):
-        nodes = attached.section.node_ids
-        points = ((component.mesh.points - attached.point) @ attached.axes.T)[nodes]
-        if attached.coupling == "rigid":
-            holds = Rigid(points)
-        else:
-            holds = Distributed(points, attached.section.weights)
-        same = np.array_equal(attached.axes, component.axes)
-        sections.append((holds, nodes, None if same else attached.axes @ component.axes.T))
-    first, frames = len(component.interfaces), len(component.frames)
-    springs = [
-        (tuple(first + frame for frame in ends), stiffness) for ends, stiffness in component.springs
-    ]
-    coupling = Coupling(len(mesh.points), sections, active, _anchors(component), frames, springs)
+    coupling = _coupling_of(component, active)
     # The cells, their free nodes, and the tension of bolts on the slips of their cuts.
     free = np.ones(len(mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
@@ -594,6 +580,30 @@ def system_of(component: ComponentModel, active: Array) -> System:
         body_force = body_force_of(component, body)
     preload = pulled if component.bolts else None
     return System(body, coupling, component.mesh.points, weight, body_force, preload)
+
+
+def _coupling_of(component: ComponentModel, active: Array) -> Coupling:
+    """Return the coupling of a component's interfaces and frames, which springs hold.
+
+    active: shape (k,): indices of the freedoms that are not locked.
+    """
+    # Each interface's coupling, its nodes, and its axes in the body's if they differ.
+    sections: list[tuple[SectionCoupling, Array, Array | None]] = []
+    for attached in (*component.interfaces, *component.frames):
+        nodes = attached.section.node_ids
+        points = ((component.mesh.points - attached.point) @ attached.axes.T)[nodes]
+        if attached.coupling == "rigid":
+            section = Rigid(points)
+        else:
+            section = Distributed(points, attached.section.weights)
+        same = np.array_equal(attached.axes, component.axes)
+        sections.append((section, nodes, None if same else attached.axes @ component.axes.T))
+    first, n_frames = len(component.interfaces), len(component.frames)
+    springs = [
+        (tuple(first + frame for frame in ends), stiffness) for ends, stiffness in component.springs
+    ]
+    size = len(component.mesh.points)
+    return Coupling(size, sections, active, _anchors(component), n_frames, springs)
 
 
 def _warmed(block: CellBlock, cells: CellStiffness, rise: Array, integration: str) -> CellStiffness:

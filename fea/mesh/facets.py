@@ -183,9 +183,9 @@ def no_facets(mesh: Mesh, key: str, name: str, *, or_nodes: bool = False) -> Bun
     """Return the problem of a name that is no facet group, nor a node group with `or_nodes`."""
     kind = "facet or node group" if or_nodes else "facet group"
     groups = [*mesh.facet_groups, *(mesh.node_groups if or_nodes else ())]
-    for what, others in (("cells", mesh.regions), ("nodes", mesh.node_groups)):
-        if name in others:
-            message = f'"{name}" is a group of {what}; name a {kind}{_listed(groups)}'
+    for members, named in (("cells", mesh.regions), ("nodes", mesh.node_groups)):
+        if name in named:
+            message = f'"{name}" is a group of {members}; name a {kind}{_listed(groups)}'
             return BundleProblem(key, message)
     return missing(key, name, kind, groups)
 

@@ -357,19 +357,8 @@ class Plate(Generator):
         grid = np.stack(
             np.meshgrid(self._lines(self.length), self._lines(self.width), indexing="ij"), axis=-1
         )
-        # The frame's part of a grid of `lines` x `lines` nodes: its quadrilaterals, their nodes,
-        # and the nodes of the inner rectangle, counter-clockwise from its lowest corner.
-        lines = len(grid)
-        first = self.corner_cells
-        last = self.corner_cells + self.cells
-        quads = grid_quads(lines, lines)
-        column = quads[:, 0] // lines
-        row = quads[:, 0] % lines
-        inside = (first <= column) & (column < last) & (first <= row) & (row < last)
-        column, row = np.divmod(rim_of_grid(self.cells), self.cells + 1)
-        inner = (first + column) * lines + first + row
-        frame = quads[~inside]
-        of_frame = np.unique(quads[~inside])
+        frame, inner = self._frame(len(grid))
+        of_frame = np.unique(frame)
         arcs = 4 * self.cells
         circle = disc[-arcs:]
         rectangle = grid.reshape(-1, 2)[inner]
@@ -402,6 +391,19 @@ class Plate(Generator):
             "bottom": plate.start(),
         }
         return Mesh(plate.points, (plate.cells,), facet_groups=groups)
+
+    def _frame(self, lines: int) -> tuple[Array, Array]:
+        """Return the frame's quadrilaterals, (q, 4), in a grid of `lines` x `lines` nodes.
+
+        The second result has the nodes of the inner rectangle, (k,), counter-clockwise from its
+        lowest corner.
+        """
+        first, last = self.corner_cells, self.corner_cells + self.cells
+        quads = grid_quads(lines, lines)
+        column, row = quads[:, 0] // lines, quads[:, 0] % lines
+        inside = (first <= column) & (column < last) & (first <= row) & (row < last)
+        column, row = np.divmod(rim_of_grid(self.cells), self.cells + 1)
+        return quads[~inside], (first + column) * lines + first + row
 
     def _lines(self, length: float) -> Array:
         """Return the grid lines of the frame in one direction, symmetric about 0."""

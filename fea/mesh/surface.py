@@ -205,7 +205,7 @@ class Surface:
         # First column: the direction square to the normals.
         frame = np.linalg.eigh(vectors.T @ vectors)[1]
         local = (x - middle) @ frame / size
-        some = local[:: max(1, len(x) // _FIT_POINTS)]
+        sample = local[:: max(1, len(x) // _FIT_POINTS)]
 
         # Imported here, as it takes 50 ms of a solve's start.
         from scipy.optimize import least_squares
@@ -217,13 +217,13 @@ class Surface:
             return np.linalg.norm(arms, axis=1) - values[4]
 
         # Start from the circle that fits best across the first direction.
-        ones = np.column_stack([2 * some[:, 1:], np.ones(len(some))])
-        b, c, rest = np.linalg.lstsq(ones, (some[:, 1:] ** 2).sum(axis=1))[0]
-        start = np.array([b, c, 0, 0, np.sqrt(max(rest + b**2 + c**2, _LEAST_SQUARE))])
-        if len(some) < _MIN_FIT_POINTS or np.abs(misfit(start, some)).max() > start[4]:
+        ones = np.column_stack([2 * sample[:, 1:], np.ones(len(sample))])
+        b, c, constant = np.linalg.lstsq(ones, (sample[:, 1:] ** 2).sum(axis=1))[0]
+        start = np.array([b, c, 0, 0, np.sqrt(max(constant + b**2 + c**2, _LEAST_SQUARE))])
+        if len(sample) < _MIN_FIT_POINTS or np.abs(misfit(start, sample)).max() > start[4]:
             return None
         fit = least_squares(
-            misfit, start, args=(some,), xtol=_FIT, ftol=_FIT, max_nfev=_FIT_STEPS
+            misfit, start, args=(sample,), xtol=_FIT, ftol=_FIT, max_nfev=_FIT_STEPS
         ).x
         if fit[4] > _MAX_RADIUS or np.abs(misfit(fit, local)).max() > _NEAR * min(fit[4], 1.0):
             return None
@@ -244,7 +244,7 @@ class Surface:
         masks: dict[str, Array] = {}
         problems: list[BundleProblem] = []
         there = {*self.mesh.node_groups, *self.mesh.facet_groups}
-        users = {n: {other for other in groups if other == c.inside} for n, c in groups.items()}
+        users = {n: {group for group in groups if group == c.inside} for n, c in groups.items()}
         try:
             order = [*TopologicalSorter(users).static_order()]
         except CycleError as error:
@@ -447,8 +447,7 @@ def _members(labels: Array) -> list[Array]:
 
 def _three(values: Array) -> Point:
     """Return three numbers as plain floats; + 0.0 makes -0.0 a plain 0."""
-    x, y, z = (float(value) + 0.0 for value in values)
-    return x, y, z
+    return float(values[0]) + 0.0, float(values[1]) + 0.0, float(values[2]) + 0.0
 
 
 def _short(*values: float) -> list[float]:

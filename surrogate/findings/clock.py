@@ -84,23 +84,17 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
     duration = float(np.ptp(logs.when))
     interval = min(float(np.median(np.diff(times))) for times in (logs.time, np.sort(logs.when)))
     step = max(interval, (duration + 2 * MAX_LAG * duration) / MAX_STEPS, duration * RESOLUTION)
-    starts = [applied, *_correlated_lags(logs, applied, step)]
-    candidates = (_fitted(logs, (applied, start), step) for start in starts)
-    fits = [candidate for candidate in candidates if candidate is not None]
-    if not fits:
+    alike = _alike_fits(logs, applied, step)
+    if not alike:
         return None
-
-    # With periodic loads lags one period apart fit alike: take the one nearest to the applied lag.
-    sizes = [max(float(fit.residual(lag).mean()), MIN_MISFIT**2) for lag, fit in fits]
-    alike = [fits[at] for at, size in enumerate(sizes) if ALIKE * size <= min(sizes)]
-    alike.sort(key=lambda lag_and_fit: abs(lag_and_fit[0] - applied))
-    fit = alike[0][1]
-    (best, error), *more = (each.vertex(lag) for lag, each in alike)
+    fit = alike[0].fit
+    vertices = [candidate.fit.vertex(candidate.lag) for candidate in alike]
+    best, error = vertices[0]
     # Lags whose intervals do not meet that of the best one; an unknown error adds nothing.
     others = tuple(
         lag
-        for lag, its_error in more
-        if abs(lag - best) > error + step + np.nan_to_num(its_error, posinf=0.0)
+        for lag, error_of_lag in vertices[1:]
+        if abs(lag - best) > error + step + np.nan_to_num(error_of_lag, posinf=0.0)
     )
 
     # Another lag, another rate and a loop each must explain the residual better than the others.
@@ -130,6 +124,26 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
     )
 
 
+class _LagFit(NamedTuple):
+    """A lag of least residual, with the fit that shows it."""
+
+    lag: float  # s
+    fit: _Fit
+
+
+def _alike_fits(logs: Logs, applied: float, step: float) -> list[_LagFit]:
+    """Return the lags that fit about as well as the best, that nearest to the applied lag first.
+
+    With periodic loads lags one period apart fit alike. `applied` and `step`, s.
+    """
+    starts = [applied, *_correlated_lags(logs, applied, step)]
+    candidates = [_fitted(logs, (applied, start), step) for start in starts]
+    fits = [candidate for candidate in candidates if candidate is not None]
+    sizes = [max(float(fit.residual(lag).mean()), MIN_MISFIT**2) for lag, fit in fits]
+    alike = [fits[at] for at, size in enumerate(sizes) if ALIKE * size <= min(sizes)]
+    return sorted(alike, key=lambda candidate: abs(candidate.lag - applied))
+
+
 def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
     """Return a finding if the logs need another clock rate, or another lag than the applied one."""
     if lag is not None and lag.rate:
@@ -155,7 +169,7 @@ def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
 
 def repeated(lag: Lag) -> str:
     """Return the remark that several lags fit."""
-    others = " and ".join(f"{other:.4g}" for other in sorted(lag.others))
+    others = " and ".join(f"{seconds:.4g}" for seconds in sorted(lag.others))
     return f"the loads repeat, and the logs fit as well with {others} s as with {lag.seconds:.4g} s"
 
 
@@ -193,16 +207,15 @@ def _clipped(moved: Floats) -> Floats:
     return clipped / np.maximum(clipped.std(axis=0), np.finfo(float).tiny)
 
 
-def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> tuple[float, _Fit] | None:
+def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> _LagFit | None:
     """Return the lag of least residual, s, and the fit; None if there is none.
 
     `lags`, s: the applied one, and the one near which the search starts. The fit holds the
     displacements that both have loads for. A search that ends at its bound has no result and starts
     again there, with twice the width.
     """
-    width = 2 * step
-    most = MAX_LAG * float(np.ptp(logs.when))
-    while width < most:
+    width, max_width = 2 * step, MAX_LAG * float(np.ptp(logs.when))
+    while width < max_width:
         fit = _Fit(logs, lags, step, width + step)
         if len(fit.logs.when) < MIN_DISPLACEMENTS:
             return None
@@ -213,9 +226,8 @@ def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> tuple[float, 
             options={"xatol": SEARCH_ACCURACY * step},
         )
         if abs(result.x - start) < INNER_PART * width:
-            return float(result.x), fit
-        lags = (lags[0], float(result.x))
-        width = 2 * width
+            return _LagFit(float(result.x), fit)
+        lags, width = (lags[0], float(result.x)), 2 * width
     return None
 
 
@@ -281,7 +293,11 @@ class _Fit:
         step = float(np.median(np.diff(self.logs.time)))
         least, curvature = np.empty(0), np.empty(0)
         for _ in range(3):
-            least, low, high = (self.residual(lag + by) for by in (0.0, -step, step))
+            least, low, high = (
+                self.residual(lag),
+                self.residual(lag - step),
+                self.residual(lag + step),
+            )
             curvature = (low + high - 2 * least).clip(0.0)
             if not curvature.sum() > 0:
                 return lag, np.inf

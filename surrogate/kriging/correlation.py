@@ -91,9 +91,8 @@ class Hyperparameters:
         second derivatives, three times that if a = b.
         """
         (rates, weights), loads = self.terms, self.groups.shape[1]
-        value, once, twice = (
-            derivative[0] for derivative in matern(np.zeros(1), 2, self.smoothness)
-        )
+        at_zero = matern(np.zeros(1), 2, self.smoothness)
+        value, once, twice = at_zero[0][0], at_zero[1][0], at_zero[2][0]
         pairs = 4 * twice * (1 + 2 * np.eye(loads)) * ((weights * rates.T) @ rates)
         slopes = -2 * once * weights @ rates
         return np.concatenate(([value * weights.sum()], slopes, pairs[np.triu_indices(loads)]))
@@ -106,7 +105,9 @@ def derivative_count(loads: int, order: int) -> int:
 
 def order_of(count: int, loads: int) -> int:
     """Return the highest order of a row's derivatives by their number, the value included."""
-    return 0 if count == 1 else 1 if count == 1 + loads else 2
+    if count == 1:
+        return 0
+    return 1 if count == 1 + loads else 2
 
 
 @cache
@@ -177,8 +178,7 @@ def derivatives_of_term(
     twice = 2 * rates[:, None] * delta
     derived: dict[tuple[int, Index], Floats] = {(r, ()): radial[r] for r in range(order + 1)}
     for index in indices(loads, order)[1:]:
-        *others, load = index
-        lower = tuple(others)
+        lower, load = index[:-1], index[-1]
         for r in range(order + 1 - len(index)):
             value = twice[load] * derived[r + 1, lower]
             if load in lower:

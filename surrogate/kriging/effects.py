@@ -135,7 +135,8 @@ class _Readings(NamedTuple):
         terms = terms_of(loads, len(np.unique(place)))
         scaled, largest = _response(terms, moved, good)
         of_sessions = (session[good] == np.arange(count)[:, None])[:, :, None] * scaled[good]
-        cubic, straight = (_is_no_polynomial(of_sessions, loads[good], k) for k in (3, 1))
+        cubic = _is_no_polynomial(of_sessions, loads[good], 3)
+        straight = _is_no_polynomial(of_sessions, loads[good], 1)
         steps = terms.copy()
         for at in members:
             first = np.unique(place[at])
@@ -247,11 +248,16 @@ def _with_common_kinds(significant: Floats, estimates: _Estimates) -> Floats:
 
 def _error_bar(counted: Floats, estimates: _Estimates, readings: _Readings) -> Floats:
     """Return `Effects.bar` of the counted effects, (2 + 4 s, m), m and rad."""
-    mean, deviation, half_width = map(_by_kind, estimates)
+    mean, deviation = _by_kind(estimates.mean), _by_kind(estimates.deviation)
+    half_width = _by_kind(estimates.half_width)
     upper = _by_kind(np.where(counted != 0, np.abs(counted) + estimates.half_width, 0.0))
-    drift, session, scale_drift, scale = (kind.max(axis=0) for kind in upper[2:])
     # Half a drift: rows without it are in the middle of the time.
-    bar = upper.loop + (0.5 * drift + session + 0.5 * scale_drift + scale)
+    bar = upper.loop + (
+        0.5 * upper.drift.max(axis=0)
+        + upper.session.max(axis=0)
+        + 0.5 * upper.scale_drift.max(axis=0)
+        + upper.scale.max(axis=0)
+    )
     # Answers have the scale of the session at their load, and the part may have another's.
     known = np.where(half_width.scale > 0, deviation.scale, np.inf)
     width = np.minimum(known, SCALE_DEVIATION * readings.largest) * DEFAULTS.half_width
@@ -423,8 +429,8 @@ def _estimates(
             scale = SCALE_DEVIATION * readings.largest[outputs]
             rows = readings.rows.take(used)
             results[:, :, outputs] = _estimated(rows, load_range, outputs, columns, scale)
-        mean, _, half_width = map(_by_kind, results)
-        pending = np.abs(mean.loop) > half_width.loop
+        estimates = _Estimates(*results)
+        pending = np.abs(_by_kind(estimates.mean).loop) > _by_kind(estimates.half_width).loop
         measured = np.where(pending[:, None], measured & (signs[good].T != 0), measured)
     return _Estimates(*results)
 
@@ -444,25 +450,16 @@ def _estimated(
     y = (moved - offset) / np.where(size > 0, size, 1.0)
     x = (rows.wrench - load_range.space.zero) / load_range.scale
     linear = x[:, np.ptp(x, axis=0) > ZERO_LOAD]
-    # The coefficients are those of the loads, of the zero offset and of the columns. Effects are
-    # contrasts of the coefficients without those of the loads.
-    first = linear.shape[1]
-    sessions = columns.shape[1] // 4
-    count = first + 1 + columns.shape[1]
-    contrasts = np.eye(count)[first:]
-    # Offset and scale of a session: relative to the mean over the sessions.
-    for end in (count, count - 2 * sessions):
-        contrasts[end - first - sessions : end - first, end - sessions : end] -= 1 / sessions
-    # The zero offset is the one at the beginning of sessions.
-    contrasts[0, first + 2 : first + 2 + sessions] = -0.5 / sessions
+    first, n_sessions = linear.shape[1], columns.shape[1] // 4
+    contrasts = _contrasts(first, n_sessions)
     free = n - first - 2 - np.count_nonzero(columns[:, 1:].any(axis=(0, 2)))
     if free < 1:
         none = np.zeros((len(contrasts), len(outputs)))
         return _Estimates(none, none, none)
-    priors = np.zeros((len(outputs), count))
+    priors = np.zeros((len(outputs), contrasts.shape[1]))
     priors[:, first + 1 :] = PRIOR**-2
     moves = (size > 0) & (scale > 0)
-    priors[moves, -2 * sessions :] = (size[moves, None] / scale[moves, None]) ** 2
+    priors[moves, -2 * n_sessions :] = (size[moves, None] / scale[moves, None]) ** 2
     spectra = []
     for matrix in _covariances(x, rows.space):
         roots, vectors = np.linalg.eigh(matrix)
@@ -472,11 +469,10 @@ def _estimated(
     means, second_moments = np.empty((2, *shape, len(contrasts)))
     for output in range(len(outputs)):
         all_columns = np.column_stack((linear, np.ones(n), columns[:, :, output]))
-        (
-            negative_log_likelihoods[:, :, output],
-            means[:, :, output],
-            second_moments[:, :, output],
-        ) = _posterior(all_columns, y[:, output], contrasts, priors[output], spectra, free)
+        result = _posterior(all_columns, y[:, output], contrasts, priors[output], spectra, free)
+        negative_log_likelihoods[:, :, output] = result.negative_log_likelihood
+        means[:, :, output] = result.mean
+        second_moments[:, :, output] = result.second_moment
     # The average over kernels and noises; letters: kernel, ratio, output, effect.
     weights = np.exp(negative_log_likelihoods.min(axis=(0, 1)) - negative_log_likelihoods)
     weights /= weights.sum(axis=(0, 1))
@@ -495,6 +491,30 @@ def _estimated(
     return _Estimates(mean, deviation, half_width)
 
 
+def _contrasts(n_loads: int, n_sessions: int) -> Floats:
+    """Return the effects by the coefficients of loads, zero offset and columns, (1 + c, l + 1 + c).
+
+    They are the coefficients without those of the loads, with these means subtracted.
+    """
+    count = n_loads + 2 + 4 * n_sessions
+    contrasts = np.eye(count)[n_loads:]
+    # Offset and scale of a session: relative to the mean over the sessions.
+    for end in (count, count - 2 * n_sessions):
+        sessions = slice(end - n_sessions, end)
+        contrasts[end - n_loads - n_sessions : end - n_loads, sessions] -= 1 / n_sessions
+    # The zero offset is the one at the beginning of sessions.
+    contrasts[0, n_loads + 2 : n_loads + 2 + n_sessions] = -0.5 / n_sessions
+    return contrasts
+
+
+class _Posterior(NamedTuple):
+    """Posterior of e effects on an output, by k kernels and r noises."""
+
+    negative_log_likelihood: Floats  # (k, r), half of it
+    mean: Floats  # (k, r, e), spreads
+    second_moment: Floats  # (k, r, e), spreads squared
+
+
 def _posterior(
     columns: Floats,
     y: Floats,
@@ -502,11 +522,8 @@ def _posterior(
     prior: Floats,
     spectra: list[tuple[Floats, Floats]],
     free: int,
-) -> tuple[Floats, Floats, Floats]:
-    """Return half the negative log likelihood, and mean and second moment of the effects.
-
-    Shapes (k, r), (k, r, e) and (k, r, e), of k kernels, r noises and e effects; spreads and
-    spreads squared.
+) -> _Posterior:
+    """Return the posterior of the effects on an output.
 
     `columns` (n, c): covariates of one output: linear loads, 1, and those of the effects.
     `y` (n,), spreads: its readings.
@@ -531,7 +548,8 @@ def _posterior(
         right = inverse @ (b * data[:, None])
         square = inverse @ data**2
         # The prior counts relative to the process variance, which follows from it.
-        variance, posterior, covariances, estimate = np.ones(len(inverse)), *(normal,) * 2, right
+        variance = np.ones(len(inverse))
+        posterior, covariances, estimate = normal, normal, right
         for _ in range(2):
             posterior = normal + variance[:, None, None] * pull
             covariances = np.linalg.inv(posterior)
@@ -544,8 +562,11 @@ def _posterior(
         spread = np.einsum("ea,rab,eb->re", back, covariances, back)
         values = 0.5 * (free * np.log(variance) + logarithms)
         results.append((values, effects, effects**2 + variance[:, None] * spread))
-    values, effects, squares = map(np.array, zip(*results, strict=True))
-    return values, effects, squares
+    return _Posterior(
+        negative_log_likelihood=np.array([values for values, _, _ in results]),
+        mean=np.array([effects for _, effects, _ in results]),
+        second_moment=np.array([squares for _, _, squares in results]),
+    )
 
 
 def _half_widths(
@@ -596,7 +617,8 @@ def _covariances(x: Floats, space: Space) -> Iterator[Floats]:
     squares = [apart**2 @ group for group in space.kriging_groups]
     kinks = matern(apart**2, 0, 1)[0].sum(axis=2)
     for theta in THETAS:
-        *axes, joint = (matern(np.exp(theta) * square, 0)[0] for square in squares)
+        terms = [matern(np.exp(theta) * square, 0)[0] for square in squares]
+        axes, joint = terms[:-1], terms[-1]
         for joint_weight, kink_weight in JOINT_AND_KINK_WEIGHTS:
             matrix = sum(axes) + joint_weight * joint + kink_weight * kinks
             across = matrix[:-1, -1]

@@ -229,17 +229,7 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
         blocks.setdefault(f"{start}/", set()).add(last)
     rows: dict[str, int] = {}
     for start, names in blocks.items():
-        block = next((entry for entry in BLOCKS.values() if re.fullmatch(entry.names, start)), None)
-        described = {} if block is None else {array.name: array for array in block.arrays}
-        lacking = {array.name for array in described.values() if not array.optional} - names
-        if names - set(described) or lacking:
-            what = "lacks"
-            wrong = lacking
-            if not lacking:
-                what = "has unknown arrays:"
-                wrong = names - set(described)
-            listed = ", ".join(sorted(wrong))
-            raise PackedTableError(f"{start} {what} {listed}; build the table again")
+        described = _described(start, names)
         sizes = dict(table)
         # In the order of names, so that the same array is named each time.
         for name in sorted(names):
@@ -263,6 +253,26 @@ def check(arrays: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
                 "build the table again"
             )
     return arrays
+
+
+def _described(start: str, names: set[str]) -> dict[str, Array]:
+    """Return the descriptions of the arrays of the block `start` by their names.
+
+    Raises PackedTableError if an array is missing or unknown.
+    """
+    described: dict[str, Array] = {}
+    for block in BLOCKS.values():
+        if re.fullmatch(block.names, start):
+            described = {array.name: array for array in block.arrays}
+            break
+    lacking = {array.name for array in described.values() if not array.optional} - names
+    unknown = names - set(described)
+    if lacking:
+        raise PackedTableError(f"{start} lacks {', '.join(sorted(lacking))}; build the table again")
+    if unknown:
+        listed = ", ".join(sorted(unknown))
+        raise PackedTableError(f"{start} has unknown arrays: {listed}; build the table again")
+    return described
 
 
 def header() -> str:

@@ -85,15 +85,15 @@ class AxisRows:
             getattr(self, name).tobytes() == getattr(other, name).tobytes() for name in columns
         )
 
-    def take(self, which: NDArray[np.bool_]) -> AxisRows:
-        """Return the points that a mask of shape (n,), dimensionless, picks."""
+    def take(self, mask: NDArray[np.bool_]) -> AxisRows:
+        """Return the points that a mask, (n,), picks."""
         return AxisRows(
             self.axis,
-            self.points[which],
-            self.displacement[which],
-            tuple(self.members[point] for point in np.flatnonzero(which)),
-            self.single_axis[which],
-            self.tangent[which],
+            self.points[mask],
+            self.displacement[mask],
+            tuple(self.members[point] for point in np.flatnonzero(mask)),
+            self.single_axis[mask],
+            self.tangent[mask],
         )
 
 
@@ -129,25 +129,11 @@ def axis_rows(
     times its off-axis loads (and leaves the row out if the fit does not know those loads), "ignore"
     uses the row as it is, "exclude" leaves it out.
     """
-    single_axis = single_axis_rows(rows, load_range)
-    of_axis = single_axis[:, AXES.index(axis)]
-    multi_axis = ~single_axis.any(axis=1) & (off_axis != "exclude")
-    inputs, others = list(axis.inputs), list(axis.others)
-    if off_axis == "correct":
-        loaded = np.abs(rows.wrench) > ZERO_LOAD * load_range.scale
-        multi_axis &= ~(loaded[:, others] & ~fit.known[others]).any(axis=1)
-    scaled = (rows.wrench / load_range.scale)[:, inputs] + 0.0
-    indices = [np.flatnonzero(each) for each in (of_axis, multi_axis)]
-    indices = np.concatenate([each[evenly_chosen(scaled[each])] for each in indices])
-    indices.sort()
+    inputs, off_loads = list(axis.inputs), list(axis.others)
+    of_axis, indices = _usable_rows(rows, load_range, axis, fit, off_axis)
     displacement = rows.displacement[indices]
-    if multi_axis.any():
-        # At points of single-axis rows only these rows count.
-        group = close_groups(scaled[indices])
-        chosen = of_axis[indices] | ~np.isin(group, group[of_axis[indices]])
-        indices, displacement = indices[chosen], displacement[chosen]
     if off_axis == "correct":
-        loads = np.where(np.isin(np.arange(6), others), rows.wrench[indices], 0.0)
+        loads = np.where(np.isin(np.arange(6), off_loads), rows.wrench[indices], 0.0)
         displacement = np.where(
             of_axis[indices][:, None], displacement, displacement - loads @ fit.matrix.T
         )
@@ -177,6 +163,29 @@ def axis_rows(
         single_axis=of_axis[ordered.seq],
         tangent=tangent,
     )
+
+
+def _usable_rows(
+    rows: Rows, load_range: LoadRange, axis: LoadAxis, fit: ComplianceFit, off_axis: OffAxis
+) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Return which rows load this axis alone, (n,), and the indices of the rows in use, (k,)."""
+    single_axis = single_axis_rows(rows, load_range)
+    of_axis = single_axis[:, AXES.index(axis)]
+    multi_axis = ~single_axis.any(axis=1) & (off_axis != "exclude")
+    if off_axis == "correct":
+        off_loads = list(axis.others)
+        loaded = np.abs(rows.wrench) > ZERO_LOAD * load_range.scale
+        multi_axis &= ~(loaded[:, off_loads] & ~fit.known[off_loads]).any(axis=1)
+    scaled = (rows.wrench / load_range.scale)[:, list(axis.inputs)] + 0.0
+    single, multi = np.flatnonzero(of_axis), np.flatnonzero(multi_axis)
+    single, multi = single[evenly_chosen(scaled[single])], multi[evenly_chosen(scaled[multi])]
+    indices = np.sort(np.concatenate([single, multi]))
+    if multi_axis.any():
+        # At points of single-axis rows only these rows count.
+        group = close_groups(scaled[indices])
+        chosen = of_axis[indices] | ~np.isin(group, group[of_axis[indices]])
+        indices = indices[chosen]
+    return of_axis, indices
 
 
 # Largest number of triangulated points of one axis. A triangulation of n points in three dimensions
@@ -217,14 +226,14 @@ def evenly_chosen(points: Floats) -> NDArray[np.bool_]:
     directions = np.concatenate(
         (corners, np.column_stack((radius * np.cos(angle), radius * np.sin(angle), height)))
     )
-    most = np.full(len(directions), -np.inf)
+    farthest = np.full(len(directions), -np.inf)
     outermost = np.zeros(len(directions), dtype=np.intp)
     for start in range(0, len(points), CHUNK):
         along = directions @ points[start : start + CHUNK].T
         best = along.argmax(axis=1)
         value = along[np.arange(len(best)), best]
-        better = value > most
-        most[better], outermost[better] = value[better], start + best[better]
+        better = value > farthest
+        farthest[better], outermost[better] = value[better], start + best[better]
     chosen[outermost] = True
     return chosen
 

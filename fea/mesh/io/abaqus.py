@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -86,7 +86,7 @@ class Deck:
     systems: dict[int, tuple[Array, Array]] = field(default_factory=dict)  # axes in rows, origin
     # Weights of couplings, by node set and label; repeated ones add up
     weights: dict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
-    entries: int = 0  # number of members of all sets
+    n_members: int = 0  # of all sets together
 
 
 def axes_through(origin: Array, first: Array, second: Array) -> Array:
@@ -163,25 +163,38 @@ def _take_nodes(deck: Deck, keyword: Keyword) -> None:
     labels = []
     for row in keyword.rows:
         label = keyword.frame.label(row[0])
-        try:
-            point = [float(x or 0.0) for x in (*row[1:4], "", "", "")[:3]]
-        except ValueError:
-            at = ", ".join(row[1:4])
-            raise MeshFileError(f"has node {row[0]} at ({at}); write three numbers") from None
+        point = _coordinates(row)
         if moved:
             point = (cartesian(kind, np.array(point)) @ axes + origin).tolist()
         point = keyword.frame.transformed(point)
         if deck.nodes.setdefault(label, point) != point:
-            index = list(deck.nodes).index(label)
-            line = next(line for first, line in reversed(deck.node_lines) if first <= index)
-            here, there = (", ".join(f"{x:g}" for x in at) for at in (point, deck.nodes[label]))
+            here = ", ".join(f"{x:g}" for x in point)
+            there = ", ".join(f"{x:g}" for x in deck.nodes[label])
             raise MeshFileError(
-                f"has node {row[0]} at ({here}), but the *NODE of line {line} has it at ({there}); "
-                "give one of the two another number"
+                f"has node {row[0]} at ({here}), but the *NODE of line {_line_of(deck, label)} has "
+                f"it at ({there}); give one of the two another number"
             )
         labels.append(label)
     if "NSET" in keyword.options:
         add(deck, deck.node_sets, keyword.frame, keyword.options["NSET"], labels)
+
+
+def _coordinates(row: list[str]) -> list[float]:
+    """Return the three coordinates of a row of *NODE, in the deck's unit; a missing one is 0."""
+    texts = row[1:4]
+    try:
+        coordinates = [float(text or 0.0) for text in texts]
+    except ValueError:
+        at = ", ".join(texts)
+        raise MeshFileError(f"has node {row[0]} at ({at}); write three numbers") from None
+    return coordinates + [0.0] * (3 - len(coordinates))
+
+
+def _line_of(deck: Deck, label: int) -> str:
+    """Return the line of the *NODE that has a node."""
+    index = list(deck.nodes).index(label)
+    lines = [line for first, line in deck.node_lines if first <= index]
+    return lines[-1]
 
 
 def _take_system(deck: Deck, keyword: Keyword) -> None:
@@ -204,24 +217,13 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
     kind = kind_of(keyword.option("TYPE").upper())
     if kind is None:  # masses, springs, gaps: no part of the mesh
         return
-    columns = 1 + {**NODES_PER_CELL, **NODES_PER_FACET, **NODES_PER_LINE}[kind]
-    # `ends`: number of labels up to the end of each data line.
-    numbers, ends = list[int](), set[int]()
-    for row in keyword.rows:
-        numbers += [keyword.frame.label(each) for each in row if each]
-        ends.add(len(numbers))
-    starts = range(0, len(numbers), columns)
-    if (bad := next((i for i in starts if i + columns not in ends), None)) is not None:
-        raise MeshFileError(
-            f"has element {numbers[bad] % STRIDE} without the {columns - 1} nodes of a {kind}; "
-            f"write {columns - 1} nodes in each row, or another TYPE"
-        )
-    table = [numbers[i : i + columns] for i in starts]
+    table = _element_rows(keyword, kind)
     if not table:
         return
     for i, row in enumerate(table):
         if row[0] in deck.where:
-            line = [*deck.element_lines, keyword.at][deck.where[row[0]][0]]
+            block, _ = deck.where[row[0]]
+            line = deck.element_lines[block] if block < len(deck.element_lines) else keyword.at
             raise MeshFileError(
                 f"defines element {row[0] % STRIDE}, as *ELEMENT in line {line} does; give one of "
                 "the two another number"
@@ -235,6 +237,27 @@ def _take_elements(deck: Deck, keyword: Keyword) -> None:
         add(deck, deck.element_sets, keyword.frame, keyword.options["ELSET"], labels)
 
 
+_NODES_PER_ELEMENT = {**NODES_PER_CELL, **NODES_PER_FACET, **NODES_PER_LINE}
+
+
+def _element_rows(keyword: Keyword, kind: str) -> list[list[int]]:
+    """Return the labels of each element of *ELEMENT and of its nodes; rows may be continued."""
+    n_nodes = _NODES_PER_ELEMENT[kind]
+    labels: list[int] = []
+    ends: set[int] = set()  # number of labels up to the end of each data line
+    for row in keyword.rows:
+        labels += [keyword.frame.label(text) for text in row if text]
+        ends.add(len(labels))
+    starts = range(0, len(labels), 1 + n_nodes)
+    for start in starts:
+        if start + 1 + n_nodes not in ends:
+            raise MeshFileError(
+                f"has element {labels[start] % STRIDE} without the {n_nodes} nodes of a {kind}; "
+                f"write {n_nodes} nodes in each row, or another TYPE"
+            )
+    return [labels[start : start + 1 + n_nodes] for start in starts]
+
+
 def kind_of(name: str) -> str | None:
     """Return the kind of cell or facet of an element type; None for masses and springs."""
     solid = _SOLID.fullmatch(name)
@@ -245,7 +268,10 @@ def kind_of(name: str) -> str | None:
                 f"has type {name}, which is not supported; mesh with C3D{', C3D'.join(_SOLIDS)}"
             )
         return _SOLIDS[nodes]
-    return next((kind for kind, pattern in _FLAT.items() if pattern.fullmatch(name)), None)
+    for kind, pattern in _FLAT.items():
+        if pattern.fullmatch(name):
+            return kind
+    return None
 
 
 def _take_set(deck: Deck, keyword: Keyword) -> None:
@@ -269,36 +295,39 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
     """Return the numbers a set names: as a list, as start-end-step, or by other sets."""
     members: list[int] = []
     frame = keyword.frame
-    if (instance := keyword.options.get("INSTANCE")) is not None:
+    instance = keyword.options.get("INSTANCE")
+    if instance is not None:
         if instance.upper() not in deck.frames:
-            known = ", ".join(other.name for other in deck.frames.values()) or "none"
+            known = ", ".join(placed.name for placed in deck.frames.values()) or "none"
             raise MeshFileError(
                 f'names the instance "{instance}" (instances above: {known}); correct the name'
             )
         frame = deck.frames[instance.upper()]
     for row in keyword.rows:
-        fields = [each for each in row if each]
+        fields = [text for text in row if text]
         if "GENERATE" in keyword.options:
             if len(fields) < 2 or fields[2:3] == ["0"]:
                 raise MeshFileError(
                     f'has "{", ".join(fields)}" to generate from; write first, last and a step '
                     "above 0"
                 )
-            first, last, step = (*(whole(each) for each in fields), 1)[:3]
+            numbers = [whole(text) for text in fields]
+            step = numbers[2] if len(numbers) > 2 else 1
             offset = frame.number * STRIDE
-            members += _few(range(first + offset, last + 1 + offset, step))
+            generated = range(numbers[0] + offset, numbers[1] + 1 + offset, step)
+            _require_at_most(len(generated))
+            members += generated
         else:
-            for each in fields:
-                members += named(deck, sets, each, frame)
-                _few(members)
+            for name in fields:
+                members += named(deck, sets, name, frame)
+                _require_at_most(len(members))
     return members
 
 
-def _few(entries: Sequence[int]) -> Sequence[int]:
-    """Return a set's members, at most as many as a mesh can have: a line may define any range."""
-    if len(entries) > _MAX_MEMBERS:
-        raise MeshFileError(f"has {len(entries)} members; name at most {_MAX_MEMBERS}")
-    return entries
+def _require_at_most(n_members: int) -> None:
+    """Refuse a set of more members than a mesh can have: a line may define any range."""
+    if n_members > _MAX_MEMBERS:
+        raise MeshFileError(f"has {n_members} members; name at most {_MAX_MEMBERS}")
 
 
 def named(deck: Deck, sets: dict[str, list[int]], name: str, frame: Frame) -> list[int]:
@@ -339,9 +368,9 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
         if not re.fullmatch(r"S\d", face):
             raise MeshFileError(f'has "{face}" as face of {name}; write S1 to S6 of a solid')
         entries = [(e, face) for e in named(deck, deck.element_sets, name, keyword.frame)]
-        deck.entries += len(entries)
-        _few(range(deck.entries))
-        deck.surfaces.setdefault(_key(deck, keyword.frame, surface), []).extend(entries)
+        deck.n_members += len(entries)
+        _require_at_most(deck.n_members)
+        deck.surfaces.setdefault(_new_key(deck, keyword.frame, surface), []).extend(entries)
 
 
 def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str = "") -> None:
@@ -370,8 +399,8 @@ TAKERS: dict[str, Callable[[Deck, Keyword], None]] = {
 }
 
 
-def _key(deck: Deck, frame: Frame, name: str) -> str:
-    """Return a set's key; its name keeps the spelling of its first mention."""
+def _new_key(deck: Deck, frame: Frame, name: str) -> str:
+    """Return the key of a set that is defined; its name keeps the spelling of its first mention."""
     key = frame.key(name)
     deck.names.setdefault(key, f"{frame.name}.{name}" if frame.name else name)
     return key
@@ -381,13 +410,13 @@ def add(
     deck: Deck, sets: dict[str, list[int]], frame: Frame, name: str, entries: list[int]
 ) -> None:
     """Add members to a new or existing set."""
-    deck.entries += len(entries)
-    if deck.entries > _MAX_MEMBERS:
+    deck.n_members += len(entries)
+    if deck.n_members > _MAX_MEMBERS:
         raise MeshFileError(
-            f'brings all sets to {deck.entries} members with "{name}", more than {_MAX_MEMBERS}; '
+            f'brings all sets to {deck.n_members} members with "{name}", more than {_MAX_MEMBERS}; '
             "remove sets that the component does not name"
         )
-    sets.setdefault(_key(deck, frame, name), []).extend(entries)
+    sets.setdefault(_new_key(deck, frame, name), []).extend(entries)
 
 
 def set_names(deck: Deck, sets: Iterable[str]) -> dict[str, str]:
@@ -415,15 +444,15 @@ def raw_mesh(deck: Deck) -> RawMesh:
         ]
     except KeyError as error:
         label = int(str(error))
-        pairs = deck.where.items()
-        element = next(each for each, (block, i) in pairs if label in deck.cells[block][i])
+        users = [e for e, (block, i) in deck.where.items() if label in deck.cells[block][i]]
+        element = users[0]
         raise MeshFileError(
             f"has element {element % STRIDE} on node {label % STRIDE}, which no *NODE defines; "
             "add this node, or correct the element"
         ) from None
-    regions, groups, faces = (
-        set_names(deck, sets) for sets in (deck.element_sets, deck.node_sets, deck.surfaces)
-    )
+    regions = set_names(deck, deck.element_sets)
+    groups = set_names(deck, deck.node_sets)
+    faces = set_names(deck, deck.surfaces)
     return RawMesh(
         points,
         blocks,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -49,7 +50,7 @@ class _Archive(Translated):
     held: dict[tuple[str, str], float] = field(default_factory=dict)  # by node and freedom
     forces: dict[tuple[str, str], float] = field(default_factory=dict)  # by node and freedom
     selected: bool = False  # whether nodes are selected that the archive does not list
-    branches: int = 0  # number of open *IF
+    n_branches: int = 0  # open *IF
 
     def type_of(self, number: str) -> _Type:
         """Return the element type of a number.
@@ -80,7 +81,7 @@ def read_ansys(text: str) -> Translated:
     rows = (row for _, row in lines)
     for number, line in lines:
         for command in line.split("!")[0].split("$"):
-            word, *fields = (each.strip().upper() for each in command.split(","))
+            word, *fields = [text.strip().upper() for text in command.split(",")]
             try:
                 if word in _BLOCKS:
                     _BLOCKS[word](archive, fields, rows)
@@ -94,17 +95,18 @@ def read_ansys(text: str) -> Translated:
     if not archive.cases:
         archive.end_step("")
     for name, constants in archive.materials.items():
-        pair = constants.pop("E", ""), constants.pop("NU", "")
-        archive.constants[name] = ({"ELASTIC": ", ".join(pair)} if all(pair) else {}) | constants
+        young, ratio = constants.pop("E", ""), constants.pop("NU", "")
+        elastic = {"ELASTIC": f"{young}, {ratio}"} if young and ratio else {}
+        archive.constants[name] = elastic | constants
     return archive
 
 
 def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
     """Read a command of one line, with parameters replaced by their values."""
-    if assigned := re.fullmatch(r"(\w+)\s*=\s*(.+)", word):
-        word = "*SET"
-        fields = [assigned[1], assigned[2]]
-    values = [archive.parameters.get(each, each) for each in fields]
+    assigned = re.fullmatch(r"(\w+)\s*=\s*(.+)", word)
+    if assigned is not None:
+        word, fields = "*SET", [assigned[1], assigned[2]]
+    values = [archive.parameters.get(text, text) for text in fields]
     if word == "*SET":  # *SET,Par,VALUE
         archive.parameters[fields[0]] = "".join(values[1:2])
     elif word == "ET":  # ET,ITYPE,Ename,KOP1,KOP2,...
@@ -125,7 +127,10 @@ def _take_control(archive: _Archive, word: str, fields: list[str]) -> None:
         archive.held = {}
         archive.forces = {}
     elif word in ("*IF", "*ENDIF"):  # *IF,VAL1,Oper1,VAL2,THEN; without THEN no *ENDIF follows
-        archive.branches += -1 if word == "*ENDIF" else "THEN" in fields
+        if word == "*ENDIF":
+            archive.n_branches -= 1
+        elif "THEN" in fields:
+            archive.n_branches += 1
     elif word in ("LSWRITE", "SOLVE"):
         archive.end_step(f"LOAD STEP {len(archive.cases) + 1}")
     elif word in _SELECTIONS:  # NSEL,Type,...; CMSEL,Type,...; of Type ALL nothing is left out
@@ -137,13 +142,14 @@ def _take_control(archive: _Archive, word: str, fields: list[str]) -> None:
 # NBLOCK,NUMFIELD,Solkey,NDMAX,NDSEL; a format such as (3i9,6e21.13e3); rows of number, two fields
 # of the geometry, x, y, z and three angles, zeros at the end left out; -1 or N,R5.3,LOC,-1
 def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
-    ints, width, size = map(int, re.findall(r"(\d+)[iI](\d+),\d+[eE](\d+)", next(rows))[0])
+    layout = re.findall(r"(\d+)[iI](\d+),\d+[eE](\d+)", next(rows))[0]
+    n_integers, width, size = int(layout[0]), int(layout[1]), int(layout[2])
+    start = n_integers * width
     for row in rows:
         if not row[:width].strip().isdigit():
             return
-        start = ints * width
         values = [row[start + i * size : start + (i + 1) * size].strip() or "0" for i in range(6)]
-        angles = [real(each) for each in values][3:]
+        angles = [real(text) for text in values][3:]
         archive.nodes.append(", ".join([row[:width].strip(), *values[:3]]))
         if any(angles):
             archive.skipped["nodes with local axes"] += 1
@@ -190,9 +196,8 @@ def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: 
         archive.skipped[f"elements of type {kind.name}"] += 1
         return
     archive.sections[region] = region
-    if kind.name in _HEX and any(collapsed := (nodes[2] == nodes[3], nodes[4] == nodes[5])):
-        indices = {(True, True): _TETRAHEDRON, (True, False): _WEDGE}.get(collapsed, _PYRAMID)
-        nodes = [nodes[i] for i in indices if i < len(nodes)]
+    if kind.name in _HEX:
+        nodes = _without_repeated(nodes)
     if len(nodes) not in NODES_PER_CELL.values():
         raise MeshFileError(f"has element {number} with {len(nodes)} nodes; write 20 at most")
     corners = {10: 4, 13: 5, 15: 6, 20: 8}.get(len(nodes), len(nodes))
@@ -204,6 +209,20 @@ def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: 
     archive.elements[f"C3D{len(nodes)}{integration}", region].append([number, *nodes])
 
 
+def _without_repeated(nodes: list[str]) -> list[str]:
+    """Return the nodes of a hexahedron, or of the cell to which repeated nodes reduce it."""
+    lower, upper = nodes[2] == nodes[3], nodes[4] == nodes[5]
+    if lower and upper:
+        indices = _TETRAHEDRON
+    elif lower:
+        indices = _WEDGE
+    elif upper:
+        indices = _PYRAMID
+    else:
+        return nodes
+    return [nodes[i] for i in indices if i < len(nodes)]
+
+
 # CMBLOCK,Cname,Entity,NUMITEMS; a format such as (8i10); rows of numbers, a negative ends a range
 def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
     width = int(re.findall(r"[iI](\d+)", next(rows))[0])
@@ -211,7 +230,7 @@ def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -
     numbers: list[int] = []
     while len(numbers) < count:
         numbers += map(int, _fixed(next(rows), width))
-    name, entity, *_ = fields
+    name, entity = fields[0], fields[1]
     if not entity.startswith("NODE"):
         archive.skipped[f"component {name} of elements"] += 1
         return
@@ -223,47 +242,56 @@ def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -
 
 # MP,Lab,MAT,C0,C1,... and MPDATA,R5.0,LENGTH,Lab,MAT,STLOC,VAL1,..., STLOC the position of VAL1
 def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
-    position, fields = (["1"], fields) if word == "MP" else (fields[4:5], fields[2:4] + fields[5:])
-    label, number, value, *more = fields
+    position = "1"
+    if word == "MPDATA":
+        position, fields = fields[4], fields[2:4] + fields[5:]
+    label, number, value, *further = fields
     constants = archive.materials.setdefault(f"MAT_{whole(number)}", {})
     if label in _CONSTANTS:
-        if int(position[0]) == 1:  # otherwise later rows of a table
+        if int(position) == 1:  # otherwise later rows of a table
             constants[_CONSTANTS[label]] = value
         first = constants.get(_CONSTANTS[label], "")
-        if any(each != first for each in (value, *more) if each):
+        if any(text != first for text in (value, *further) if text):
             archive.skipped[f"{label} at further temperatures"] += 1
     elif label == "EY":
         archive.skipped["orthotropic constants"] += 1
+
+
+def _nodes_of(archive: _Archive, name: str, last: str, step: str) -> list[str]:
+    """Return the nodes of a command: from a number to the last, of a component, or all."""
+    if name.isdigit():
+        return [str(i) for i in range(int(name), whole(last or name) + 1, whole(step or "1"))]
+    if name == "ALL" and archive.selected:
+        raise MeshFileError("acts on ALL of a selection, which is not evaluated; name a component")
+    if name == "ALL":
+        return [row.partition(",")[0] for row in archive.nodes]
+    nodes = archive.groups.get(name, [])
+    if not nodes:
+        raise MeshFileError(f'acts on "{name}", not a component above; write it or node numbers')
+    return nodes
 
 
 # D,NODE,Lab,VALUE,VALUE2,NEND,NINC,Lab2,...,Lab6 and F,NODE,Lab,VALUE,VALUE2,NEND,NINC
 # DDELE,NODE,Lab,NEND,NINC and FDELE,NODE,Lab,NEND,NINC
 def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
     """Set or remove (DDELE, FDELE) a support or load of a node, of a range, or of a group."""
-    if archive.branches:
+    if archive.n_branches:
         raise MeshFileError("is inside *IF; write the lines that apply, without the condition")
     node, label, *values = (*fields, *[""] * 9)
-    removes = word.endswith("DELE")
     acting = archive.held if word[0] == "D" else archive.forces
-    value, _, last, step, *further = ("", "", *values) if removes else values
-    nodes = archive.groups.get(node, [])
-    if node.isdigit():
-        end = whole(last or node) + 1
-        nodes = [str(i) for i in range(int(node), end, whole(step or "1"))]
-    elif node == "ALL" and not archive.selected:
-        nodes = [row.partition(",")[0] for row in archive.nodes]
-    elif node == "ALL":
-        raise MeshFileError("acts on ALL of a selection, which is not evaluated; name a component")
-    elif not nodes:
-        raise MeshFileError(f'acts on "{node}", not a component above; write it or node numbers')
+    removes = word.endswith("DELE")
+    if removes:
+        values = ["", "", *values]
+    value, _, last, step, *further = values
+    nodes = _nodes_of(archive, node, last, step)
     labels = [label or "ALL", *filter(None, further if word == "D" else ())]
     if not _FREEDOMS.keys() >= {*labels}:
         archive.skipped[f"{word} of {', '.join(labels)}"] += 1
-    ways = "".join(_FREEDOMS.get(each, "") for each in labels)
-    for target in ((each, way) for each in nodes for way in ways):
-        acting.pop(target, None)
+    ways = "".join(_FREEDOMS.get(text, "") for text in labels)
+    for number, way in itertools.product(nodes, ways):
+        acting.pop((number, way), None)
         if not removes:
-            acting[target] = real(value or "0")
+            acting[number, way] = real(value or "0")
     if word == "D" and ways and real(value or "0") != 0.0:
         archive.skipped["D with a motion that is not 0"] += 1
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from wrenchbook.fea.mesh.io.abaqus import Deck, add, named
 from wrenchbook.fea.mesh.io.abaqus_keywords import STRIDE, Keyword, real, whole
 from wrenchbook.fea.mesh.io.reader import Reader, Step
 from wrenchbook.fea.spec.problems import MeshFileError
+from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 
@@ -31,7 +33,8 @@ def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     labels = list[int]()
     kind = keyword.option("TYPE").upper()
     for row in keyword.rows:
-        label, *nodes = (keyword.frame.label(each) for each in row if each)
+        labels_of_row = [keyword.frame.label(text) for text in row if text]
+        label, nodes = labels_of_row[0], labels_of_row[1:]
         if label in reader.springs or label in deck.where:
             raise MeshFileError(f"defines element {row[0]} again; renumber one of the two")
         if len(nodes) != NODES[kind]:
@@ -45,12 +48,8 @@ def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
     """Add springs, joined if they connect the same couplings; note unusable ones in the reader."""
     remaining = dict(reader.springs)
-    joined = dict[tuple[int, ...], tuple[Keyword, Array]]()
-    # The held freedoms of each node of a spring in this step.
-    held = {node: set[int]() for _, nodes in remaining.values() for node in nodes}
-    for motion in step.motions.rows if held else ():
-        for node in held.keys() & motion.labels:
-            held[node] |= motion.freedoms
+    joined: dict[tuple[int, ...], tuple[Keyword, Array]] = {}  # by the indices of couplings
+    held = _held_freedoms(reader, step)
     for keyword in reader.spring_sections:
         try:
             labels = _labels(reader, deck, keyword, remaining)
@@ -59,21 +58,33 @@ def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None
         except MeshFileError as error:
             _refuse(reader, keyword, error)
             continue
-        for ends, stiffness in (spring for spring in springs if spring[0]):
-            _, total = joined.setdefault(ends, (keyword, np.zeros((6, 6))))
-            total += stiffness
+        for ends, stiffness in springs:
+            if ends:
+                _, total = joined.setdefault(ends, (keyword, np.zeros((6, 6))))
+                total += stiffness
     first = {keyword.where: label for label, (keyword, _) in reversed(remaining.items())}
     for label in first.values():
         _refuse(reader, remaining[label][0], f"element {label % STRIDE} has no *SPRING")
     used = Counter(number for ends in joined for number in ends)
     for ends, (keyword, stiffness) in joined.items():
-        if used[number := max(ends, key=lambda number: used[number])] > 1:
+        number = max(ends, key=lambda number: used[number])
+        if used[number] > 1:
             group = case.couplings[number].group
             why = f"the point of {deck.names[group]} has springs to {used[number]} different ends"
             _refuse(reader, keyword, why)
         else:
             coupled = tuple(case.couplings[number] for number in ends)
             case.springs.append(DeckSpring(keyword.where, coupled, stiffness))
+
+
+def _held_freedoms(reader: Reader, step: Step) -> dict[int, set[int]]:
+    """Return the freedoms of each node of a spring that a step holds."""
+    held = {node: set[int]() for _, nodes in reader.springs.values() for node in nodes}
+    if held:
+        for motion in step.motions.rows:
+            for node in held.keys() & motion.labels:
+                held[node] |= motion.freedoms
+    return held
 
 
 def _labels(
@@ -84,7 +95,8 @@ def _labels(
     Raises MeshFileError unless all are among `remaining`.
     """
     members = named(deck, deck.element_sets, keyword.option("ELSET"), keyword.frame)
-    for label in (labels := sorted({*members})):
+    labels = sorted({*members})
+    for label in labels:
         if label not in reader.springs or label in deck.where:
             raise MeshFileError(f"element {label % STRIDE} is neither SPRING1 nor SPRING2")
         if label not in remaining:
@@ -104,8 +116,9 @@ def _spring(
 
     Shape (6, 6): of the motion of one relative to the other, along the global axes.
     """
-    freedoms, axes, size = _constants(reader, keyword, nodes)
-    free, ways = list[int](), set[int]()  # indices of couplings, and the freedoms of their points
+    freedoms, axes, stiffness = _constants(reader, keyword, nodes)
+    free: list[int] = []  # indices of couplings
+    ways: set[int] = set()  # the freedoms of their points
     for node, freedom in zip(nodes, freedoms, strict=True):
         number, first = reader.points.get(node, (None, 0))
         if number is None:
@@ -114,18 +127,15 @@ def _spring(
                 raise MeshFileError(
                     f"node {node % STRIDE} is neither the point of a coupling nor held"
                 )
-        elif len((coupled := case.couplings[number]).held) < 6:
-            if coupled.held or any(coupled.loads) or coupled.directions != "xyz":
-                partly = "held in some freedoms only" if coupled.held else "coupled in part only"
-                why = "loaded" if any(coupled.loads) else partly
-                raise MeshFileError(f"the point {node % STRIDE} is {why}")
-            if freedom + first > 5:
+        elif len(case.couplings[number].held) < len(FREEDOMS):
+            _require_free(case.couplings[number], node)
+            if freedom + first >= len(FREEDOMS):
                 raise MeshFileError(f"a rotation node has the freedoms 1 to 3, not {freedom + 1}")
             free.append(number)
             ways.add(freedom + first)
     if len(ways) > 1:
-        both = " and ".join(str(way + 1) for way in sorted(ways))
-        raise MeshFileError(f"its ends have the freedoms {both}, but need the same")
+        listed = " and ".join(str(way + 1) for way in sorted(ways))
+        raise MeshFileError(f"its ends have the freedoms {listed}, but need the same")
     way = max(ways, default=0)
     direction = axes[way % 3]
     is_rotation = way > 2
@@ -133,36 +143,59 @@ def _spring(
         shift = np.zeros(3) if is_rotation else direction
         _check_between(case, [case.couplings[number] for number in free], shift)
     along = np.append(np.zeros(3), direction) if is_rotation else np.append(direction, np.zeros(3))
-    return tuple(sorted(free)), size * np.outer(along, along)
+    return tuple(sorted(free)), stiffness * np.outer(along, along)
 
 
-def _constants(
-    reader: Reader, keyword: Keyword, nodes: list[int]
-) -> tuple[list[int], Array, float]:
-    """Return the freedom from 0 at each node, the axes in rows, and the stiffness."""
+def _require_free(coupled: CoupledGroup, node: int) -> None:
+    """Refuse a coupling's point that is loaded, held or coupled in part."""
+    if any(coupled.loads):
+        why = "loaded"
+    elif coupled.held:
+        why = "held in some freedoms only"
+    elif coupled.directions != "xyz":
+        why = "coupled in part only"
+    else:
+        return
+    raise MeshFileError(f"the point {node % STRIDE} is {why}")
+
+
+class _Constants(NamedTuple):
+    """Data lines of a *SPRING."""
+
+    freedoms: list[int]  # from 0, at each node
+    axes: Array  # (3, 3): unit vectors in rows
+    stiffness: float  # in the deck's units
+
+
+def _constants(reader: Reader, keyword: Keyword, nodes: list[int]) -> _Constants:
+    """Return the data of a *SPRING on nodes."""
     rows = [row for row in keyword.rows if any(row)]
     axes = np.eye(3)
-    if further := sorted(keyword.options.keys() - {"ELSET", "ORIENTATION"}):
+    further = sorted(keyword.options.keys() - {"ELSET", "ORIENTATION"})
+    if further:
         raise MeshFileError(f"it has {', '.join(further)}, but must have one constant stiffness")
     if len(rows) != 2:
         raise MeshFileError(f"it has {len(rows)} lines, but must have freedoms, then a stiffness")
-    freedoms = [whole(each) - 1 for each in rows[0] if each]
-    if not 0 < (size := real(rows[1][0])) < math.inf:
-        raise MeshFileError(f"its stiffness is {size:g}, but must be above 0 and finite")
-    if len(freedoms) != len(nodes) or not {*freedoms} <= {*range(6)}:
+    freedoms = [whole(text) - 1 for text in rows[0] if text]
+    stiffness = real(rows[1][0])
+    if not 0 < stiffness < math.inf:
+        raise MeshFileError(f"its stiffness is {stiffness:g}, but must be above 0 and finite")
+    if len(freedoms) != len(nodes) or not {*freedoms} <= {*range(len(FREEDOMS))}:
         raise MeshFileError(
             f"it has the freedoms {', '.join(rows[0])}, but needs one of 1 to 6 for each node"
         )
-    if name := keyword.options.get("ORIENTATION", ""):
+    name = keyword.options.get("ORIENTATION", "")
+    if name:
         values = reader.orientations.get(keyword.frame.key(name), ())
-        if len(values) != 9:
+        if len(values) != axes.size:
             why = "is cylindrical, but must be rectangular" if values else "is not defined above"
             raise MeshFileError(f'its *ORIENTATION "{name}" {why}')
         axes = np.reshape(values, (3, 3))
     elif keyword.frame.rotation not in ((), _UPRIGHT) or not reader.turned.keys().isdisjoint(nodes):
-        turned = next((node for node in nodes if node in reader.turned), nodes[0])
-        raise MeshFileError(f"node {turned % STRIDE} has rotated axes, but it has no ORIENTATION")
-    return freedoms, axes, size
+        turned = [node for node in nodes if node in reader.turned]
+        node = turned[0] if turned else nodes[0]
+        raise MeshFileError(f"node {node % STRIDE} has rotated axes, but it has no ORIENTATION")
+    return _Constants(freedoms, axes, stiffness)
 
 
 def _check_between(case: LoadCase, ends: list[CoupledGroup], shift: Array) -> None:
