@@ -31,6 +31,7 @@ from .findings.comparison import MAX_COMPARED_ROWS, beyond_noise
 from .findings.find import without_effects
 from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
 from .kriging.effects import sessions_of
+from .kriging.serial import dependence_of
 from .methods import MethodChoice, choose
 from .solver_error import SolverError, bars_are_complete
 from .table.axes import OffAxis, count_multi_axis
@@ -151,8 +152,15 @@ class Group:
         """The kriging; None for linear components, and where rows are too few or contradictory."""
         if self.linear:
             return None
+        is_reading = ~self.rows.is_solved & self.load_range.holds(self.rows.wrench)
+        readings = self.rows.take(np.flatnonzero(is_reading))
         try:
-            return Kriging.build(self.used, self.load_range, observations=self._observations)
+            return Kriging.build(
+                self.used,
+                self.load_range,
+                observations=self._observations,
+                dependence=dependence_of(readings, self.load_range),
+            )
         except (TooFewRowsError, SingularCovarianceError):
             return None
 

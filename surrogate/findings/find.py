@@ -31,8 +31,8 @@ from .origin import slopes_at_zero
 from .response import REMARKABLE, Cause, RigFinding, response_of, single_row_findings, wrong_rows
 
 MIN_FIT_ROWS = 7  # rows of a linear response: six loads and a constant
-# Factor by which error bars are too small: of normal errors, such bars hold 90 % instead of 95 %.
-MIN_TOO_SMALL = 1.2
+# Factor on error bars: of normal errors, bars without it hold 90 % instead of 95 %.
+MIN_FACTOR = 1.2
 MAX_ROWS = 5_000  # rows examined, some 0.5 s: of more rows every k-th
 # Effects that show only in the order of the rows.
 EFFECTS: dict[Cause, str] = {
@@ -171,19 +171,20 @@ def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:
 
 def correlation_findings(dependence: Floats) -> list[RigFinding]:
     """Return a finding if errors of consecutive rows are alike; (m,): see `dependence_of`."""
-    too_small = np.sqrt(dependence)
-    remarkable = np.flatnonzero(too_small > MIN_TOO_SMALL)
+    factor = np.sqrt(dependence)
+    remarkable = np.flatnonzero(factor > MIN_FACTOR)
     if not len(remarkable):
         return []
-    worst = remarkable[too_small[remarkable].argmax()]
+    worst = remarkable[factor[remarkable].argmax()]
     message = (
         f"consecutive readings of {OUTPUTS[worst]} have common errors, as of one hold of a load. "
-        f"{dependence[worst]:.2g} of them count as one, so that error bars are "
-        f"{too_small[worst]:.2g} times too small. Import the mean of each hold with its standard "
-        "uncertainty (a column such as uz_std), or import again with thin=0.02 (--thin 0.02)"
+        f"{dependence[worst]:.2g} of them count as one, so error bars are about "
+        f"{factor[worst]:.2g} times as large as of independent readings. Import the mean of "
+        "each hold with its standard uncertainty (a column such as uz_std), or import again with "
+        "thin=0.02 (--thin 0.02)"
     )
-    factors = {OUTPUTS[output]: float(too_small[output]) for output in remarkable}
-    return [RigFinding("correlated", message, (), {"too_small": factors})]
+    factors = {OUTPUTS[output]: float(factor[output]) for output in remarkable}
+    return [RigFinding("correlated", message, (), {"factors": factors})]
 
 
 def error_of_a_reading(error: Floats, interpolation: Floats, noise: Floats) -> Floats:

@@ -158,7 +158,12 @@ class Inducing(NamedTuple):
     noise: Floats  # (6,), dimensionless: what `Equations.unit_noise` is multiplied by, by all rows
 
 
-def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings) -> Inducing | None:
+def induced(
+    equations: Equations,
+    estimate: Estimate,
+    settings: KrigingSettings,
+    dependence: Floats | float = 1.0,
+) -> Inducing | None:
     """Return the kriging of all rows, None where one factor is the better choice.
 
     One factor is better where it has room for all rows, and where inducing wrenches leave more
@@ -166,6 +171,7 @@ def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings)
 
     `equations`: of the values of all rows, sorted by wrench; without the noise of observations.
     `estimate`: hyperparameters and noise from some of the rows.
+    `dependence` (6,): see `serial.dependence_of`; 1 for independent readings.
     """
     unit = equations.unit_noise
     typical = np.nanmean(np.where(equations.measured, unit, np.nan), axis=0)
@@ -192,6 +198,8 @@ def induced(equations: Equations, estimate: Estimate, settings: KrigingSettings)
             if varying.any():
                 likely.ratios[~varying] = np.exp(np.log(likely.ratios[varying]).mean())
             noise[outputs] = likely.ratios * likely.variances / typical[outputs]
+            together = np.broadcast_to(dependence, noise.shape)[outputs]
+            likely = likely._replace(ratios=likely.ratios * together)
             factors.append(posterior_factor(sums, likely, pseudo, settings))
     return Inducing(pseudo, factors, noise)
 

@@ -94,11 +94,13 @@ class Kriging:
         load_range: LoadRange,
         settings: KrigingSettings = DEFAULTS,
         observations: Observations | None = None,
+        dependence: Floats | float = 1.0,
     ) -> Kriging:
         """Return the kriging of a table's rows inside the load range.
 
         `observations`: behind each row, of rows of distinct wrenches; without them rows at one
         wrench are merged first.
+        `dependence` (6,): see `serial.dependence_of`; 1 for independent readings.
         Raises TooFewRowsError if too few rows lie in the load range, SingularCovarianceError if
         rows contradict each other so that no nugget makes the covariance regular.
         """
@@ -106,7 +108,7 @@ class Kriging:
             rows, _, observations = merge(rows, load_range).usable()
         data = _TrainingData.of(rows, observations, load_range, settings)
         with single_thread():
-            return cls._solved(data, _Model.of(data, settings), settings)
+            return cls._solved(data, _Model.of(data, dependence, settings), settings)
 
     @classmethod
     def _solved(cls, data: _TrainingData, model: _Model, settings: KrigingSettings) -> Kriging:
@@ -350,8 +352,10 @@ class _Model(NamedTuple):
     detail: str  # see `Kriging`
 
     @classmethod
-    def of(cls, data: _TrainingData, settings: KrigingSettings) -> _Model:
-        """Estimate covariances and noise."""
+    def of(
+        cls, data: _TrainingData, dependence: Floats | float, settings: KrigingSettings
+    ) -> _Model:
+        """Estimate covariances and noise; `dependence`: see `Kriging.build`."""
         equations = data.equations
         scaling = data.scaling
         through = None
@@ -359,7 +363,7 @@ class _Model(NamedTuple):
         some = equations.take(evenly(len(equations), CANDIDATES)) if values_alone else equations
         estimate = estimated(some, scaling, data.kinds[0].queries, settings)
         if values_alone:
-            through = induced(equations, estimate, settings)
+            through = induced(equations, estimate, settings, dependence)
         noise = estimate.noise if through is None else through.noise
 
         observed = (equations.observations > 0).any(axis=0)
@@ -377,7 +381,7 @@ class _Model(NamedTuple):
         else:
             if values_alone:
                 equations = equations_of(data.rows, scaling, data.observations, settings)
-            equations = replace(equations, noise=equations.unit_noise * noise)
+            equations = replace(equations, noise=equations.unit_noise * noise * dependence)
             inducing = []
             of_equations = f" of {data.total}" if is_part else ""
             detail = f"kriging, one factor over {len(equations)}{of_rows} rows "

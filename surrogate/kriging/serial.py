@@ -48,9 +48,9 @@ def dependence_of(rows: Rows, load_range: LoadRange) -> Floats:
         fit = np.linalg.lstsq(terms[known], moved[known], rcond=RANK)[0]
         off = moved - terms @ fit
         differences = (off[first] - off[second])[both]
-        steps = np.diff(off[known])[np.diff(place[known]) == 0]
-        if len(steps):
-            result[output] = _dependence(differences, float(steps @ steps) / len(steps))
+        following = np.append(np.where(np.diff(place) == 0, off[1:], np.nan), np.nan)
+        steps = (following - off)[first][both]  # NaN where the next row is of another visit
+        result[output] = _dependence(differences, steps)
     return result
 
 
@@ -77,17 +77,21 @@ def _pairs(loads: Floats, place: Indices) -> tuple[Indices, Indices]:
     return first[ascending], second[ascending]
 
 
-def _dependence(differences: Floats, squared_step: float) -> float:
+def _dependence(differences: Floats, steps: Floats) -> float:
     """Return the ratio of `dependence_of` from the differences of pairs (p,), in order.
 
-    `squared_step`: mean squared difference of consecutive rows of one visit.
+    `steps` (p,): change from the first row of each pair to the next; NaN if that is unknown.
     """
     count = len(differences)
-    total = float(differences @ differences)
     ratio = 1.0
-    confirmed = 1 - squared_step * count / total if total else 0.0
+    is_step = np.isfinite(steps)
+    total = differences @ differences
+    of_pairs = (differences[is_step] ** 2).sum()
+    if is_step.sum() < MIN_PAIRS or not of_pairs:
+        return ratio
+    confirmed = 1 - (steps[is_step] ** 2).sum() / of_pairs
     for lag in range(1, count // 2):
-        correlation = float(differences[lag:] @ differences[:-lag]) / (total or 1.0)
+        correlation = float(differences[lag:] @ differences[:-lag] / total)
         # At a lag beyond the correlation's length the estimate is chance.
         if correlation * np.sqrt(count) < (SURE if lag == 1 else 1.0):
             break
