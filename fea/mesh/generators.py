@@ -398,9 +398,11 @@ class Plate(Generator):
         The second result has the nodes of the inner rectangle, (k,), counter-clockwise from its
         lowest corner.
         """
-        first, last = self.corner_cells, self.corner_cells + self.cells
+        first = self.corner_cells
+        last = self.corner_cells + self.cells
         quads = grid_quads(lines, lines)
-        column, row = quads[:, 0] // lines, quads[:, 0] % lines
+        column = quads[:, 0] // lines
+        row = quads[:, 0] % lines
         inside = (first <= column) & (column < last) & (first <= row) & (row < last)
         column, row = np.divmod(rim_of_grid(self.cells), self.cells + 1)
         return quads[~inside], (first + column) * lines + first + row

@@ -214,7 +214,8 @@ def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> _LagFit | Non
     displacements that both have loads for. A search that ends at its bound has no result and starts
     again there, with twice the width.
     """
-    width, max_width = 2 * step, MAX_LAG * float(np.ptp(logs.when))
+    width = 2 * step
+    max_width = MAX_LAG * float(np.ptp(logs.when))
     while width < max_width:
         fit = _Fit(logs, lags, step, width + step)
         if len(fit.logs.when) < MIN_DISPLACEMENTS:
@@ -227,7 +228,8 @@ def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> _LagFit | Non
         )
         if abs(result.x - start) < INNER_PART * width:
             return _LagFit(float(result.x), fit)
-        lags, width = (lags[0], float(result.x)), 2 * width
+        lags = (lags[0], float(result.x))
+        width = 2 * width
     return None
 
 
@@ -293,11 +295,9 @@ class _Fit:
         step = float(np.median(np.diff(self.logs.time)))
         least, curvature = np.empty(0), np.empty(0)
         for _ in range(3):
-            least, low, high = (
-                self.residual(lag),
-                self.residual(lag - step),
-                self.residual(lag + step),
-            )
+            least = self.residual(lag)
+            low = self.residual(lag - step)
+            high = self.residual(lag + step)
             curvature = (low + high - 2 * least).clip(0.0)
             if not curvature.sum() > 0:
                 return lag, np.inf

@@ -178,7 +178,8 @@ def derivatives_of_term(
     twice = 2 * rates[:, None] * delta
     derived: dict[tuple[int, Index], Floats] = {(r, ()): radial[r] for r in range(order + 1)}
     for index in indices(loads, order)[1:]:
-        lower, load = index[:-1], index[-1]
+        lower = index[:-1]
+        load = index[-1]
         for r in range(order + 1 - len(index)):
             value = twice[load] * derived[r + 1, lower]
             if load in lower:

@@ -450,7 +450,8 @@ def _estimated(
     y = (moved - offset) / np.where(size > 0, size, 1.0)
     x = (rows.wrench - load_range.space.zero) / load_range.scale
     linear = x[:, np.ptp(x, axis=0) > ZERO_LOAD]
-    first, n_sessions = linear.shape[1], columns.shape[1] // 4
+    first = linear.shape[1]
+    n_sessions = columns.shape[1] // 4
     contrasts = _contrasts(first, n_sessions)
     free = n - first - 2 - np.count_nonzero(columns[:, 1:].any(axis=(0, 2)))
     if free < 1:
@@ -618,7 +619,8 @@ def _covariances(x: Floats, space: Space) -> Iterator[Floats]:
     kinks = matern(apart**2, 0, 1)[0].sum(axis=2)
     for theta in THETAS:
         terms = [matern(np.exp(theta) * square, 0)[0] for square in squares]
-        axes, joint = terms[:-1], terms[-1]
+        axes = terms[:-1]
+        joint = terms[-1]
         for joint_weight, kink_weight in JOINT_AND_KINK_WEIGHTS:
             matrix = sum(axes) + joint_weight * joint + kink_weight * kinks
             across = matrix[:-1, -1]

@@ -105,7 +105,8 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
     """Read a command of one line, with parameters replaced by their values."""
     assigned = re.fullmatch(r"(\w+)\s*=\s*(.+)", word)
     if assigned is not None:
-        word, fields = "*SET", [assigned[1], assigned[2]]
+        word = "*SET"
+        fields = [assigned[1], assigned[2]]
     values = [archive.parameters.get(text, text) for text in fields]
     if word == "*SET":  # *SET,Par,VALUE
         archive.parameters[fields[0]] = "".join(values[1:2])
@@ -244,7 +245,8 @@ def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -
 def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
     position = "1"
     if word == "MPDATA":
-        position, fields = fields[4], fields[2:4] + fields[5:]
+        position = fields[4]
+        fields = fields[2:4] + fields[5:]
     label, number, value, *further = fields
     constants = archive.materials.setdefault(f"MAT_{whole(number)}", {})
     if label in _CONSTANTS:

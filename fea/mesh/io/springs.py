@@ -34,7 +34,8 @@ def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     kind = keyword.option("TYPE").upper()
     for row in keyword.rows:
         labels_of_row = [keyword.frame.label(text) for text in row if text]
-        label, nodes = labels_of_row[0], labels_of_row[1:]
+        label = labels_of_row[0]
+        nodes = labels_of_row[1:]
         if label in reader.springs or label in deck.where:
             raise MeshFileError(f"defines element {row[0]} again; renumber one of the two")
         if len(nodes) != NODES[kind]:
