@@ -28,12 +28,12 @@ export async function show(root, about, signal) {
   const view = figure(place, `Uncovered queries of ${about.name}`, marks());
   const state = { axis: "z" };
   let drawing = null;
-  const forget = async () => { await send("DELETE", `${of(about.name)}/demand`); notify("Forgotten."); await show(root, about, signal); };
+  const forget = async () => { if (!confirm("Delete the statistics of all queries of this component?")) return; await send("DELETE", `${of(about.name)}/demand`); notify("Forgotten."); await show(root, about, signal); };
   put(root,
     el("section", { class: "card" },
       el("div", { class: "line bottom ends" }, choice("demand-axis", "Loads of", Object.keys(AXES).map((one) => [one, `axis ${one}`]), "z", (value) => { state.axis = value; drawing?.again(); }),
         el("button", { type: "button", class: "small", onclick: forget }, "Delete the statistics")),
-      el("p", { class: "muted" }, `${reply.asked === 1 ? "1 answer was" : `${count(reply.asked)} answers were`} thin or outside. The area of a mark shows the number of queries, the frame the load range.${about.has_fea ? " Fill the table where it is thin; for loads outside the range, widen [range] in component.toml." : " Import rows near these loads."}`), view.root),
+      el("p", { class: "muted" }, `${reply.asked === 1 ? "1 answer was" : `${count(reply.asked)} answers were`} thin or outside. The area of a mark shows the number of queries, the frame the load range.${about.has_fea ? " Fill the table where it is thin or outside the rows; for loads outside the frame, widen [range] in component.toml. Marks stay after later rows cover them." : " Import rows near these loads."}`), view.root),
     el("section", { class: "card" }, el("h2", {}, "Most frequent"), most(reply)));
   drawing = await draw(place, (shade) => picture(about, reply, state.axis, shade, view.camera()), signal, `${reply.cells.length} places with uncovered queries`);
   view.hold(drawing);

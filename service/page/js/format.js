@@ -46,6 +46,9 @@ const named = (text) => text.replaceAll(/\b[fm][xyz]\b/g, plain);
 // A text of the server as a sentence: a capital letter, µm in place of 1e-06 m, other powers of ten as such.
 export const sentence = (text) => text[0].toUpperCase() + named(text.slice(1)).replaceAll(/(\d(?:\.\d+)?e[+-]\d+) (m|rad|Pa)\b/g, (_, value, unit) => quantity(Number(value), unit)).replaceAll(/(\d)e([+-]\d+)/g, (_, digit, power) => `${digit}·10` + superscript(Number(power)));
 
+// A text of the server without the options of commands.
+export const pageWords = (text) => sentence(text.replaceAll(/ \(--[^)]*\)/g, ""));
+
 // A value and its bar in one unit: of the value as many digits as the bar leaves, three to seven.
 export function withBar(value, bar, unit) {
   if (value === null || value === undefined) return { value: "–", bar: "–" };

@@ -4,7 +4,7 @@ import { caughtUp, get, of, send, trouble } from "./api.js";
 import { isLines, lineOf, readText, withLine } from "./csv_text.js";
 import { el, note, put, table, working } from "./dom.js";
 import { findingNote } from "./findings.js";
-import { LOADS, OUTPUTS, count, number, plain, unitOfLoad, unitOfOutput } from "./format.js";
+import { LOADS, OUTPUTS, count, number, plain, sentence, unitOfLoad, unitOfOutput } from "./format.js";
 import { importOptions } from "./import_options.js";
 
 const MENDED = 50; // bad rows that are offered for mending at a time
@@ -76,7 +76,9 @@ async function check(state) {
     const errors = error.body?.errors;
     shown = errors?.[0]?.row !== undefined ? mistakes(state, errors, error.body) : trouble(error);
   }
-  if (mine === state.check) put(state.place, shown);
+  if (mine !== state.check) return;
+  put(state.place, shown);
+  state.place.scrollIntoView({ block: "nearest" }); // below the options on a telephone
 }
 
 function ready(state, result) {
@@ -144,6 +146,8 @@ async function load(state, checked) {
 
 // The mistakes by row, each row with its line to mend where the file is text.
 function mistakes(state, errors, result) {
+  const isNoTable = errors.every((one) => one.row === 0) && !result.columns?.length && errors.every((one) => one.field === "file");
+  if (isNoTable) return note("outside", el("strong", {}, `${state.file.name} is not read as a table; nothing was loaded.`), errors.map((one) => el("span", {}, sentence(pageWords(one.message)))));
   const byRow = new Map();
   if (errors.some((one) => one.field === "load_cell")) state.options.rig.root.open = true; // it has the choice
   for (const one of errors) byRow.set(one.row, [...(byRow.get(one.row) || []), one]);

@@ -17,6 +17,16 @@ export function spansOf({ range }) {
   return [...loads.flatMap((one) => [...one.force, ...one.moment]), ...Object.values(range.inputs || {})];
 }
 
+// The inputs beyond the load range in a sentence; empty if there are none.
+export function beyondRange(about, values) {
+  const spans = spansOf(about);
+  const outside = inputsOf(about).flatMap(({ name, unit }, place) => {
+    const [low, high] = spans[place], value = values[place];
+    return value < low || value > high ? [`${label(name)} = ${number(value)} ${unit} is outside the load range, ${number(low)} to ${number(high)} ${unit}.`] : [];
+  });
+  return outside.join(" ");
+}
+
 // One value an input, in their order, as requests name them.
 export function named(about, values) {
   const loads = {}, further = {};

@@ -25,7 +25,7 @@ export async function show(root, { name }, signal) {
     put(range, el("h2", {}, "Load range"), loads(now));
     const shares = await cover(glance, now, signal, () => mine === latest);
     document.getElementById("fill")?.classList.toggle("first", !(shares?.whole[0] > 0.995)); // more solves add little to a full table
-    if (shares?.reach && mine === latest) put(range, el("h2", {}, "Load range"), loads(now, shares.reach));
+    if (shares?.reach && !now.linear && mine === latest) put(range, el("h2", {}, "Load range"), loads(now, shares.reach));
   };
   put(root, warned,
     el("div", { class: "halves" },
@@ -89,7 +89,7 @@ function fill(about, signal) {
     event.preventDefault();
     try {
       const reply = await post(`${of(about.name)}/fill`, { budget: Number(budget.value) });
-      if (reply.jobs.length) await progress(state, reply, signal); else put(state, reply.reason ? sentence(reply.reason) : "Nothing to solve.");
+      if (reply.jobs.length) await progress(state, reply, about.linear, signal); else put(state, reply.reason ? sentence(reply.reason) : "Nothing to solve.");
     } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
   };
   const state = el("div", { "aria-live": "polite" });
@@ -98,7 +98,7 @@ function fill(about, signal) {
 }
 
 // How many of the queued solves have ended; they end about in their order.
-async function progress(place, { jobs, reason }, signal) {
+async function progress(place, { jobs, reason }, linear, signal) {
   const bar = el("progress", { max: String(jobs.length), value: 0, "aria-label": "Solves that have ended" }), words = el("span", { class: "small muted" });
   put(place, el("div", { class: "stack tight" }, words, bar, reason ? el("span", { class: "small muted" }, sentence(reason)) : null));
   let failed = 0;
@@ -109,7 +109,7 @@ async function progress(place, { jobs, reason }, signal) {
     failed += job.status === "done" ? 0 : 1;
     bar.value = place_ + 1;
   }
-  words.textContent = `${jobs.length} of ${jobs.length} solves have ended${failed ? `, ${failed} without a row: see the jobs` : ""}. Fill the table again to continue from the new rows.`;
+  words.textContent = `${jobs.length} of ${jobs.length} solves have ended${failed ? `, ${failed} without a row: see the jobs` : ""}.${linear ? "" : " Fill the table again to continue from the new rows."}`;
 }
 
 const SOURCES = { fea: "solved" };

@@ -4,9 +4,10 @@ import { caughtUp, get, of, post, trouble } from "./api.js";
 import { picture } from "./arrows.js";
 import { remember } from "./asked.js";
 import { el, field, note, pill, put, select } from "./dom.js";
+import { linkTo } from "./empty.js";
 import { listen } from "./events.js";
-import { OUTPUTS, number, percent, quantity, sentence, symbol, unitOfOutput, withBar } from "./format.js";
-import { named, said } from "./inputs.js";
+import { OUTPUTS, number, percent, pageWords, quantity, sentence, symbol, unitOfOutput, withBar } from "./format.js";
+import { beyondRange, named, said } from "./inputs.js";
 import { failureWords } from "./job_list.js";
 import { solverError } from "./shares.js";
 import { curlOf, pythonOf, snippet } from "./snippet.js";
@@ -64,12 +65,13 @@ async function query(place, about, wrench, options, signal, watched = null) {
   } catch (error) {
     if (signal.aborted) return;
     const guess = error.body?.type?.endsWith(":not-covered") && options.onThin !== "estimate"; // the page has a button for this option
-    if (guess) put(place, note(error.body.coverage, el("strong", {}, error.body.title), el("span", {}, sentence(error.body.reason || error.message)), el("div", {}, el("button", { type: "button", onclick: () => query(place, about, wrench, { ...options, onThin: "estimate" }, signal) }, "Show the estimate"))));
+    const outside = beyondRange(about, wrench);
+    if (guess) put(place, note(error.body.coverage, el("strong", {}, error.body.title), outside ? el("span", {}, outside) : null, el("span", {}, pageWords(error.body.reason || error.message)), el("div", {}, el("button", { type: "button", onclick: () => query(place, about, wrench, { ...options, onThin: "estimate" }, signal) }, "Show the estimate"))));
     else put(place, trouble(error));
     return;
   }
   remember(about.name, wrench, answer.coverage);
-  const why = answered(answer) && barUnknown(answer) ? await whyUnknown(about, signal) : null;
+  const why = answered(answer) && barUnknown(answer) ? await whyUnknown(about, answer, signal) : null;
   put(place, shown(answer, about, wrench, why));
   if (answer.job && answer.job.id !== watched) await watch(place, about, wrench, options, answer.job, signal);
 }
@@ -83,15 +85,19 @@ const beyond = (about) => `The error bar exceeds the tolerance because of the ${
 // Whether an answer lacks an error bar.
 const barUnknown = ({ error, displacements }) => (displacements ? Object.values(displacements) : [{ error }]).some((one) => !one.error || [...one.error.translation, ...one.error.rotation].includes(null));
 
-async function whyUnknown(about, signal) {
-  const { warnings = [], coverage } = await get(of(about.name), signal);
-  return warnings.find((one) => one.where === "tolerance" && one.message.includes("unknown"))?.message || coverage?.method_reason || "the rows are too few for an error bar";
+async function whyUnknown(about, answer, signal) {
+  const { warnings = [], rows } = await get(of(about.name), signal);
+  const few = answer.coverage === "outside" ? "beyond the rows no error bar is known" : `the table has ${rows === 1 ? "1 row" : `${rows} rows`}, too few for an error bar here`;
+  return warnings.find((one) => one.where === "tolerance" && one.message.includes("unknown"))?.message || few;
 }
 
 function shown(answer, about, wrench, why) {
+  const outside = beyondRange(about, wrench);
   return [
     el("div", { class: "line" }, stateOf(answer), el("span", { class: "muted small" }, about_(answer))),
-    answer.reason ? note(answered(answer) && !(why && answer.coverage === "covered") ? answer.coverage : "", sentence(answer.reason)) : null,
+    outside ? note("outside", outside) : null,
+    answer.reason ? note(answered(answer) && !(why && answer.coverage === "covered") ? answer.coverage : "", pageWords(answer.reason)) : null,
+    !answered(answer) && !about.has_fea && !about.rows ? linkTo(about, "table", "Import rows") : null,
     why ? note("thin", el("strong", {}, "The error bar is unknown"), el("span", {}, `${sentence(why)}.`)) : null,
     answer.coverage === "covered" && answer.within_tolerance === false ? note("thin", beyond(about)) : null,
     Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, about.tolerance)),
@@ -102,10 +108,10 @@ function shown(answer, about, wrench, why) {
 
 const answered = ({ translation, displacements }) => Boolean(translation || Object.values(displacements || {})[0]?.translation);
 
-// Coverage as a pill; a table without rows has none yet.
+// Coverage as a pill; a queued solve brings the answer that is missing.
 function stateOf(answer) {
   const { coverage, within_tolerance: within } = answer;
-  if (!answered(answer)) return pill("no answer yet", "");
+  if (!answered(answer)) return pill(answer.job ? "no answer yet" : "no answer", "");
   if (coverage !== "covered") return pill(coverage);
   return barUnknown(answer) ? pill("covered, error bar unknown", "thin") : within === false ? pill("covered, over tolerance", "thin") : pill(coverage);
 }

@@ -2,6 +2,7 @@
 
 import { caughtUp, get, of, post, send, trouble } from "./api.js";
 import { choice, el, facts, field, note, pill, put, save, select } from "./dom.js";
+import { beyondRange } from "./inputs.js";
 import { LOADS, number, quantity, stress, symbol, withBar } from "./format.js";
 import { draw } from "./plot.js";
 import { awayFrom, column, extent, lengths, lines, moved, outline } from "./surface.js";
@@ -29,18 +30,19 @@ async function bend(stage, about, wrench, signal) {
   } catch (error) {
     if (signal.aborted) return;
     if (error.status !== 409) { put(stage, trouble(error)); return; }
-    const solve = el("button", { type: "button", class: "first", onclick: () => solved(stage, about, wrench, signal) }, "Solve this wrench");
-    put(stage, note("thin", el("strong", {}, error.body.title), el("span", {}, "Each solve by the embedded solver leaves a deformed surface; surfaces between solves are interpolated.")), el("div", {}, solve));
+    const outside = beyondRange(about, wrench);
+    const solve = el("button", { type: "button", class: "first", onclick: () => solved(stage, about, wrench, Boolean(outside), signal) }, outside ? "Solve it although it is outside" : "Solve this wrench");
+    put(stage, note("thin", el("strong", {}, error.body.title), outside ? el("span", {}, outside) : null, el("span", {}, "Each solve by the embedded solver leaves a deformed surface; surfaces between solves are interpolated.")), el("div", {}, solve));
     return;
   }
   await stageOf(stage, about, wrench, shape, signal);
 }
 
 // Solves a wrench, and draws it.
-async function solved(stage, about, wrench, signal) {
+async function solved(stage, about, wrench, outside, signal) {
   put(stage, el("p", { class: "muted" }, "Solving …"), el("progress", { "aria-label": "The solve" }));
   try {
-    let job = (await post(`${of(about.name)}/solve`, { force: wrench.slice(0, 3), moment: wrench.slice(3) }, signal)).job;
+    let job = (await post(`${of(about.name)}/solve`, { force: wrench.slice(0, 3), moment: wrench.slice(3), ...(outside && { beyond_range: true }) }, signal)).job;
     while (["waiting", "running"].includes(job.status)) job = await get(`v1/jobs/${job.id}?wait_s=20`, signal);
     if (job.status !== "done") throw new Error(job.error?.message || "The solve was cancelled.");
     await caughtUp(about.name, signal);

@@ -14,6 +14,8 @@ const TERMS = [
   ["Thin", "The interpolation error is larger than the tolerance or not known. The answer is an estimate; a query queues a solve whose row makes the table thicker."],
   ["Outside", "The wrench is beyond the load range, or beyond the rows for a method that does not extrapolate. Widen [range], or add rows there."],
   ["Tolerance", "The error of an answer that the user accepts. It stands in component.toml; without it, 1 % of the range of each output."],
+  ["Method", "How a table answers. Kriging: a regression that gives an error bar everywhere. Griddata: linear interpolation within the Delaunay simplices of each axis. Additive: the sum of the axes' answers. Linear: one compliance for all loads. Without a choice the table takes the one with the least error at rows left out."],
+  ["Compliance", "The 6 by 6 matrix of displacements per unit load, m/N and rad/(N·m)."],
   ["Fill", "Solves at the wrenches where the error bar is largest, until the tolerance is met or the budget is spent."],
   ["Scene", "One simulation: its components, the loads that occur, and the outputs that it reads. What a scene does not need is not solved."],
   ["Tare", "The reading of a rig at no load, subtracted from the readings under load."],
@@ -21,6 +23,6 @@ const TERMS = [
 
 export function show(root) {
   document.title = "Terms · wrenchbook";
-  put(root, el("div", { class: "head" }, el("div", {}, el("h1", {}, "Terms"), el("p", { class: "muted" }, "The words of this page. API lists the calls of the server; `wrenchbook --help` prints the commands."))),
+  put(root, el("div", { class: "head" }, el("div", {}, el("h1", {}, "Terms"), el("p", { class: "muted" }, "The words of this page. API lists the calls of the server; the command wrenchbook --help lists the commands."))),
     el("section", { class: "card" }, el("dl", { class: "terms" }, TERMS.map(([name, text]) => [el("dt", {}, name), el("dd", {}, text)]))));
 }

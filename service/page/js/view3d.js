@@ -4,6 +4,7 @@ import { el } from "./dom.js";
 
 export const NARROW = 600; // px
 const STEP = Math.PI / 12;
+const FARTHEST = 15; // of the axes' box: the longest part begins at 10 on a telephone
 // Where a drawing is first looked at from; farther away where the screen is narrow.
 export const START = { eye: { x: 1.45, y: -1.6, z: 1 }, up: { x: 0, y: 0, z: 1 }, center: { x: 0, y: 0, z: -0.16 } };
 const VIEWS = { ArrowLeft: [-STEP, 0, 1], ArrowRight: [STEP, 0, 1], ArrowUp: [0, STEP, 1], ArrowDown: [0, -STEP, 1], "+": [0, 0, 1 / 1.2], "-": [0, 0, 1.2] };
@@ -14,7 +15,7 @@ function turned({ eye }, [around, up, away]) {
   const azimuth = Math.atan2(eye.y, eye.x) + around;
   const height = Math.asin(eye.z / distance) + up;
   const tilt = Math.max(-1.45, Math.min(1.45, height));
-  const far = Math.max(0.4, Math.min(6, distance * away));
+  const far = Math.max(0.4, Math.min(FARTHEST, distance * away));
   return { x: far * Math.cos(tilt) * Math.cos(azimuth), y: far * Math.cos(tilt) * Math.sin(azimuth), z: far * Math.sin(tilt) };
 }
 

@@ -672,3 +672,19 @@ def test_a_compliance_has_one_power_of_ten_and_no_entry_is_cut_on_a_telephone(br
     wide = browser.one(".wide")
     assert browser.run("return arguments[0].scrollWidth - arguments[0].clientWidth", wide) <= 0
     assert "·10" not in wide.text
+
+
+def test_a_wrench_beyond_the_load_range_says_so_first_and_can_be_solved(browser, plate):
+    browser.visit(f"{PLATE}/shape")
+    browser.type("input[name=fx]", "1500")
+    browser.click("form button", "Show")
+    browser.named(".note", "Fx = 1500 N is outside the load range, −1000 to 1000 N.")
+    browser.click("button", "Solve it although it is outside")
+    browser.drawn("#shape")
+
+
+def test_a_file_that_is_no_table_offers_no_mending(browser, rig):
+    browser.visit("#/c/unmeasured/table")
+    browser.drop(".drop", "notes.csv", "")
+    browser.named(".note", "notes.csv is not read as a table; nothing was loaded.")
+    assert browser.all("#check-again") == []
