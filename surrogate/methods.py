@@ -48,7 +48,9 @@ def choose(
         return MethodChoice("linear", "the component is linear: one compliance answers all", {})
     interpolator = kriging()
     if interpolator is not None:
-        size = np.where(interpolator.scaling.constant, 0.0, np.ptp(rows.displacement, axis=0))
+        # fmax and fmin skip the empty cells of measured rows.
+        width = np.fmax.reduce(rows.displacement) - np.fmin.reduce(rows.displacement)
+        size = np.where(interpolator.scaling.constant, 0.0, width)
         error = _score(interpolator.left_out(), size)
         if np.isnan(error):
             reason = "too few rows to show its error at left-out rows; solve or import more"

@@ -21,7 +21,7 @@ its metadata states it. `make licences` writes this page.
 wrenchbook is under the MIT license. Its wheel holds one text by others: the headers of the FMI
 standard (`service/fmu/c/fmi2*.h`, Modelica Association, 2-clause BSD). Each exported FMU holds them
 too. All packages below are installed beside wrenchbook and are not part of it.
-`pip install wrenchbook` installs NumPy alone.
+The wheel without extras installs NumPy alone.
 
 - gmsh (extra `cad`) is under the GPL. wrenchbook runs it in a child process.
 - npTDMS (extra `rig`) and paramiko (extra `replica`) are under the LGPL.

@@ -52,6 +52,11 @@ def test_the_readiness_of_one_component_has_its_own_status_code(building, name, 
     assert building.get(READY, params={"component": name}).status_code == status
 
 
+def test_a_ready_component_is_ready_while_another_table_is_built(building):
+    body = building.get(READY, params={"component": "small"}).json()
+    assert (body["status"], body["ready"], body["building"]) == ("ready", True, [])
+
+
 def full(*_):
     raise OSError(errno.ENOSPC, "No space left on device")
 

@@ -46,12 +46,12 @@ def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
     for name in pending:
         if not workspace.tables.present()[name].row_count:  # the table has no row to answer from
             tables[name] = "broken" if name in broken else "building"
-    building = [name for name, state in tables.items() if state == "building"]
     if component is not None:
         if component not in tables:
             _ = workspace.library[component]  # raises if the component does not exist
             tables[component] = "building"  # the component was just added
         tables = {component: tables[component]}
+    building = [name for name, state in tables.items() if state == "building"]
     copies = trouble_of(workspace.copies, workspace.settings)
     flawed = any(state in ("degraded", "broken") for state in tables.values())
     if faults:
