@@ -89,7 +89,7 @@ def test_wrong_input_is_refused_before_anything_is_answered(client: Client) -> N
         table.answer([0, 0, np.nan])
     with pytest.raises(ValueError, match="unknown method"):
         table.answer([0, 0, 1], method="magic")
-    with pytest.raises(ValueError, match="tolerance: must be"):
+    with pytest.raises(ValueError, match="tolerance: translation must be finite and above 0 m"):
         table.answer([0, 0, 1], tolerance={"translation": -1, "rotation": 1})
 
 

@@ -33,6 +33,7 @@ export async function show(root, about, signal) {
     beside?.compared ? el("section", { class: "card" }, el("h2", {}, "Measured against solved rows"), disagreement(beside)) : null);
 }
 
+const LEAST = 1e-4; // of the unit: smaller entries would need a power of ten of their own; their value is the title
 const NOISE = 1e-9; // of the largest entry of its unit: rounding of the solver
 const ORIGINS = { row: "tangent of the row" };
 
@@ -45,8 +46,9 @@ function matrix(values, name, origin) {
   const size = (value) => (value === null ? 0 : Math.abs(value));
   const largest = (i, j) => Math.max(...[0, 1, 2].flatMap((a) => [0, 1, 2].map((b) => size(values[3 * Math.floor(i / 3) + a][3 * Math.floor(j / 3) + b]))));
   const cell = (value, i, j) => {
-    const noise = value && size(value) < NOISE * Math.max(largest(i, j), Math.sqrt(size(values[i][i]) * size(values[j][j])));
-    const made = el("td", {}, value === null ? "–" : noise ? "≈ 0" : value ? number(value / 10 ** power, 3) : "0");
+    const noise = value && size(value) < Math.max(LEAST * 10 ** power, NOISE * Math.max(largest(i, j), Math.sqrt(size(values[i][i]) * size(values[j][j]))));
+    const made = el("td", {}, value === null ? "–" : noise ? "≈ 0" : value ? number(value / 10 ** power, size(value) < 0.1 * 10 ** power ? 2 : 3) : "0");
+    if (noise) made.title = scientific(value, 3);
     const mirror = values[j][i], apart = size(value - (mirror ?? value));
     const undetermined = !noise && value && mirror !== null && apart > 0.5 * Math.max(size(value), size(mirror)); // no symmetry: Maxwell and Betti
     if (undetermined) { made.className = "muted"; made.textContent = "?"; made.title = `${scientific(value, 3)}, which differs from the mirror entry`; }
