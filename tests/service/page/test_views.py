@@ -674,8 +674,8 @@ def test_a_compliance_has_one_power_of_ten_and_no_entry_is_cut_on_a_telephone(br
     assert "·10" not in wide.text
 
 
-def test_a_wrench_beyond_the_load_range_says_so_first_and_can_be_solved(browser, plate):
-    browser.visit(f"{PLATE}/shape")
+def test_a_wrench_beyond_the_load_range_says_so_first_and_can_be_solved(browser, client):
+    browser.visit("#/c/plate/shape")
     browser.type("input[name=fx]", "1500")
     browser.click("form button", "Show")
     browser.named(".note", "Fx = 1500 N is outside the load range, −1000 to 1000 N.")
