@@ -409,7 +409,10 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
     corners = _corners(low, high)
     with np.errstate(over="ignore"):
         centre = low / 2 + high / 2
-    more = [centre[None], np.zeros((1, len(low))), envelope.lowest, envelope.highest]
+    # The error bar of a linear table grows with the size of each input and is largest here.
+    outermost = np.where(np.abs(low) > np.abs(high), low, high)
+    more = [centre[None], outermost[None], np.zeros((1, len(low)))]
+    more += [envelope.lowest, envelope.highest]
     answers = table.packed.batch(np.concatenate([corners, *more]))
     coverage = int(answers.coverage.max(initial=COVERED))
     if table.linear and table.fit.complete:
@@ -421,7 +424,7 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
     else:
         # NaN stays: with an unknown value at one point the largest is unknown.
         largest = (np.abs(answers.outputs) + answers.errors).max(axis=0)
-        number = f"the {len(corners)}" if len(corners) < MAX_CORNERS else len(corners)
+        number = f"the {len(corners)}" if len(corners) == 2 ** len(low) else len(corners)
         kind = "estimate"
         formula = ESTIMATE.format(number)
     if np.isnan(largest).any():

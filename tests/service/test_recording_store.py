@@ -141,6 +141,29 @@ def test_the_bound_of_13_inputs_is_that_of_the_matrix_and_judges_each_output(wor
     assert bound_of(table, envelope, Tolerance(1e3, 1.0)).negligible is False
 
 
+def test_the_bound_of_13_inputs_contains_the_error_bar_where_all_inputs_are_largest():
+    """4,096 random corners of 8,192 may leave out the corner with the largest error bar."""
+    random = np.random.default_rng(6)
+    low, high = -random.uniform(1, 2, 13), random.uniform(1, 2, 13)
+    outermost = np.where(-low > high, low, high)
+
+    def batch(points):
+        coverage = np.zeros(len(points), dtype=np.uint8)
+        errors = np.tile(np.abs(points).sum(axis=1)[:, None], 12)
+        return SimpleNamespace(
+            outputs=np.zeros((len(points), 12)), errors=errors, coverage=coverage
+        )
+
+    table = SimpleNamespace(
+        load_range=RANGE,
+        linear=True,
+        fit=SimpleNamespace(complete=True, matrix=np.zeros((12, 13))),
+        packed=SimpleNamespace(batch=batch),
+    )
+    result = bound_of(table, EnvelopeState(Tally(), np.diag(low), np.diag(high)), None)
+    assert np.allclose(result.displacement, np.abs(outermost).sum(), rtol=1e-12)
+
+
 def test_the_bound_of_a_matrix_is_the_largest_at_the_corners_of_the_box():
     """By all 64 corners, of a complete compliance without an error bar and with zero at rest."""
     random = np.random.default_rng(5)
