@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import zip_longest
@@ -23,6 +24,8 @@ from wrenchbook.surrogate.table.rows import unknown_column
 from wrenchbook.surrogate.table.space import Space
 
 MAX_UNPACKED = 1024 * 1024 * 1024  # bytes: 10 million rows of 12 numbers
+TDMS_HEAD_BYTES = 28  # of a segment: tag, flags, version, and two lengths
+TDMS_BIG_ENDIAN = 1 << 6  # the flag of segments whose numbers begin with the highest byte
 _MAX_NAMED = 8  # variables or channels in a message: more would hide its remedy
 
 
@@ -233,6 +236,32 @@ def _record_values(column: Sequence[Any]) -> Array:
     return np.array(numbers, dtype=object if several else None)
 
 
+def _require_whole_segments(path: Path) -> None:
+    """Raise ContentError if a TDMS file ends within a segment, whose rows nptdms drops in silence.
+
+    Each segment begins with "TDSm", flags, version and the number of bytes behind this head (NI,
+    "TDMS File Format Internal Structure"). A program that stopped leaves the number as -1.
+    """
+    size = path.stat().st_size
+    start = 0
+    with path.open("rb") as file:
+        while start < size:
+            file.seek(start)
+            head = file.read(TDMS_HEAD_BYTES)
+            if len(head) == TDMS_HEAD_BYTES and head[:4] == b"TDSm":
+                (flags,) = struct.unpack("<I", head[4:8])
+                order = ">" if flags & TDMS_BIG_ENDIAN else "<"
+                (length,) = struct.unpack(f"{order}Q", head[12:20])
+                start += TDMS_HEAD_BYTES + length
+            else:
+                start = size + 1
+    if start > size:
+        raise ContentError(
+            "ends within a segment, because its writing or copying was cut off; copy it again, or "
+            "export the complete rows as CSV"
+        )
+
+
 def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a TDMS file: of the sheet's group, or the first with most columns.
 
@@ -242,6 +271,7 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     from nptdms import TdmsFile
 
     try:
+        _require_whole_segments(path)
         with TdmsFile.open(path) as file:
             groups = {g.name: [c for c in g.channels() if len(c)] for g in file.groups()}
             scores = {

@@ -70,6 +70,16 @@ def test_a_tdms_file_is_read_in_pieces_of_many_segments():
     assert np.array_equal(table.wrench[:, 2], force * 1000)
 
 
+@pytest.mark.parametrize("lost", [1, 8, 40, 130])
+def test_a_tdms_file_that_was_cut_off_is_refused_and_loses_no_rows_in_silence(lost):
+    file = io.BytesIO()
+    with TdmsWriter(file) as writer:
+        for part in (slice(0, 12), slice(12, 25)):
+            channels = {"Kraft": (FORCE[part], KN), "Weg": (PATH[part], MM)}
+            writer.write_segment([ChannelObject("run", n, v, p) for n, (v, p) in channels.items()])
+    assert "cut off" in message(file.getvalue()[:-lost])
+
+
 def test_a_tdms_waveform_has_times_of_its_start_and_increment():
     log = tdms(run={"Kraft": (FORCE, KN | WAVE), "Weg": (PATH, MM)})
     table, _ = read(log, replace(NAMED, role="displacements"))
