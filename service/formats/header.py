@@ -298,8 +298,9 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
     # Concatenated files have the mark of UTF-8 before a later label too.
     labels = [" ".join(cell.replace("\ufeff", "").split()) for cell in cells]
     if all(is_number(cell) for cell in cells if cell.strip()):
-        if not positions:
-            return _no_header(line, "header", _NO_LABELS), records
+        if not positions or _counts_columns(cells):
+            message = _COUNTS if positions else _NO_LABELS
+            return _no_header(line, "header", message), records
         labels = [str(at) for at in range(1, len(cells) + 1)]
         records = chain([(line, cells)], records)
     while len(labels) > max(positions, default=0) and not labels[-1]:
@@ -313,6 +314,10 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
     return header, records
 
 
+_COUNTS = (
+    "counts the columns, as data frames without names write it; remove this line, or write its "
+    "first number with a decimal point if these are readings"
+)
 _NO_LABELS = (
     "there is no header. Name the columns with units in the first line, such as fx [N], ux [mm] "
     "(lines that begin with # are comments), or by position with mapping (--column '1=fx [N]')"
@@ -400,6 +405,13 @@ def _read_labels(
                 header.mistakes.append(FileMistake(line, name, message))
     for message in _missing_columns(header, labels, options):
         header.mistakes.append(FileMistake(line, "header", message))
+
+
+def _counts_columns(cells: Sequence[str]) -> bool:
+    """Return whether the cells are 0, 1, 2 and so on, or 1, 2, 3 and so on."""
+    texts = [cell.strip() for cell in cells]
+    counts = ([str(first + at) for at in range(len(texts))] for first in (0, 1))
+    return len(texts) > 1 and texts in counts
 
 
 def _add_column(
