@@ -147,10 +147,12 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
     graph = coo_array((np.ones(4 * count), pairs), shape=(count + len(bows),) * 2)
     surface = connected_components(graph, directed=False)[1][:count]
     for number in np.unique(surface[curved.any(axis=1)]).tolist():
-        own = surface == number
-        usual = np.median(size[own][curved[own]] / length[own][curved[own]])
-        if offset[own].max() > max(STRAIGHT, 0.5 * usual):
-            curved[own] = False
+        on_surface = surface == number
+        usual = np.median(
+            size[on_surface][curved[on_surface]] / length[on_surface][curved[on_surface]]
+        )
+        if offset[on_surface].max() > max(STRAIGHT, 0.5 * usual):
+            curved[on_surface] = False
 
     # Of an edge's two facets the one with the larger bow counts: it is the last.
     facet, side = np.nonzero(curved)
