@@ -5,9 +5,10 @@ A mistake is a `HttpProblemError` with the place of each mistake and what to sen
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager
 from itertools import chain, compress
 from pathlib import Path
@@ -27,7 +28,7 @@ from starlette.types import Message, Receive
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.http.bodies import BatchBody, BlockBody, Body, DisplacementBody, LoadsBody
-from wrenchbook.service.http.problems import HttpProblemError, bad_body, plain_errors
+from wrenchbook.service.http.problems import MAX_PLACE, HttpProblemError, bad_body, plain_errors
 from wrenchbook.service.query import Query, plain_query
 from wrenchbook.surrogate.table.rows import Tolerance
 from wrenchbook.surrogate.table.space import DEFAULT, Space, SpaceError
@@ -253,16 +254,47 @@ def read_body(kind: type[Body], body: bytes) -> Any:
 
 
 def parsed_json(body: bytes) -> Any:
-    """Return the values of JSON; 422, or MemoryError if it is too large for the parser."""
+    """Return the values of JSON.
+
+    Raises HttpProblemError (422) if it is invalid or an object repeats a key, and MemoryError if it
+    is too large for the parser.
+    """
     try:
-        return orjson.loads(body)
-    except orjson.JSONDecodeError as error:
+        fields = orjson.loads(body)
+        repeated: list[str] = []
+        if body.count(b":") > _key_count(fields):  # each key has a colon: equal counts repeat none
+            # An integer of thousands of digits is an error of int().
+            pairs = json.loads(body, object_pairs_hook=tuple, parse_int=float)
+            repeated = [*_repeated_keys(pairs)]
+    except (orjson.JSONDecodeError, RecursionError) as error:
         if "memory" in str(error).lower():
             raise MemoryError from None
         has_nan = b"NaN" in body or b"Infinity" in body
         remedy = "JSON has no NaN and no Infinity: leave them out" if has_nan else "correct it"
         message = f"is not valid JSON ({error}); {remedy}"
         raise bad_body([{"loc": "body", "msg": message}]) from None
+    if repeated:
+        message = "is there more than once; send one"
+        raise bad_body([{"loc": place[:MAX_PLACE], "msg": message} for place in repeated])
+    return fields
+
+
+def _key_count(value: Any) -> int:
+    """Return the number of keys of an object and of the objects in it, without those in lists."""
+    return len(value) + sum(map(_key_count, value.values())) if isinstance(value, dict) else 0
+
+
+def _repeated_keys(value: Any, front: str = "") -> Iterator[str]:
+    """Yield the dotted places of repeated keys in JSON values whose objects are tuples of pairs."""
+    if not isinstance(value, list | tuple):
+        return
+    keys: set[Any] = set()
+    for key, entry in enumerate(value) if isinstance(value, list) else value:
+        place = f"{front}{key}"
+        if key in keys:
+            yield place
+        keys.add(key)
+        yield from _repeated_keys(entry, f"{place}.")
 
 
 def checked(kind: type[Body], fields: Any) -> Any:

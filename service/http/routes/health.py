@@ -20,6 +20,7 @@ router = APIRouter(tags=["health"])
 TableState = Literal["ready", "building", "degraded", "broken"]
 
 
+@router.head("/health/live", include_in_schema=False)
 @router.get(
     "/health/live", summary="Liveness of the server; needs no key", openapi_extra={"security": []}
 )
@@ -27,6 +28,7 @@ async def live() -> dict[str, str]:
     return {"status": "live"}
 
 
+@router.head("/health/ready", include_in_schema=False)
 @router.get(
     "/health/ready",
     summary="Readiness of jobs and tables",
@@ -94,6 +96,7 @@ def table_states(workspace: Workspace) -> dict[str, TableState]:
     return states
 
 
+@router.head("/metrics", include_in_schema=False)
 @router.get(
     "/metrics",
     summary="Counts and states for Prometheus",
