@@ -20,8 +20,10 @@ from wrenchbook.service.actors import CALLER, Caller
 from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.events import Events
 from wrenchbook.service.http import openapi, problems
-from wrenchbook.service.http.access import AccessControl, Rates, SecuritySettings, sending
+from wrenchbook.service.http.access import AccessControl, SecuritySettings
 from wrenchbook.service.http.batch import AT_ONCE
+from wrenchbook.service.http.headers import with_security_headers
+from wrenchbook.service.http.permission import Rates
 from wrenchbook.service.http.problems import CLIENT_GONE, HttpProblemError
 from wrenchbook.service.http.protocol import HEADER, FastPath, id_of
 from wrenchbook.service.http.routes import (
@@ -127,7 +129,7 @@ class Application(FastAPI):
                 await super().__call__(scope, *permitted)
         except asyncio.CancelledError:  # see `Server.shutdown`
             if status == CLIENT_GONE:
-                answer = sending(send_with_id, scope["path"], None)
+                answer = with_security_headers(send_with_id, scope["path"], None)
                 await _STOPPING.response()(scope, receive, answer)
         finally:
             self._count(scope, status, perf_counter() - started)

@@ -25,7 +25,8 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
-from wrenchbook.service.http.access import PERMISSION, PLAIN, Permission
+from wrenchbook.service.http.headers import PLAIN
+from wrenchbook.service.http.permission import PERMISSION, Permission
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.proxy import PEER
 from wrenchbook.service.query import answered_at_once, fields_of, plain_query

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from ipaddress import IPv4Network, IPv6Network, ip_address, ip_network
 from typing import Final
@@ -54,6 +54,20 @@ class ProxyTrust:
         name = f"{USER}{sent}"
         scope = max(allowed, key=SCOPES.index)
         return Key(name, scope, digest_of(name), 0.0)
+
+    def refuse_repeated(self, fields: Iterable[tuple[bytes, bytes]]) -> None:
+        """Refuse a request with several headers of a proxy: the caller may have sent one of them.
+
+        Raises HttpProblemError with status 400.
+        """
+        names = [name for name, _ in fields]
+        for name in (self.user, self.groups):
+            if names.count(name) > 1:
+                why = (
+                    f"The request has the header {name.decode()} more than once; nothing was "
+                    "changed. Let the proxy replace the caller's header, not add its own."
+                )
+                raise HttpProblemError(400, "users", "A proxy header is there twice", why)
 
     def trusts(self, peer: str) -> bool:
         """Return whether an address is that of a trusted proxy."""

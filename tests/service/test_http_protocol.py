@@ -28,8 +28,8 @@ from tests.service.live import (
 )
 from tests.until import until
 from wrenchbook.service.http import protocol
-from wrenchbook.service.http.access import Permission
 from wrenchbook.service.http.bodies import CopyBody, FillBody
+from wrenchbook.service.http.permission import Permission
 from wrenchbook.service.http.protocol import FastPath, FastPathProtocol
 from wrenchbook.service.http.routes.keys import KeyBody
 from wrenchbook.service.http.server import Server, server_config

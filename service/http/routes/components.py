@@ -15,7 +15,6 @@ from wrenchbook.fea.accuracy.advice import WHERE, over_tolerance
 from wrenchbook.service.actors import CALLER
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.redact import redact
-from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
 from wrenchbook.service.http.body import (
     MAX_QUERY_BYTES,
@@ -26,6 +25,7 @@ from wrenchbook.service.http.body import (
     read_limited,
 )
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
+from wrenchbook.service.http.permission import permission_of
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Newest, Opened, json_reply, next_page
 from wrenchbook.service.http.routes.scenes import need_from

@@ -13,10 +13,10 @@ from typing_extensions import TypedDict
 
 from wrenchbook.service.actors import CALLER
 from wrenchbook.service.formats.cells import text_problem
-from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
 from wrenchbook.service.http.body import JsonRoute, read_body, read_limited
 from wrenchbook.service.http.openapi import TEXT, answers, component_router, refused, takes
+from wrenchbook.service.http.permission import permission_of
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.http.routes.components import component_body

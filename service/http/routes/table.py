@@ -19,10 +19,10 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.responses import FileResponse, Response
 
-from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.imports import Imported, ImportQuery
 from wrenchbook.service.http.openapi import BODIES, BYTES, answers, component_router, refused, takes
+from wrenchbook.service.http.permission import permission_of
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
 from wrenchbook.service.ledger import ImportOrigin
