@@ -79,17 +79,12 @@ def security_settings(
 
 
 class AccessControl:
-    """Authentication, rate limits and origin checks of every request.
+    """Authentication, rate limits and origin checks of every request."""
 
-    `rates` is shared by the web workers of a server.
-    """
-
-    def __init__(
-        self, keyring: Keyring, security: SecuritySettings, rates: Rates | None = None
-    ) -> None:
+    def __init__(self, keyring: Keyring, security: SecuritySettings) -> None:
         self.security = security
         self.keyring = keyring
-        self._rates = rates or Rates()
+        self.rates = Rates()
         digest = digest_of(security.server_key or "")
         self._server_key = Key(LOCAL, "admin", digest, 0.0, _NO_LIMIT, int(_NO_LIMIT))
         self._permissions: dict[str, Permission] = {}
@@ -245,7 +240,7 @@ class AccessControl:
         if user is not None:
             if len(self._users) >= MAX_KEYS:
                 self._users.clear()
-            return self._users.setdefault((user.name, user.scope), Permission(user, self._rates))
+            return self._users.setdefault((user.name, user.scope), Permission(user, self.rates))
         sent = head.get(b"authorization", b"").decode("latin-1")
         word, _, secret = sent.partition(" ")
         secret = secret.strip()
@@ -265,7 +260,7 @@ class AccessControl:
                 end = iso_time(key.expires or 0.0)
                 raise _no_key(f"The key {key.name!r} expired at {end}.", "The key has expired")
             stored = None if is_server_key else self.keyring
-            permission = self._permissions[secret] = Permission(key, self._rates, stored)
+            permission = self._permissions[secret] = Permission(key, self.rates, stored)
         return permission
 
     def refresh(self) -> None:
