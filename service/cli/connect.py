@@ -58,6 +58,9 @@ FurtherInput = Annotated[
     ),
 ]
 
+Three = tuple[float, float, float]
+ZERO: Three = (0.0, 0.0, 0.0)
+
 
 @contextmanager
 def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Client]:

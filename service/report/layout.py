@@ -54,6 +54,7 @@ def advice_of(report: dict[str, Any]) -> str:
         if entry["method"] == report["default"]["method"]
     )
     error = table["largest_interpolation_error"]
+
     sentence = f"the table ({table['name']}) does not answer all outputs"
     if error is not None:
         sentence = f"the table ({table['name']}) errs by {100 * error:.2g} % of the range"
@@ -62,6 +63,7 @@ def advice_of(report: dict[str, Any]) -> str:
             f"The mesh decides: {sentence}, its mesh by {100 * mesh:.2g} %, so that more rows "
             "change nothing; if that is too much, refine the mesh."
         )
+
     p95 = zip(table["lookup_error"]["p95"], report["tolerance"] or (), strict=False)
     for output, (value, limit) in zip(report["outputs"], p95, strict=False):
         if value is None or value > limit:
@@ -69,6 +71,7 @@ def advice_of(report: dict[str, Any]) -> str:
                 f"More rows help: {sentence}, and {output} exceeds the tolerance; "
                 f"wrenchbook fill {report['component']}."
             )
+
     if mesh is not None:
         sentence += f", its mesh by {100 * mesh:.2g} %"
     if report["tolerance"]:
@@ -84,6 +87,7 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
     failed = "".join(map(_failures_in, report["fea"]))
     unsolved = " Failed solves: see Finite elements." if failed else ""
     of_tables = ("method", "rows", "FEA spent, s", "build, s", "p50, µs", "p99, µs", "MB")
+
     return [
         ReportSection(
             "Which method answers, and why",
