@@ -110,10 +110,7 @@ def follow(
 
 
 def follow_report(out: Console, client: Client, name: str) -> None:
-    """Show a bar until a report is made.
-
-    Raises RuntimeError if it cannot be made.
-    """
+    """Show a bar until a report is made; raises RuntimeError if it cannot be made."""
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, TextColumn("{task.fields[note]}"), console=out) as progress:
         task = progress.add_task("reporting", total=1.0, note="")

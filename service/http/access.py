@@ -264,10 +264,7 @@ class AccessControl:
         return permission
 
     def refresh(self) -> None:
-        """End the streams of changed keys and empty the cache of permissions.
-
-        Call it in the loop.
-        """
+        """End the streams of changed keys and empty the permissions' cache; call it in the loop."""
         if self.keyring.refresh() == self._version:
             return
         self._version = self.keyring.version

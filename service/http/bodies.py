@@ -119,10 +119,7 @@ class WrenchBody(Body):
 
 
 class LoadsBody(WrenchBody):
-    """The loads of a component: one wrench, or a wrench for each interface by name.
-
-    Further inputs.
-    """
+    """The loads of a component: one wrench, or one for each interface; and further inputs."""
 
     loads: dict[str, WrenchBody] = {}
     inputs: dict[str, Load] = {}

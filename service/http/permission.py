@@ -83,10 +83,7 @@ class Rates:
 
 
 class Permission:
-    """The rights of a key, with the `rates` it shares.
-
-    Without a key all rights, and nothing is counted.
-    """
+    """The rights of a key that shares `rates`; without a key all rights, and nothing is counted."""
 
     __slots__ = ("_keyring", "_note_at", "_rates", "_remaining", "caller", "key")
 

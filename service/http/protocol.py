@@ -134,10 +134,7 @@ class FastPath:
         self._heads: dict[bytes, Head] = state.access.heads
 
     def head(self, data: bytes) -> Head | None:
-        """Return the head at the beginning of `data`.
-
-        None if it is not that of a permitted query.
-        """
+        """Return the head of a permitted query at the beginning of `data`; None for any other."""
         start = data[: data.find(_BLANK_LINE) + 4]
         head = self._heads.get(start)
         if head is None:
@@ -440,10 +437,7 @@ class FastPathProtocol(HttpToolsProtocol):
         self._since = self.loop.time()
 
     def _count(self, size: int) -> None:
-        """Count bytes of a head.
-
-        Raises ValueError if the head is too long.
-        """
+        """Count bytes of a head; raises ValueError if the head is too long."""
         self._head_bytes += size
         if self._head_bytes > MAX_HEAD_BYTES:
             raise ValueError(f"the head has more than {MAX_HEAD_BYTES} bytes; send fewer headers")

@@ -80,10 +80,7 @@ class ProxyTrust:
 
 
 def proxy_trust(settings: Settings) -> ProxyTrust | None:
-    """Return the settings of trusted proxies; None without any.
-
-    Raises SettingsError if they are not valid.
-    """
+    """Return the settings of trusted proxies, None without any; raises SettingsError."""
     user, groups = settings.trust_proxy_user, settings.trust_proxy_groups
     if user is None:
         if settings.trust_proxy_from or groups:

@@ -157,10 +157,7 @@ class OneWrenchError(ValueError):
 
 
 def require_single_wrench(name: str, space: Space) -> None:
-    """Check that a component has one interface and no further inputs.
-
-    Raises OneWrenchError if it has others.
-    """
+    """Raise OneWrenchError unless a component has one interface and no further inputs."""
     if not space.is_default:
         raise OneWrenchError(name, space)
 

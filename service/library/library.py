@@ -187,10 +187,7 @@ class Library:
         return component
 
     def faces_of_zip(self, archive: BinaryIO) -> bytes:
-        """Return `bundles.faces_of` for a zip that needs no more than [mesh].
-
-        Raises the errors of `add_zip`.
-        """
+        """Return `bundles.faces_of` of a zip that may have [mesh] alone; raises as `add_zip`."""
         with self._incoming() as incoming:
             return bundles.faces_of(bundles.unpack(archive, incoming, complete=False)[0])
 

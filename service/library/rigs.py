@@ -49,10 +49,7 @@ def rig_of(ledger: Ledger, rig: str) -> str:
 
 
 def store_rig(ledger: Ledger, name: str, profile: str) -> None:
-    """Store a profile, or replace it.
-
-    Raises RigError if there are MAX_RIGS already.
-    """
+    """Store a profile, or replace it; raises RigError if there are MAX_RIGS already."""
     with ledger.writing() as db:
         others = db.execute("SELECT count(*) FROM rigs WHERE name != ?", (name,)).fetchone()[0]
         if others >= MAX_RIGS:

@@ -136,10 +136,7 @@ def _archived(
 
 
 def verify(source: Path) -> Manifest:
-    """Read a backup and compare all files with their digests.
-
-    Raises BackupError if they differ.
-    """
+    """Read a backup and compare all files with their digests; raises BackupError."""
     return unpack(source, lambda _: Path(os.devnull).open("wb"))
 
 

@@ -105,10 +105,7 @@ def in_use(folder: Path) -> bool:
 
 
 def _check_free(folder: Path, *, overwrite: bool) -> list[Path]:
-    """Return the directory's files that a restore replaces.
-
-    Refuse a directory in use, or not empty.
-    """
+    """Return the files that a restore replaces; raises BackupError if it must not."""
     present = sorted(entry for entry in folder.iterdir() if entry.name not in _STAYS)
     if in_use(folder):
         raise BackupError(f"a server or worker uses {folder}; stop it first. Nothing was changed")

@@ -138,10 +138,7 @@ def _star(report: dict[str, Any], entry: dict[str, Any]) -> str:
 
 
 def _mesh_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
-    """Return a line for each mesh: name, size, times, relative errors.
-
-    The finest is the reference.
-    """
+    """Return a line for each mesh, the reference last: name, size, times, relative errors."""
     marks = [""] * (len(report["fea"]) - 1) + [" (reference)"]
     return tuple(
         (

@@ -34,10 +34,7 @@ class ReportState:
 
 
 class Reports:
-    """Makes reports in `folder`, ``<component>/report.json``, ``.md`` and ``.html``.
-
-    `tables` has the HDF5 tables.
-    """
+    """Makes ``<component>/report.json``, ``.md`` and ``.html`` in `folder`, of HDF5 `tables`."""
 
     def __init__(self, folder: Path, tables: Path) -> None:
         self._folder = folder

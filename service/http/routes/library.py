@@ -288,10 +288,7 @@ def get_stiffness(
 
 
 def _rows_of_import(workspace: Workspace, name: str, rows: Rows, number: int) -> Rows:
-    """Return the rows of a component's import.
-
-    Raises UnknownImportError if it has none.
-    """
+    """Return the rows of a component's import; raises UnknownImportError if it has none."""
     masks = [
         (part.first <= rows.seq) & (rows.seq <= part.last)
         for part in workspace.ledger.import_spans(name)

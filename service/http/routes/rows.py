@@ -54,10 +54,7 @@ def _edited(
 
 
 def row_body(workspace: Workspace, component: Component, seq: int) -> dict[str, Any]:
-    """Return a row of a component, with its provenance.
-
-    Raises UnknownRowError if the component has no such row.
-    """
+    """Return a component's row with its provenance; raises UnknownRowError if it has none."""
     row = workspace.ledger.row(seq)
     if row.component != component.name:
         raise UnknownRowError(

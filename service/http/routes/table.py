@@ -249,10 +249,7 @@ def _check_content_type(kind: str) -> None:
 
 
 def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
-    """Return the problem of a table with mistakes, of which nothing was loaded.
-
-    `unit`: to send again.
-    """
+    """Return the problem of a table with mistakes; `unit` names the part to send again."""
     errors = reply["errors"]
     rows = reply["rows"]
     first = reply["errors"][0]
