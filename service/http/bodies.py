@@ -266,10 +266,7 @@ class MeasuredInputs(Body):
 
 
 class TableOnlyComponent(Body):
-    """A component without finite elements: its table is loaded from outside.
-
-    It has the range of its only interface, or several interfaces with one each.
-    """
+    """A component without finite elements: one load range, or several interfaces with one each."""
 
     name: str
     title: str

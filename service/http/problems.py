@@ -130,8 +130,8 @@ class HttpProblemError(HTTPException):
         return Response(orjson.dumps(redact_values(body)), self.status, self.headers, MEDIA_TYPE)
 
 
-def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> HttpProblemError:
-    """Describe a body that is not of the call's form; ``errors`` are ``{loc, msg}``.
+def bad_body(errors: Sequence[dict[str, Any]]) -> HttpProblemError:
+    """Describe a request that is not of the call's form; ``errors`` are ``{loc, msg}``.
 
     At most MAX_ERRORS of them are listed.
     """
@@ -141,7 +141,7 @@ def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> Htt
         422,
         "bad-request-body",
         "The request does not have the form of this call",
-        detail or f"Nothing was changed. {mistakes}; the first is {first}.",
+        f"Nothing was changed. {mistakes}; the first is {first}.",
         errors=list(errors[:MAX_ERRORS]),
     )
 

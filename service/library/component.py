@@ -117,15 +117,13 @@ class UnknownComponentError(KeyError):
 
     def __str__(self) -> str:
         name = self.name[:MAX_QUOTED]
-        some = self.known
-        if len(some) > MAX_NAMES:
-            some = get_close_matches(name, some, MAX_NAMES, 0.0)
-        known = ", ".join(some) or "none yet"
-        more = len(self.known) - len(some)
-        return (
-            f"There is no component {name!r}. The library has: {known}"
-            f"{f' and {more} more (GET /v1/components)' if more else ''}."
-        )
+        listed = self.known
+        if len(listed) > MAX_NAMES:
+            listed = get_close_matches(name, listed, MAX_NAMES, 0.0)
+        known = ", ".join(listed) or "none yet"
+        if more := len(self.known) - len(listed):
+            known += f" and {more} more (GET /v1/components)"
+        return f"There is no component {name!r}. The library has: {known}."
 
 
 class ComponentExistsError(ValueError):
@@ -149,17 +147,14 @@ class BrokenComponentError(UnknownComponentError):
 class OneWrenchError(ValueError):
     """The call is for components whose only input is one wrench."""
 
-    def __init__(self, name: str, space: Space) -> None:
-        super().__init__(
-            f"{name!r} has the inputs {', '.join(space.input_names)}, but this call accepts one "
-            f"wrench only. Use POST /v1/components/{name}/displacement or .../displacements."
-        )
-
 
 def require_single_wrench(name: str, space: Space) -> None:
     """Raise OneWrenchError unless a component has one interface and no further inputs."""
     if not space.is_default:
-        raise OneWrenchError(name, space)
+        raise OneWrenchError(
+            f"{name!r} has the inputs {', '.join(space.input_names)}, but this call accepts one "
+            f"wrench only. Use POST /v1/components/{name}/displacement or .../displacements."
+        )
 
 
 class LibraryUnavailableError(OSError):

@@ -191,17 +191,15 @@ def _store(request: Request) -> RecordingStore:
 async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] | None]:
     """Return a block's wrenches, shape (n, inputs), SI, and its key if there is one."""
     space = request.app.state.workspace.library.as_read(name).space
-    binary = is_binary(request)
     body = await read_limited(request.receive, MAX_BLOCK_BYTES)
-    if binary:
+    key: BlockKey
+    if is_binary(request):
         wrenches = read_wrenches(body, MAX_BLOCK, np.inf, space)
-        key: BlockKey = checked(BlockKey, dict(request.query_params))
+        key = checked(BlockKey, dict(request.query_params))
     else:
-
-        def read() -> tuple[Floats, BlockBody]:
-            return with_wrenches(BlockBody, parsed_json(body), len(space.inputs), np.inf, MAX_BLOCK)
-
-        wrenches, key = await run_in_threadpool(read)
+        fields = await run_in_threadpool(parsed_json, body)
+        form = BlockBody, fields, len(space.inputs), np.inf, MAX_BLOCK
+        wrenches, key = await run_in_threadpool(with_wrenches, *form)
     if key.client is None or key.sequence is None:
         return wrenches, None
     return wrenches, (key.client, key.sequence)

@@ -189,7 +189,14 @@ async def import_table(
     name: str, request: Request, workspace: Opened, query: Annotated[ImportQuery, Query()]
 ) -> Response:
     component = workspace.library[name]
-    _check_content_type(content_type(request))
+    kind = content_type(request)
+    if kind and kind not in _TAKEN:
+        why = (
+            f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
+            "application/octet-stream, gzipped or not; the content decides the format."
+        )
+        raise HttpProblemError(415, "media-type", "The content type is not that of a table", why)
+
     table = workspace.tables.surrogate(name)
     solved = await run_in_threadpool(solved_compliance, component, table)
     rig = await run_in_threadpool(rig_of, workspace.ledger, query.rig)
@@ -200,6 +207,7 @@ async def import_table(
         if len(sent.files) == 1 and alone:
             message = "needs two logs; send the second one (--displacements FILE), or leave it out"
             raise bad_body([{"loc": f"query.{min(alone)}", "msg": message}])
+
         key = permission_of(request.scope).key
         origin = ImportOrigin(
             who=key.name if key else "",
@@ -222,37 +230,23 @@ async def import_table(
                 table=table if component.space.is_default and not query.append else None,
                 append=bool(query.append),
             )
+
     loaded = reply.pop("loaded")
     if reply["errors"] and not (query.dry_run or loaded):
         raise _bad_rows(reply, "block" if query.append else "complete file")
-    # Rows that existed before need not wait for the next table.
-    wait_s = query.wait_s if loaded else 0.0
-    if query.append and "wait_s" not in query.model_fields_set:
-        wait_s = 0.0  # the next row comes soon
-    caught_up = await workspace.caught_up(component.name, wait_s)
+    # Rows that existed before need not wait for the next table; after an appended row the next one
+    # comes soon.
+    waits = loaded and (not query.append or "wait_s" in query.model_fields_set)
+    caught_up = await workspace.caught_up(component.name, query.wait_s if waits else 0.0)
     reply["in_use"] = caught_up and (loaded or not reply["inserted"])
     reply["table_version"] = workspace.ledger.last_seq(component.name)
     return json_reply(reply)
 
 
-def _check_content_type(kind: str) -> None:
-    """Check that a content type is that of a table; a request may have none.
-
-    Raises HttpProblemError with status 415 if it is not.
-    """
-    if kind and kind not in _TAKEN:
-        why = (
-            f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
-            "application/octet-stream, gzipped or not; the content decides the format."
-        )
-        raise HttpProblemError(415, "media-type", "The content type is not that of a table", why)
-
-
 def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
     """Return the problem of a table with mistakes; `unit` names the part to send again."""
-    errors = reply["errors"]
-    rows = reply["rows"]
-    first = reply["errors"][0]
+    errors, rows = reply["errors"], reply["rows"]
+    first = errors[0]
     places = [
         {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
         for error in errors
@@ -264,14 +258,13 @@ def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
     # Rows are not read if the header has mistakes.
     has_good = rows["read"] > rows["refused"] and all(error["row"] for error in errors)
     partial = ", or add --partial (over HTTP partial=true) to load only the good rows"
-    cure = partial if has_good else ""
     return HttpProblemError(
         422,
         "bad-rows",
         "The table has mistakes",
         f"Nothing was loaded; {len(errors)} mistake{'s' * (len(errors) > 1)}{sheet}, the first in "
         f"{place}{first['field']}: {first['message']}. Correct them and send the {unit} "
-        f"again{cure}.",
+        f"again{partial * has_good}.",
         **{**reply, "errors": places},
     )
 
