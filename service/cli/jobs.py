@@ -74,19 +74,11 @@ def audit(
 
 
 def follow_jobs(
-    out: Console,
-    client: Client,
-    component: str | None,
-    timeout_s: float | None = None,
-    *,
-    as_json: bool = False,
+    out: Console, client: Client, component: str | None, *, as_json: bool = False
 ) -> None:
-    """Print the open jobs, then a line for each event, until Ctrl-C; as JSON only the events.
-
-    It ends after `timeout_s` seconds without an event.
-    """
+    """Print the open jobs, then a line for each event, until Ctrl-C; as JSON only the events."""
     shown = False
-    for event in client.events(component, timeout_s=timeout_s):
+    for event in client.events(component):
         if as_json:
             print(json.dumps({"event": event.kind, **event.body}), flush=True)
             continue

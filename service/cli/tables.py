@@ -396,6 +396,7 @@ def rig(
             f"the rig's name {name!r} must begin with a letter or digit, and have at most 64 "
             "letters, digits, '.', '_' and '-'"
         )
+
     content = None if file is None else file.read_bytes()
     with connected(server, data) as client:
         reply = client.call(_RIG_METHODS[action], path, content, kind="application/toml")
@@ -406,6 +407,7 @@ def rig(
     if name:
         show(body, as_json, text.rstrip())
         return
+
     table = Table("name", "origin", "title")
     for profile in body["rigs"]:
         table.add_row(profile["name"], profile["origin"], escape(profile["title"]))
@@ -413,6 +415,7 @@ def rig(
 
 
 def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> None:
+    """Print a finding of the import `number`, and how to withdraw its rows."""
     plain(Screen(), f"{finding['cause']}: {finding['message']}", style="yellow")
     if number is not None:
         command = f"wrenchbook withdraw {name} {number} --finding {finding['cause']}"
@@ -421,9 +424,7 @@ def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> No
 
 
 def _print_import(name: str, reply: dict[str, Any]) -> None:
-    # Servers before 0.3 leave these out.
-    absent = {"causes": reply["errors"], "above": [], "rig": None, "findings": [], "clock": None}
-    reply = {**absent, "import": None, "sheets": [], "restored": 0, **reply}
+    """Print the mistakes, rows and findings of an import."""
     for line in _import_lines(reply):
         plain(Screen(), line)
     for finding in reply["findings"]:
@@ -432,10 +433,12 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
             shown = ", ".join(map(str, finding["rows"][:MAX_ROWS_SHOWN]))
             more = " and others" if finding["count"] > MAX_ROWS_SHOWN else ""
             plain(Screen(), f"  rows {shown}{more} of the file")
+
     if (clock := reply["clock"]) and clock["lag_s"] is not None:
         lag = f"{clock['lag_s']:.4g} +- {clock['uncertainty_s']:.1g}"
         applied = f"{clock['applied_s']:.4g} s is applied"
         plain(Screen(), f"Lag of the displacements: {lag} s; {applied}.")
+
     rows = reply["rows"]
     parts = [f"{rows[state]} {text}" for state, text in _NOT_LOADED.items() if rows.get(state)]
     if parts:

@@ -168,9 +168,11 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
     named += [entry.field for entry in further]
     named += [bundle.deck.file, *bundle.deck.files] if bundle.deck else []
     files = (bundle.folder / FILE_NAME, *(path for path in named if path))
+
     mesh: Literal["mesh", "deck"] | None = "mesh" if bundle.mesh else None
     if mesh is None and bundle.deck is not None and bundle.deck.file.suffix.lower() == ".inp":
         mesh = "deck"
+
     scalars = [Input(entry.name, entry.unit, "scalar", zero=entry.reference) for entry in further]
     space = space_of([interface.name for interface in bundle.interfaces] or [""], scalars)
     low = np.append(bundle.range.low, [entry.low for entry in further])
