@@ -89,7 +89,7 @@ class FieldWeights:
         scale = np.append(1.0, self.load_range.scale)[:, None]
         errors = np.empty((count, size))
         variances = np.empty(count)
-        for start in range(0, size, COLUMNS):
+        for start in range(0, max(size, 1), COLUMNS):  # deviations also of fields without numbers
             part = slice(start, start + COLUMNS)
             data = (values[:, :, part] * scale)[self.factor.equations.known]
             left_out_rows = left_out(self.factor.of_data(data), np.arange(count))

@@ -533,6 +533,19 @@ def _missing_of_profile(named: set[str], labels: Sequence[str], options: Options
             )
 
 
+def _missing_outputs(header: Header, named: set[str], columns: Columns) -> Iterator[str]:
+    """Yield a message on each uncertainty of an output without a column, if others have one."""
+    if named.isdisjoint(columns.displacement):
+        return
+    for name, error in zip(columns.displacement, columns.uncertainty, strict=True):
+        if error in header.columns and name not in named:
+            label = header.columns[error].label
+            yield (
+                f"there is no column for {name}, whose uncertainty is in {quoted(label)}; add it, "
+                f"or skip the uncertainty with ignore (--ignore '{label}')"
+            )
+
+
 def _missing_columns(header: Header, labels: list[str], options: Options) -> Iterator[str]:
     """Yield messages on missing columns: a load, a displacement, a time."""
     columns = options.columns
@@ -554,6 +567,7 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
             named_so = ", ".join(map("{} [{}]".format, names, units))
             alone = _ALONE if quantity == "displacement" and options.role == "table" else ""
             yield f"there is no {quantity} column; name at least one of {named_so}{alone}"
+    yield from _missing_outputs(header, named, columns)
     absent = [name for name in columns.loads if name not in named]
     is_partial = 0 < len(absent) < len(columns.loads)
     if is_partial and has_loads and options.missing_loads != "zero":

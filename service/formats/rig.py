@@ -504,7 +504,8 @@ def with_loads(
         good = within & ((end - start <= longest) | on_a_sample)
         in_gaps += int((within & ~good).sum())
         report.unmatched += int((~good).sum())
-        yield replace(piece, wrench=loads_between(time, wrench, when, after), time=None).take(good)
+        loads = loads_between(time, wrench, when[good], after[good])
+        yield replace(piece.take(good), wrench=loads, time=None)
     if report.read and report.unmatched == report.read and not report.mistakes:
         seconds = np.concatenate([piece.time for piece in pieces if piece.time is not None])
         message = (

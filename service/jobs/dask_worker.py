@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pickle
 import shutil
@@ -77,10 +78,11 @@ def run_task(sent: bytes, name: str, files: bytes) -> dict[str, Any]:
     attempt.folder = folder / "attempts" / attempt.task
     attempt.bundle = str(bundle)
     try:
-        if not bundle.is_dir():
+        try:
+            os.utime(bundle)  # marks a bundle as used, which keeps it
+        except FileNotFoundError:
             unpack(files, name, bundle.parent)
             drop_old_bundles(bundle.parent)
-        os.utime(bundle)  # marks a bundle as used, which keeps it
         attempts.prepare(attempt)
         engine = solvers(worker)
         engine.submit(attempt)
@@ -138,7 +140,10 @@ def _supervise(worker: Worker, attempt: Attempt, engine: LocalEngine) -> bool:
 
 def drop_old_bundles(bundles: Path) -> None:
     """Remove bundles that are neither among the last used nor were used within an hour."""
-    ages = {path: time.time() - path.stat().st_mtime for path in bundles.glob("[!.]*")}
-    for path in sorted(ages, key=lambda path: ages[path])[BUNDLES:]:
-        if ages[path] > BUNDLE_SECONDS:
+    used = dict[Path, float]()
+    for path in bundles.glob("[!.]*"):
+        with contextlib.suppress(FileNotFoundError):  # another worker has removed it
+            used[path] = path.stat().st_mtime
+    for path in sorted(used, key=lambda path: -used[path])[BUNDLES:]:
+        if time.time() - used[path] > BUNDLE_SECONDS:
             shutil.rmtree(path, ignore_errors=True)

@@ -1,17 +1,16 @@
 """The solver: ``python -m wrenchbook.service.jobs.solver --line DESCRIPTOR``.
 
 The engine `local` starts it with one end of a socket pair, over which attempts come one by one
-(`service.jobs.solver_pool`). Imports and the component stay for the next attempt. It ends after the
-attempt during which the socket was closed, after one that was cancelled or ran out of memory, when
-its memory has grown, and after a number of attempts.
+(`service.jobs.solver_pool`). Imports and the component are reused for the next attempt. The process
+ends if the socket is closed, if an attempt was cancelled or ran out of memory, if its memory has
+grown, and after a number of attempts.
 
-An attempt's ``result.json`` has its end: ``done`` with the numbers, ``failed`` with kind, message
-and remedy, or ``cancelled``. Only a solver that was killed leaves none.
+An attempt's ``result.json`` has its outcome: ``done`` with the numbers, ``failed`` with kind,
+message and remedy, or ``cancelled``. Only a killed solver writes none.
 
-``WRENCHBOOK_SOLVE="package.module:function"`` names another solver than the embedded one: a
-function of an `Attempt` and a progress callback that returns a mapping with at least
-``displacement`` (6 numbers, m and rad), or raises. An exception with the attributes ``kind``
-and ``remedy`` is reported with them.
+``WRENCHBOOK_SOLVE="package.module:function"`` replaces the embedded solver by a function of an
+`Attempt` and a progress callback. It returns a mapping with at least ``displacement`` (6 numbers, m
+and rad), or raises an exception, whose attributes ``kind`` and ``remedy`` are reported if present.
 """
 
 import argparse
@@ -51,27 +50,25 @@ from wrenchbook.service.jobs.attempt import (
 
 SOLVE_VARIABLE = "WRENCHBOOK_SOLVE"
 MARGIN_VARIABLE = "WRENCHBOOK_MEMORY_MARGIN"
-# Times the estimate of `wrenchbook check`: two for the estimate, which is right to a factor of two,
-# and two for address space, which is what the limit counts and of which part is never used.
-# Measured: shipped components take 0.2 GB of address space beyond the interpreter's, estimated
-# 0.25 to 0.31 GB.
+# Ratio of the memory limit to the estimate of `wrenchbook check`: a factor of two for the estimate,
+# which is right to that, and of two for address space, which the limit counts and of which a part
+# is never used. Shipped components take 0.2 GB of it, by an estimate of 0.25 to 0.31 GB.
 MEMORY_MARGIN = 4.0
-# An attempt leaves behind its component and nothing else; the memory of the solver itself swings by
-# 30 MB from one attempt to the next. More than one solve beyond the first attempt's is a leak.
+# Growth of memory, bytes, that is no leak: it varies by 30 MB from one attempt to the next.
 MIN_GROWTH = 256 << 20
 
 DONE, FAILED, CANCELLED = 0, 1, 143  # of `run_attempt`: an exit status, 128 + SIGTERM
 
-# Without work for so long it gives its memory back; starting again costs a second.
+# Time without work after which the process ends, to free its memory; a new start takes a second.
 IDLE_SECONDS = 300.0
-_MAX_PATH_BYTES = 1 << 16
+_MAX_PATH_BYTES = 1 << 16  # longest folder name of a message; Linux allows paths of 4 kB
 _PROCESS_PAGES = Path("/proc/self/statm")  # proc(5): size, resident and more, in pages
 
-REPORT_SECONDS = 0.2  # between two writes of progress.json: a page shows it once a second
+REPORT_SECONDS = 0.2  # pause between two writes of progress.json: a page shows it once a second
 
-# An outcome waits so long for room on a full disk: until an operator notices and makes some.
+# Time for which an outcome waits for room on a full disk, so that an operator can make some.
 FULL_DISK_SECONDS = 3600.0
-_AGAIN_SECONDS = 1.0
+_AGAIN_SECONDS = 1.0  # pause between two attempts to write it
 
 Report = Callable[[float, str], None]
 Solve = Callable[[Attempt, Report], Mapping[str, Any]]
@@ -93,14 +90,13 @@ class Cancelled(BaseException):
 class ComponentSolver:
     """Solves attempts with the finite elements of this project, or with a deck's solver.
 
-    It keeps the last component with its mesh, order of elimination, first factor and linear
-    response. What is kept is used for exactly the bundle it was made from: every attempt reads the
-    bundle again, hashes its files, and compares. After an attempt that failed it is built again, so
-    that nothing a broken-off solve has touched is used again.
+    The last component is cached with its mesh, order of elimination, first factor and linear
+    response. Every attempt reads the bundle again and compares the hash of its files with that of
+    the cached one. A failed attempt clears the cache, as it may have left it in any state.
 
-    `ready` is the `fea.solve.Solver` that is kept, or None, `estimated` the bytes a solve of it
-    takes by the check's estimate, 0 without a component. `spoiled`: whether memory ran out:
-    its state is then undefined.
+    `ready`: the cached `fea.solve.Solver`, or None.
+    `estimated`: bytes that a solve with it takes by the check's estimate; 0 without a component.
+    `spoiled`: whether memory ran out, which leaves the solver in an undefined state.
     """
 
     def __init__(self) -> None:
@@ -109,20 +105,20 @@ class ComponentSolver:
         self.estimated = 0
         self._key: tuple[str, str, bytes] | None = None
         self._limited: tuple[int | None, int | None] = None, None
-        self._measured: object = object()  # the component, or None, of `_first_bytes`
+        self._measured: object = object()  # `ready` at the time of `_first_bytes`
         self._first_bytes = 0  # memory after the first attempt with it
 
     def solve(self, attempt: Attempt, report: Report) -> Mapping[str, Any]:
-        """Return the numbers of the outcome, the same bits whatever was solved before.
+        """Return the numbers of the outcome; earlier attempts do not change their bits.
 
-        Raises `SolveRefusedError` if the component has changed, or memory ran out.
+        Raises SolveRefusedError if the component has changed, or memory ran out.
         """
-        from wrenchbook.fea.bundle.read import read_bundle  # half a second, paid when needed
+        from wrenchbook.fea.bundle.read import read_bundle  # takes half a second
 
         bundle = read_bundle(Path(attempt.bundle))
         _require_same(attempt, bundle.fingerprint)
         if bundle.deck is not None:
-            limit_memory(None)  # the outside solver would inherit it, and its needs are unknown
+            limit_memory(None)  # the deck's solver, whose memory is unknown, would inherit it
             return _solved(bundle, attempt, report)
         try:
             self._limit(self.estimated or attempt.memory)
@@ -158,6 +154,7 @@ class ComponentSolver:
         return memory > self._first_bytes + max(self.estimated, MIN_GROWTH)
 
     def _make_ready(self, bundle: Any, attempt: Attempt) -> None:
+        """Build the solver of a bundle, unless it is cached."""
         from wrenchbook.fea.bundle.read import FILE_NAME, read_bundle
         from wrenchbook.fea.check.cost import estimate
         from wrenchbook.fea.component import build
@@ -165,15 +162,14 @@ class ComponentSolver:
         from wrenchbook.fea.failure import SolveFailed
         from wrenchbook.fea.solve import Solver
 
-        # The fingerprint leaves out what changes no answer but may change a note (the load range).
+        # The fingerprint leaves out the load range, which changes notes but no answer.
         text = hashlib.sha256((bundle.folder / FILE_NAME).read_bytes()).digest()
         key = str(bundle.folder), bundle.fingerprint, text
         if self.ready is not None and key == self._key:
             return
         self._drop()
         component = build(bundle)
-        # What was hashed has been read once more since: an edit in between would stay here for all
-        # attempts to come.
+        # `build` has read the files again: an edit since the first hash must not be cached.
         _require_same(attempt, read_bundle(bundle.folder).fingerprint)
         self.estimated = estimate(component)["memory_bytes"]
         self._limit(self.estimated)
@@ -194,7 +190,7 @@ class ComponentSolver:
 
 
 def _require_same(attempt: Attempt, fingerprint: str) -> None:
-    """Refuse to solve a component that is not the one the job was accepted for."""
+    """Raise SolveRefusedError if the component has changed since the job was accepted."""
     if fingerprint != attempt.fingerprint:
         raise SolveRefusedError(
             "component_changed",
@@ -205,11 +201,14 @@ def _require_same(attempt: Attempt, fingerprint: str) -> None:
 
 
 def _solved(ready: Any, attempt: Attempt, report: Report) -> dict[str, Any]:
-    """Solve a bundle, or the solver made ready for it, and return the numbers of the outcome."""
+    """Solve an attempt and return the numbers of the outcome.
+
+    `ready`: a solver, or the bundle of a deck.
+    """
     from wrenchbook.fea.solve import solve
 
     def keep(fields: Any) -> None:
-        """Leave surface and stresses next to the outcome, which is worth having without them."""
+        """Write surface and stresses beside the outcome, which is useful without them too."""
         try:
             leave(attempt.folder, attempt.wrench, fields)
         except (OSError, ValueError, MemoryError) as error:
@@ -217,7 +216,7 @@ def _solved(ready: Any, attempt: Attempt, report: Report) -> dict[str, Any]:
                 print(f"the deformed surface was not kept: {error}", file=sys.stderr)
 
     solution = solve(ready, attempt.wrench, progress=report, folder=attempt.folder, on_fields=keep)
-    with contextlib.suppress(OSError):  # a full disk; the outcome holds them too
+    with contextlib.suppress(OSError):  # a full disk: the outcome has the notes too
         for note in solution.notes:
             print(note)
     tensors = ("displacement", "compliance", "curvature")
@@ -228,21 +227,23 @@ def _solved(ready: Any, attempt: Attempt, report: Report) -> dict[str, Any]:
         from wrenchbook.fea.spec.schema import Bundle
 
         report(1.0, "estimating the error of the mesh")
-        # An answer is worth having without it, so an error here is a value and no exception.
+        # An answer is useful without the estimate, so an error is a value and no exception here.
         is_deck = isinstance(ready, Bundle)
         result["solver_error"] = unknown_of_deck(ready) if is_deck else accuracy_or_why(ready)
     return result
 
 
 def limit_memory(estimated: int | None) -> int | None:
-    """Hold this process to what it has now and a solve of that estimate with its margin, bytes.
+    """Limit this process to its present address space and the margin times an estimate, bytes.
 
-    None lifts the limit. Returns the bytes allowed beyond what there is; None if there is no limit.
+    None removes the limit. Return the bytes allowed beyond the present ones; None without a limit.
+
+    Raises SolveRefusedError if the environment variable of the margin is no such number.
     """
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
     soft = hard
     allowed = None
-    if estimated and sys.platform == "linux":  # elsewhere the limit is not heeded, or refused
+    if estimated and sys.platform == "linux":  # other systems ignore or refuse the limit
         text = os.environ.get(MARGIN_VARIABLE, str(MEMORY_MARGIN))
         try:
             margin = float(text)
@@ -275,29 +276,29 @@ def _memory_bytes() -> int:
 def run_attempt(folder: str | Path, solve: Solve | None = None) -> int:
     """Solve the attempt in `folder`, write its result.json, return DONE, FAILED or CANCELLED.
 
-    Without `solve` by the solver that ``WRENCHBOOK_SOLVE`` names, or the embedded one.
+    `solve`: by default the solver that ``WRENCHBOOK_SOLVE`` names, else the embedded one.
     """
     attempt = read_attempt(Path(folder))
     try:
-        with _hearing_sigterm():
+        with _unblocked_sigterm():
             solver = solve or _named_solver() or ComponentSolver().solve
             numbers = solver(attempt, _Reporter(attempt.folder))
             outcome = _checked(numbers, loads=len(attempt.wrench))
         _write_patiently(attempt, outcome)
         return DONE
     except Cancelled:
-        # Not durable: a slow disk must not outlast the engine's grace, and no number is lost.
+        # Not durable: a slow disk may take longer than the engine's grace, and no number is lost.
         write_outcome(attempt, Outcome("cancelled"), durable=False)
         return CANCELLED
     except Exception as error:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # a full disk
             traceback.print_exc()
         _write_patiently(attempt, _failure(error))
         return FAILED
 
 
 def _write_patiently(attempt: Attempt, outcome: Outcome) -> None:
-    """Write the outcome once there is room for it: on a full disk it is all there is of hours."""
+    """Write the outcome, which may be the result of hours; on a full disk wait for room."""
     for _ in range(round(FULL_DISK_SECONDS / _AGAIN_SECONDS)):
         try:
             write_outcome(attempt, outcome)
@@ -329,6 +330,10 @@ class _Reporter:
 
 
 def _named_solver() -> Solve | None:
+    """Return the solver of ``WRENCHBOOK_SOLVE``; None if it is not set.
+
+    Raises SolveRefusedError if it names no function.
+    """
     name = os.environ.get(SOLVE_VARIABLE)
     if not name:
         return None
@@ -337,7 +342,7 @@ def _named_solver() -> Solve | None:
     if separator and module:
         try:
             imported = importlib.import_module(module)
-        except Exception as error:  # whatever the module's own code raises
+        except Exception as error:  # any error of the module's own code
             why = f"the module {module} cannot be imported: {type(error).__name__}: {error}"
         else:
             solve: Solve | None = getattr(imported, function, None)
@@ -349,10 +354,12 @@ def _named_solver() -> Solve | None:
 
 
 def _checked(numbers: Mapping[str, Any], loads: int) -> Outcome:
-    """Return the outcome of what a solver reports; raises SolveRefusedError without an answer.
+    """Return the outcome of a solver's report.
 
-    A displacement has 6 numbers an interface, a compliance that many lines of `loads` numbers, a
+    A displacement has 6 numbers an interface, a compliance as many lines of `loads` numbers, a
     curvature loads (loads + 1) (loads + 2) / 6 numbers. The last two are dropped if not finite.
+
+    Raises SolveRefusedError if the report has no displacement, or other numbers.
     """
     plain = {name: _plain(value) for name, value in numbers.items()}
     outcome = Outcome.of(plain | {"status": "done", "program": solver_version()})
@@ -379,7 +386,7 @@ def _checked(numbers: Mapping[str, Any], loads: int) -> Outcome:
 
 
 def _require_form(name: str, values: Any, *shape: int) -> None:
-    """Raise SolveRefusedError unless values are nested lists of numbers or nulls of a shape."""
+    """Raise SolveRefusedError unless values are nested lists of numbers or None of a shape."""
     if not _has_form(values, *shape):
         form = " x ".join(map(str, shape))
         message = f"the solver's {name} must be a list of {form} numbers, not {values!s:.200}"
@@ -388,6 +395,7 @@ def _require_form(name: str, values: Any, *shape: int) -> None:
 
 
 def _has_form(values: Any, *shape: int) -> bool:
+    """Return whether values are nested lists of numbers or None of a shape."""
     if not shape:
         is_number = type(values) in (int, float) and abs(values) <= sys.float_info.max
         return values is None or is_number
@@ -396,7 +404,7 @@ def _has_form(values: Any, *shape: int) -> bool:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON has it: arrays as lists, numbers that are not finite as null."""
+    """Return a value for JSON: arrays as lists, numbers that are not finite as None."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, float) and not math.isfinite(value):
@@ -409,13 +417,14 @@ def _plain(value: Any) -> Any:
 
 
 def _failure(error: Exception) -> Outcome:
+    """Return the outcome of an attempt that raised an error."""
     kind = getattr(error, "kind", None)
     remedy = getattr(error, "remedy", None)
     if kind is None and hasattr(error, "problems"):
         kind, remedy = "bad_component", "correct the component's bundle and ask again"
     if isinstance(error, MemoryError):
         kind, remedy = "out_of_memory", "use fewer solvers at a time or a coarser mesh"
-    # A solver's own failure as text begins with its kind and ends in its remedy: each stands once.
+    # The text of a `SolveFailed` repeats kind and remedy; its message does not.
     message = str(getattr(error, "message", "") or error) or type(error).__name__
     return Outcome.failed(
         str(kind or "internal_error"),
@@ -425,9 +434,9 @@ def _failure(error: Exception) -> Outcome:
 
 
 def _block_sigterm() -> None:
-    """Block SIGTERM until `run_attempt` unblocks it; it then raises `Cancelled`.
+    """Block SIGTERM until `run_attempt` unblocks it; the signal then raises `Cancelled`.
 
-    One that is pending was meant for the attempt before, and is discarded.
+    A pending signal was sent to the attempt before, and is discarded.
     """
 
     def cancel(signum: int, frame: object) -> None:
@@ -440,12 +449,8 @@ def _block_sigterm() -> None:
 
 
 @contextlib.contextmanager
-def _hearing_sigterm() -> Iterator[None]:
-    """Let SIGTERM interrupt what is inside, if the command line has blocked it so far.
-
-    Outside it is blocked, so that it can neither come before it is caught nor tear the
-    writing of the outcome.
-    """
+def _unblocked_sigterm() -> Iterator[None]:
+    """Unblock SIGTERM during a solve: it must not interrupt the writing of an outcome."""
     before = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     try:
         yield
@@ -456,8 +461,8 @@ def _hearing_sigterm() -> Iterator[None]:
 def serve(line: socket.socket, lives: int) -> None:
     """Solve the attempts that come over the line, `lives` at most.
 
-    It ends sooner after a long time without work, once the server is gone, after a cancelled
-    attempt, and when memory has run out or grown.
+    End earlier after a long time without work, without a server, after a cancelled attempt, and if
+    memory has run out or grown.
     """
     line.settimeout(IDLE_SECONDS)
     solver = ComponentSolver()
@@ -468,17 +473,17 @@ def serve(line: socket.socket, lives: int) -> None:
         os.chdir(folder)
         _block_sigterm()
         os.pwrite(lock, str(os.getpid()).encode(), 0)  # the solver has begun
-        is_heard = _send(line, TAKEN)
+        is_connected = _send(line, TAKEN)
         code = run_attempt(folder, None if os.environ.get(SOLVE_VARIABLE) else solver.solve)
         lives -= 1
         is_usable = not (solver.has_grown() or solver.spoiled)
-        stays = is_heard and is_usable and code != CANCELLED and lives > 0
+        stays = is_connected and is_usable and code != CANCELLED and lives > 0
         _leave_attempt(lock)
         stays = _send(line, FREE if stays else LEAVES) and stays
 
 
 def _receive(line: socket.socket) -> tuple[Path, int, int] | None:
-    """Return the next attempt's folder, lock and log; None if there will be none."""
+    """Return the next attempt's folder, lock and log; None if no further one will come."""
     try:
         path, files, _, _ = socket.recv_fds(line, _MAX_PATH_BYTES, 2)
     except OSError:  # a long time without work, or the server is gone
@@ -486,7 +491,7 @@ def _receive(line: socket.socket) -> tuple[Path, int, int] | None:
     if not path or len(files) != 2:
         return None
     for file in files:
-        # Programs that the solver starts must not keep the lock when the solver is gone.
+        # Children of the solver must not hold the lock after its end.
         os.set_inheritable(file, False)
     lock, log = files
     return Path(os.fsdecode(path)), lock, log
@@ -502,8 +507,8 @@ def _send(line: socket.socket, message: bytes) -> bool:
 
 
 def _leave_attempt(lock: int) -> None:
-    """Let go of an attempt's log, folder and memory limit, and last of its lock."""
-    with contextlib.suppress(OSError):  # a full disk keeps what was printed
+    """Release an attempt's log, folder and memory limit, and last its lock."""
+    with contextlib.suppress(OSError):  # a full disk
         sys.stdout.flush()
     _print_to(os.open(os.devnull, os.O_WRONLY))
     os.chdir("/")
@@ -512,7 +517,7 @@ def _leave_attempt(lock: int) -> None:
 
 
 def _print_to(file: int) -> None:
-    """Send what is printed from here on to an open file, and close that descriptor."""
+    """Redirect stdout and stderr to an open file, and close its descriptor."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     for descriptor in (1, 2):
@@ -521,7 +526,7 @@ def _print_to(file: int) -> None:
 
 
 def _end_with(line: int) -> None:
-    """Kill this process and what it started once the other end of the line is closed."""
+    """Kill this process and its children once the other end of the line is closed."""
     closed = select.poll()
     closed.register(line, 0)  # a hang-up is always reported
     closed.poll()
@@ -529,7 +534,7 @@ def _end_with(line: int) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run as the program: lower the priority, solve what comes."""
+    """Run the solver process by its command line."""
     _block_sigterm()
     parser = argparse.ArgumentParser(prog="python -m wrenchbook.service.jobs.solver")
     parser.add_argument("--line", type=int, required=True, help="open socket, the solver's end")

@@ -50,7 +50,7 @@ _REMEDIES = {
 }
 # Time for which a writer waits for another process: a bulk import takes seconds.
 BUSY_SECONDS = 30.0
-LOOK_AGAIN_SECONDS = 0.001  # pause between attempts: a tenth of a short transaction
+RETRY_SECONDS = 0.001  # pause between attempts: a tenth of a short transaction
 # The log is moved into the file each 1000 pages (4 MB) unless a reader prevents it; a longer log,
 # after a large import, is then truncated to this size.
 LOG_BYTES = 16 * 1024 * 1024
@@ -141,7 +141,7 @@ def begin(connection: Connection, statement: str = "BEGIN IMMEDIATE") -> None:
                 busy = error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY
                 if not busy or time.monotonic() > deadline:
                     raise
-            time.sleep(LOOK_AGAIN_SECONDS)
+            time.sleep(RETRY_SECONDS)
     finally:
         connection.execute(f"PRAGMA busy_timeout = {round(1000 * BUSY_SECONDS)}")
 
@@ -174,12 +174,10 @@ def open_file(path: Path) -> Connection:
                 if file.stat().st_mode & 0o007:
                     file.chmod(0o600)
         connection = connect(path)
-        # SQLite does not wait by itself when two processes switch the journal at the same time.
         try:
             _check_schema(connection, path)
             check_integrity(connection, path)
-            # SQLite does not wait by itself when two processes switch the journal at the same time.
-            begin(connection, "PRAGMA journal_mode = WAL")
+            begin(connection, "PRAGMA journal_mode = WAL")  # SQLite itself does not wait here
             _upgrade(connection)
             _take_over(connection, path.parent)
         except BaseException:
@@ -238,10 +236,10 @@ def check_integrity(connection: Connection, path: Path) -> None:
     try:
         connection.execute("BEGIN")
         if _keys_fit(connection):
-            return  # no other process has written them meanwhile
+            return
         connection.execute("ROLLBACK")
         connection.execute("BEGIN IMMEDIATE")
-        if not _keys_fit(connection):  # no other process has written them meanwhile
+        if not _keys_fit(connection):  # otherwise another process has written them meanwhile
             entered = np.array(connection.execute("SELECT seq FROM row_keys").fetchall(), np.int64)
             spans = [
                 np.arange(seq, seq + count)
@@ -250,11 +248,10 @@ def check_integrity(connection: Connection, path: Path) -> None:
             gone = ~np.isin(entered, np.concatenate([np.empty(0, np.int64), *spans]))
             if gone.any():
                 raise damaged_file(path, f"{int(gone.sum())} rows that have keys are not there")
-            # Arithmetic with a text.
             _log.error("%s: keys of rows are damaged; they are written anew from the rows", path)
             _write_keys(connection)
             connection.execute("COMMIT")
-    except (TypeError, ValueError) as error:  # arithmetic with a text
+    except (TypeError, ValueError) as error:  # calculations with a text
         raise damaged_file(path, "the number, count or key of a row is not a number") from error
     finally:
         if connection.in_transaction:
@@ -266,13 +263,12 @@ def _keys_fit(connection: Connection) -> bool:
 
     A row whose key is missing would be inserted again.
     """
-    # Rows of an import that has not ended have no entries yet.
+    # Rows of a running import have no entries yet.
     hidden = "SELECT 1 FROM import_parts WHERE hidden = 1"
-    # Both halves of a hash separately: sums of 64-bit numbers would overflow.
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version != VERSION or connection.execute(hidden).fetchone():
         return True
-    # The halves of a hash apart: sums of 64-bit numbers would overflow.
+    # Both halves of a hash separately: sums of 64-bit numbers would overflow.
     low = 0xFFFF_FFFF
     sums = f"count(*), sum(hash >> 32), sum(hash & {low}), sum(seq)"
     entered = connection.execute(f"SELECT {sums} FROM row_keys").fetchone()
@@ -329,10 +325,9 @@ def with_remedy(error: Exception) -> str:
     return f"{error}; {remedy}" if remedy else str(error) or repr(error)
 
 
-# the other bits are the place of the error
 def is_damage(error: Exception) -> bool:
     """Return whether an error is that of a damaged file; damaged text may not be UTF-8."""
-    code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the other bits: where it was noticed
+    code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the other bits are its place
     return isinstance(error, UnicodeDecodeError) or code in (
         sqlite3.SQLITE_CORRUPT,
         sqlite3.SQLITE_NOTADB,
@@ -348,11 +343,10 @@ def _errno_of(error: Exception) -> int:
         sqlite3.SQLITE_FULL: errno.ENOSPC,
         sqlite3.SQLITE_READONLY: errno.EROFS,
         sqlite3.SQLITE_IOERR: errno.EIO,
-        # The low byte is the error; the other bits are its place.
         sqlite3.SQLITE_BUSY: errno.EBUSY,
         sqlite3.SQLITE_CANTOPEN: errno.EACCES,
     }
-    # The low byte is the error; the other bits tell where it was noticed.
+    # The low byte is the error; the other bits are its place.
     return numbers.get(code & 0xFF, getattr(error, "errno", None) or 0)
 
 

@@ -372,7 +372,8 @@ def edit_import(
 ) -> int:
     """Withdraw or restore the rows of an import, or those that its findings of a cause name.
 
-    Returns the number of changed rows; rows that already are as requested do not count.
+    Returns the number of changed rows. Rows that already are as requested do not count, and rows
+    that were withdrawn one by one are not restored.
 
     Raises UnknownImportError if the component has no such import, or the import no such finding.
     """
@@ -438,9 +439,9 @@ def _chosen(
 ) -> list[int]:
     """Return the rows with these keys, in their order, or all of an import without keys.
 
-    Only withdrawn ones, or only others, and at most `most`.
+    Only withdrawn ones, except for those withdrawn one by one, or only others, and at most `most`.
     """
-    gone = rows.withdrawn(db, component)
+    gone = rows.withdrawn(db, component, with_single=not withdrawn)
     if keys:
         wanted = list(dict.fromkeys(map(bytes.fromhex, keys)))
         stored = rows.stored(db, wanted)

@@ -56,7 +56,7 @@ SHOWN = (
 )
 # With max(), SQLite returns that record's columns: the newest edit of a row is the valid one.
 _WITHDRAWN = (
-    "SELECT row FROM (SELECT row, withdrawn, max(seq) FROM edits"
+    "SELECT row FROM (SELECT row, withdrawn, single, max(seq) FROM edits"
     " WHERE component = :component AND seq <= :until GROUP BY row) WHERE withdrawn"
 )
 # The records with rows of the numbers :after + 1 to :until.
@@ -265,7 +265,7 @@ def withdraw(db: Connection, component: str, seq: int, *, withdrawn: bool = True
     if is_withdrawn(db, seq) == withdrawn:
         state = "withdrawn" if withdrawn else "in the table"
         raise RowStatusError(f"row {seq} of {component!r} is already {state}; nothing was changed")
-    edit(db, component, [seq], withdrawn=withdrawn, now=time.time())
+    edit(db, component, [seq], withdrawn=withdrawn, now=time.time(), single=True)
     note_edit(db, "row", seq, component, withdrawn=withdrawn)
 
 
@@ -286,12 +286,21 @@ def restore(db: Connection, component: str, seq: int) -> None:
 
 
 def edit(
-    db: Connection, component: str, seqs: Sequence[int], *, withdrawn: bool, now: float
+    db: Connection,
+    component: str,
+    seqs: Sequence[int],
+    *,
+    withdrawn: bool,
+    now: float,
+    single: bool = False,
 ) -> None:
-    """Withdraw or restore rows of a component, none of which already is so."""
+    """Withdraw or restore rows of a component, none of which already is so.
+
+    A row that was withdrawn as a `single` one stays withdrawn if its import is restored.
+    """
     first = _skip(db, len(seqs)) - len(seqs) + 1
-    edits = ((first + k, component, seq, withdrawn, now) for k, seq in enumerate(seqs))
-    db.executemany("INSERT INTO edits VALUES (?, ?, ?, ?, ?)", edits)
+    edits = ((first + k, component, seq, withdrawn, now, single) for k, seq in enumerate(seqs))
+    db.executemany("INSERT INTO edits VALUES (?, ?, ?, ?, ?, ?)", edits)
     db.rows += len(seqs)
 
 
@@ -551,9 +560,15 @@ def containing(
             yield seq, record
 
 
-def withdrawn(db: Connection, component: str, until: int = _EVER) -> set[int]:
-    """Return the rows of a component that are withdrawn at a seq, now by default."""
-    return {row for (row,) in db.execute(_WITHDRAWN, {"component": component, "until": until})}
+def withdrawn(
+    db: Connection, component: str, until: int = _EVER, *, with_single: bool = True
+) -> set[int]:
+    """Return the rows of a component that are withdrawn at a seq, now by default.
+
+    `with_single`: also those that were withdrawn one by one.
+    """
+    select = _WITHDRAWN if with_single else f"{_WITHDRAWN} AND NOT single"
+    return {row for (row,) in db.execute(select, {"component": component, "until": until})}
 
 
 def _read(

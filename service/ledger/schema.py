@@ -1,7 +1,7 @@
 """The SQL of the ledger's tables, and the steps from the schemas of released versions."""
 
 APPLICATION_ID = 0x77726E63  # "wrnc": distinguishes a ledger from other programs' SQLite files
-VERSION = 16  # version of TABLES; each change raises it and adds a step from the previous version
+VERSION = 17  # version of TABLES; each change raises it and adds a step from the previous version
 
 # `wrench`, `displacement` and similar columns are float64, little-endian, of any number of loads
 # and outputs; see packing.py.
@@ -10,6 +10,8 @@ _CURVATURE = """curvature BLOB CHECK (length(curvature) * 6
         = length(wrench) * (length(wrench) / 8 + 1) * (length(wrench) / 8 + 2))"""  # until 13
 _RIG = "rig TEXT NOT NULL DEFAULT ''"
 _FINDINGS = "findings TEXT NOT NULL DEFAULT '[]'"
+# Whether the row was edited by itself, and not as one of an import.
+_SINGLE = "single INTEGER NOT NULL DEFAULT 0 CHECK (single IN (0, 1))"
 
 # Notes on components and archived ones; JSON of the queries that no table covered, and of the error
 # of the solver of a setup.
@@ -155,7 +157,8 @@ TABLES = f"""
         component TEXT NOT NULL,
         row INTEGER NOT NULL,
         withdrawn INTEGER NOT NULL CHECK (withdrawn IN (0, 1)),
-        created REAL NOT NULL
+        created REAL NOT NULL,
+        {_SINGLE}
     );
     CREATE INDEX edits_of_component ON edits (component, seq);
     CREATE INDEX edits_of_row ON edits (row, seq);
@@ -284,4 +287,5 @@ STEPS = {
         {_AUDIT}
         """,
     ),
+    16: (17, f"ALTER TABLE edits ADD COLUMN {_SINGLE}"),
 }

@@ -118,13 +118,14 @@ class RecordingStore:
     """Recordings and envelopes of one workspace.
 
     The subset of a recording is in memory in its state after the last block, with the revision of
-    its tally. A block of another process changes that number; the subset is then read again.
+    its tally and the component. A block of another process changes that number, and an edit the
+    component; the subset is then read again.
     """
 
     def __init__(self, workspace: Workspace) -> None:
         self._library = workspace.library
         self._ledger = workspace.ledger
-        self._subsets: dict[str, tuple[int, tuple[Subset, Subset]]] = {}
+        self._subsets: dict[str, tuple[int, Component, tuple[Subset, Subset]]] = {}
         self._lock = threading.Lock()
 
     def record(self, name: str, wrenches: Floats, block: BlockKey | None) -> BlockResult:
@@ -166,7 +167,7 @@ class RecordingStore:
             _replace_recorded(db, name, within.dropped + beyond.dropped, added)
             _save(db, name, "recording", after)
         # The block is on the disk from now on.
-        self._remember(name, after.revision, (within.subset, beyond.subset))
+        self._remember(component, after.revision, (within.subset, beyond.subset))
         return BlockResult(after, known=False, outside=outside)
 
     def widen(self, name: str, wrenches: Floats, block: BlockKey | None) -> BlockResult:
@@ -240,9 +241,9 @@ class RecordingStore:
         """Return the ledger's subsets within the load range and outside."""
         scale = component.load_range.scale
         cached = self._subsets.get(component.name)
+        if cached and cached[0] == tally.revision and cached[1] is component:
+            return cached[2]
         same = tally.scale is None or tally.scale == _packed_scale(scale)
-        if cached is not None and cached[0] == tally.revision and same:
-            return cached[1]
         stretched = 1.0  # largest old scale of a load over the new one
         if tally.scale is not None and len(tally.scale) == scale.nbytes and not same:
             # The load range was edited since: distances have another scale.
@@ -255,11 +256,13 @@ class RecordingStore:
         beyond = tally.radius_outside, tally.within_outside * stretched, MAX_OUTSIDE
         return within, Subset(*_chosen(points, keys, ~inside), *beyond)
 
-    def _remember(self, name: str, revision: int, subsets: tuple[Subset, Subset]) -> None:
+    def _remember(
+        self, component: Component, revision: int, subsets: tuple[Subset, Subset]
+    ) -> None:
         """Cache a recording's subsets as the newest; the oldest ones are dropped."""
         with self._lock:
-            self._subsets.pop(name, None)
-            self._subsets[name] = revision, subsets
+            self._subsets.pop(component.name, None)
+            self._subsets[component.name] = revision, component, subsets
             while len(self._subsets) > MAX_SUBSETS:
                 del self._subsets[next(iter(self._subsets))]
 

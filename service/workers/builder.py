@@ -1,4 +1,4 @@
-"""The process that builds tables and dispatches jobs; it answers no request."""
+"""The process that builds tables and dispatches jobs; web workers answer the requests."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ log = logging.getLogger(__name__)
 Parts = tuple[Ledger, Library, SolverErrors]
 
 DAY = 86_400.0
-CHECK_S = 30.0  # interval of checks of the ledger's log, which stays below 16 MB under a day's jobs
+CHECK_S = 30.0  # interval of checks of the ledger's log, so that it stays below 16 MB
 PRUNE_S = 600.0  # interval of removals of old folders, whose age is in days
 LONG_LOG = 4 * 1024 * 1024  # bytes; SQLite begins to move it into the ledger at this size
 PART = 2000  # folders per query of the ledger
@@ -61,9 +61,9 @@ def opened(settings: Settings) -> Iterator[Parts]:
 
 @contextmanager
 def solving(settings: Settings, parts: Parts) -> Iterator[Dispatcher | None]:
-    """Run the jobs of a ledger, if the settings have solvers; `wrenchbook work` needs no more.
+    """Run the jobs of a ledger, if the settings have solvers.
 
-    Running solves are ended at the end, and wait for the next start.
+    At the end running solves are stopped; their jobs wait for the next start.
     """
     if not settings.solvers:
         yield None
@@ -92,14 +92,11 @@ def solving(settings: Settings, parts: Parts) -> Iterator[Dispatcher | None]:
         retention.join()
         dispatcher.stop()
         engine.close()
-        log.info("solvers have ended; the jobs they were at wait for the next start")
+        log.info("solvers have ended; their unfinished jobs wait for the next start")
 
 
 def retain(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event) -> None:
-    """Bound the size of a data directory: remove old attempts' folders, shorten the ledger's log.
-
-    An unfinished removal continues at the next start.
-    """
+    """Limit the size of a data directory: remove old attempts' folders, empty the ledger's log."""
     next_prune = time.monotonic()
     while not stop.wait(CHECK_S):
         try:
@@ -114,16 +111,16 @@ def retain(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event
 
 
 def shorten_log(ledger: Ledger, longest: int = LONG_LOG) -> bool:
-    """Empty the ledger's log if it is longer than `longest` bytes; return whether it was done."""
+    """Empty the ledger's log if it is longer than `longest` bytes; return whether it is empty."""
     return ledger.sizes()["log"] > longest and ledger.checkpoint()
 
 
 def prune(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event) -> int:
     """Remove the folders of ended attempts beyond the age or number of the settings.
 
-    Rows and jobs always stay, and so do folders of open jobs and of jobs that the ledger does not
-    have. A job that ended in the future, by a clock that was set back since, counts as new. Returns
-    the number of jobs whose folders were removed.
+    Rows and jobs stay, and so do folders of open jobs and of unknown jobs. A job that ended in the
+    future, by a clock that was set back since, counts as new. Return the number of jobs whose
+    folders were removed.
     """
     limits = {
         True: (settings.keep_days, settings.keep_count),
@@ -171,8 +168,8 @@ def _names(folder: Path) -> list[str]:
 
 @contextmanager
 def building(settings: Settings, parts: Parts, state: CoordinatorState) -> Iterator[TableBuilder]:
-    """Build tables and run jobs, once the small tables are built."""
-    # Threads of small matrix products only wait for each other, longer on busier cores.
+    """Build tables; run jobs once the small tables are built."""
+    # Several threads make small matrix products slower, above all on busy cores.
     threadpool_limits(limits=1)
     ledger, library, errors = parts
     dispatcher: Dispatcher | None = None
@@ -193,7 +190,7 @@ def building(settings: Settings, parts: Parts, state: CoordinatorState) -> Itera
 def run(settings: Settings, started: threading.Event) -> None:
     """Build tables and dispatch jobs until SIGTERM; `started` is set once both are running.
 
-    A data directory with another builder ends the process.
+    Ends the process with `STARTUP_FAILURE` if the data directory has another builder.
     """
     stop = threading.Event()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C: the parent ends this process
@@ -214,7 +211,7 @@ def run(settings: Settings, started: threading.Event) -> None:
 
 def note_settings(ledger: Ledger, settings: Settings) -> None:
     """Add to the audit the settings that differ from those of the last start."""
-    with suppress(LedgerError):  # tables answer without it
+    with suppress(LedgerError):  # tables answer without this entry
         known = ledger.audit(action="settings", limit=1)
         before = known[0].after if known else None
         after = asdict(settings)

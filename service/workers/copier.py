@@ -1,6 +1,6 @@
-"""The process that ships a replica and makes scheduled backups; its death does no harm.
+"""The process that ships a replica and makes scheduled backups.
 
-The supervisor starts it again. Its outcomes are in ``copies.json`` for health and doctor.
+The supervisor restarts it. It writes its outcomes to ``copies.json``, for health and doctor.
 """
 
 from __future__ import annotations
@@ -26,19 +26,20 @@ from wrenchbook.service.settings import Settings
 log = logging.getLogger(__name__)
 
 HOUR = 3600.0
-POLL_S = 10.0  # interval of checks whether a backup is due, whose period is in hours
-LATE_PERIODS = 1.5  # backup periods without a backup before health reports it
-SLACK_S = 60.0  # without a report before health reports it, and before a failed backup is repeated
+POLL_S = 10.0  # pause between checks whether a backup, whose period is hours, is due
+LATE_PERIODS = 1.5  # backup periods without a backup after which health reports it
+# Time without a report after which health reports it, and pause before a failed backup is repeated.
+SLACK_S = 60.0
 _PATTERN = "wrenchbook-*.wbb"  # names of scheduled backups
 _status_lock = threading.Lock()  # this process has two threads that write one file
 
 
 def run(settings: Settings, started: threading.Event) -> None:
-    """Copy until SIGTERM; `started` is set at once: no request waits for a copy."""
+    """Copy until SIGTERM; `started` is set at once, as no request waits for a copy."""
     stop = threading.Event()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
-    os.umask(0o077)  # only the owner may read copies, as the ledger
+    os.umask(0o077)  # only the owner may read copies, like the ledger
     started.set()
     if settings.backup_every:
         threading.Thread(target=keep, args=(settings, stop), name="backups", daemon=True).start()
@@ -48,7 +49,7 @@ def run(settings: Settings, started: threading.Event) -> None:
 
 
 def ship(settings: Settings, stop: threading.Event) -> None:
-    """Ship each half interval, and once after `stop`, so that committed changes are soon copied."""
+    """Ship the replica each half interval, and once after `stop`."""
     shipper = None
     again = False
     with closing(Ledger(settings.data / LEDGER, patient=True)) as ledger:
@@ -79,13 +80,13 @@ def keep(settings: Settings, stop: threading.Event) -> None:
         pause = POLL_S
         try:
             ages = [time.time() - path.stat().st_mtime for path in folder.glob(_PATTERN)]
-            # A backup of a clock that was ahead must not postpone all others until its date.
+            # A backup dated in the future, by a wrong clock, must not postpone the others.
             if not all(abs(age) >= period * HOUR for age in ages):
                 continue
             facts = {"trouble": None, **tested_backup(settings.data, folder)}
             newest = folder / facts["file"]
             files = sorted(folder.glob(_PATTERN), key=lambda file: (file <= newest, file))
-            for path in files[: -settings.backup_keep]:  # later dates first, of such a clock
+            for path in files[: -settings.backup_keep]:  # begins with dates in the future
                 path.unlink(missing_ok=True)
         except Exception as error:
             log.exception("the scheduled backup failed")
@@ -95,12 +96,11 @@ def keep(settings: Settings, stop: threading.Event) -> None:
 
 
 def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
-    """Write a backup into a folder and restore it into a temporary one.
+    """Write a backup into a folder and test it by a restore into a temporary one.
 
-    A backup that cannot be restored, or whose restored directory has faults, is renamed, in place
-    of an earlier failed one.
+    A backup that fails the test is renamed; it replaces an earlier failed one.
 
-    Raises RuntimeError or BackupError in that case.
+    Raises BackupError if it cannot be restored, RuntimeError if the restored directory has faults.
     """
     folder.mkdir(0o700, parents=True, exist_ok=True)
     file = folder / f"wrenchbook-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.wbb"
@@ -115,7 +115,7 @@ def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
                     why + f". Examine the data with: wrenchbook doctor --data {data}"
                 )
     except BaseException:
-        for former in folder.glob("wrenchbook-*.failed"):  # only the newest one stays
+        for former in folder.glob("wrenchbook-*.failed"):
             former.unlink(missing_ok=True)
         file.rename(file.with_suffix(".failed"))
         raise
@@ -123,10 +123,11 @@ def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
 
 
 def _report(settings: Settings, name: str, patience: float, facts: dict[str, Any]) -> None:
+    """Write an outcome that health reports as late after `patience`, s, without another one."""
     with _status_lock:
         part = read_status(settings.data).get(name, {}) | facts
         part |= {"seen": time.time(), "patience": patience}
         try:
             write_status(settings.data, **{name: part})
-        except OSError as error:  # on a full disk the next copy may have room again
+        except OSError as error:  # a full disk: the next report may have room
             log.warning("the outcome of the %s cannot be noted: %s", name, with_remedy(error))

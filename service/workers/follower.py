@@ -1,7 +1,7 @@
-"""The process of a read-only server that follows a replica; it takes the builder's place.
+"""The process of a read-only server that follows a replica, in place of the builder.
 
-It replaces the ledger's content in one transaction, then the packed tables that are built from it.
-Web workers map these as they do on the main server.
+It replaces the ledger's content in one transaction, then the packed tables, which web workers map
+as on the main server.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ from wrenchbook.service.workers.supervisor import IN_USE
 
 log = logging.getLogger(__name__)
 
-POLLS = 4  # of the pointer in an interval: a shipped version is read within a quarter of it
-AGAIN_S = 5.0  # before the next poll of a replica that could not be read
+POLLS = 4  # polls in an interval of the replica: a new version is read within a quarter of it
+RETRY_S = 5.0  # pause before the next poll of a replica that could not be read
+# Time without a report, beside the pause, after which health reports it: a machine may be busy.
+SLACK_S = 60.0
 
 
 class Follower:
@@ -46,7 +48,10 @@ class Follower:
         self._name = ""
 
     def follow(self) -> tuple[Manifest, float]:
-        """Take the newest manifest over; return it, and when it had all that was committed, s."""
+        """Apply the newest manifest; return it, and the time up to which it is complete, s.
+
+        Raises ReplicaError if the replica has no manifest.
+        """
         content = self._replica.place.get(replica.LATEST)
         if not content:
             raise replica.ReplicaError(
@@ -68,13 +73,13 @@ class Follower:
         self._take_files(entries)
         self._remove_outdated(entries)
         if is_older:
-            del entries[LEDGER]  # the copy was upgraded: the next one is copied completely
+            del entries[LEDGER]  # the copy was upgraded, so that its blocks are no longer known
         self._entries = entries
         return manifest
 
     def _take_files(self, entries: Mapping[str, Entry]) -> None:
-        """Write the changed files of bundles, then the packed tables; HDF5 is for the builder."""
-        # Bundles first: a table is mapped once its component is there.
+        """Write the changed files of bundles, then the packed tables; only builders need HDF5."""
+        # Bundles first, because a table is mapped only if its component exists.
         for name in sorted(entries.keys() - {LEDGER}, key=lambda name: name.startswith(TABLES)):
             if self._entries.get(name) != entries[name] and not name.endswith(".h5"):
                 self._take_file(name, entries[name])
@@ -82,8 +87,7 @@ class Follower:
     def _remove_outdated(self, entries: Mapping[str, Entry]) -> None:
         """Remove the files that a replica no longer has.
 
-        A packed table stays until the next version of its component's table is there: until then
-        the server answers from it.
+        A packed table stays until the next version of its component's table replaces it.
         """
         packed = (self._data / TABLES).glob("[!.]*.wbt")
         tables = {f"{TABLES}/{path.name}" for path in packed}
@@ -93,7 +97,7 @@ class Follower:
                 (self._data / name).unlink(missing_ok=True)
 
     def _take_ledger(self, entry: Entry, *, upgrade: bool) -> None:
-        """Bring the copy of the ledger up to date by the blocks that differ, then the ledger."""
+        """Write the blocks of the ledger's copy that differ, then the ledger from the copy."""
         path = self._data / replica.COPY
         size, digests = entry
         _, before = self._entries.get(LEDGER, (0, ()))  # the digests of the copy's blocks
@@ -108,11 +112,11 @@ class Follower:
         self._ledger.take_over(path)
 
     def _take_file(self, name: str, entry: Entry) -> None:
-        """Write a file of the replica; a table that is there already stays."""
+        """Write a file of the replica, unless it is a table that exists already."""
         path = self._data / name
         size, digests = entry
         if name.startswith(TABLES) and path.is_file() and path.stat().st_size == size:
-            return  # of the last start: its name has its version, and it has a checksum
+            return  # from an earlier start: the name has the version, and the file a checksum
         path.parent.mkdir(0o700, parents=True, exist_ok=True)
         content = b"".join(map(self._replica.block, digests))
         write_atomically(path, content, durable=False, mode=0o600)
@@ -124,7 +128,7 @@ def _component_part(name: str) -> str:
 
 
 def run(settings: Settings, started: threading.Event) -> None:
-    """Follow the replica until SIGTERM; `started` is set once a state of it is there."""
+    """Follow the replica until SIGTERM; `started` is set once the directory has a state of it."""
     stop = threading.Event()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
@@ -135,11 +139,11 @@ def run(settings: Settings, started: threading.Event) -> None:
     follower = None
     status = read_status(settings.data).get("followed", {})
     if status:
-        started.set()  # it answers from the last state it had, whose age it says
+        started.set()  # answers come from the last state, and have its age
     try:
         with closing(Ledger(settings.data / LEDGER, patient=True)) as ledger:
             while not stop.is_set():
-                pause = AGAIN_S
+                pause = RETRY_S
                 try:
                     follower = follower or Follower(settings, ledger)
                     manifest, checked = follower.follow()
@@ -147,12 +151,12 @@ def run(settings: Settings, started: threading.Event) -> None:
                     status |= {"checked": checked, "manifest": manifest.number, "trouble": None}
                     status |= {"server": manifest.server, "rows": manifest.rows}
                     started.set()
-                except Exception as error:  # of any storage
+                except Exception as error:  # any error of a storage
                     follower = None
                     status["trouble"] = shown(str(error) or repr(error))
                     log.warning("the replica cannot be read: %s", status["trouble"])
                 if started.is_set():
-                    status |= {"seen": time.time(), "patience": 60.0 + pause}  # s: a busy machine
+                    status |= {"seen": time.time(), "patience": SLACK_S + pause}
                     replica.write_status(settings.data, followed=status)
                 state.write(Status(pid=os.getpid()))
                 stop.wait(pause)

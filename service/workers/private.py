@@ -17,8 +17,10 @@ from wrenchbook.service.files.program import child_command
 from wrenchbook.service.keys import OWN_KEY
 from wrenchbook.service.workers.supervisor import in_use
 
-CALL_S: Final = 60.0  # twice a client's default: the server shares the cores with its solvers
-STOP_S: Final = 30.0
+CALL_S: Final = 60.0  # timeout, twice a client's default: the server shares cores with its solvers
+STOP_S: Final = 30.0  # time to end after SIGTERM, as of a server's processes
+POLL_S: Final = 0.05  # pause between checks whether the server is ready: a start takes seconds
+_LOG_CHARACTERS: Final = 2000  # characters of the log's end in a message: a traceback
 _ANNOUNCEMENT: Final = "wrenchbook serves "
 
 
@@ -44,7 +46,7 @@ def private_server(folder: Path, solvers: int) -> Iterator[Client]:
             stderr=log,
             text=True,
             env=os.environ | {OWN_KEY: key},
-            process_group=0,  # Ctrl-C ends the command, which then cancels its jobs at the server
+            process_group=0,  # Ctrl-C must end the command alone, which cancels its jobs
         )
         assert server.stdout is not None
         try:
@@ -56,7 +58,7 @@ def private_server(folder: Path, solvers: int) -> Iterator[Client]:
                 while not client.is_ready():
                     if server.poll() is not None:
                         raise _did_not_start(log)
-                    time.sleep(0.05)
+                    time.sleep(POLL_S)
                 yield client
         finally:
             server.terminate()
@@ -71,4 +73,4 @@ def private_server(folder: Path, solvers: int) -> Iterator[Client]:
 def _did_not_start(log: TextIO) -> ServerDidNotStartError:
     log.seek(0)
     why = "The server of this command did not start; remove the cause that its log ends with"
-    return ServerDidNotStartError(why + f":\n{log.read()[-2000:]}")
+    return ServerDidNotStartError(why + f":\n{log.read()[-_LOG_CHARACTERS:]}")

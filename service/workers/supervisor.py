@@ -1,8 +1,8 @@
 """The parent process of a server, which keeps one builder and the web workers running.
 
-It holds the listening socket, so that connections in its queue outlive a web worker, and imports
-neither tables nor the ledger. uvicorn's `Multiprocess` has neither a second kind of process nor
-replaced web workers that finish imports of minutes, and waits for each answer to a ping.
+It holds the listening socket, so that queued connections outlive a web worker, and imports neither
+tables nor the ledger. uvicorn's `Multiprocess` has a single kind of process, ends replaced web
+workers during an import of minutes, and waits for each answer to a ping.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ WEB_WORKER: Final = Kind("wb-webworker", "wrenchbook.service.workers.web_worker:
 FOLLOWER: Final = Kind("wb-follower", "wrenchbook.service.workers.follower:run")
 COPIER: Final = Kind("wb-copier", "wrenchbook.service.workers.copier:run")
 HEARTBEAT_S: Final = 0.25
-# Without a heartbeat, and for the start of a web worker at SIGHUP: on a machine with ten times
-# the work it can do, a thread waited for 3 s and a start took 20 s.
+# Time without a heartbeat, and of the start of a web worker at SIGHUP, until it is given up. On a
+# machine with ten times its load a thread waited for 3 s, and a start took 20 s.
 HEALTH_S: Final = 30.0
-RETIRE: Final = signal.SIGUSR1  # to a web worker that is replaced: see `Server.retire`
-STOP_S: Final = 30.0  # for a process to end after SIGTERM
-POLL_S: Final = 0.1  # between two checks of signals and heartbeats; an end wakes it at once
+RETIRE: Final = signal.SIGUSR1  # sent to a web worker that is replaced: see `Server.retire`
+STOP_S: Final = 30.0  # time to end after SIGTERM, before SIGKILL
+POLL_S: Final = 0.1  # pause between checks of signals and heartbeats; the end of a process wakes it
 IN_USE: Final = (
     "the data directory {} is in use by {}; call that server with --server, stop it, or name "
     "another directory with --data"
@@ -61,17 +61,17 @@ _REMEDIES: Final = {  # by the error of a bind
     errno.EADDRNOTAVAIL: "give an address of this machine with --host, or 0.0.0.0 for all",
     errno.EACCES: "give a port above 1023 with --port",
 }
-_LOCK: Final = "supervisor.lock"  # holds address and pid of the server
+_LOCK: Final = "supervisor.lock"  # its content: address and pid of the server
 _ENDS: Final = frozenset({signal.SIGINT, signal.SIGTERM})
-# From SIGTERM until connections are refused: web workers take those that wait within 0.1 s.
+# Time from SIGTERM until connections are refused: web workers accept the waiting ones within 0.1 s.
 REFUSE_AFTER_S: Final = 0.2
 
-# Child processes are forked from one that has imported their modules: three seconds, once.
+# Child processes are forked from a server that has imported their modules, which takes 3 s once.
 forks = multiprocessing.get_context("forkserver")
 
 
 class AddressError(OSError):
-    """A server cannot listen on the address it was given."""
+    """A server cannot listen on its address."""
 
 
 class WorkerFailedError(RuntimeError):
@@ -79,7 +79,11 @@ class WorkerFailedError(RuntimeError):
 
 
 class Child:
-    """A child process, which ends at once with its parent; `started` is by its last heartbeat."""
+    """A child process, which ends with its parent.
+
+    `started`: whether it had started at its last heartbeat.
+    `begun`: when it was created, monotonic s.
+    """
 
     def __init__(self, kind: Kind, settings: Settings, *sockets: Any) -> None:
         self._heartbeats, end = forks.Pipe(duplex=False)
@@ -89,37 +93,37 @@ class Child:
         self.name = kind.name
         self.started = False
         self.begun = time.monotonic()
-        self._heard = self.begun
+        self._last_heartbeat = self.begun
 
     def is_healthy(self) -> bool:
-        """Return whether it runs and has sent a heartbeat within `HEALTH_S`; waits for nothing."""
+        """Return whether it runs and has sent a heartbeat within `HEALTH_S`; never blocks."""
         with suppress(OSError, EOFError):
             while self._heartbeats.poll():
                 self.started = self._heartbeats.recv()
-                self._heard = time.monotonic()
-        return self.process.is_alive() and time.monotonic() - self._heard < HEALTH_S
+                self._last_heartbeat = time.monotonic()
+        return self.process.is_alive() and time.monotonic() - self._last_heartbeat < HEALTH_S
 
     def send(self, number: int) -> None:
-        """Send a signal, unless it has ended."""
+        """Send a signal to the process, unless it has ended."""
         if self.process.is_alive():
             with suppress(ProcessLookupError):
                 os.kill(self.process.pid or 0, number)
 
     def join(self) -> None:
-        """Return once it has ended; kill it after `STOP_S`."""
+        """Return once the process has ended; kill it after `STOP_S`."""
         self.process.join(STOP_S)
         if self.process.exitcode is None:
             log.error("pid %s did not end in %g s and is killed", self.process.pid, STOP_S)
             self.kill()
 
     def kill(self) -> None:
-        """End it at once."""
+        """Kill the process."""
         self.process.kill()
         self.process.join()
 
 
 def _run(kind: Kind, settings: Settings, end: Connection, *sockets: socket.socket) -> None:
-    """Run in a child process; end it when its parent has ended, and leave solvers running."""
+    """Run in a child process; end it with its parent, without the solvers."""
     started = threading.Event()
 
     def heartbeat() -> None:
@@ -141,8 +145,10 @@ def _run(kind: Kind, settings: Settings, end: Connection, *sockets: socket.socke
 class Supervisor:
     """Keeps the builder, web workers and the copier, if any, running until SIGTERM or SIGINT.
 
-    SIGHUP replaces the web workers, each once its successor has started. `ready` is printed once
-    all processes have started; `failed` says why the server ends without a signal.
+    SIGHUP replaces the web workers, each once its successor has started.
+
+    `ready`: printed once all processes have started.
+    `failed`: why the server ends without a signal; empty as long as it does not.
     """
 
     def __init__(self, settings: Settings, bound: socket.socket, ready: str) -> None:
@@ -153,26 +159,26 @@ class Supervisor:
         self._builder = self._start(_builder_kind(settings))
         self._copiers = [self._start(kind) for kind in _copier_kinds(settings)]
         self._web = [self._start(WEB_WORKER) for _ in range(settings.processes)]
-        self._to_replace = 0  # web workers, of a restart that has begun
+        self._to_replace = 0  # number of web workers that a restart has not replaced yet
         self._successor: Child | None = None
-        self._retired: list[Child] = []  # replaced, and finishing their requests
+        self._retired: list[Child] = []  # replaced web workers that finish their requests
         self.failed = ""
 
     def run(self) -> None:
-        """Run until a signal or a failure ends the server; waits for no single process.
+        """Run until a signal or a failure ends the server: web workers first, then the builder.
 
-        It ends the web workers, then the builder; a further signal ends all processes at once.
+        A second signal ends all processes at once.
         """
         self._watch()
         for number in _ENDS:
             signal.signal(number, lambda number, _: os._exit(128 + number))
         self._end_web()
-        for child in (self._builder, *self._copiers):  # the last rows are shipped at the end
+        for child in (self._builder, *self._copiers):  # a copier ships the builder's last rows
             child.send(signal.SIGTERM)
             child.join()
 
     def _watch(self) -> None:
-        """Keep the processes running until a signal ends the server, or a failure."""
+        """Keep the processes running until a signal or a failure."""
         for number in (*_ENDS, signal.SIGHUP):
             signal.signal(number, lambda number, _: self._signals.append(number))
         while not self.failed and _ENDS.isdisjoint(self._signals):
@@ -180,18 +186,18 @@ class Supervisor:
             wait([child.process.sentinel for child in (self._builder, *self._web)], POLL_S)
 
     def _end_web(self) -> None:
-        """End the web workers once they have answered, and refuse further connections."""
+        """End the web workers after their open requests, and refuse further connections."""
         web = [*self._web, *self._retired, *([self._successor] if self._successor else [])]
         for child in web:
             child.send(signal.SIGTERM)
         time.sleep(REFUSE_AFTER_S)
-        with suppress(OSError):  # a connection is refused, rather than left to wait for the end
+        with suppress(OSError):  # otherwise new connections would wait in the queue
             self._bound.shutdown(socket.SHUT_RDWR)
         for child in web:
             child.join()
 
     def check(self) -> None:
-        """Say once that all processes are ready; from then on replace those that ended."""
+        """Print once that all processes are ready; from then on restart those that have ended."""
         children = self._builder, *self._web
         if not self._ready:
             self._retired = [child for child in self._retired if child.process.is_alive()]
@@ -210,18 +216,18 @@ class Supervisor:
         return Child(kind, self._settings, *sockets)
 
     def _living(self, child: Child, kind: Kind) -> Child:
-        """Return a process, or one in its place if it has ended or sends no heartbeat."""
+        """Return a process, or a new one if it has ended or sends no heartbeat."""
         if child.is_healthy() or self.failed:
             return child
         child.kill()
-        if child.process.exitcode == STARTUP_FAILURE:  # it would fail again
+        if child.process.exitcode == STARTUP_FAILURE:  # a new one would fail too
             self.failed = f"{child.name} could not be started again; its log says why"
             return child
         log.error("%s, pid %s, has ended; it is started again", child.name, child.process.pid)
         return self._start(kind)
 
     def _replace(self) -> None:
-        """Go on with a restart, or begin the one that signals ask for, however many they are."""
+        """Continue a restart, or begin one if a SIGHUP has come; several count as one."""
         if not self._to_replace and signal.SIGHUP in self._signals:
             while signal.SIGHUP in self._signals:
                 self._signals.remove(signal.SIGHUP)
@@ -254,8 +260,7 @@ def _copier_kinds(settings: Settings) -> list[Kind]:
 def bind_to(host: str, port: int) -> tuple[socket.socket, str]:
     """Return a socket bound to an address, not listening yet, and its URL; port 0 takes a free one.
 
-    A server binds before it opens anything: a port in use changes nothing. Raises AddressError if
-    the address is in use or not this machine's.
+    Raises AddressError if the address is in use or not this machine's.
     """
     shown = f"[{host}]" if ":" in host else host
     bound = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
@@ -279,10 +284,12 @@ def supervise(settings: Settings, *, as_json: bool = False) -> None:
     """Serve; the address is printed once the server answers.
 
     At the first SIGINT or SIGTERM requests are finished and solves wait for the next start. A
-    second one ends the processes at once, and leaves solvers running for the next start to find.
-    Raises AddressError, and WorkerFailedError if a process cannot be started, or another server
-    uses the data directory.
+    second one ends the processes at once; solvers continue, and the next start adopts them.
+
+    Raises AddressError if the server cannot listen, WorkerFailedError if a process cannot be
+    started or another server uses the data directory.
     """
+    # First, so that a port in use changes nothing.
     bound, address = bind_to(settings.host, settings.port)
     shared = settings.data / SHARED
     shared.mkdir(exist_ok=True)
@@ -291,7 +298,7 @@ def supervise(settings: Settings, *, as_json: bool = False) -> None:
         raise WorkerFailedError(in_use(settings.data))
     os.truncate(lock, 0)
     os.write(lock, f"the server at {address} (process {os.getpid()})".encode())
-    for path in shared.iterdir():  # counts and rates of a server that was killed
+    for path in shared.iterdir():  # counts and rates of a killed server
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
     kinds = [WEB_WORKER, _builder_kind(settings), *_copier_kinds(settings)]

@@ -1,7 +1,7 @@
 """A process that answers requests: it maps tables, and writes accepted jobs and rows to the ledger.
 
-uvicorn's own listening takes all waiting connections: of eight, one process of two got all. So a
-web worker takes one at a time, and waits longer the more connections it has.
+uvicorn accepts all waiting connections at once: one process of two got eight of eight. So a web
+worker accepts one at a time, and waits longer the more connections it has.
 """
 
 from __future__ import annotations
@@ -22,10 +22,12 @@ from wrenchbook.service.sandbox import warm_up
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.workers.supervisor import RETIRE
 
-# Wait for each open connection, in which a worker with fewer takes the next one.
+# Delay for each open connection before the next is accepted, in which a worker with fewer
+# connections accepts it; and the longest delay, which a caller does not notice.
 DELAY_S: Final = 0.001
 MAX_DELAY_S: Final = 0.01
-SHARE: Final = 8  # one in this many open connections is accepted at once: for bursts of thousands
+# Open connections for each one that is accepted at once beside the first: for bursts of thousands.
+SHARE: Final = 8
 PARSERS = (
     "wrenchbook.service.library.bundles",
     "wrenchbook.service.formats.read",
@@ -44,7 +46,7 @@ class WebWorker(Server):
         security = security_settings(*names, proxy_trust(settings))
         app = create_app(settings, security)
         super().__init__(server_config(app, settings.log_level, log_config=None))
-        # The private server of a command ends before that pays; a process each takes 90 MB.
+        # Not for a command's private server, which ends soon; each process takes 90 MB.
         self._warms_up = security.server_key is None and settings.processes == 1
         self._shares = settings.processes > 1
         self._timer: asyncio.TimerHandle | None = None
@@ -64,7 +66,7 @@ class WebWorker(Server):
                 warm_up(*PARSERS)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Accept the waiting connections, then no more, and finish their requests."""
+        """Accept the waiting connections, stop listening, and finish the requests."""
         if self._timer is not None:
             self._timer.cancel()
         self._loop.remove_reader(self._listening)
@@ -75,7 +77,7 @@ class WebWorker(Server):
         shutil.rmtree(self._scratch, ignore_errors=True)
 
     def _accept(self) -> None:
-        """Accept waiting connections, after a delay in which other web workers can accept them."""
+        """Accept waiting connections after a delay, in which other web workers can accept them."""
         count = len(self.server_state.connections) + len(self._begun)
         if not (self._shares and count):
             self._accept_up_to(1 + count // SHARE)

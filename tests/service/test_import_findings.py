@@ -166,6 +166,17 @@ def test_a_finding_of_all_rows_withdraws_the_import_and_no_other(http, rig):
     assert rows_of(http, len(rig.wrench))
 
 
+def test_a_restored_import_leaves_a_row_withdrawn_that_was_withdrawn_by_itself(http, rig):
+    add(http, rig)
+    number = load(http, rig.measured()).json()["import"]
+    call = f"/v1/components/rig/imports/{number}"
+    single = http.get(CALL).json()["rows"][0]["row"]
+    http.delete(f"{CALL}/{single}")
+    assert http.delete(call).json()["rows"] == len(rig.wrench) - 1
+    assert http.post(f"{call}/restore").json()["rows"] == len(rig.wrench) - 1
+    assert http.get(f"{CALL}/{single}").json()["withdrawn"]
+
+
 def test_an_import_restores_the_rows_that_it_shares_with_a_withdrawn_one(http, rig):
     """A file that was read with a wrong sign and then rightly lost the rows that both have."""
     add(http, rig)

@@ -94,6 +94,14 @@ def wrenches(count):
     return np.random.default_rng(3).uniform(-1.0, 1.0, (count, 13))
 
 
+def test_a_load_range_that_moves_sorts_the_recorded_wrenches_again(workspace):
+    workspace.library.load_range = SINGLE
+    store = RecordingStore(workspace)
+    store.record("plate", 15 * np.eye(6)[:1], None)
+    workspace.library.load_range = LoadRange(np.zeros(6), np.full(6, 20.0))  # of the same scale
+    assert store.record("plate", (15 + 1e-7) * np.eye(6)[:1], None).tally.merged == 1
+
+
 def test_a_recording_of_13_inputs_keeps_its_wrenches(workspace):
     sent = wrenches(20)
     assert RecordingStore(workspace).record("link", sent, None).outside == 0

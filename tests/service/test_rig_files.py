@@ -104,13 +104,15 @@ def test_a_labview_log_and_a_tdms_log_join_by_their_clocks(tmp_path):
 def test_displacements_in_gaps_of_the_loads_are_told_from_those_outside(tmp_path):
     loads, moves = tmp_path / "loads", tmp_path / "moves"
     loads.write_text("time [s],fz [N]\n0,0\n1,10\n2,20\n")
-    for times, words in (
-        ((0.5, 1.5), "2 lie between two loads more than 0.1 s apart"),
-        ((7.0, 8.0), "0 to 2 s; the displacements' are 7 to 8 s"),
+    for times, lag, words in (
+        ((0.5, 1.5), 0.0, "2 lie between two loads more than 0.1 s apart"),
+        ((7.0, 8.0), 0.0, "0 to 2 s; the displacements' are 7 to 8 s"),
+        ((0.5, 1.5), 1e308, "no displacement lies within the times of the loads, 0 to 2 s"),
     ):
         moves.write_text("time [s],uz [mm]\n" + "".join(f"{t},0.1\n" for t in times))
         report = ReadReport()
-        assert not any(map(len, read_logs(loads, moves, replace(ZERO, max_gap_s=0.1), report)))
+        options = replace(ZERO, max_gap_s=0.1, time_offset_s=lag)
+        assert not any(map(len, read_logs(loads, moves, options, report)))
         assert words in report.mistakes.listed()[0].message
 
 

@@ -592,7 +592,7 @@ def test_heartbeats_are_read_without_waiting_for_one(monkeypatch):
     child, now = Child.__new__(Child), [0.0]
     child._heartbeats, end = multiprocessing.Pipe(duplex=False)
     child.process, child.started = SimpleNamespace(is_alive=lambda: True), False
-    child._heard = 0.0
+    child._last_heartbeat = 0.0
     monkeypatch.setattr(supervisors, "time", SimpleNamespace(monotonic=lambda: now[0]))
     now[0] = 29.0
     assert child.is_healthy()

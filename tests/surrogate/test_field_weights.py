@@ -74,6 +74,13 @@ def test_rows_left_out_err_as_a_table_without_them_does():
         assert sigmas[row] == pytest.approx(result[1], rel=1e-3)
 
 
+def test_rows_left_out_have_deviations_without_any_field():
+    weights = FieldWeights.of(wrenches(8), RANGE)
+    errors, sigmas = weights.left_out(np.empty((8, 7, 0)))
+    assert errors.shape == (8, 0)
+    assert np.array_equal(sigmas, weights.left_out(np.zeros((8, 7, 1)))[1])
+
+
 def test_one_row_is_led_by_its_slopes():
     asked = wrenches(1)
     value, slopes = bent(asked)
