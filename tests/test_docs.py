@@ -42,7 +42,10 @@ PAGES = [
 RUN = [
     ROOT / "README.md",
     DOCS / "concepts/coupling.md",
-    *(DOCS / f"how-to/{name}.md" for name in ("in-process", "record", "scene", "um-bridge")),
+    *(
+        DOCS / f"how-to/{name}.md"
+        for name in ("batches", "in-process", "record", "scene", "um-bridge")
+    ),
     *sorted(DOCS.glob("tutorials/*.md")),
     *sorted(DOCS.glob("notebooks/*.ipynb")),
 ]
@@ -167,6 +170,15 @@ def test_every_other_python_block_says_why_it_is_not_run_here():
     assert left == []
 
 
+@pytest.fixture
+def float32_of_jax():
+    """Restore the precision of JAX, which a page sets for the process."""
+    yield
+    if "jax" in sys.modules:
+        sys.modules["jax"].config.update("jax_enable_x64", False)
+
+
+@pytest.mark.usefixtures("float32_of_jax")
 @pytest.mark.parametrize("page", RUN, ids=shown)
 def test_the_python_of_a_page_runs_in_order_and_prints_what_the_page_shows(
     page, tmp_path, monkeypatch, capsys
