@@ -50,7 +50,9 @@ def jobs(
 
 def audit(
     component: Annotated[str | None, typer.Option(help="only of this component")] = None,
-    actor: Annotated[str | None, typer.Option(help="only by it: a key, or user:NAME")] = None,
+    actor: Annotated[
+        str | None, typer.Option(help="only of this actor: a key, or user:NAME")
+    ] = None,
     action: Annotated[str | None, typer.Option(help="only this: row.withdraw, or job.*")] = None,
     since: Annotated[str | None, typer.Option(help="from this time on, ISO 8601")] = None,
     until: Annotated[str | None, typer.Option(help="before this time")] = None,

@@ -145,7 +145,9 @@ def stiffness(
     further: FurtherInput = None,
     between: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="LOW HIGH", help="instead: of measured rows between two loads"),
+        typer.Option(
+            metavar="LOW HIGH", help="two loads: fit the measured rows between them instead"
+        ),
     ] = None,
     axis: Annotated[str | None, typer.Option(help="of --between: load, such as fz")] = None,
     of: Annotated[str | None, typer.Option(help="of --between: output, such as uz")] = None,

@@ -44,10 +44,11 @@ _KEYLESS = "anybody on this machine may call it. Make one with: wrenchbook keys 
 
 def serve(
     config: Annotated[
-        Path | None, typer.Option(help="settings; otherwise wrenchbook.toml in the data directory")
+        Path | None,
+        typer.Option(help="file of settings; by default wrenchbook.toml in the data directory"),
     ] = None,
     show_settings: Annotated[
-        bool, typer.Option("--show-settings", help="print all settings, and where from, and end")
+        bool, typer.Option("--show-settings", help="print all settings with their sources, and end")
     ] = False,
     as_json: AsJson = False,
     **options: Any,
@@ -211,7 +212,7 @@ def backup(
 def restore(
     file: Annotated[str, typer.Argument(help="the backup, or the URL of a replica")],
     at: Annotated[
-        datetime | None, typer.Option(help="of a replica: its newest state until then, UTC")
+        datetime | None, typer.Option(help="UTC; of a replica, its newest state until this time")
     ] = None,
     data: Folder = DEFAULT_DATA,
     overwrite: Annotated[
@@ -343,7 +344,9 @@ def add(
 @keys.command("rotate")
 def rotate(
     name: KeyName,
-    hours: Annotated[float, typer.Option(help="that the old secret is valid")] = OVERLAP_HOURS,
+    hours: Annotated[
+        float, typer.Option(help="hours that the old secret remains valid")
+    ] = OVERLAP_HOURS,
     as_json: AsJson = False,
     data: Folder = DEFAULT_DATA,
 ) -> None:

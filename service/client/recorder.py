@@ -48,6 +48,7 @@ class Recorder:
     client : Client
         A client of the server that records.
     component : str
+        Name of the component.
     kind : {"recording", "envelope"}
         LM_direct: every wrench is saved; LM_max: the extremes are.
     block : int

@@ -25,7 +25,9 @@ class LinearPart:
     Attributes
     ----------
     component : str
+        Name of the component.
     table_version : int
+        Version of the table that the part was made from.
     freedoms : tuple of str
         The n freedoms that the part does not lock, of ``ux`` to ``rz``.
     stiffness : list of lists

@@ -55,7 +55,9 @@ class MujocoJoint(Joint):
     Parameters
     ----------
     model, data : MjModel, MjData
+        The scene and its state.
     table : Table
+        As of `Joint`.
     base, tip : str
         Names of the two bodies.
     bodies : mapping of str, optional

@@ -114,6 +114,7 @@ class Mount:
     source : Table or Client
         Who answers: a downloaded table, or the server. All modes but ``table`` need the server.
     component : str
+        Name of the component.
     R0, p0 : array_like
         The undeformed interface in the world: axes as columns, shape (3, 3), and point, shape
         (3,), m.

@@ -54,7 +54,9 @@ class MujocoMount:
     mocap, force, torque : str
         Names of the mocap body and the two sensors.
     source : Table or Client
+        As of `Mount`.
     component : str
+        Name of the component.
     R0, p0 : array_like, optional
         The undeformed interface in the world: axes as columns, shape (3, 3), and point, shape
         (3,), m; the mocap body's pose if not given. The two keep their distance.
