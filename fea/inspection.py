@@ -27,8 +27,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from wrenchbook.fea.component import ComponentModel
@@ -37,13 +35,14 @@ from wrenchbook.fea.mesh.facets import (
     EDGES,
     FACES,
     TRIANGLES,
-    corners_of,
+    corners_of_cell,
     facets_within,
     outer_surface,
 )
 from wrenchbook.fea.mesh.mapping import extreme_determinants
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh, row_numbers
 from wrenchbook.fea.mesh.reference_cell import node_coordinates
+from wrenchbook.fea.mesh.surface import connected
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.tensors import determinant
 
@@ -73,7 +72,7 @@ def scaled_jacobian(points: Array, block: CellBlock) -> Array:
     coordinates = node_coordinates(block.kind)
     pairs = EDGES[block.kind]
     triples = []
-    for corner in range(int(np.max(pairs)) + 1):
+    for corner in range(corners_of_cell(block.kind)):
         ends = [b if a == corner else a for a, b in pairs if corner in (a, b)][:3]
         edges = coordinates[ends] - coordinates[corner]
         triples.append([corner, *(ends if np.linalg.det(edges) > 0 else ends[::-1])])
@@ -102,7 +101,7 @@ def aspect_ratio(points: Array, block: CellBlock) -> Array:
 def edge_curvature(points: Array, block: CellBlock) -> Array:
     """Return the largest relative offset of a midside node of each cell, shape (m,)."""
     pairs = np.array(EDGES[block.kind])
-    corners = pairs.max() + 1
+    corners = corners_of_cell(block.kind)
     if block.nodes.shape[1] < corners + len(pairs):
         return np.zeros(len(block))
     ends = points[block.nodes[:, pairs]]
@@ -149,20 +148,17 @@ def _worst(mesh: Mesh, measure: Measure) -> dict[str, Any]:
     """Return a measure's worst value with its cell, and the number of cells beyond its limit."""
     sign = 1.0 if measure.larger_is_worse else -1.0  # times a value: the worst is the largest
     bad = 0
-    worst = -np.inf
-    kind = ""
-    centre = np.zeros(3)
+    worst_of_blocks = []
     for block in mesh.blocks:
         values = sign * measure.of(mesh.points, block)
         bad += int((values > sign * measure.limit).sum())
-        if len(values) and values.max() > worst:
+        if len(values):
             cell = int(values.argmax())
-            worst = float(values[cell])
-            kind = block.kind
-            centre = mesh.points[block.nodes[cell]].mean(axis=0)
+            worst_of_blocks.append((float(values[cell]), block.kind, block.nodes[cell]))
+    worst, kind, nodes = max(worst_of_blocks, key=lambda entry: entry[0])
     return {
         "worst": sign * worst,
-        "at": centre.tolist(),
+        "at": mesh.points[nodes].mean(axis=0).tolist(),
         "kind": kind,
         "bad": bad,
         "limit": measure.limit,
@@ -191,15 +187,16 @@ def bodies_of(mesh: Mesh) -> Bodies:
     faces, owners = _faces(mesh)
     total = sum(len(block) for block in mesh.blocks)
     size = total + int(faces.max(initial=-1)) + 1
-    graph = coo_array((np.ones(len(faces), dtype=np.int8), (owners, total + faces)), (size, size))
-    count, label = connected_components(graph, directed=False)
-    label = label[:total]
+    label = connected(owners, total + faces, size)[:total]
+    count = int(label.max(initial=-1)) + 1
+
     # Number bodies from the one with the most cells.
     sizes = np.bincount(label, minlength=count)
     order = np.argsort(-sizes, kind="stable")
     rank = np.empty(count, dtype=np.int64)
     rank[order] = np.arange(count)
     number = rank[label]
+
     # The nodes of each body: pairs of body and node as one number, body * nodes + node.
     pairs = []
     first = 0
@@ -219,7 +216,7 @@ def _faces(mesh: Mesh) -> tuple[Array, Array]:
     first = 0
     for block in mesh.blocks:
         for face in FACES[block.kind]:
-            several = corners_of("tri" if len(face) in (3, 6) else "quad")
+            several = 3 if len(face) in (3, 6) else 4
             row = np.full((len(block), 4), -1)
             row[:, :several] = block.nodes[:, face[:several]]
             corners.append(np.sort(row, axis=1))
@@ -309,7 +306,7 @@ def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
     """Return warnings about sections, supports and units of the component."""
     problems = section_warnings(component) + support_warnings(component) + unit_warnings(component)
     problems += tie_warnings(component) + bolt_warnings(component)
-    for number, material in enumerate(component.bundle.materials if component.bundle else ()):
+    for number, material in enumerate(component.bundle.materials):
         if material.thermal_expansion is not None and component.temperature is None:
             message = "has no effect without [inputs.temperature]; add it, or leave this key out"
             problems.append(BundleProblem(f"material[{number}].thermal_expansion", message))
@@ -454,6 +451,7 @@ def section_warnings(component: ComponentModel) -> list[BundleProblem]:
             )
             problems.append(BundleProblem(key, message))
         constrained = np.union1d(constrained, section.node_ids)
+
     rigid_cells = [
         block.nodes[np.isin(block.nodes, constrained).all(axis=1), 0] for block in mesh.blocks
     ]
@@ -469,10 +467,7 @@ def section_warnings(component: ComponentModel) -> list[BundleProblem]:
 
 
 def support_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return a warning if the supports hold single nodes only.
-
-    The answer then depends on the mesh size.
-    """
+    """Return a warning if supports hold single nodes only: the answer depends on the mesh size."""
     surface = outer_surface(component.mesh.blocks)
     nodes = component.supported_nodes
     if not nodes.size:  # a held interface replaces the supports
@@ -524,11 +519,12 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
             if (value := getattr(material, key)) is not None and not low <= value <= high:
                 text = f"is {value:.4g} {si}, {kind}; if it is in {unit}, convert it to {si}"
                 problems.append(BundleProblem(f"material[{number}].{key}", text))
+
     points = component.mesh.points
     low_corner, high_corner = points.min(axis=0), points.max(axis=0)
     size = float(np.linalg.norm(high_corner - low_corner))
-    source = component.bundle.mesh if component.bundle else None
-    geometry = source.geometry if source else None
+    source = component.bundle.mesh
+    geometry = source and source.geometry
     if geometry is not None and geometry.size > size:
         message = (
             f"is {geometry.size:.4g} m, more than the part's size of {size:.4g} m; if the number "

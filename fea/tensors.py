@@ -48,10 +48,7 @@ def rotation(vector: Array) -> Array:
 
 
 def rotation_less_identity(vector: Array) -> Array:
-    """Return exp([r]x) - I without the roundoff of a subtraction.
-
-    Shapes (3,), rad, to (3, 3), dimensionless.
-    """
+    """Return exp([r]x) - I, (3, 3), of (3,), rad, without the roundoff of a subtraction."""
     X = skew(vector)
     a, b, _ = _coefficients(vector)
     return a * X + b * (X @ X)

@@ -1,7 +1,4 @@
-"""Cells with their materials, in parts of one law each.
-
-Cells with pressure projection are separate parts.
-"""
+"""Cells with their materials, in parts of one law each, with or without pressure projection."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from wrenchbook.fea.mesh.deck_content import (
     SolidSection,
     in_si,
 )
-from wrenchbook.fea.mesh.facets import group_nodes
+from wrenchbook.fea.mesh.groups import group_nodes
 from wrenchbook.fea.spec.material import Cylinder, Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS

@@ -28,8 +28,8 @@ from wrenchbook.fea.mesh.deck_content import (
 from wrenchbook.fea.mesh.element_order import SECOND, second_order
 from wrenchbook.fea.mesh.io.ansys import read_ansys
 from wrenchbook.fea.mesh.io.nastran import read_nastran
-from wrenchbook.fea.mesh.io.raw import Translated
 from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.mesh.io.translated import Translated
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.deck_text import DeckText, deck_text
 from wrenchbook.fea.spec.mesh_source import UNITS
@@ -324,12 +324,14 @@ def propose(
     except OSError as error:
         message = f"cannot be written ({error.strerror}); name a new folder"
         raise BundleError([BundleProblem(str(folder), message)]) from None
+
     proposal = _Proposal(read_mesh(deck, unit or "m"), unit or "m", case)
     proposal.decide += decide
     if unit is None:
         proposal.unit, why = _guessed_unit(proposal.deck)
         proposal.decide.append(why)
     lines = proposal.lines(_name(file.stem), deck.name)
+
     # Notes name lines of the deck that is written, which may differ from the file.
     prefix = "" if deck.name == file.name else f"{deck.name}, "
     skipped += [*proposal.skipped, *(f"{prefix}{note}" for note in proposal.deck.notes)]

@@ -11,7 +11,7 @@ import numpy as np
 
 from wrenchbook.fea.accuracy.advice import over_tolerance, straight_edges
 from wrenchbook.fea.accuracy.estimate import accuracy_or_why
-from wrenchbook.fea.accuracy.mesh_error import polygon_warnings
+from wrenchbook.fea.accuracy.roundness import polygon_warnings
 from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
 from wrenchbook.fea.bundle.tables import ComponentFile
 from wrenchbook.fea.check.cost import estimate
@@ -25,7 +25,7 @@ from wrenchbook.fea.check.trial import (
     trial,
     weight_warnings,
 )
-from wrenchbook.fea.component import AttachedInterface, ComponentModel, build, mesh_of, surface_of
+from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.deck.running import deck_report
 from wrenchbook.fea.inspection import (
     Bodies,
@@ -40,8 +40,10 @@ from wrenchbook.fea.inspection import (
 )
 from wrenchbook.fea.mesh.bolts import BoltCut
 from wrenchbook.fea.mesh.cad.meshing import list_shape
+from wrenchbook.fea.mesh.face_choice import line
 from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.sources import mesh_of, surface_of
 from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
@@ -150,7 +152,7 @@ def listed(surface: Surface, face: Face) -> dict[str, Any]:
     """Return a face with the ``toml`` that selects it; lengths in m, areas in m^2."""
     if face.kind == "Cylinder" and face.axis is None:  # a face of a geometry file
         face = surface.cylinder(np.flatnonzero(surface.numbers == face.number), face) or face
-    return asdict(face) | {"toml": surface.line(face)}
+    return asdict(face) | {"toml": line(surface, face)}
 
 
 def _geometry_named_in(folder: Path) -> Path | None:
@@ -295,6 +297,7 @@ def _inspect_component(
         }
     if component.accelerated:
         summary["acceleration"] = [scalar.high for scalar in component.further[-3:]]
+
     summary |= _joining(component)
     sections = [_section(interface) for interface in component.interfaces]
     if len(sections) > 1:

@@ -10,8 +10,9 @@ import numpy as np
 from wrenchbook.fea.check.cost import Cost
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE, each_interface, largest_rotation
+from wrenchbook.fea.equations import nodal_masses
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.recovery.stress import integration_points, nodal_masses, small_stress
+from wrenchbook.fea.recovery.stress import integration_points, small_stress
 from wrenchbook.fea.solve import MAX_DEGREES, Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
@@ -206,6 +207,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[Bundle
         names = ", ".join(f'"{name}"' for name in without_density)
         message = f"has no density for {names}, whose mass counts as 0; write density, in kg/m^3"
         warnings.append(BundleProblem("material", message))
+
     try:
         vibration = solver.vibration(carried)
     except SolveFailed as failure:

@@ -107,10 +107,7 @@ class SectionCoupling(ABC):
         self.points = points
 
     def node_positions(self, interface: Array) -> Array | None:
-        """Return the displacements (s, 3), m, that an interface at (6,), m and rad, prescribes.
-
-        Or None.
-        """
+        """Return the displacements, (s, 3), m, by an interface at (6,), m and rad; None if free."""
         return None
 
     @abstractmethod
@@ -227,6 +224,7 @@ class Coupling:
             forced.append(first + more)
             self.border += len(more)
         self._forced = np.concatenate(forced)
+
         # For each spring the indices of its motions among all, and in the border.
         self._springs: list[tuple[Array, Array, Array]] = []
         for numbers, stiffness in springs:

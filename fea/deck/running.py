@@ -1,7 +1,4 @@
-"""One run of a deck: insert loads, run a command with a timeout, read the motion.
-
-Named failures.
-"""
+"""One run of a deck: insert loads, run a command with a timeout, read the motion."""
 
 from __future__ import annotations
 
@@ -98,31 +95,8 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
 
     Raises SolveFailed as `run_deck`.
     """
-    command = [word.replace("{job}", run.job) for word in deck.command]
-    program = command[0]
-
-    def watch() -> None:
-        stage = reader.stage(run)
-        if stage is not None:
-            progress(*stage)
-
-    try:
-        code = run_command(command, run.folder, run.printed, deck.timeout, watch)
-    except OutOfTime:
-        raise SolveFailed(
-            "timed_out",
-            f'"{program}" had not finished after {deck.timeout:g} s and was stopped.',
-            "Write a larger timeout (seconds) under [deck], or make the deck smaller.",
-        ) from None
-    except OSError as error:
-        package = f" ({_PACKAGES[program]})" if program in _PACKAGES else ""
-        raise SolveFailed(
-            "no_solver",
-            f'The program "{program}" of command under [deck] cannot be started: '
-            f"{error.strerror or error}.",
-            f"Install it{package} where solves run, so that it is on the PATH there, or correct "
-            "the command.",
-        ) from None
+    program = deck.command[0].replace("{job}", run.job)
+    code = _exit_code(deck, run, reader, progress)
     complaint = reader.complaint(run)
     if complaint is not None and complaint.not_converged:
         raise SolveFailed(
@@ -140,6 +114,39 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
         return reader.read(run, deck.output)
     except OutputError as error:
         raise bad_output(str(error), run.folder) from None
+
+
+def _exit_code(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> int:
+    """Run the command of a deck and return its exit code, or minus its signal.
+
+    Raises SolveFailed of kind ``no_solver`` if it cannot be started, ``timed_out`` if it takes too
+    long.
+    """
+    command = [word.replace("{job}", run.job) for word in deck.command]
+    program = command[0]
+
+    def watch() -> None:
+        stage = reader.stage(run)
+        if stage is not None:
+            progress(*stage)
+
+    try:
+        return run_command(command, run.folder, run.printed, deck.timeout, watch)
+    except OutOfTime:
+        raise SolveFailed(
+            "timed_out",
+            f'"{program}" had not finished after {deck.timeout:g} s and was stopped.',
+            "Write a larger timeout (seconds) under [deck], or make the deck smaller.",
+        ) from None
+    except OSError as error:
+        package = f" ({_PACKAGES[program]})" if program in _PACKAGES else ""
+        raise SolveFailed(
+            "no_solver",
+            f'The program "{program}" of command under [deck] cannot be started: '
+            f"{error.strerror or error}.",
+            f"Install it{package} where solves run, so that it is on the PATH there, or correct "
+            "the command.",
+        ) from None
 
 
 def _ending(code: int) -> str:
@@ -281,6 +288,7 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
     problems += [BundleProblem("deck.file", f"{deck.file.name} {mistake}") for mistake in mistakes]
     if problems:
         raise BundleError(problems)
+
     program = deck.command[0]
     files = [file for file in deck.files if Path(program) == Path(file.name)]
     program = program if files and "/" in program else shutil.which(program)

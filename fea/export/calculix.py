@@ -21,7 +21,7 @@ import numpy as np
 
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
-from wrenchbook.fea.mesh.io.raw import rows_of
+from wrenchbook.fea.mesh.io.translated import rows_of
 from wrenchbook.fea.spec.material import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE
@@ -140,6 +140,7 @@ def _springs(component: ComponentModel) -> Iterator[str]:
         yield from rows_of(map(str, frame.section.node_ids + 1))
         yield f"*RIGID BODY, NSET=BUSHING{i}, REF NODE={node}, ROT NODE={node + 1}"
         node += 2
+
     for ends, stiffness in component.springs:
         frame = component.frames[ends[0]]
         at = _numbers(component.axes @ frame.point)
@@ -283,6 +284,7 @@ def _step(component: ComponentModel) -> Iterator[str]:
             yield from (f"{node}, {axis}, {axis}" for node, axis in fixed)
     else:
         yield from start
+
     yield from _pulls(component)
     yield "*CLOAD"
     for interface in component.interfaces:

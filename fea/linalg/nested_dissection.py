@@ -114,6 +114,7 @@ class Cutter:
             if pairs.nodes.size
             else pairs.nodes
         )
+
         low = max(int(count * (0.5 - _WINDOW)), 1)
         sizes = np.arange(low, max(count - low, low) + 1)  # sizes of the first half
         dearer = 1.0 + _UNEVEN * (2.0 * sizes / count - 1.0) ** 2

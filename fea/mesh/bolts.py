@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from wrenchbook.fea.mesh.dependents import Dependents, Entries
-from wrenchbook.fea.mesh.facets import TRIANGLES, faces_of, facets_within, missing, no_facets
+from wrenchbook.fea.mesh.facets import TRIANGLES, faces_of, facets_within
+from wrenchbook.fea.mesh.groups import missing, no_facets
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.mesh.surface import connected
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import Bolt
 
@@ -177,6 +177,7 @@ def _why_uncut(
                 f'"{bolt.group}" does not cut through the shank: cells on both sides share '
                 f"{len(nodes)} of its {len(group)} nodes; name all facets across the shank"
             )
+
     outside = np.intersect1d(nodes, _nodes_of(mesh, [~inside for inside in shank.cells]))
     if outside.size:
         return (
@@ -236,8 +237,7 @@ def _pieces(mesh: Mesh, chosen: Sequence[Array], nodes: Array) -> int:
         first += len(block)
     _, ends = np.unique(np.concatenate(pairs, axis=1), return_inverse=True)
     rows, columns = ends.reshape(2, -1)
-    size = int(ends.max()) + 1
-    return connected_components(coo_array((np.ones(len(rows)), (rows, columns)), (size, size)))[0]
+    return int(connected(rows, columns, int(ends.max()) + 1).max()) + 1
 
 
 def _nodes_of(mesh: Mesh, chosen: Sequence[Array]) -> Array:

@@ -163,10 +163,7 @@ class DeckContent:
 
     @property
     def notes(self) -> list[str]:
-        """The texts of `missing`.
-
-        A note of several keywords, such as thousands of equations, once.
-        """
+        """The texts of `missing`; a note of several keywords, such as of equations, once."""
         lines: dict[tuple[str, str], list[str]] = {}
         for where, note in self.missing.items():
             line, _, word = where.rpartition(": ")

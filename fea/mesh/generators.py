@@ -51,10 +51,7 @@ class PlaneMesh:
 
     @property
     def edges(self) -> Array:
-        """The edges of the outline: start, end, middle; the inside is on the left.
-
-        Shape (e, 3), indices of nodes.
-        """
+        """Nodes of the outline's edges, (e, 3): start, end, middle; the inside is on the left."""
         each = self.quads[:, [[0, 1, 4], [1, 2, 5], [2, 3, 6], [3, 0, 7]]].reshape(-1, 3)
         _, index, count = np.unique(each[:, 2], return_index=True, return_counts=True)
         return each[index[count == 1]]

@@ -100,10 +100,7 @@ class Gradients:
     values: Array
 
     def of_outer(self, weights: Array) -> Gradients:
-        """Return the gradients by the nodes on which the cells depend.
-
-        Weights as of `Dependents.outer`.
-        """
+        """Return the gradients by the nodes on which the cells depend; see `Dependents.outer`."""
         return Gradients(self.slopes @ weights[:, None], self.weights, self.values @ weights)
 
 

@@ -22,10 +22,7 @@ from wrenchbook.fea.tensors import von_mises
 Array = np.ndarray
 
 MAX_POINTS = 20_000
-"""Integration points whose stresses are stored, some 1.5 MB a row.
-
-With more only the largest is.
-"""
+"""Integration points whose stresses are stored, some 1.5 MB a row; of more only the largest is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +63,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     points, materials = integration_points(component, body.points)
     shown = slice(None) if len(points) <= MAX_POINTS else slice(0)
     stress, changes = _stresses(component, body, solution, slopes, shown)
+
     regions = tuple(material.region for material in component.materials)
     equivalent = von_mises(stress)
     worst = int(equivalent.argmax())

@@ -132,6 +132,7 @@ def find_equilibrium(
             raise Stuck(f"iteration {iteration} rotated the interface by {degrees}")
         if consistent and step.converged:
             return Equilibrium(balance, tangent_after(system, step, tangent), iteration)
+
         corrections.append((step.size, step.energy))
         recent = np.array(corrections[-_MAX_IDLE:])
         # Before the last iterations one norm may stay while the other shrinks: that is no roundoff.
@@ -141,6 +142,7 @@ def find_equilibrium(
             needed = f"{CONVERGED:.0e} and {CONVERGED_ENERGY:.0e}"
             message = f"roundoff keeps the corrections at {reached}, above {needed}"
             raise Stuck(message, at_roundoff=True)
+
         consistent = step.nearly
         balance = _settled(system, step, tangent) if consistent else balance
         if iteration == 1:

@@ -150,7 +150,11 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     inertia = Inertia(system, mass, interface_mass)
     cells = 1.0 - system.body.slips
     mass_of_part = float(cells @ (mass @ cells))
-    x = _lowest_mode(inertia) if mass.nnz else _lowest_mode_of_massless(inertia)
+    if mass.nnz:
+        start = np.random.default_rng(_SEED).standard_normal(inertia.size)
+        x = _lowest_modes(inertia, inertia.solved, start, 1)[1][:, 0]
+    else:
+        x = _lowest_mode_of_massless(inertia)
 
     # Rayleigh's quotient, with the strain energy from the strains.
     fields, interface = inertia.fields(x)
@@ -163,12 +167,6 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     if length := float(np.linalg.norm(interface)):  # length 1, its largest component positive
         interface = interface / (length * np.sign(interface[np.abs(interface).argmax()]))
     return Vibration(mass_of_part, frequency, interface, condensed_mass(without_riding))
-
-
-def _lowest_mode(inertia: Inertia) -> Array:
-    """Return the mode of the lowest frequency by Lanczos' method, shape (size,)."""
-    start = np.random.default_rng(_SEED).standard_normal(inertia.size)
-    return _lowest_modes(inertia, inertia.solved, start, 1)[1][:, 0]
 
 
 def _lowest_modes(
@@ -484,6 +482,7 @@ def buckling_factors(
     if not matrix.count_nonzero():
         return np.inf, np.inf
     stressed = Inertia(system, -matrix, np.zeros((system.coupling.freedoms,) * 2))
+
     # Eigenvalues of K^-1 (-G), those of largest size among them.
     modes = min(_MODES, stressed.size)
     motions = np.random.default_rng(_BUCKLING_SEED).standard_normal((modes, stressed.size))

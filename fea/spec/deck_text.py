@@ -84,10 +84,7 @@ class _Joining:
         self.line += part.count("\n")
 
     def add_file(self, file: Path, text: str, stack: tuple[Path, ...]) -> None:
-        """Add a file with its included files.
-
-        `stack`: the files that include it, and itself last.
-        """
+        """Add a file with its included files; `stack`: the files that include it, itself last."""
         name = "" if len(stack) == 1 else file.relative_to(self.folder).as_posix()
         end, line = 0, 1  # index after the added text, and the line there
         self.characters += len(text)

@@ -218,13 +218,13 @@ def checked(folder: Path) -> Iterator[Part]:
 
 def surface(folder: Path) -> Iterator[Part]:
     """Yield the outer surface of a bundle's mesh: ``vertices`` (v, 3), ``triangles`` (t, 3)."""
-    component = importlib.import_module("wrenchbook.fea.component")
+    sources = importlib.import_module("wrenchbook.fea.mesh.sources")
     recovery = importlib.import_module("wrenchbook.fea.recovery.fields")
     reader = importlib.import_module("wrenchbook.fea.mesh.io.read")
     bundle = read_bundle(folder)
     source, deck = bundle.mesh, bundle.deck
     unit = deck and deck.unit
-    mesh = component.mesh_of(source) if source else reader.read_mesh(deck and deck.file, unit)
+    mesh = sources.mesh_of(source) if source else reader.read_mesh(deck and deck.file, unit)
     outside = recovery.surface_of(mesh, PICTURE_VERTICES)
     points = np.round(mesh.points[outside.nodes], 6)  # µm: short JSON
     yield Part({}, {"vertices": points, "triangles": outside.triangles})

@@ -11,7 +11,7 @@ from tests.fea.calculix import FACES, require_ccx
 from tests.fea.components import body_of
 from tests.fea.pairs import LARGE, SMALL, TIE, merged, moved, pair, tied, together
 from wrenchbook.fea.accuracy.estimate import accuracy_of
-from wrenchbook.fea.accuracy.mesh_error import bows_of
+from wrenchbook.fea.accuracy.roundness import bows_of
 from wrenchbook.fea.assembly.body import gather
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.check import as_text, report

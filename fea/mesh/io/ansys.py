@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from wrenchbook.fea.mesh.io.abaqus_keywords import real, whole
-from wrenchbook.fea.mesh.io.raw import Case, Translated
+from wrenchbook.fea.mesh.io.translated import Case, Translated
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL
 from wrenchbook.fea.spec.problems import MeshFileError
 

@@ -42,11 +42,13 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
         raise _wrong(
             f"equals reference, {reference:g}, everywhere, so it has no effect; correct one"
         )
+
     order = np.lexsort(points.T)
     same = (points[order][1:] == points[order][:-1]).all(axis=1)
     if (rise[order][1:] != rise[order][:-1])[same].any():
         x, y, z = points[order][1:][same][0].tolist()
         raise _wrong(f"has the point ({x:g}, {y:g}, {z:g}) twice, with two temperatures; keep one")
+
     values = rise / largest
     distance, nearest = KDTree(points).query(nodes)
     shape = values[nearest]
@@ -56,6 +58,7 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
             f"its points are {np.median(distance):.3g} m from the part, which is {size:.3g} m "
             "long; write them in m, in the mesh's axes"
         )
+
     between = distance > _SAME * size
     if between.any() and len(points) > 1:
         # Interpolate linearly in the space, the plane or the line of the points; NaN outside.

@@ -13,11 +13,12 @@ from tests.fea.geometry import draw_bracket, draw_two_bars, require_gmsh, start
 from tests.refusals import GOOD
 from wrenchbook.fea.bundle.read import BundleError, bundle_of
 from wrenchbook.fea.check.reporting import report
-from wrenchbook.fea.component import build, mesh_of
+from wrenchbook.fea.component import build
 from wrenchbook.fea.inspection import unit_warnings
 from wrenchbook.fea.mesh.cad.child import opened
 from wrenchbook.fea.mesh.cad.meshing import list_shape, mesh_geometry
 from wrenchbook.fea.mesh.mapping import area_weights, volumes
+from wrenchbook.fea.mesh.sources import mesh_of
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.mesh_source import BodySelector, GeometryMeshing
 
