@@ -171,7 +171,7 @@ def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     """Yield the good rows of a MATLAB file (level 5): its vectors, or its only struct's."""
     try:
         columns = _vectors(_mat_variables(path))
-        starts = range(0, len(next(iter(columns.values()))), PIECE)
+        starts = range(0, len(next(iter(columns.values()))) or 1, PIECE)
         parts = ([column[at : at + PIECE] for column in columns.values()] for at in starts)
         yield from read_columns(((list(columns), part) for part in parts), options, report)
     except ValueError as error:
@@ -190,7 +190,7 @@ def _mat_variables(path: Path) -> dict[str, Any]:
             name, _, kind, _ = loadmat(path, variable_names=["None"])["None"].item()
             raise ContentError(matlab_object(name.decode(), kind.decode())) from None
         _check_unpacked(size)
-        values = loadmat(path, squeeze_me=True)
+        values = loadmat(path, squeeze_me=True, mat_dtype=True)  # logical as bool: no number
     except ContentError:
         raise
     except Exception as error:  # scipy raises many classes for damaged files

@@ -12,6 +12,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from wrenchbook.fea.spec.problems import suggest
 from wrenchbook.service.formats.cells import text_problem
+from wrenchbook.service.formats.columns import TIME_COLUMN
 from wrenchbook.service.formats.options import (
     FEA,
     LOAD_LIMIT,
@@ -506,13 +508,24 @@ def with_loads(
         report.unmatched += int((~good).sum())
         yield replace(piece, wrench=loads_between(time, wrench, when, after), time=None).take(good)
     if report.read and report.unmatched == report.read and not report.mistakes:
-        seconds = np.concatenate([piece.time for piece in pieces if piece.time is not None])
+        when = np.concatenate([piece.time for piece in pieces if piece.time is not None])
+        dated = {unit for _, name, unit in report.columns if name == TIME_COLUMN} == {""}
         message = (
-            f"no displacement lies within the times of the loads, {time[0]:g} to {time[-1]:g} s; "
-            f"the displacements' are {seconds.min():g} to {seconds.max():g} s. If the clocks "
-            "differ, give --lag SECONDS (lag), which is added to the displacements' times"
+            f"no displacement lies within the times of the loads, {_span(time, dated)}; the "
+            f"displacements' are {_span(when, dated)}. If the clocks differ, give --lag SECONDS "
+            "(lag), which is added to the displacements' times"
         )
         if in_gaps:
             message = f"no displacement has a load near it: {in_gaps} lie between two loads more "
             message += f"than {longest:g} s apart; send a denser log, or set max_gap_s"
         report.mistakes.ruin(0, "time", message)
+
+
+def _span(time: Array, dated: bool) -> str:
+    """Return the first and the last of times (n,), s; as dates if the logs have dates."""
+    first, last = float(time.min()), float(time.max())
+    if not dated:
+        return f"{first:g} to {last:g} s"
+    form = "%Y-%m-%d %H:%M:%S"
+    dates = (datetime.fromtimestamp(end, UTC).strftime(form) for end in (first, last))
+    return " to ".join(dates)
