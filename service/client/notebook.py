@@ -38,10 +38,7 @@ def named_columns(names: Sequence[str], block: Floats) -> dict[str, Floats]:
 
 
 def require_pandas() -> ModuleType:
-    """Return the module pandas.
-
-    Raises MissingPackage if pandas is not installed.
-    """
+    """Return the module pandas; raises MissingPackage if pandas is not installed."""
     return required("pandas", "to_pandas", "pandas")
 
 

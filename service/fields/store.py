@@ -151,10 +151,7 @@ def key_of(wrench: Sequence[float]) -> str:
 
 
 def _content(path: Path) -> bytes:
-    """Return a file's bytes.
-
-    Raises DamagedFieldsError if it cannot be read.
-    """
+    """Return a file's bytes; raises DamagedFieldsError if it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:

@@ -115,7 +115,7 @@ def quoted(cell: str) -> str:
 def number_problem(cell: str, *, comma: bool) -> str:
     """Return the reason for which a cell is no finite number, and the remedy."""
     if not cell:
-        return "is empty; write 0 for no load, or leave the row out"
+        return "is empty; write 0 for no load, split merged cells, or leave the row out"
     if cell.lower().lstrip("+-") in ("nan", "inf", "infinity"):
         return f"{quoted(cell)} is not a finite number; correct it or leave the row out"
     if cell.startswith(NO_VALUE):

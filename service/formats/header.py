@@ -126,10 +126,7 @@ class Preamble:
 
 
 def _positive(key: str, value: str) -> float:
-    """Return the number of a line of the preamble.
-
-    Raises ValueError unless it is above 0.
-    """
+    """Return the number of a line of the preamble; raises ValueError unless it is above 0."""
     try:
         number = float(value)
     except ValueError:

@@ -19,12 +19,14 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.service.formats.cells import FORCE, ContentError, si_factor
-from wrenchbook.service.formats.columnar import read_hdf5, read_mat, read_parquet, read_tdms
+from wrenchbook.service.formats.columnar import read_hdf5, read_parquet
 from wrenchbook.service.formats.csv import read_csv
 from wrenchbook.service.formats.cycles import with_cycles
 from wrenchbook.service.formats.header import POSITION
 from wrenchbook.service.formats.json import read_json
+from wrenchbook.service.formats.logs import joined_loads, with_loads
 from wrenchbook.service.formats.lvm import MAGIC, read_lvm
+from wrenchbook.service.formats.mat import read_mat
 from wrenchbook.service.formats.options import (
     MEASURED,
     Format,
@@ -35,13 +37,8 @@ from wrenchbook.service.formats.options import (
     of_current_setup,
     within_limits,
 )
-from wrenchbook.service.formats.rig import (
-    joined_loads,
-    rigged,
-    with_known_point,
-    with_loads,
-    zeroed,
-)
+from wrenchbook.service.formats.rig import rigged, with_known_point, zeroed
+from wrenchbook.service.formats.tdms import read_tdms
 from wrenchbook.service.formats.xlsx import read_xls, read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
 from wrenchbook.surrogate.findings.find import MAX_ROWS, find

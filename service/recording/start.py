@@ -86,10 +86,7 @@ def start_resolving(
 
 
 def _solvable(workspace: Workspace, name: str) -> Component:
-    """Return a component whose wrenches can be solved.
-
-    Raises NoSetupError if they cannot.
-    """
+    """Return a component whose wrenches can be solved; raises NoSetupError if they cannot."""
     component = workspace.library[name]
     if not component.has_fea:
         raise NoSetupError(

@@ -69,10 +69,7 @@ def block_positions(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.int
 
 
 def body_number(model: Model, name: str) -> int:
-    """Return the number of a named body.
-
-    Raises JointError if there is none.
-    """
+    """Return the number of a named body; raises JointError if there is none."""
     # MuJoCo ends the process if a name is None.
     number = engine.mj_name2id(model, OBJECT.mjOBJ_BODY, name) if isinstance(name, str) else -1
     if number < 0:

@@ -28,13 +28,14 @@ from wrenchbook.service.http.body import (
 from wrenchbook.service.http.openapi import answers, component_router, refused, takes
 from wrenchbook.service.http.routes import DirectRoute, json_reply
 from wrenchbook.service.query import job_link
+from wrenchbook.service.recording.bound import bound_of
 from wrenchbook.service.recording.start import (
     StartedSolves,
     start_envelope,
     start_recording,
     start_resolving,
 )
-from wrenchbook.service.recording.store import BlockResult, RecordingStore, Tally, bound_of
+from wrenchbook.service.recording.store import BlockResult, RecordingStore, Tally
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.rows import NEAR
 
