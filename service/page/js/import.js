@@ -139,7 +139,7 @@ async function load(state, checked) {
     const kept = result.import ? (await get(`${of(state.about.name)}/imports`, state.signal)).imports.find((one) => one.id === result.import) : null;
     const name = encodeURIComponent(state.about.name);
     put(state.place, note("covered", el("strong", {}, `${count(result.inserted)} rows are in the table.`), result.errors.length || result.existing || result.rows.read !== result.rows.loaded ? tallies(result) : null,
-      el("span", {}, el("a", { href: `#/c/${name}/query` }, "Query it"), ", or see ", el("a", { href: `#/c/${name}/rows` }, "the rows"), ". This is ", el("a", { href: `#/c/${name}/entry` }, `version ${result.table_version}`), ".")),
+      el("span", {}, el("a", { href: `#/c/${name}/query` }, "Query it"), ", or see ", el("a", { href: `#/c/${name}/rows?import=${result.import ?? ""}` }, "the rows"), `. This is table version ${result.table_version}; the import is in the list below, which can withdraw it.`)),
     ...findings(state, kept?.findings || result.findings, kept?.id));
   } catch (error) { if (!state.signal.aborted) put(state.place, trouble(error)); }
 }

@@ -6,6 +6,7 @@ import { empty as emptyState } from "./empty.js";
 import { listen } from "./events.js";
 import { actorOf, seconds, sentence, time } from "./format.js";
 import { saidOf } from "./inputs.js";
+import { rowLink } from "./rows.js";
 
 const SHOWN = 50, NEWEST = 20; // jobs: of a page; whose solve times are averaged
 
@@ -163,7 +164,7 @@ export function jobFacts(job) {
   return [
     ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Actor", actorOf(job.actor)], ["Wrench", saidOf(job)],
     ["Attempt", job.attempt ? String(job.attempt) : ""], ["Accepted", time(job.created)], ["Started", job.started ? time(job.started) : ""],
-    ["Ended", job.finished ? time(job.finished) : ""], ["Took", job.seconds ? seconds(job.seconds) : ""], ["Row", job.row ? String(job.row) : ""],
+    ["Ended", job.finished ? time(job.finished) : ""], ["Took", job.seconds ? seconds(job.seconds) : ""], ["Row", job.row ? rowLink(job.component, job.row) : ""],
     ["Waits", job.waiting ? job.waiting.reason || "" : ""],
     ["Notes", job.notes?.length ? el("ul", {}, job.notes.map((one) => el("li", {}, one))) : ""],
     ["Failed", job.error ? failure(job.error) : ""],

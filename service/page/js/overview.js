@@ -128,7 +128,7 @@ function method(about) {
     [sources ? "Reason" : "Method", about.has_fea || sources ? sentence(cover.method_reason || "–") : "The table has no rows: import measured ones."],
     ["Tolerance", tolerance],
     ["Jobs", jobs.length ? el("a", { class: "line", href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : "none"],
-    ["Contradictions", cover.conflicting_wrenches ? `${cover.conflicting_wrenches} ${cover.conflicting_wrenches === 1 ? "wrench has" : "wrenches have"} rows that disagree: withdraw the wrong import under Entry` : ""],
+    ["Contradictions", cover.conflicting_wrenches ? `${cover.conflicting_wrenches} ${cover.conflicting_wrenches === 1 ? "wrench has" : "wrenches have"} rows that disagree: withdraw the wrong ones under Table, Rows` : ""],
     ["Outside the range", cover.beyond_range ? `${count(cover.beyond_range)} rows, which do not count` : ""],
     ["Table version", String(about.table_version)],
     ["Notes", about.notes],
