@@ -2,7 +2,7 @@
 
 import { caughtUp, get, of, send, trouble } from "./api.js";
 import { isLines, lineOf, readText, withLine } from "./csv_text.js";
-import { el, note, put, table, working } from "./dom.js";
+import { dropPlace, el, note, put, table, working } from "./dom.js";
 import { findingNote } from "./findings.js";
 import { LOADS, OUTPUTS, count, number, plain, sentence, unitOfLoad, unitOfOutput } from "./format.js";
 import { importOptions } from "./import_options.js";
@@ -25,13 +25,8 @@ export function importForm(about, signal) {
     await check(state);
   };
   const input = el("input", { type: "file", id: "file", "aria-label": "A table file", onchange: () => take(input.files[0]) });
-  const drop = el("div", { class: "drop" }, el("strong", {}, "Drop a table here, or choose a file"),
+  const drop = dropPlace(take, el("strong", {}, "Drop a table here, or choose a file"),
     el("span", { class: "small" }, "CSV with a header such as Fz [N], ux [mm]; Excel, Parquet, JSON, HDF5, MATLAB, LabVIEW, TDMS; each gzipped or not. The file is checked first; rows are loaded only after you confirm."), input);
-  const over = (event) => { event.preventDefault(); drop.classList.add("over"); };
-  drop.addEventListener("dragenter", over);
-  drop.addEventListener("dragover", over);
-  drop.addEventListener("dragleave", () => drop.classList.remove("over"));
-  drop.addEventListener("drop", (event) => { event.preventDefault(); drop.classList.remove("over"); take(event.dataTransfer.files[0]); });
   return [drop, state.options.root, state.place];
 }
 

@@ -235,7 +235,7 @@ def job(number, status, **more):
     return {**about, **loads, "seconds": None, "started": None, "error": None, **more}
 
 
-def test_jobs_that_run_are_above_waiting_ones_with_the_time_they_have_left(browser, plate):
+def test_jobs_that_run_are_above_waiting_ones_in_the_order_of_their_start(browser, plate):
     done = job(1, "done", seconds=600.0)
     running = job(2, "running", started="SOON", progress={"fraction": 0.5, "message": "step 3"})
     waiting = [job(number, "waiting") for number in (4, 3)]
@@ -243,6 +243,7 @@ def test_jobs_that_run_are_above_waiting_ones_with_the_time_they_have_left(brows
     lists = {
         "status=running": {"jobs": [running], "next": None},
         "status=done": {"jobs": [done], "next": None},
+        "status=waiting": {"jobs": waiting, "next": None},
         "jobs/4": single,
         "jobs?": {"jobs": [*waiting, running, done], "next": None},
     }
@@ -257,7 +258,8 @@ def test_jobs_that_run_are_above_waiting_ones_with_the_time_they_have_left(brows
     )
     browser.go("#/jobs")
     browser.one("#job-4")
-    assert [item.get_attribute("id") for item in browser.all("tr[id]")][:2] == ["job-2", "job-4"]
+    shown = [item.get_attribute("id") for item in browser.all("tr[id]")]
+    assert shown == ["job-2", "job-3", "job-4", "job-1"]
     browser.named("#job-2", "about 10 min left")
     assert browser.named("#queue", "waiting").text == "2 waiting; all are solved in about 19 min."
 
