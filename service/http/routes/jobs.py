@@ -76,6 +76,7 @@ def job_body(
         "component": job.component,
         "actor": job.actor or None,
         **(space.by_name(job.wrench) if space else {"wrench": job.wrench}),
+        "priority": job.priority,
         "attempt": job.attempt,
         "not_before": _time(job.not_before),
         "created": _time(job.created),

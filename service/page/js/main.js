@@ -6,7 +6,7 @@ import { el, note, notify, put } from "./dom.js";
 const VIEWS = [
   [/^\/$/, "library.js"],
   [/^\/add$/, "add.js"],
-  [/^\/c\/([^/]+)(?:\/([a-z]+))?$/, "component.js"],
+  [/^\/c\/([^/?]+)(?:\/([a-z]+))?(?:\?(.*))?$/, "component.js"],
   [/^\/jobs(?:\/(\d+))?$/, "jobs.js"],
   [/^\/scene$/, "scene.js"],
   [/^\/audit$/, "audit.js"],
@@ -29,7 +29,7 @@ async function show() {
   }
   try {
     const view = await import(`./${file}`);
-    if (!signal.aborted) await view.show(main, found.map((one) => one && decodeURIComponent(one)), signal);
+    if (!signal.aborted) await view.show(main, found.map((one, place) => one && (place < 2 ? decodeURIComponent(one) : one)), signal);
   } catch (error) {
     if (error.name === "AbortError" || signal.aborted) return;
     put(main, el("h1", {}, "This view cannot be shown"), trouble(error), el("p", {}, el("a", { href: "#/" }, "Go to the library")));

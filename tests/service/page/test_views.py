@@ -235,7 +235,7 @@ def job(number, status, **more):
     return {**about, **loads, "seconds": None, "started": None, "error": None, **more}
 
 
-def test_jobs_that_run_are_above_waiting_ones_with_the_time_they_have_left(browser, plate):
+def test_jobs_that_run_are_above_waiting_ones_in_the_order_of_their_start(browser, plate):
     done = job(1, "done", seconds=600.0)
     running = job(2, "running", started="SOON", progress={"fraction": 0.5, "message": "step 3"})
     waiting = [job(number, "waiting") for number in (4, 3)]
@@ -243,6 +243,7 @@ def test_jobs_that_run_are_above_waiting_ones_with_the_time_they_have_left(brows
     lists = {
         "status=running": {"jobs": [running], "next": None},
         "status=done": {"jobs": [done], "next": None},
+        "status=waiting": {"jobs": waiting, "next": None},
         "jobs/4": single,
         "jobs?": {"jobs": [*waiting, running, done], "next": None},
     }
@@ -257,12 +258,13 @@ def test_jobs_that_run_are_above_waiting_ones_with_the_time_they_have_left(brows
     )
     browser.go("#/jobs")
     browser.one("#job-4")
-    assert [item.get_attribute("id") for item in browser.all("tr[id]")][:2] == ["job-2", "job-4"]
+    shown = [item.get_attribute("id") for item in browser.all("tr[id]")]
+    assert shown == ["job-2", "job-3", "job-4", "job-1"]
     browser.named("#job-2", "about 10 min left")
     assert browser.named("#queue", "waiting").text == "2 waiting; all are solved in about 19 min."
 
 
-@pytest.mark.parametrize("view", ["overview", "rows", "response", "checks", "entry"])
+@pytest.mark.parametrize("view", ["overview", "rows", "coverage", "response", "checks"])
 def test_an_empty_view_has_the_button_that_ends_it(browser, rig, view):
     browser.visit(f"#/c/unmeasured/{view}")
     link = browser.one("main a[href='#/c/unmeasured/table']:not(.tabs a)")
@@ -271,11 +273,11 @@ def test_an_empty_view_has_the_button_that_ends_it(browser, rig, view):
 
 def test_a_measured_component_has_no_tabs_of_solves(browser, rig):
     seen = set()
-    for view in ("query", "rows", "demand", "entry"):
+    for view in ("query", "rows", "demand", "settings"):
         browser.visit(f"#/c/unmeasured/{view}")
         seen |= set(browser.one(".tabs").text.split("\n"))
     assert not {"Shape", "Report", "Jobs", "Faces"} & seen
-    assert {"Query", "Checks", "Demand", "Entry"} <= seen
+    assert {"Query", "Checks", "Demand", "Settings"} <= seen
 
 
 def test_a_component_has_at_most_six_groups_and_the_views_of_the_chosen_one(browser, client):
@@ -286,7 +288,7 @@ def test_a_component_has_at_most_six_groups_and_the_views_of_the_chosen_one(brow
         for row in ("div:first-child", ".views")
     )
     assert groups == ["Overview", "Query", "Table", "Import & export", "Jobs & demand", "Part"]
-    assert views == ["Rows", "Checks", "Compare", "Report"]
+    assert views == ["Rows", "Coverage", "Checks", "Compare", "Report"]
 
 
 def test_the_faces_of_a_deck_are_those_of_its_mesh(browser, client):
@@ -509,7 +511,7 @@ def test_a_job_that_ends_while_it_is_watched_shows_how_long_it_took(browser, pla
 
 # -- components with several interfaces, and with a temperature ----------------------------------
 
-VIEWS = ("overview", "query", "jobs", "table", "entry")
+VIEWS = ("overview", "query", "rows", "jobs", "table", "settings")
 
 
 def drawn(browser):
@@ -602,9 +604,9 @@ def test_measured_rows_are_drawn_beside_the_solves_and_beside_another_import(bro
     browser.named("td", "1.1")
 
 
-def test_an_import_is_withdrawn_and_restored_under_entry_after_a_confirmation(browser, client):
+def test_an_import_is_withdrawn_and_restored_after_a_confirmation(browser, client):
     measured(client, "edited", 100, 200)
-    browser.visit("#/c/edited/entry")
+    browser.visit("#/c/edited/table")
     for verb, rows in (("Withdraw", 0), ("Restore", 2)):
         browser.click("table.imports button", verb)
         browser.click("dialog button", verb)
@@ -613,6 +615,56 @@ def test_an_import_is_withdrawn_and_restored_under_entry_after_a_confirmation(br
         browser.click("#notices button")
     assert "anonymous" in browser.named("table.imports tr", "Withdraw").text
     assert browser.mistakes() == []
+
+
+def numbers(browser):
+    """Return the numbers of the rows that are listed."""
+    return [int(item.get_attribute("id")[4:]) for item in browser.all("table.rows tr[id]")]
+
+
+def test_a_row_is_withdrawn_found_by_its_state_and_restored_in_the_list_of_rows(browser, client):
+    measured(client, "listed", 100, 200, 300)
+    browser.visit("#/c/listed/rows")
+    browser.click("table.rows button", "Withdraw")
+    browser.named("table.rows .pill", "withdrawn")
+    assert client.component("listed")["rows"] == 2
+    browser.click("option[value='withdrawn']")
+    browser.until(lambda: len(numbers(browser)) == 1)
+    browser.click("table.rows button", "Restore")
+    browser.named("table.rows .pill", "in the table")
+    assert client.component("listed")["rows"] == 3
+
+
+def test_the_list_of_rows_is_paged_over_solves_and_imports_newest_first(browser, client):
+    client.solve("spring", [0, 0, 5.0], wait_s=120)
+    header = {"Content-Type": "text/csv"}
+    text = "\n".join([f"{LOADS},uz [mm]", *(f"0,0,{k / 10},0,0,0,{k}" for k in range(1, 31))])
+    client.call("POST", "/v1/components/spring/table", content=text.encode(), headers=header)
+    client.solve("spring", [0, 0, 6.0], wait_s=120)
+    rows = client.call_json("GET", "/v1/components/spring/table")["rows"]
+    present = sorted((row["row"] for row in rows), reverse=True)
+    browser.visit("#/c/spring/rows")
+    browser.until(lambda: numbers(browser) == present[:25])
+    browser.click("button", "Older rows")
+    browser.until(lambda: numbers(browser) == present)
+
+
+def test_a_link_to_an_import_lists_its_rows_alone(browser, client):
+    measured(client, "twice", 100, 200)
+    measured(client, "twice", 300)
+    browser.visit("#/c/twice/table")
+    browser.named("table.imports tr", "2")
+    browser.click("table.imports tr:last-child a")
+    browser.until(lambda: len(numbers(browser)) == 2)
+
+
+def test_the_audit_leads_to_the_row_that_was_withdrawn(browser, client):
+    measured(client, "audited", 100, 200)
+    row = client.call_json("GET", "/v1/components/audited/table")["rows"][0]["row"]
+    client.call("DELETE", f"/v1/components/audited/table/{row}")
+    browser.visit("#/audit")
+    browser.click("table.audit a", f"row {row}")
+    browser.until(lambda: numbers(browser) == [row])
 
 
 def test_missing_loads_are_counted_as_zero_by_a_button(browser, rig):
