@@ -150,8 +150,8 @@ class AccessControl:
         permission = permission_of(scope)
         CALLER.set(permission.caller)
         if permission.key is not None and b"transfer-encoding" in head:
-            most = permission.key.megabytes << 20
-            receive = counted(receive, most, _beyond_key(permission.key))
+            max_bytes = permission.key.megabytes << 20
+            receive = counted(receive, max_bytes, _beyond_key(permission.key))
         return receive, send
 
     def check(

@@ -129,10 +129,7 @@ class ImportQuery(Body):
 
 
 def profile_of(text: str) -> ImportQuery:
-    """Return the options of a rig's profile as a query.
-
-    Raises RigError or ValidationError if the profile is wrong.
-    """
+    """Return a rig's profile as a query; raises RigError or ValidationError if it is wrong."""
     values = Rig.read(text).options
     if "columns" in values:
         values["mapping"] = orjson.dumps(values.pop("columns"), default=str).decode()

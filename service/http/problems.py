@@ -131,10 +131,7 @@ class HttpProblemError(HTTPException):
 
 
 def bad_body(errors: Sequence[dict[str, Any]]) -> HttpProblemError:
-    """Describe a request that is not of the call's form; ``errors`` are ``{loc, msg}``.
-
-    At most MAX_ERRORS of them are listed.
-    """
+    """Describe a request that has not the call's form, by at most MAX_ERRORS ``{loc, msg}``."""
     first = f"{errors[0]['loc']}: {errors[0]['msg']}" if errors else "see the documentation"
     mistakes = f"{len(errors)} mistake{'s' * (len(errors) > 1)}"
     return HttpProblemError(

@@ -56,10 +56,7 @@ class ProxyTrust:
         return Key(name, scope, digest_of(name), 0.0)
 
     def refuse_repeated(self, fields: Iterable[tuple[bytes, bytes]]) -> None:
-        """Refuse a request with several headers of a proxy: the caller may have sent one of them.
-
-        Raises HttpProblemError with status 400.
-        """
+        """Refuse (400) a request with several headers of a proxy: the caller may have sent one."""
         names = [name for name, _ in fields]
         for name in (self.user, self.groups):
             if names.count(name) > 1:
@@ -110,10 +107,7 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
 
 
 def _check_header(option: str, header: str | None) -> None:
-    """Check the name of a proxy's header.
-
-    Raises SettingsError if callers send this header, or the name is not valid.
-    """
+    """Raise SettingsError if callers send the header of a proxy, or its name is not valid."""
     remedy = f"write the header that the proxy sets, such as X-Forwarded-{option.capitalize()}"
     if header and header.lower() in _OF_CALLERS:
         raise SettingsError(f"--trust-proxy-{option}: {header!r} comes from callers; {remedy}")

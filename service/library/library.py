@@ -139,10 +139,7 @@ class Library:
         return component
 
     def as_read(self, name: str) -> Component:
-        """Return a component in the state of its last reading: no file is read now.
-
-        Raises UnknownComponentError if there is none.
-        """
+        """Return a component as last read; no file is read now. Raises UnknownComponentError."""
         component = self._components.get(name)
         return self[name] if component is None else component
 

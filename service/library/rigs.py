@@ -61,10 +61,7 @@ def store_rig(ledger: Ledger, name: str, profile: str) -> None:
 
 
 def remove_rig(ledger: Ledger, name: str) -> None:
-    """Remove a stored profile.
-
-    Raises UnknownRigError if there is none, and ShippedRigError if it is part of the program.
-    """
+    """Remove a stored profile; raises UnknownRigError, or ShippedRigError for a shipped one."""
     with ledger.writing() as db:
         before = _stored(db, name)
         if before is None:

@@ -177,10 +177,7 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
 
 
 def _opened(source: Path) -> tuple[zipfile.ZipFile, os.stat_result]:
-    """Open a backup; return it and its file's status.
-
-    Raises BackupError if the file is missing, unreadable or incomplete.
-    """
+    """Open a backup; return it and its file's status; raises BackupError if it is unreadable."""
     try:
         status = source.stat()
         return zipfile.ZipFile(source), status
@@ -208,10 +205,7 @@ def reason_of(error: Exception) -> str:
 
 
 def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
-    """Return the manifest of the archive `source`.
-
-    Raises BackupError if it is not a backup, damaged or newer than this program.
-    """
+    """Return the manifest of the archive `source`; raises BackupError if it cannot be used."""
     try:
         fields: dict[str, Any] = json.loads(archive.read(MANIFEST))
         kind = fields["format"]

@@ -184,10 +184,7 @@ def _gone(subject: str, count: int) -> list[DataFinding]:
 def _read_all(
     folder: Path, *, repair: bool, count: Callable[[str], int] = lambda _: 0
 ) -> tuple[Tables, list[DataFinding]]:
-    """Return the tables of all readable files, and findings on the others.
-
-    `count` returns the number of a component's rows in the ledger.
-    """
+    """Return the tables of readable files, and findings; `count`: rows of a component's ledger."""
     tables: Tables = {}
     findings = []
     for path in sorted(folder.glob("*.h5")):

@@ -112,8 +112,8 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
     kind = content_type(request)
     if kind == "multipart/form-data":
         # The archive may be as large as a bundle, and the form adds its head.
-        most = MAX_BUNDLE_BYTES + MAX_QUERY_BYTES
-        async with form_of(request, most, 1, "Leave large files out of the zip.") as form:
+        max_bytes = MAX_BUNDLE_BYTES + MAX_QUERY_BYTES
+        async with form_of(request, max_bytes, 1, "Leave large files out of the zip.") as form:
             upload = form.get("bundle")
             if not isinstance(upload, UploadFile):
                 message = "is missing; send the zip as the file 'bundle' of the form"

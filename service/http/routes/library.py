@@ -303,10 +303,7 @@ def _rows_of_import(workspace: Workspace, name: str, rows: Rows, number: int) ->
 
 
 def _two_loads(between: str) -> tuple[float, float]:
-    """Return the two loads of the parameter `between`, N or N·m.
-
-    Raises HttpProblemError (422) unless they are two different finite numbers.
-    """
+    """Return the two different loads of `between`, N or N·m; 422 if they are no such numbers."""
     try:
         low, high = (float(text) for text in between.split(","))
         if low != high and np.isfinite((low, high)).all():

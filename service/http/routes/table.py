@@ -201,8 +201,8 @@ async def import_table(
     solved = await run_in_threadpool(solved_compliance, component, table)
     rig = await run_in_threadpool(rig_of, workspace.ledger, query.rig)
     options = replace(query.options(rig), solved=solved, linear=component.linear)
-    most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
-    async with received(request, most) as sent:
+    max_bytes = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
+    async with received(request, max_bytes) as sent:
         alone = query.model_fields_set & {"time_offset_s", "max_gap_s"}
         if len(sent.files) == 1 and alone:
             message = "needs two logs; send the second one (--displacements FILE), or leave it out"
@@ -217,18 +217,12 @@ async def import_table(
         )
         caller = origin.who or (request.client.host if request.client else "")
         async with nullcontext() if query.append else reader_slot(caller):
+            source = workspace.ledger, component, sent.files, options, origin
+            known = table if component.space.is_default and not query.append else None
+            flags = query.model_dump(include={"dry_run", "partial", "preview"})
+            appends = bool(query.append)
             reply = await run_in_threadpool(
-                import_files,
-                workspace.ledger,
-                component,
-                sent.files,
-                options,
-                origin,
-                dry_run=query.dry_run,
-                partial=query.partial,
-                preview=query.preview,
-                table=table if component.space.is_default and not query.append else None,
-                append=bool(query.append),
+                import_files, *source, table=known, append=appends, **flags
             )
 
     loaded = reply.pop("loaded")
@@ -278,7 +272,7 @@ class Received(NamedTuple):
 
 
 @asynccontextmanager
-async def received(request: Request, most: int = MAX_TABLE_BYTES) -> AsyncIterator[Received]:
+async def received(request: Request, max_bytes: int = MAX_TABLE_BYTES) -> AsyncIterator[Received]:
     """Yield a table's body as files, and delete them at the end.
 
     A plain body is one file; a form has the files ``loads`` and ``displacements``, or ``table``.
@@ -287,11 +281,11 @@ async def received(request: Request, most: int = MAX_TABLE_BYTES) -> AsyncIterat
     lacks its files.
     """
     if content_type(request) != "multipart/form-data":
-        async with spooled(request.receive, most) as body:
+        async with spooled(request.receive, max_bytes) as body:
             path = body.path or await run_in_threadpool(body.append, body.content)
             yield Received((path,), "", await run_in_threadpool(_digest, (path,)))
         return
-    async with form_of(request, most + _FORM_BYTES, 2) as form:
+    async with form_of(request, max_bytes + _FORM_BYTES, 2) as form:
         names = ("loads", "displacements") if "loads" in form else ("table",)
         uploads = [sent for name in names if isinstance(sent := form.get(name), UploadFile)]
         if len(uploads) < len(names):
@@ -326,10 +320,7 @@ def _digest(files: Sequence[Path]) -> str:
 
 @asynccontextmanager
 async def reader_slot(caller: str) -> AsyncIterator[None]:
-    """Wait until no other table of a caller (a key, or an address without keys) is being read.
-
-    Raises SandboxBusyError after `_READER_WAIT_S` seconds.
-    """
+    """Wait until no other table of a caller is read; SandboxBusyError after `_READER_WAIT_S`."""
     lock = _reader_locks.setdefault(caller, asyncio.Lock())
     try:
         async with asyncio.timeout(_READER_WAIT_S):
