@@ -6,13 +6,14 @@ import meshio
 import numpy as np
 import pytest
 
+from tests.fea.boxes import volumes
 from tests.refusals import GOOD
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.facets import FACES, outer_surface
 from wrenchbook.fea.mesh.generators import Bar
 from wrenchbook.fea.mesh.io.read import read_mesh
-from wrenchbook.fea.mesh.mapping import cell_problems, volumes
+from wrenchbook.fea.mesh.mapping import cell_problems
 
 FILES = Path(__file__).parent / "meshfiles"
 # Two glued blocks of 10 x 10 x 10 mm side by side along x, written by gmsh 4.15.
