@@ -41,8 +41,7 @@ _ZERO = 1e-9
 roundoff, since axes and coordinates are written to about as many digits."""
 _ANY_MOTION = np.array([0.3, 0.5, 0.7, 0.2, 0.6, 0.4])
 """Motion of a section, m and rad: an arbitrary one, without a pattern by which parts of it could
-cancel.
-"""
+cancel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,8 +248,7 @@ def _attach_all(
         interfaces.append(_attach(mesh, f"{table}.section", interface, problems))
     bushings = []
     for i, bushing in enumerate(supports.bushings):
-        key = f"supports.bushing[{i}].group"
-        end = _attach(mesh, key, bushing.end(bushing.group), problems)
+        end = _attach(mesh, f"supports.bushing[{i}].group", bushing.end(bushing.group), problems)
         bushings.append((end, bushing.stiffness))
     joints = [
         _join(mesh, f"spring[{i}].groups", joint, problems) for i, joint in enumerate(bundle.joints)
@@ -274,10 +272,7 @@ def _temperature_rise(bundle: Bundle, mesh: Mesh) -> Array | None:
 
 
 def _mesh_source(bundle: Bundle) -> MeshSource:
-    """Return the mesh of a bundle.
-
-    Raises BundleError if the bundle has no mesh to solve.
-    """
+    """Return the mesh of a bundle; raise BundleError if it has none to solve."""
     tables = {  # beside a [deck], each of these tables is optional
         "mesh": bundle.mesh,
         "material": bundle.materials,
@@ -308,10 +303,7 @@ def _materials(bundle: Bundle) -> tuple[AnyMaterial, ...]:
 def _held_directions(
     mesh: Mesh, supports: Supports, fixed: Array, problems: list[BundleProblem]
 ) -> Array:
-    """Return the sum of d d^T over the directions d that hold each sliding node, (n, 3, 3).
-
-    It is zero at other nodes, and at fixed ones.
-    """
+    """Return the sum of d d^T over directions d that hold sliding nodes, (n, 3, 3), else zero."""
     held = np.zeros((len(mesh.points), 3, 3))
     for i, support in enumerate(supports.sliding):
         nodes = group_nodes(mesh, f"supports.sliding[{i}].group", support.group, problems)
@@ -449,10 +441,7 @@ def _check_bolts(
     sliding: tuple[Array, Array],
     problems: list[BundleProblem],
 ) -> None:
-    """Note cuts whose nodes a key of `occupied` names too, or a support holds along their axis.
-
-    sliding: as `ComponentModel.sliding`.
-    """
+    """Note cuts whose nodes a key of `occupied` names too, or `sliding` holds along their axis."""
     for bolt in bolts:
         along = np.abs(sliding[1] @ bolt.axis).max(axis=1, initial=0.0) > _ZERO
         for key, nodes in (*occupied, ("supports.sliding", sliding[0][along])):

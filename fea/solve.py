@@ -22,28 +22,23 @@ from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.equations import material_of_parts, system_of
 from wrenchbook.fea.export.failure_record import keep
 from wrenchbook.fea.failure import SolveFailed, rotation_too_large
-from wrenchbook.fea.inspection import bodies_of, coincidence_warnings, coincident_nodes, warnings_of
+from wrenchbook.fea.inspection import coincidence_warnings, warnings_of
+from wrenchbook.fea.mesh.bodies import bodies_of, coincident_nodes
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
 from wrenchbook.fea.recovery.stress import most_used, small_stress, stress_of, yielding
 from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
+from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath, at_rest, hang
 from wrenchbook.fea.solver.newton import Equilibrium
+from wrenchbook.fea.solver.reduction import CraigBampton, craig_bampton
 from wrenchbook.fea.solver.third_derivatives import (
     MAX_CURVATURE_INPUTS,
     packed,
     second_derivatives_at_rest,
     third_derivatives,
 )
-from wrenchbook.fea.solver.vibration import (
-    CraigBampton,
-    Riding,
-    Vibration,
-    buckling_factors,
-    consistent_mass,
-    craig_bampton,
-    first_vibration,
-)
+from wrenchbook.fea.solver.vibration import Riding, Vibration, consistent_mass, first_vibration
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 
 __all__ = ["MAX_DEGREES", "Solver", "solve"]
@@ -156,7 +151,7 @@ class Solver:
         bodies = bodies_of(mesh)
         if failure.kind != "mechanism" or bodies.count == 1:
             return failure
-        touching = coincidence_warnings(mesh, bodies, coincident_nodes(mesh))
+        touching = [*coincidence_warnings(mesh, bodies, coincident_nodes(mesh))]
         if not touching:
             return failure
         remedy = (
@@ -283,7 +278,7 @@ class Solver:
 
         The first frame is the held interface's, or else that of the supports, with the mesh's axes.
 
-        Raises the errors of `fea.solver.vibration.craig_bampton`.
+        Raises the errors of `fea.solver.reduction.craig_bampton`.
         """
         held = [("base", np.zeros(3), np.eye(3))]
         frames = []
@@ -318,7 +313,7 @@ class Solver:
     def buckling(self, wrench: Loads) -> tuple[float, float]:
         """Return the multiples of a wrench, and of its opposite, at which the part buckles.
 
-        The method is linear buckling (`fea.solver.vibration`). A factor is infinite if no multiple
+        The method is linear buckling (`fea.solver.buckling`). A factor is infinite if no multiple
         buckles the part. The wrench is as of `solve`.
 
         Raises ValueError and SolveFailed as `solve` and `linear` do.

@@ -132,6 +132,12 @@ def _series(square: complex, start: int) -> complex:
     return total
 
 
+def deviator(tensor: Array) -> Array:
+    """Return tensors less a third of their trace times I, shape (..., 3, 3), in their unit."""
+    mean = np.trace(tensor, axis1=-2, axis2=-1) / 3.0
+    return tensor - mean[..., None, None] * np.eye(3)
+
+
 def von_mises(stress: Array) -> Array:
     """Return the von Mises stress, shape (...), Pa, of stresses, shape (..., 6), Pa.
 

@@ -20,8 +20,7 @@ WHERE = "tolerance"
 
 FINE = 0.01
 """Largest effect of straight edges across round surfaces without a warning, as a part of a
-compliance.
-"""
+compliance."""
 
 _WORTH_A_MESH = 30.0
 """Largest ratio by which smaller cells are a remedy: it means 27,000 times as many cells."""

@@ -97,8 +97,7 @@ _STEP = 1.5
 
 MIN_RATIO = 1.1
 """Least ratio of the cell sizes of two meshes: the difference of nearer meshes is their
-irregularity.
-"""
+irregularity."""
 
 
 class Study(NamedTuple):
@@ -168,19 +167,12 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
     mesh cannot be read, lacks a group, or cannot be solved.
     """
     solvers = [Solver(build(bundle))]
+    assert bundle.mesh is not None  # else it cannot be built
     for path in finer_meshes:
-        source = bundle.mesh
-        if source is None:
-            raise ValueError(
-                "the component has no [mesh] to refine; name a component with a [mesh]"
-            )
         try:
-            solvers.append(Solver(build(bundle, read_grouped(path, source))))
+            solvers.append(Solver(build(bundle, read_grouped(path, bundle.mesh))))
         except BundleError as error:
-            named = [
-                replace(problem, where=f"{path.name}: {problem.where}")
-                for problem in error.problems
-            ]
+            named = [replace(each, where=f"{path.name}: {each.where}") for each in error.problems]
             raise BundleError(named) from None
     while not finer_meshes and len(solvers) < 3:
         refined = finer(solvers[-1], MAX_UNKNOWNS if len(solvers) > 1 else None, _STEP)
@@ -238,9 +230,7 @@ def _or_null(values: Array) -> list[float | None]:
 
 
 def stored(bundle: Bundle, shape: tuple[int, ...]) -> tuple[Array, str] | None:
-    """Return the stored error for this setup, of shape `shape`, and its basis.
-
-    None without a study.
+    """Return the stored error for this setup, of this shape, and its basis; None without a study.
 
     Raises ValueError if the file is damaged.
     """

@@ -27,7 +27,7 @@ from wrenchbook.fea.accuracy.mesh_error import recovered_error
 from wrenchbook.fea.accuracy.roundness import roundness
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.inspection import edge_lengths
+from wrenchbook.fea.mesh.quality import edge_lengths
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, DeclaredRange
@@ -37,35 +37,30 @@ Array = np.ndarray
 _PARTS = (0.125, 1.0)
 """Parts of the largest wrench for nonlinear solves: their remainders give the saturation. From an
 eighth the law holds a part k (u + c u^3) = F at 94 % of loads for any c, at all where the linear
-answer is up to three times the true one. From a quarter these are 90 % and two times.
-"""
+answer is up to three times the true one. From a quarter these are 90 % and two times."""
 
 _BEFORE = 0.98
 """Part of the load at which a solve ended that is solved too: a component softens most just before
-it snaps through. `_SAFETY` covers the last 2 %.
-"""
+it snaps through. `_SAFETY` covers the last 2 %."""
 
 _ALIKE = 0.99
 """Part of the largest rotation from which a corner counts as turning an interface as much."""
 
 _LINEAR = 0.94
 """Upper bound of remainder over load at the smallest part, relative to that at the corner: at 1 the
-remainder grows with the load from the start, and b is infinite.
-"""
+remainder grows with the load from the start, and b is infinite."""
 
 _NEAR = 0.1
 """Largest relative change of a compliance between the coarser mesh and the component's for solves
 on the coarser: the remainder of a part that stiffens grows with its fourth power, and 0.9^4 is 1 /
-`_SAFETY`.
-"""
+`_SAFETY`."""
 
 _STEEP = 1.25
 """Buckling factor below which the corner itself is not solved, but half the buckling load."""
 
 _SAFETY = 1.5
 """Factor on the largest remainder of the corners, for all other wrenches (`make bench
-NAME=linearity`).
-"""
+NAME=linearity`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +72,7 @@ class BeyondLinear:
     remainder: Array
     saturation: Array  # shape (6 i,): b of the module, 0 where the part does not stiffen
     # The part of a corner's wrench at which the component buckles or snaps through, at or below 10;
-    # None beyond that. It is that of linear buckling (`fea.solver.vibration`), or where a nonlinear
+    # None beyond that. It is that of linear buckling (`fea.solver.buckling`), or where a nonlinear
     # solve ended if that is less.
     buckling: float | None
     why: str = ""  # the reason for which a nonlinear solve has no answer; often empty
@@ -186,8 +181,7 @@ _TIED = 2.4
 the distance of these edges from the tie's end. The error was up to 2.2 times that of the
 stresses, of either sign. A finer mesh shows it in part: then the two are added. Where main
 facets are larger than the tie, it is multiplied by their diagonal over the tie's size: of 42
-blocks on plates the outputs inside rose from 53 to 96 %, at 2.3 times the error.
-"""
+blocks on plates the outputs inside rose from 53 to 96 %, at 2.3 times the error."""
 
 
 def accuracy_of(solver: Solver) -> dict[str, Any]:
@@ -288,10 +282,7 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
 
 
 def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
-    """Return the parts of the error by the size of cells, each (6 i, k), and the basis.
-
-    The list is empty where the error is not known.
-    """
+    """Return the error by the size of cells, in parts (6 i, k), none if unknown, and its basis."""
     compliance, bundle = solver.linear.compliance, solver.component.bundle
     study = stored(bundle, compliance.shape)
     if study is not None:
@@ -341,13 +332,11 @@ _MIXED = 0.02
 """Lower bound of an entry's error, as a part of the root of the product of the two responses'
 errors, its upper bound (Cauchy and Schwarz: the error's energy is not negative): the difference
 of two meshes in an entry near zero, such as an entry of symmetry, is chance. For single loads on
-STEP parts it raises the outputs inside from 50 to 76 % to over 90 %.
-"""
+STEP parts it raises the outputs inside from 50 to 76 % to over 90 %."""
 
 _ROUND = 1.1
 """Safety factor on the effect of bending the edges: the bow leaves out the fourth power of the
-angle, 2 % of the change at 30 degrees and 4 % at 40.
-"""
+angle, 2 % of the change at 30 degrees and 4 % at 40."""
 
 
 def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from wrenchbook.fea.mesh.facets import corners_of_cell
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element, tabulate
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.tensors import deviator
 
 Array = np.ndarray
 
@@ -154,12 +155,7 @@ def _energy(piece: _Piece, smooth: Array) -> tuple[Array, Array]:
     recovered = recovered.reshape(cells, -1, 2, loads, 3, 3).transpose(2, 3, 0, 1, 4, 5)
     strain, stress = recovered - piece.fields
     if piece.projected:
-        strain, stress = _deviatoric(strain), _deviatoric(stress)
+        strain, stress = deviator(strain), deviator(stress)
     strain = strain * piece.weights[:, :, None, None]
     total = strain.reshape(loads, -1) @ stress.reshape(loads, -1).T
     return total, np.einsum("lcqij,lcqij->lc", strain, stress)
-
-
-def _deviatoric(tensor: Array) -> Array:
-    mean = np.trace(tensor, axis1=-2, axis2=-1) / 3.0
-    return tensor - mean[..., None, None] * np.eye(3)

@@ -29,32 +29,27 @@ Array = np.ndarray
 SMOOTH = np.radians(42.0)
 """Largest angle between neighbouring facets of a round surface: at larger angles an edge is an edge
 of the part, such as of a chamfer of 45 degrees. Nine cells round a hole are at 40 degrees to each
-other, eight at 45; the limit is off both, so that roundoff does not decide.
-"""
+other, eight at 45; the limit is off both, so that roundoff does not decide."""
 
 _COARSE = np.radians(61.0)
 """Largest angle between facets of a possibly round surface: six cells round are at 60 degrees."""
 
 _EQUAL = np.radians(1.0)
 """Largest turn within a flat face, and difference of equal angles: coordinates of five digits turn
-facets by less.
-"""
+facets by less."""
 
 _ALONG = np.cos(np.radians(30.0))
 """Cosine of the angle between edges along a polygon: 0 degrees of a prism, 22 of a pyramid whose
-six faces lean by 30 degrees; edges across are at 90.
-"""
+six faces lean by 30 degrees; edges across are at 90."""
 
 _OFF_CIRCLE = 1e-3
 """Largest difference of the faces' distances from the axis, as a part of their extent: coordinates
 of five digits change it by less. In a square bar whose chamfers are 5 % narrower than the sides it
-is 0.005.
-"""
+is 0.005."""
 
 _LEAST_LEAN = 1e-3
 """Least singular value, over the largest, of the faces' normals: in smaller ones, those of a prism
-along its axis, there is only roundoff of coordinates.
-"""
+along its axis, there is only roundoff of coordinates."""
 
 _IN_A_ROW = 4
 """Least number of faces of a polygon: half a ring of eight. Three are a side and two chamfers."""
@@ -62,14 +57,12 @@ _IN_A_ROW = 4
 STRAIGHT = 1e-3
 """Part of an edge's length: a midside node nearer to the edge's middle was put there by a program,
 in files with few digits too; across a round surface that turns by 0.5 degrees it bows out by as
-much.
-"""
+much."""
 
 _PARTS = tuple(0.5**halvings for halvings in range(8))
 """Parts of the bow that are tried in turn: in flat cells the full bow can turn a cell inside out,
 and the compliance changes in proportion. A hundredth of a change of 10 % is still a thousand
-times the roundoff.
-"""
+times the roundoff."""
 
 
 class Roundness(NamedTuple):

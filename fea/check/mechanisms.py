@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
-from wrenchbook.fea.inspection import Bodies, bodies_of, gap
+from wrenchbook.fea.mesh.bodies import Bodies, bodies_of, gap
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import FREEDOMS
@@ -51,7 +51,7 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     """Return a problem for each body that supports and coupling do not hold.
 
     bodies: those of the component's mesh before bolts are cut.
-    pairs: shape (k, 2), int64: indices of coincident nodes (`fea.inspection.coincident_nodes`).
+    pairs: shape (k, 2), int64: indices of coincident nodes (`fea.mesh.bodies.coincident_nodes`).
     """
     if bodies.count > _MAX_BODIES:
         message = (

@@ -28,21 +28,18 @@ from wrenchbook.fea.check.trial import (
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.deck.running import deck_report
 from wrenchbook.fea.inspection import (
-    Bodies,
-    bodies_of,
     coincidence_warnings,
-    coincident_nodes,
-    quality,
-    quality_warnings,
     set_up_warnings,
     stack_problems,
     strength_at,
 )
+from wrenchbook.fea.mesh.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.mesh.bolts import BoltCut
 from wrenchbook.fea.mesh.cad.meshing import list_shape
 from wrenchbook.fea.mesh.face_choice import line
 from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.quality import quality, quality_warnings
 from wrenchbook.fea.mesh.sources import mesh_of, surface_of
 from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solve import Solver
@@ -85,7 +82,7 @@ def report(
         mistakes), each a list of ``{"where", "message"}``. If the bundle allows it: ``name``,
         ``fingerprint``, ``has_fea``; ``faces`` and ``bodies`` of a geometry file (``faces`` with
         ``toml`` of any surface); ``unknowns`` (three a node), ``nodes``, ``cells``, ``groups``,
-        ``quality`` (see `fea.inspection`), ``parts``, ``coincident_nodes``; of an input deck
+        ``quality`` (see `fea.mesh.quality`), ``parts``, ``coincident_nodes``; of an input deck
         ``mesh_file`` (see `fea.check.deck_differences`); ``materials``, ``section`` (of several
         interfaces ``sections``, with their names), ``supports``, ``ties``, ``temperature`` and
         ``acceleration`` where there are any; ``estimate`` (`fea.check.cost.Cost`), ``trial``,
@@ -106,11 +103,7 @@ def report(
             except BundleError as other:
                 raise BundleError([*error.problems, *other.problems]) from None
             raise
-        summary |= {
-            "name": bundle.name,
-            "fingerprint": bundle.fingerprint,
-            "has_fea": bundle.has_fea,
-        }
+        summary |= {key: getattr(bundle, key) for key in ("name", "fingerprint", "has_fea")}
         if bundle.deck is not None:  # a deck answers in place of the embedded solver
             summary["deck"], warnings = deck_report(bundle.deck)
             summary["warnings"] += warnings
@@ -290,11 +283,8 @@ def _inspect_component(
     # The ranges of the further inputs, if there are any.
     temperature = component.temperature
     if temperature is not None:
-        summary["temperature"] = {
-            "low": temperature.low,
-            "high": temperature.high,
-            "reference": temperature.reference,
-        }
+        keys = ("low", "high", "reference")
+        summary["temperature"] = {key: getattr(temperature, key) for key in keys}
     if component.accelerated:
         summary["acceleration"] = [scalar.high for scalar in component.further[-3:]]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NotRequired, TypedDict
 
@@ -89,7 +90,6 @@ def solver_of(component: ComponentModel) -> Solver:
 def trial(solver: Solver, cost: Cost) -> tuple[Trial, list[BundleProblem]]:
     """Solve for unit inputs; return size, mass and deflection, and problems that prevent a solve.
 
-    solver: the component's.
     cost: estimate of one solve; above `_MAX_SECONDS` or `_MAX_BYTES` nothing is solved. The
     problems are ``mechanism`` and ``ill_conditioned``, with the text of the failure.
     """
@@ -143,15 +143,14 @@ def largest(compliance: Array, low: Array, high: Array) -> Array:
 
 def deflection_warnings(
     component: ComponentModel, deflection: list[float] | None
-) -> list[BundleProblem]:
-    """Return warnings if the full load range moves the part not at all, or too much.
+) -> Iterator[BundleProblem]:
+    """Yield warnings if the full load range moves the part not at all, or too much.
 
     deflection: shape (6 i,), m and rad; None for no warning.
     """
     if deflection is None:
-        return []
+        return
     moved = np.array(deflection)
-    problems = []
     degrees = float(np.degrees(largest_rotation(moved)))
     if degrees > MAX_DEGREES:
         several = len(component.interfaces) > 1
@@ -160,10 +159,11 @@ def deflection_warnings(
             f"rotates the interface by {degrees:.3g} degrees at the full range (linear estimate), "
             f"but solves of more than {MAX_DEGREES:g} degrees are refused; narrow {place}. {_UNITS}"
         )
-        problems.append(BundleProblem("range", message))
+        yield BundleProblem("range", message)
+
     limit = component.bundle.tolerance
     if limit is None:
-        return problems
+        return
     both = each_interface(moved)
     allowed = np.repeat([limit.translation, limit.rotation], 3)
     free = component.active
@@ -172,8 +172,7 @@ def deflection_warnings(
             f"moves the interface by at most {both[:, :3].max():.2g} m and {both[:, 3:].max():.2g} "
             f"rad, less than the tolerance, so the part is practically rigid. {_UNITS}"
         )
-        problems.append(BundleProblem("range", message))
-    return problems
+        yield BundleProblem("range", message)
 
 
 _UNITS = (
@@ -289,7 +288,7 @@ def strength(solver: Solver, nonlinear: bool) -> tuple[list[LargestStress], list
     warnings: list[BundleProblem] = []
     if nonlinear and component.analysis.nonlinear:
         warnings += _replace_by_nonlinear(solver, stresses)
-    return stresses, warnings + _yielding(component, stresses)
+    return stresses, [*warnings, *_yielding(component, stresses)]
 
 
 def _first_order_stresses(solver: Solver) -> list[LargestStress]:
@@ -379,9 +378,8 @@ def _replace_by_nonlinear(solver: Solver, stresses: list[LargestStress]) -> list
     return []
 
 
-def _yielding(component: ComponentModel, stresses: list[LargestStress]) -> list[BundleProblem]:
-    """Return warnings for materials whose largest stress exceeds their yield strength."""
-    problems = []
+def _yielding(component: ComponentModel, stresses: list[LargestStress]) -> Iterator[BundleProblem]:
+    """Yield warnings for materials whose largest stress exceeds their yield strength."""
     for number, material in enumerate(component.materials):
         key = f"material[{number}].yield_strength"
         strength = material.yield_strength
@@ -392,7 +390,7 @@ def _yielding(component: ComponentModel, stresses: list[LargestStress]) -> list[
                 "is compared with von Mises stress, which suits isotropic materials only; leave "
                 "it out"
             )
-            problems.append(BundleProblem(key, message))
+            yield BundleProblem(key, message)
         for stress in stresses:
             if stress.region == material.region and stress.largest > strength:
                 message = (
@@ -401,5 +399,4 @@ def _yielding(component: ComponentModel, stresses: list[LargestStress]) -> list[
                     "solver has no plasticity, so its answers are too stiff. Narrow [range], or "
                     "strengthen the part"
                 )
-                problems.append(BundleProblem(key, message))
-    return problems
+                yield BundleProblem(key, message)

@@ -65,7 +65,6 @@ def filled(deck: bytes, loads: Sequence[float]) -> bytes:
 def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tuple[Array, int]:
     """Run a deck once, in a folder made for it.
 
-    deck: the deck.
     wrench: shape (6,), N and N·m, with the kind of moment that the deck needs.
     folder: a new folder for its files, which stay.
     progress: called during the run if the reader knows the progress.
@@ -91,10 +90,7 @@ def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tup
 
 
 def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Reading:
-    """Run the command of a deck in its folder and read its output.
-
-    Raises SolveFailed as `run_deck`.
-    """
+    """Run the command of a deck and read its output; raise SolveFailed as `run_deck`."""
     program = deck.command[0].replace("{job}", run.job)
     code = _exit_code(deck, run, reader, progress)
     complaint = reader.complaint(run)
@@ -187,7 +183,6 @@ def run_command(
     exception the program and all processes in its process group are gone; they also end soon after
     this program is killed.
 
-    command: the program and its arguments.
     printed: file for its standard output and errors.
     timeout: seconds.
     watch: called a few times a second during the run.

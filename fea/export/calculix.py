@@ -235,10 +235,7 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
 
 
 def _orientation(number: int, orthotropic: Orthotropic, axes: Array) -> Iterator[str]:
-    """Yield a material's directions by a point on its x-axis and a point on its y-axis.
-
-    Directions about a cylinder's axis are given by two points of the axis.
-    """
+    """Yield directions by a point on x and a point on y, or by two points of a cylinder's axis."""
     if orthotropic.cylinder is not None:
         cylinder = orthotropic.cylinder
         point, axial = np.array([cylinder.point, cylinder.axis]) @ axes.T

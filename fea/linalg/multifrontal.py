@@ -332,10 +332,7 @@ class _LUFront:
 
 
 def _eliminate(dissection: Dissection, leaf: Leaf, kind: type, single: bool = False) -> Any:
-    """Factorise front by front; a condensed stiffness is deleted when its parent has used it.
-
-    Returns the fronts and the diagonal of the matrix.
-    """
+    """Factorise front by front; return the fronts, and the diagonal of the matrix."""
     diagonal = np.zeros(dissection.unknowns)
     dtype = np.float32 if single else np.float64
     fronts: list = []
@@ -387,10 +384,7 @@ def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed
 def _branch(
     part: Substructure, condensed: dict[int, Condensed], kind: type, dtype: Any
 ) -> tuple[Any, Condensed]:
-    """Return the front of a branch and its condensed stiffness; those of its children are deleted.
-
-    Indices ascend, so lower triangles remain lower.
-    """
+    """Return a branch's front and condensed stiffness; delete those of its children."""
     eliminated, boundary = part.eliminated, part.boundary.size
     ways = [
         route(condensed[child], indices, eliminated, boundary)

@@ -213,7 +213,6 @@ class Dissection:
 def dissect(cells: list[Array], centres: Array, free: Array) -> Dissection:
     """Cut a mesh into nested substructures.
 
-    cells: the nodes of each cell.
     centres: shape (cells, 3), m: where each cell is.
     free: shape (mesh nodes,), bool: the nodes whose displacement is unknown.
     """
@@ -255,10 +254,7 @@ class _Builder:
     def _add(
         self, cells: Array, children: tuple[int, ...], nodes: Array, uses: Array
     ) -> tuple[int, Array, Array]:
-        """Add a substructure, and eliminate the free nodes whose `uses` are all within it.
-
-        Return its number, its boundary nodes and their uses in it.
-        """
+        """Add a part; eliminate nodes with all `uses` in it. Return number, boundary and uses."""
         nodes, inverse = np.unique(nodes, return_inverse=True)
         uses = np.bincount(inverse, weights=uses, minlength=nodes.size).astype(np.int64)
         is_free = self.free[nodes]

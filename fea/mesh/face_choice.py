@@ -138,10 +138,7 @@ def _restrictions(
 
 
 def _nearest(surface: Surface, point: Point, where: str) -> int:
-    """Return the number of the face nearest to a point.
-
-    Raises BundleError if none is near, or several are equally near.
-    """
+    """Return the number of the face nearest to a point; raise BundleError unless one is."""
     off = np.linalg.norm(surface.middles - np.array(point), axis=1)
     limit = (off + surface.sizes).min() + _EDGE * surface.sizes.max()
     close = (off - surface.sizes <= limit)[surface.owners]

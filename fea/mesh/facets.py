@@ -129,8 +129,6 @@ class FaceFinder:
 
     A group may have 4-node or 9-node facets on 20-node hexahedra; they are replaced by faces of the
     cells.
-
-    blocks: the solid cells.
     """
 
     def __init__(self, blocks: tuple[CellBlock, ...]) -> None:
@@ -141,7 +139,6 @@ class FaceFinder:
     def find(self, kind: str, nodes: Array) -> tuple[list[FacetBlock], int]:
         """Return the faces with the corners of the facets `nodes`, and the number without any.
 
-        kind: kind of the facets.
         nodes: shape (f, k): indices of their nodes, corners first.
         """
         count = corners_of(kind)
@@ -157,6 +154,12 @@ class FaceFinder:
             if len(chosen):
                 blocks.append(FacetBlock(face_kind, faces[np.sort(chosen)]))
         return blocks, missing
+
+
+def triangles_of(group: FacetGroup) -> Array:
+    """Return the facets cut into triangles, seen from outside, (t, 3), int64: nodes."""
+    rows = [nodes[:, TRIANGLES[kind]].reshape(-1, 3) for kind, nodes in group.blocks]
+    return np.concatenate([np.empty((0, 3), dtype=np.int64), *rows])
 
 
 def corners_of(kind: str) -> int:

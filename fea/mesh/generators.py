@@ -87,7 +87,6 @@ def disc(radius: float, core: int) -> PlaneMesh:
     less stiffness in torsion.
 
     radius: m.
-    core: number of quadrilaterals across the core.
     """
     points, quads = round_corners(radius, core)
     section = quadratic(points, quads)
@@ -228,7 +227,6 @@ def sweep(section: PlaneMesh, layers: int, to_space: PointMap) -> Sweep:
     """Sweep `section` into `layers` layers of cells.
 
     section: Counter-clockwise about the direction of the sweep.
-    layers: number of layers.
     to_space: from section points, shape (k, 2), and the fraction of the way, shape (k,), from 0 to
     1, to points in space, shape (k, 3). Called once, so that any line is possible.
     """

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from wrenchbook.fea.mesh.facets import TRIANGLES, Face, corners_of, outer_surface
+from wrenchbook.fea.mesh.facets import TRIANGLES, Face, corners_of, outer_surface, triangles_of
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
 
@@ -56,13 +56,14 @@ class Surface:
         faces: tuple[Face, ...] = (),
     ) -> None:
         self.mesh = mesh
-        self.blocks = (group or outer_surface(mesh.blocks)).blocks
-        kinds = [(TRIANGLES[kind], corners_of(kind) - 1, nodes) for kind, nodes in self.blocks]
+        group = group or outer_surface(mesh.blocks)
+        self.blocks = group.blocks
         # A triangle has its third corner twice.
-        self.corners = np.concatenate([nodes[:, [0, 1, 2, last]] for _, last, nodes in kinds])
-        self.triangles = np.concatenate([nodes[:, rows].reshape(-1, 3) for rows, _, nodes in kinds])
-        counts = np.repeat([len(rows) for rows, _, _ in kinds], [len(n) for _, _, n in kinds])
-        self.owners = np.repeat(np.arange(len(counts)), counts)
+        corners = [nodes[:, [0, 1, 2, corners_of(kind) - 1]] for kind, nodes in self.blocks]
+        self.corners = np.concatenate(corners)
+        self.triangles = triangles_of(group)
+        counts = [np.full(len(nodes), len(TRIANGLES[kind])) for kind, nodes in self.blocks]
+        self.owners = np.repeat(np.arange(len(self.corners)), np.concatenate(counts))
 
         points = mesh.points[self.triangles]
         self.vectors = 0.5 * np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])

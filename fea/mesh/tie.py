@@ -307,12 +307,7 @@ class _Integrals(NamedTuple):
 
 
 def _integrals(
-    points: Array,
-    block: FacetBlock,
-    main: FacetGroup,
-    plane: Array,
-    distance: float,
-    edge: float,
+    points: Array, block: FacetBlock, main: FacetGroup, plane: Array, distance: float, edge: float
 ) -> _Integrals:
     """Integrate over the overlaps of a secondary block with the main surface.
 

@@ -60,7 +60,6 @@ def cauchy_stress(
 ) -> tuple[Array, Array]:
     """Return the Cauchy stresses of a displaced body, and their change with the inputs.
 
-    body: the cells.
     displacement: shape (n, 3), m.
     tangents: shape (n, 3, k): its change with the inputs, m per unit of each.
     temperature: K from the reference.

@@ -32,7 +32,6 @@ class LinearResponse:
     energies: Array
     # Shape (n, 3, k): nodal displacements per unit of each input, m per N, N·m, K and m/s^2
     fields: Array
-    condition: float  # Estimated condition of the scaled stiffness matrix
     # asymmetry, energy_gap: measured before `compliance` was made symmetric, and its
     # difference from `energies`: both relative to sqrt(C_ii C_jj).
     asymmetry: float
@@ -89,9 +88,7 @@ def linear_response(system: System) -> LinearResponse:
     sag = fields[:, :, inputs:].sum(axis=2)
     moved = displacements[:, inputs:].sum(axis=1)
     fields = fields[:, :, :inputs]
-    return LinearResponse(
-        compliance, energies, fields, condition, asymmetry, energy_gap, sag, moved
-    )
+    return LinearResponse(compliance, energies, fields, asymmetry, energy_gap, sag, moved)
 
 
 def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]:

@@ -114,7 +114,6 @@ def find_equilibrium(
     tangent: a linearisation at, or near, that state; its factor is released after the first
     correction.
     report: called after each iteration.
-    max_iterations: limit of the number of iterations.
 
     Raises Stuck if the iteration does not converge.
     """
@@ -160,7 +159,6 @@ def correct(
     """Apply a correction and measure it.
 
     balance: the state before, under the wrench of the new state.
-    tangent: the tangent of the correction.
     nodes, border: Shapes (n, 3), m, and (border,): the correction of the free nodes and of the
     border.
 

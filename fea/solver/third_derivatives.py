@@ -72,7 +72,6 @@ def third_derivatives(
 ) -> Array:
     """Return the third derivatives of the complementary energy by the loads (F, mu).
 
-    system: the equations.
     balance, tangent: a state in balance, and the tangent there.
     origin: shape (6 i,), m and rad: the zero of displacements; None for no displacement. mu works
     on rotation vectors relative to it.

@@ -142,10 +142,7 @@ def _file_name(match: re.Match[str], text: str) -> str | None:
 
 
 def _inside(folder: Path, here: Path, name: str, beside: str) -> Path:
-    """Return the resolved path of a file in a deck's folder.
-
-    Raises ValueError if there is no such file.
-    """
+    """Return the resolved path of a file in a deck's folder; raise ValueError without one."""
     paths = dict.fromkeys((root / name).resolve() for root in (folder, here))
     inside = [path for path in paths if path.is_relative_to(folder)]
     # Whether such a file exists must stay unknown to the sender.

@@ -181,10 +181,7 @@ def _names_nodes_of_cases(source: MeshSource | None, groups: object) -> bool:
 
 
 def _material(material: AnyMaterial, heated: bool) -> list[object]:
-    """Return a material's law; no yield strength, which changes no displacement, and no density.
-
-    Densities are hashed apart, where gravity or an acceleration acts.
-    """
+    """Return a material's law, without yield strength, and densities, hashed where they act."""
     content: list[object] = [material.region, material.youngs_modulus, material.poisson_ratio]
     if material.law != "isotropic":
         content.append(material.law)

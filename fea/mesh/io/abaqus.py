@@ -306,7 +306,7 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
             step = numbers[2] if len(numbers) > 2 else 1
             offset = frame.number * STRIDE
             generated = range(numbers[0] + offset, numbers[1] + 1 + offset, step)
-            _require_at_most(len(generated))
+            _require_at_most(len(members) + len(generated))
             members += generated
         else:
             for name in fields:

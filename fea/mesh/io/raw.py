@@ -53,7 +53,6 @@ class RawMesh:
 def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     """Return the mesh: scaled, one block for each kind, without points that no cell uses.
 
-    raw: content of the file.
     metres: the file's length unit in metres.
 
     Raises MeshFileError if there are no solid cells, some of an unsupported kind, references to

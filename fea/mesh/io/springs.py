@@ -92,10 +92,7 @@ def _held_freedoms(reader: Reader, step: Step) -> dict[int, set[int]]:
 def _labels(
     reader: Reader, deck: Deck, keyword: Keyword, remaining: Mapping[int, object]
 ) -> list[int]:
-    """Return the elements of a *SPRING.
-
-    Raises MeshFileError unless all are among `remaining`.
-    """
+    """Return the elements of a *SPRING; raise MeshFileError unless all are among `remaining`."""
     members = named(deck, deck.element_sets, keyword.option("ELSET"), keyword.frame)
     labels = sorted({*members})
     for label in labels:

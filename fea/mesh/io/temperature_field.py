@@ -80,10 +80,7 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
 
 
 def _table(field: Path) -> Array:
-    """Return x, y, z and temperature of each point of a file, (p, 4).
-
-    Raises BundleError if the file cannot be used.
-    """
+    """Return x, y, z and temperature of each point, (p, 4); raise BundleError for a wrong file."""
     with field.open(encoding="utf-8", errors="replace") as file:
         head = file.readline().strip()
     names = [name.strip().strip('"').lower()[:1] for name in head.split(",")]

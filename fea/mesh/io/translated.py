@@ -149,10 +149,7 @@ class _Blank(NamedTuple):
 
 
 def _midside_nodes(rows: list[list[str]]) -> tuple[dict[frozenset[str], str], list[_Blank]]:
-    """Return the midside node of each edge by its ends, and those that rows lack.
-
-    rows: numbers of each element and of its nodes.
-    """
+    """Return the midside node of each edge by its ends, and those that rows of elements lack."""
     kinds = {count: kind for kind, count in NODES_PER_CELL.items()}
     middles: dict[frozenset[str], str] = {}
     blanks: list[_Blank] = []
