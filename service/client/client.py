@@ -208,10 +208,7 @@ def _server_wait(chosen: Document) -> float:
 
 
 def deformed_format(file: str | Path) -> str:
-    """Return the format of a surface's file by its ending.
-
-    Raises InvalidArgument if the ending is unknown.
-    """
+    """Return the format of a surface's file by its ending; raises InvalidArgument."""
     return format_of(file, "surface", FORMATS)
 
 

@@ -232,10 +232,7 @@ def _field(message: Message, name: str) -> Message:
 
 
 def _number(message: Message, name: str, axis: str) -> float:
-    """Return a component of a message's force or torque.
-
-    Raises InvalidArgument if it is no number.
-    """
+    """Return a component of a message's force or torque; raises InvalidArgument if it is none."""
     vector = _field(message, name)
     member = None if vector is None else _field(vector, axis)
     if member is None:

@@ -36,18 +36,12 @@ _IMPORT_S = 300.0  # s: a million rows take a minute, and an earlier import in t
 
 
 def table_format(file: str | Path) -> str:
-    """Return the format of a table file to be written, by its ending.
-
-    Raises InvalidArgument if the ending is unknown.
-    """
+    """Return the format of a table file to be written; raises InvalidArgument by its ending."""
     return format_of(file, "table", _ENDINGS, ", or use wrenchbook export for .fmu and .zip")
 
 
 def format_of(file: str | Path, kind: str, formats: Mapping[str, str], more: str = "") -> str:
-    """Return the format of a file's ending.
-
-    Raises InvalidArgument if the ending is not in `formats`.
-    """
+    """Return the format of a file's ending; raises InvalidArgument if it is not in `formats`."""
     suffix = Path(file).suffix
     if suffix.lower() not in formats:
         named = f"the ending {suffix}" if suffix else "no ending"
@@ -58,10 +52,7 @@ def format_of(file: str | Path, kind: str, formats: Mapping[str, str], more: str
 
 
 def check_readable(file: str | Path) -> None:
-    """Check that a file's ending is not that of another kind of file.
-
-    Raises InvalidArgument if it is.
-    """
+    """Raise InvalidArgument if a file's ending is that of a file other than a table."""
     suffix = Path(file).suffix.lower()
     if suffix in _NOT_READ:
         raise InvalidArgument(

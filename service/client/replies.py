@@ -351,10 +351,7 @@ def _stacked(answers: Sequence[Json], shape: tuple[int, ...]) -> Vector:
 
 
 def _named(names: Sequence[str], block: Vector, word: str) -> Document:
-    """Return a block's columns by name.
-
-    If their number is not that of `names`, by `word` and index.
-    """
+    """Return a block's columns by name; by `word` and index if there are more or fewer."""
     if block.shape[1] != len(names):
         names = [f"{word} {place}" for place in range(block.shape[1])]
     return named_columns(names, block)

@@ -36,10 +36,7 @@ _SINGLE_PRECISION = 1e-6  # largest error of a pose; the displacement is exact t
 
 
 def checked_rotation(name: str, matrix: ArrayLike) -> Vector:
-    """Return a rotation matrix (3, 3), dimensionless.
-
-    Raises InvalidArgument if it is no rotation matrix.
-    """
+    """Return a rotation matrix (3, 3), dimensionless; raises InvalidArgument if it is none."""
     axes = floats_of(name, matrix, (3, 3))
     skew = float(np.abs(axes.T @ axes - np.eye(3)).max())
     determinant = np.linalg.det(axes)
@@ -53,10 +50,7 @@ def checked_rotation(name: str, matrix: ArrayLike) -> Vector:
 
 
 def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
-    """Return a pose, axes as columns (3, 3) and point (3,), m.
-
-    Raises InvalidArgument if it is no pose.
-    """
+    """Return a pose, axes (3, 3) and point (3,), m; raises InvalidArgument if it is none."""
     return checked_rotation("R0", R0), floats_of("p0", p0, (3,))
 
 

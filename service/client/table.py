@@ -201,10 +201,7 @@ class Table:
         slope: Floats | None,
         interfaces: Mapping[str, Displacement] | None = None,
     ) -> Displacement:
-        """Return an answer with a reply's six outputs from index `first` on.
-
-        Without outputs if None.
-        """
+        """Return an answer with a reply's six outputs from index `first` on, if it is given."""
         moved, error = (None, None) if first is None else (reply.outputs, reply.error)
         start = first or 0
         source = "table" if reply.outputs else None

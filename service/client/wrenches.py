@@ -210,10 +210,7 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
 
 
 def floats_of(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Vector:
-    """Return a copy of an argument as finite floats of a shape.
-
-    Raises InvalidArgument if it is not of that form.
-    """
+    """Return a copy of an argument as finite floats of a shape; raises InvalidArgument."""
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError):

@@ -130,10 +130,7 @@ class Joint:
             raise InvalidArgument(f"{self._name}: {error}") from error
 
     def _require_stiffness(self) -> None:
-        """Refuse a table without stiffness.
-
-        Warn of wrenches in its range at which it cannot be inverted.
-        """
+        """Refuse a table without stiffness; warn of wrenches at which it cannot be inverted."""
         packed, at, method = self._packed, self._at, self._method
         free = at[self.free]  # indices of the table's loads and outputs
         sample = packed.sample(self._inputs(np.zeros(self._size)), free)
@@ -143,6 +140,7 @@ class Joint:
         is_nearest_row = (compliances == 0.0).all(axis=(1, 2))  # an answer without a slope
         compliances[rotates_too_far | is_nearest_row] = np.nan
         least, loads = packed.weakest(compliances, packed.load_scale[free])
+
         known = int(np.isfinite(least).sum())
         is_indefinite = least < 0.0
         if not known:
@@ -201,6 +199,7 @@ class Joint:
         return self._last_wrench()
 
     def _last_wrench(self) -> Vector:
+        """Return `wrench`; the joints of a scene know it by the velocity after the step."""
         return np.array(self._reply["wrench"])
 
     @property
@@ -210,10 +209,7 @@ class Joint:
 
     @property
     def error(self) -> Vector:
-        """Error bar of the last step's wrench at its pose, shape (6,), N and N·m.
-
-        NaN if unknown.
-        """
+        """Error bar of the last step's wrench at its pose, (6,), N and N·m; NaN if unknown."""
         return np.array(self._reply["wrench_error"])
 
     @property
@@ -325,6 +321,7 @@ class Joint:
         dt = float(dt) if isinstance(dt, Real) else floats_of("dt", dt, ()).item()
         if not 0.0 < dt < math.inf:
             raise InvalidArgument(f"dt must be a finite number of seconds above 0, not {dt:g} s")
+
         steps = self._steps
         turned = [quaternion(rotation_vector(matrix)) for matrix in rotations]
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = p, np.squeeze(turned)
@@ -476,10 +473,7 @@ class Joint:
 
 
 def rotation_vector(R: ArrayLike) -> Vector:
-    """Return the rotation vector (3,), rad, of a matrix.
-
-    Raises InvalidArgument for half a turn or more.
-    """
+    """Return the rotation vector (3,), rad, of a matrix; raises InvalidArgument for half a turn."""
     matrix = checked_rotation("R", R)
     sine = 0.5 * np.array(
         [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]

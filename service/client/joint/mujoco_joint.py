@@ -111,11 +111,13 @@ class MujocoJoint(Joint):
             )
         super().__init__(table, damping, interface=interface, method=method, inputs=inputs)
         refuse_rk4(model)
+
         self._model = model
         self._data = data
         self._base, self._tips = base, self._bodies(tip, bodies)
         tips = ", ".join(map(repr, self._tips))
         self._name = f"{table.name} at {'tips' if self._several else 'tip'} {tips}"
+
         parent = body_number(model, base)
         for name in self._tips:
             actual = int(model.body_parentid[body_number(model, name)])
@@ -184,6 +186,7 @@ class MujocoJoint(Joint):
                 self._blocks.append(slice(first, first + len(block)))
                 pairs.append([len(self.free) * (first + rows) + first + columns, positions])
             dofs += block.tolist()
+
         self._pairs, self._at_pairs = np.hstack([np.empty((2, 0), dtype=int), *pairs])
         self._dofs: Any = np.array(dofs) if self._several else slice(dofs[0], dofs[-1] + 1)
         self._units = np.eye(self._model.nv)[self._dofs]
@@ -208,6 +211,7 @@ class MujocoJoint(Joint):
                 "data belongs to another model; create it from this model: mujoco.MjData(model)"
             )
         self._use(steps, at)
+
         before = _JOINTS.get(self._data, {})
         self._data = data
         self._pose = None
@@ -224,10 +228,12 @@ class MujocoJoint(Joint):
             (poses[k, to : to + n], qpos[at : at + n]) for k, to, at, n in self._runs
         ]
         self._turned = [(poses[k, 3:], axis, qpos[at : at + 1]) for k, axis, at in self._hinges]
+
         self._velocities = data.qvel
         self._applied = data.qfrc_applied
         self._mass = data.M
         self._base_pose = data.xpos[self._unmoved], data.xquat[self._unmoved]
+
         for start in self._starts:
             before.pop((start, id(self)), None)
             _JOINTS.setdefault(data, WeakValueDictionary())[start, id(self)] = self
@@ -393,10 +399,7 @@ def pull_joints(*joints: MujocoJoint) -> None:
 
 
 def require_scene(joints: Sequence[MujocoJoint]) -> None:
-    """Check that joints are all those of one scene, and its time step is above zero.
-
-    Raises JointError otherwise.
-    """
+    """Raise JointError unless joints are all those of one scene, whose time step is above zero."""
     if not joints:
         raise JointError(
             "step_joints has no joints to step; pass all joints of the scene: step_joints(a, b)"

@@ -211,6 +211,7 @@ class ContractionWatch:
         records = self.records + 1 if opposite and size >= RECORD * self.largest else 0
         further = along > ONWARD * size * self.size and size >= RECORD * self.largest
         onward = self.onward + 1 if further else 0
+
         # Residuals within the tolerance do not count.
         first = self.first if steady > 1 else self.size
         if size > 1.0 and (records >= BURST or (steady >= CYCLE and size >= first)):
@@ -248,6 +249,7 @@ class CycleWatch:
         self._count += 1
         if self._count < SPAN:
             return
+
         self._count = 0
         before = self._spread
         spreads = np.ptp(self._answers, axis=0)
@@ -264,6 +266,7 @@ class CycleWatch:
             factors, *_ = np.linalg.lstsq(model, answers[LAGS:], rcond=None)
             unexplained = answers[LAGS:] - model @ factors
             swings = float(unexplained.var()) < UNEXPLAINED * float(answers.var())
+
         self._rows = self._rows + 1 if swings and self._spread >= STEADY * before else 0
         if self._rows > SPANS:
             raise CouplingDiverged(
@@ -280,10 +283,7 @@ def within_limit(displacement: Vector) -> Vector:
 
 
 def require_within_limit(displacement: Vector, component: str) -> None:
-    """Check that an equilibrium (6,), m and rad, is within the largest rotation of a table.
-
-    Raises CouplingDiverged if it is not.
-    """
+    """Raise CouplingDiverged if an equilibrium (6,), m and rad, rotates beyond all tables."""
     turned = math.degrees(math.sqrt(float(displacement[3:] @ displacement[3:])))
     if turned > math.degrees(LARGEST_TURN):
         raise CouplingDiverged(
@@ -351,13 +351,13 @@ class CouplingIteration:
 
 @dataclass
 class Loop:
-    """Base class of the static loops."""
+    """A scene that stands still and a component: a limited number of answers, each recorded."""
 
     read: Callable[[Vector], Vector]  # the scene: displacement (6,), m and rad, to wrench
     ask: Callable[[Vector], tuple[Displacement, Vector]]  # the component: wrench to answer (6,)
     scale: Scale
     accuracy: float  # tolerances by which each output may still be off
-    most: int  # largest number of answers
+    max_answers: int
     residuals: list[float] = field(default_factory=list)  # in tolerances
 
     def evaluate(self, displacement: Vector) -> CouplingIteration:
@@ -365,10 +365,10 @@ class Loop:
 
         Raises CouplingDiverged after the last allowed answer.
         """
-        if len(self.residuals) >= self.most:
+        if len(self.residuals) >= self.max_answers:
             raise CouplingDiverged(
-                f"the coupling has not settled after {self.most} answers: pose and answer are "
-                f"{self.residuals[-1]:.3g} tolerances apart, above {self.accuracy:g}. If they "
+                f"the coupling has not settled after {self.max_answers} answers: pose and answer "
+                f"are {self.residuals[-1]:.3g} tolerances apart, above {self.accuracy:g}. If they "
                 f"still approach, raise most=. {REMEDY}",
                 self.residuals,
             )
@@ -409,6 +409,28 @@ def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> Coupling
     return state
 
 
+def newton_step(compliance: Vector, stiffness: Vector, residual: Vector) -> Vector:
+    """Return the change of displacement (6,), m and rad, by which a residual (6,) becomes zero.
+
+    It is (I - C K)^-1 r with the compliance C and the scene's stiffness K (6, 6), SI. Outputs whose
+    compliance is NaN count as rigid.
+    """
+    return np.linalg.solve(np.eye(6) - np.nan_to_num(compliance) @ stiffness, residual)
+
+
+def _stiffness_of_scene(loop: Loop, state: CouplingIteration) -> Vector:
+    """Return the scene's dw/du (6, 6), SI, by small motions from a state, to which it returns."""
+    stiffness = np.empty((6, 6))
+    tolerance = loop.scale.tolerance
+    sizes = np.where(tolerance > 0.0, STEP * tolerance, STEP_WITHOUT_TOLERANCE)
+    for column, size in enumerate(sizes):
+        displacement = state.displacement.copy()
+        displacement[column] += size
+        stiffness[:, column] = (loop.read(displacement) - state.wrench) / size
+    loop.read(state.displacement)
+    return stiffness
+
+
 def by_newton(
     loop: Loop, start: Vector, stiffness: Vector | None
 ) -> tuple[CouplingIteration, float | None]:
@@ -422,27 +444,16 @@ def by_newton(
     state = loop.evaluate(start)
     radius = None
     while state.size > loop.accuracy:
-        slope = stiffness
-        if slope is None:  # by small motions of the scene
-            slope = np.empty((6, 6))
-            sizes = np.where(
-                loop.scale.tolerance > 0.0, STEP * loop.scale.tolerance, STEP_WITHOUT_TOLERANCE
-            )
-            for column, size in enumerate(sizes):
-                displacement = state.displacement.copy()
-                displacement[column] += size
-                slope[:, column] = (loop.read(displacement) - state.wrench) / size
-            loop.read(state.displacement)  # restores the scene's position
+        slope = _stiffness_of_scene(loop, state) if stiffness is None else stiffness
         compliance = state.answer.derivative
         if compliance is None:
             raise MountError(
                 f"{state.answer.component} has no derivative at this wrench, which Newton needs; "
                 "settle with relaxation='aitken'"
             )
-        product = np.nan_to_num(compliance) @ slope  # NaN: an output that counts as rigid
         radius = spectral_radius(np.nan_to_num(compliance), slope)
         try:
-            step = np.asarray(np.linalg.solve(np.eye(6) - product, state.residual), dtype=float)
+            step = newton_step(compliance, slope, state.residual)
         except np.linalg.LinAlgError:
             raise CouplingDiverged(
                 "the scene has no stable equilibrium here: its negative stiffness cancels the "
@@ -450,6 +461,7 @@ def by_newton(
                 loop.residuals,
                 radius,
             ) from None
+
         fraction = 1.0  # the part of the step that leads nearer
         before = state
         for _ in range(HALVINGS):

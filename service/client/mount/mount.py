@@ -26,6 +26,7 @@ from .coupling import (
     Settled,
     by_newton,
     by_relaxation,
+    newton_step,
     require_within_limit,
     stable_factor,
     within_limit,
@@ -202,22 +203,22 @@ class Mount:
         self._stepped = self._warned = self._primed = False
         self._stiffness = None if stiffness is None else floats_of("stiffness", stiffness, (6, 6))
         self.place(R0, p0)
+
         limit = None if tolerance is None else tolerance_body(tolerance)
         self.recorder: Recorder | None = None
         self._ask: Ask | None = None
         if mode == "table" and hasattr(source, "answer"):
             limit, self._ask = from_table(cast("Table", source), component, limit, method)
-        else:
+        elif mode == "table":
             server = require_server(source, mode)
-            if mode == "solve":
-                limit, self._ask = from_solves(
-                    server, component, limit, solve_timeout, beyond_range
-                )
-            elif mode == "table":
-                limit, self._ask = from_server(server, component, limit, method, on_thin)
-            else:
-                kind = "recording" if mode == "record" else "envelope"
-                self.recorder = Recorder(server, component, kind, block)
+            limit, self._ask = from_server(server, component, limit, method, on_thin)
+        elif mode == "solve":
+            server = require_server(source, mode)
+            limit, self._ask = from_solves(server, component, limit, solve_timeout, beyond_range)
+        else:
+            kind = "recording" if mode == "record" else "envelope"
+            self.recorder = Recorder(require_server(source, mode), component, kind, block)
+
         self._scale = Scale(limit)
         self.restart()
         warn_if_ringing(source, component, natural_frequency, ramp_time, carried)
@@ -338,30 +339,17 @@ class Mount:
         if target is not None:
             self._scale.see(target)
             residual = target - self.displacement
-            product = None
-            if self._newton:
-                if self._stiffness is None:
-                    raise InvalidArgument(
-                        "a step with relaxation='newton' needs the scene's stiffness; create the "
-                        "mount with stiffness=, call settle() instead, or use relaxation='aitken'"
-                    )
-                if answer.derivative is None:
-                    raise InvalidArgument(
-                        f"{self.component} has no derivative at this wrench, which "
-                        f"relaxation='newton' needs; run wrenchbook fill {self.component}, or use "
-                        "relaxation='aitken'"
-                    )
-                product = np.nan_to_num(answer.derivative) @ self._stiffness
+            slopes = self._newton_slopes(answer) if self._newton else None
             factor = self._relaxation.follow(self._scale.measure(residual), driven=True)
-            change = factor * residual
-            if product is not None:
-                change = np.linalg.solve(np.eye(6) - product, residual)
+            change = factor * residual if slopes is None else newton_step(*slopes, residual)
             moved = within_limit(self.displacement + change)
+
             self._cycles.see(self._scale.measure(target))
             self._beyond = 0 if within_limit(target) is target else self._beyond + 1
             if self._beyond > BEYOND:
                 require_within_limit(target, self.component)
             self.displacement = moved
+
         self.last = answer
         self._stepped = True
         return self.pose
@@ -428,12 +416,13 @@ class Mount:
                 )
             return answer, target
 
-        loop = Loop(read, ask, self._scale, accuracy, most)
+        loop = Loop(read, ask, self._scale, accuracy, max_answers=most)
         radius = None
         if self._newton:
             state, radius = by_newton(loop, self.displacement, self._stiffness)
         else:
             state = by_relaxation(loop, self.displacement, self._relaxation)
+
         require_within_limit(state.displacement, self.component)
         self.displacement = state.displacement
         self.last = state.answer
@@ -461,6 +450,23 @@ class Mount:
         """Send the saved wrenches that are not sent yet."""
         if self.recorder is not None:
             self.recorder.close()
+
+    def _newton_slopes(self, answer: Displacement) -> tuple[Vector, Vector]:
+        """Return the answer's compliance and the scene's stiffness, (6, 6) each, SI.
+
+        Raises InvalidArgument if one of them is unknown.
+        """
+        if self._stiffness is None:
+            raise InvalidArgument(
+                "a step with relaxation='newton' needs the scene's stiffness; create the mount "
+                "with stiffness=, call settle() instead, or use relaxation='aitken'"
+            )
+        if answer.derivative is None:
+            raise InvalidArgument(
+                f"{self.component} has no derivative at this wrench, which relaxation='newton' "
+                f"needs; run wrenchbook fill {self.component}, or use relaxation='aitken'"
+            )
+        return answer.derivative, self._stiffness
 
     def _answer(self, wrench: Vector) -> tuple[Displacement, Vector | None]:
         """Count and return the answer to a wrench (6,), N and N·m, and its numbers (6,), if any.
@@ -496,10 +502,7 @@ def _require_word(name: str, word: str, known: tuple[str, ...]) -> None:
 
 
 def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
-    """Return a reading as a wrench (6,), N and N·m.
-
-    Raises SensorError if a number is not finite.
-    """
+    """Return a reading as a wrench (6,), N and N·m; raises SensorError unless it is finite."""
     try:
         return single_wrench(force, moment)
     except ValueError as error:
