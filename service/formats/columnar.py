@@ -38,6 +38,7 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
                 f"{MAX_ROWS:,} rows and {options.columns.most} columns"
             )
         require_unpacked(sum(metadata.row_group(at).total_byte_size for at in groups))
+
         # The index of a pandas data frame is no column of the table.
         index = tuple(name for name in schema.names if name.startswith("__index_level_"))
         options = replace(options, ignore=(*options.ignore, *index))
@@ -48,6 +49,7 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
             tags = field.metadata or {}
             unit = tags.get(b"unit") or tags.get(b"units") or b""
             labels.append(with_unit(field.name, unit.decode(errors="replace"), options.columns))
+
         # Equal texts of a batch are in memory once.
         with parquet.ParquetFile(path, read_dictionary=texts, pre_buffer=False) as file:
             batches = file.iter_batches(batch_size=PIECE, use_threads=False)

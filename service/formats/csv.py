@@ -74,7 +74,8 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         with path.open("rb") as content:
             delimiter = _delimiter(lines_of(content, encoding), options)
         with path.open("rb") as content:
-            width = _blank_width(content, encoding) if delimiter == " " else 0
+            rows = filter(is_row, map(str.split, lines_of(content, encoding)))
+            width = len(next(rows, ())) if delimiter == " " else 0  # cells between blanks
     except BrokenLineError as error:
         report.mistakes.ruin(error.line, "line", str(error))
         return
@@ -105,15 +106,6 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         body = _Body(content, encoding, delimiter, header, mark, inputs, report.mistakes)
         pieces = body.pieces(first[0]) if first else iter(())
         yield from read_pieces(header, pieces, options, report, cell_format)
-
-
-def _blank_width(content: BinaryIO, encoding: str) -> int:
-    """Return the number of cells of the first row of a text with blanks between cells, or 0."""
-    for line in lines_of(content, encoding):
-        row = line.split()
-        if is_row(row):
-            return len(row)
-    return 0
 
 
 class _ArrowColumns(NamedTuple):
@@ -291,10 +283,7 @@ class _Lines(list[str]):
 
 
 def encoding_of(path: Path) -> str:
-    """Return the encoding of a file: utf-8-sig, utf-16 (with a mark) or cp1252.
-
-    Raises ContentError if it is none of these.
-    """
+    """Return a file's encoding: utf-8-sig, utf-16 (with a mark) or cp1252; raises ContentError."""
     with path.open("rb") as content:
         head = content.read(4)
         if head.startswith(b"PK\x03\x04"):

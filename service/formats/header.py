@@ -87,10 +87,7 @@ class Preamble:
         return self._any
 
     def add(self, cells: list[str]) -> bool:
-        """Read a line if it belongs to a preamble; return whether it does.
-
-        Raises ValueError if a number is not above zero.
-        """
+        """Read a line; return whether a preamble has it. Raises ValueError on a wrong number."""
         filled = [cell.strip() for cell in ",".join(cells).split(",") if cell.strip()]
         if filled and filled[0].lower().startswith("start time"):
             filled = [" ".join(filled)]  # a date may contain commas

@@ -183,14 +183,10 @@ def _read_table(table: Any, options: Options, report: ReadReport) -> Iterator[Pa
             mistakes.ruin(0, key, problem)
             return
 
-    pieces = _pieces(table["rows"], columns, mistakes)
+    rows = table["rows"]
+    starts = range(0, len(rows), PIECE)
+    pieces = (_piece(rows[start : start + PIECE], start, columns, mistakes) for start in starts)
     yield from read_pieces(array_header(columns), pieces, options, report, CellFormat())
-
-
-def _pieces(rows: list[Any], columns: Columns, mistakes: Mistakes) -> Iterator[Piece]:
-    """Yield the good rows, of `PIECE` rows of the file at a time."""
-    for start in range(0, len(rows), PIECE):
-        yield _piece(rows[start : start + PIECE], start, columns, mistakes)
 
 
 def _piece(rows: list[Any], start: int, columns: Columns, mistakes: Mistakes) -> Piece:

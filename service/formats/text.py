@@ -508,10 +508,7 @@ class _Conversion:
 
 
 def _floats(cells: Sequence[str], comma: bool) -> Array | None:
-    """Return a column, shape (n,), NaN where a cell is empty.
-
-    None if a cell is no finite number.
-    """
+    """Return a column, (n,), NaN where a cell is empty; None if a cell is no finite number."""
     joined = "".join(cells)
     if "_" in joined or not joined.isascii() or (comma and "." in joined):
         return None

@@ -27,10 +27,10 @@ from wrenchbook.service.formats.text import read_records
 
 MAX_UNPACKED = 1024 * 1024 * 1024  # bytes: a million rows of 12 numbers are 500 MB of XML
 MAX_IN_MEMORY = 64 * 1024 * 1024  # bytes of a member that is no sheet: texts, styles
-MAX_MEMBERS = 1000
+MAX_MEMBERS = 1000  # files in a workbook: sheets, styles and pictures are some dozens
 MAX_SHEET_ROWS = 1_048_575  # rows of a sheet below the header (ECMA-376)
 ABOUT_SHEET = "about"  # sheet of an export's metadata; it has no rows
-_BLOCK = 1 << 20
+_BLOCK = 1 << 20  # bytes of a member in memory at once
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _SAVE_AGAIN = "save it again from a spreadsheet program"
 _ENCRYPTED = 1  # the flag of an encrypted member (APPNOTE.TXT, 4.4.4)
@@ -196,12 +196,13 @@ def _sheets(file: BinaryIO, *, values: bool) -> dict[str, Any]:
 
 def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Record]:
     """Yield number and cells of each row with text; for a formula without a value its place."""
-    below = None
+    formula_rows = None
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > MAX_SHEET_ROWS + 1:
             raise ContentError(
                 f"the sheet {sheet.title} has over {MAX_SHEET_ROWS + 1:,} rows; send it in parts"
             )
+
         width = max((at for at, value in enumerate(row, start=1) if value is not None), default=0)
         if width > most:
             place = f"row {number} of the sheet {sheet.title}"
@@ -209,10 +210,11 @@ def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Rec
         cells = [_text(value) for value in row[:most]]
         if not any(cells):
             continue
+
         if None in row[:most]:
-            below = below or enumerate(formulas().iter_rows(), start=1)
-            _, computed = next(pair for pair in below if pair[0] == number)
-            for at, cell in enumerate(computed[: len(cells)]):
+            formula_rows = formula_rows or enumerate(formulas().iter_rows(), start=1)
+            _, formula_row = next(pair for pair in formula_rows if pair[0] == number)
+            for at, cell in enumerate(formula_row[: len(cells)]):
                 if not cells[at] and cell.value is not None:
                     cells[at] = f"{NO_VALUE}{sheet.title}!{cell.coordinate}"
         yield number, cells
@@ -242,10 +244,7 @@ def unescape(text: str) -> str:
 
 
 def _check_entries(entries: Sequence[zipfile.ZipInfo]) -> None:
-    """Check that a zip file is a workbook of a spreadsheet program.
-
-    Raises ContentError if it is not.
-    """
+    """Raise ContentError unless a zip file is a workbook of a spreadsheet program."""
     if len(entries) > MAX_MEMBERS:
         raise ContentError(
             f"holds {len(entries):,} files, more than the {MAX_MEMBERS:,} of a workbook; "
