@@ -25,13 +25,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import InvalidArgument
-from .rotation import sinc
+from .rotation import SINGLE_PRECISION, sinc
 from .wrenches import Vector, single_wrench
 
 Message: TypeAlias = Any  # an object of another program
 Side = Literal["parent", "child"]
-# Largest error of rotation matrices of other programs, which often are float32.
-SINGLE_PRECISION = 1e-6
 
 
 def moved(

@@ -32,7 +32,9 @@ def rotation_matrix(rotation: ArrayLike) -> Vector:
     )
 
 
-_SINGLE_PRECISION = 1e-6  # largest error of a pose; the displacement is exact to its square
+# Largest error of another program's rotation matrix, which often is float32; the displacement is
+# exact to its square.
+SINGLE_PRECISION = 1e-6
 
 
 def checked_rotation(name: str, matrix: ArrayLike) -> Vector:
@@ -40,11 +42,11 @@ def checked_rotation(name: str, matrix: ArrayLike) -> Vector:
     axes = floats_of(name, matrix, (3, 3))
     skew = float(np.abs(axes.T @ axes - np.eye(3)).max())
     determinant = np.linalg.det(axes)
-    if skew > _SINGLE_PRECISION or determinant < 0.0:
+    if skew > SINGLE_PRECISION or determinant < 0.0:
         raise InvalidArgument(
             f"{name} must be a right-handed rotation matrix with the frame's axes as columns, but "
             f"{name}^T {name} differs from the identity by {skew:.3g} (at most "
-            f"{_SINGLE_PRECISION:g}), and the determinant is {determinant:.3g}"
+            f"{SINGLE_PRECISION:g}), and the determinant is {determinant:.3g}"
         )
     return axes
 

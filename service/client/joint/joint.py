@@ -425,6 +425,7 @@ class Joint:
                 f"rad, so the wrench there is undefined; {self._more_rows()}, or lock the freedom "
                 "that does not move"
             )
+
         if ranges > MAX_RANGES:
             raise JointRangeError(f"{self._name}: {self._excess(ranges)}. {self._remedy}")
         if ranges > 1.0:
@@ -486,10 +487,7 @@ def rotation_vector(R: ArrayLike) -> Vector:
 
 
 def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, ...]:
-    """Return a table's further inputs, by their names, in its order.
-
-    Raises InvalidArgument if an input is unknown, missing or beyond its range.
-    """
+    """Return a table's further inputs, by their names, in its order; raises InvalidArgument."""
     space = table.space
     count = len(table.space.scalars)
     if not isinstance(by_name, Mapping):
@@ -533,6 +531,7 @@ def moving(table: Table, interface: str | None, several: bool = True) -> MovingF
     free = ~table.packed.locked[indices]
     moves = free.any(axis=1)
     names = tuple(np.array(table.space.interfaces)[moves].tolist())
+
     if not names:
         raise InvalidArgument(
             f"{table.name} is rigid, because all its freedoms are locked; weld the bodies instead"
@@ -548,6 +547,7 @@ def moving(table: Table, interface: str | None, several: bool = True) -> MovingF
             f"{table.name} has no interface {interface!r} that moves; set interface to one of: "
             f"{listed}"
         )
+
     if len(names) > 1 and (interface is not None or not several):
         wanted = "springs need" if interface is None else f"interface={interface!r} needs"
         remedy = "" if interface is None else ", or leave out interface for a joint at all"

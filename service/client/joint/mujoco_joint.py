@@ -411,6 +411,7 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
             "for each MjData, with its own joints"
         )
     refuse_rk4(joints[0]._model)  # the user may have chosen it since
+
     stepped = [start for joint in joints for start in joint._starts]
     of_scene = _by_tip(joints[0]._data)
     if len(set(stepped)) < len(stepped):
@@ -429,6 +430,7 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
             "the complete scene without the others. Call wrenchbook.step_joints(a, b) once instead "
             "of a.step(); b.step() (MujocoJoints: a.step(b))"
         )
+
     if not 0 < (step := joints[0]._scene.timestep) < np.inf:
         raise JointError(
             f"the scene's time step is {step} s; set model.opt.timestep to a finite number above 0"

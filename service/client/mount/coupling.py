@@ -23,9 +23,7 @@ from ..wrenches import Vector
 RELAXATIONS = ("aitken", "newton", "off")
 # Limits of the factor: 0.02 is stable for G = 99, 1 takes the answer itself.
 SMALLEST, LARGEST = 0.02, 1.0
-# Growth of the factor while the pose does not overshoot: slow, since only an overshoot shows a too
-# large factor.
-GROWTH = 1.3
+GROWTH = 1.3  # of the factor without overshoot: slow, since only an overshoot shows a too large one
 # Signs of divergence: a row of residuals, each opposite to the one before. Loads that change by
 # themselves make such rows too, but short ones and of all sizes. White noise is opposite and as
 # large with a chance of 0.4: once in two million syncs over sixteen.
@@ -49,13 +47,11 @@ DERIVED = 1e-3  # part of the largest answer so far: the tolerance if none is gi
 # and swing by more than 2 tolerances; more than 3 spans in a row do not become smaller. A scene
 # that converges has done so long before.
 SPAN, SHORTEST, SWING, SPANS = 64, 12, 2.0, 3
-# Unexplained part of the variance of answers in a cycle; noise leaves 0.7 and more.
-UNEXPLAINED = 0.5
+UNEXPLAINED = 0.5  # part of the variance of answers in a cycle; noise leaves 0.7 and more
 LARGEST_TURN = math.radians(20.0)  # limit of the wrench contract
 BEYOND = 16  # syncs in a row with an answer beyond the limit: the load causes it, and no overshoot
 HALVINGS = 6  # halvings of a Newton step that leads further away: 1/64 of it is still a direction
-# Residuals in a row that grow in the same direction: no overshoot, and no equilibrium ahead.
-RUNAWAY = 6
+RUNAWAY = 6  # residuals in a row that grow in the same direction: no equilibrium ahead
 STEP = 1.0  # tolerances: motion of a scene for its stiffness by differences
 STEP_WITHOUT_TOLERANCE = 1e-9  # m or rad: the same before an answer has given a tolerance
 LAGS = 4  # earlier answers in the autoregression of a cycle: enough for two oscillations
@@ -361,10 +357,7 @@ class Loop:
     residuals: list[float] = field(default_factory=list)  # in tolerances
 
     def evaluate(self, displacement: Vector) -> CouplingIteration:
-        """Set a displacement, read the scene's wrench, and get the component's answer.
-
-        Raises CouplingDiverged after the last allowed answer.
-        """
+        """Evaluate scene and component at a displacement (6,); raises CouplingDiverged."""
         if len(self.residuals) >= self.max_answers:
             raise CouplingDiverged(
                 f"the coupling has not settled after {self.max_answers} answers: pose and answer "
@@ -382,10 +375,7 @@ class Loop:
 
 
 def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> CouplingIteration:
-    """Find the equilibrium by relaxation, from a displacement (6,), m and rad.
-
-    Raises CouplingDiverged if scene and component drive each other apart, or do not converge.
-    """
+    """Find the equilibrium by relaxation from a displacement (6,); raises CouplingDiverged."""
     relaxation.restart()
     state = loop.evaluate(start)
     runaway = 0
@@ -415,7 +405,8 @@ def newton_step(compliance: Vector, stiffness: Vector, residual: Vector) -> Vect
     It is (I - C K)^-1 r with the compliance C and the scene's stiffness K (6, 6), SI. Outputs whose
     compliance is NaN count as rigid.
     """
-    return np.linalg.solve(np.eye(6) - np.nan_to_num(compliance) @ stiffness, residual)
+    matrix = np.eye(6) - np.nan_to_num(compliance) @ stiffness
+    return np.asarray(np.linalg.solve(matrix, residual), dtype=float)
 
 
 def _stiffness_of_scene(loop: Loop, state: CouplingIteration) -> Vector:

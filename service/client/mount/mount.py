@@ -16,7 +16,16 @@ from ..recorder import Recorder
 from ..recording import Started
 from ..replies import Displacement
 from ..rotation import checked_pose, rotation_matrix
-from ..wrenches import ON_THIN, OnThin, Tolerance, Vector, floats_of, single_wrench, tolerance_body
+from ..wrenches import (
+    ON_THIN,
+    OnThin,
+    Tolerance,
+    Vector,
+    floats_of,
+    require_one_of,
+    single_wrench,
+    tolerance_body,
+)
 from .coupling import (
     BEYOND,
     CycleWatch,
@@ -113,7 +122,7 @@ class Mount:
     Parameters
     ----------
     source : Table or Client
-        Who answers: a downloaded table, or the server. All modes but ``table`` need the server.
+        A downloaded table or the server, which answers; all modes but ``table`` need the server.
     component : str
     R0, p0 : array_like
         The undeformed interface in the world: axes as columns, shape (3, 3), and point, shape
@@ -130,7 +139,7 @@ class Mount:
     on_thin : {"queue", "estimate", "reject", "wait"}
         What the server does where its table is too thin; measured tables are only estimated.
     method : str, optional
-        How the table shall answer; the component's own choice otherwise.
+        The table's method; the component's own choice otherwise.
     stiffness : array_like, optional
         The scene's dw/du at the interface point where it is now, shape (6, 6), N/m, N/rad, N·m/m,
         N·m/rad. `step` needs it with ``newton``; with ``aitken`` it gives the first factor;
@@ -192,9 +201,9 @@ class Mount:
         solve_timeout: float = 600.0,
         block: int = 256,
     ) -> None:
-        _require_word("mode", mode, MODES)
-        _require_word("on_thin", on_thin, ON_THIN)
-        _require_word("unmeasured", unmeasured, ("refuse", "rigid"))
+        require_one_of("mode", mode, MODES)
+        require_one_of("on_thin", on_thin, ON_THIN)
+        require_one_of("unmeasured", unmeasured, ("refuse", "rigid"))
         self.component = component
         self.mode = mode
         self._unmeasured = unmeasured
@@ -494,11 +503,6 @@ class Mount:
             self._relaxation.begin_at(factor)
             self._primed = True
         return answer, target
-
-
-def _require_word(name: str, word: str, known: tuple[str, ...]) -> None:
-    if word not in known:
-        raise InvalidArgument(f"{name} must be one of {', '.join(known)}, not {word!r}")
 
 
 def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:

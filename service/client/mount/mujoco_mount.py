@@ -280,29 +280,32 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
         )
     mounted = int(model.site_bodyid[site])
     if mounted != body:  # on the mocap body sensors read all bodies above it, and its own mass
-        name = _name(model, mounted)
-        first = model.body_jntadr[mounted]
-        kinds = model.jnt_type[first : first + model.body_jntnum[mounted]]
-        if (kinds == engine.mjtJoint.mjJNT_FREE).any():
-            raise SensorError(
-                f"body {name!r} has a free joint, so nothing holds it and its sensors read 0; "
-                f"{_REMEDY}"
-            )
-        if model.body_parentid[mounted] != body or len(kinds):
-            raise SensorError(
-                f"body {name!r}, where the sensors are, must be a child of the mocap body "
-                f"{mocap!r} without a joint; {_REMEDY}"
-            )
-        children = (model.body_parentid == body) & (model.body_subtreemass > 0.0)
-        children[mounted] = False
-        if children.any():
-            raise SensorError(
-                f"the mocap body {mocap!r} also carries {_names(model, children)}, which the "
-                f"sensors on {name!r} do not feel; put all in one child, or move the site to the "
-                "mocap body"
-            )
+        _check_mounted(model, body, mounted)
     _check_forces(model, body, mounted)
     return _Division(number, body, mounted, site, forces, torques)
+
+
+def _check_mounted(model: Model, mocap: int, mounted: int) -> None:
+    """Refuse a body that is no child of the mocap body without joints, or not its only child."""
+    name, parent = _name(model, mounted), _name(model, mocap)
+    first = model.body_jntadr[mounted]
+    kinds = model.jnt_type[first : first + model.body_jntnum[mounted]]
+    if (kinds == engine.mjtJoint.mjJNT_FREE).any():
+        raise SensorError(
+            f"body {name!r} has a free joint, so nothing holds it and its sensors read 0; {_REMEDY}"
+        )
+    if model.body_parentid[mounted] != mocap or len(kinds):
+        raise SensorError(
+            f"body {name!r}, where the sensors are, must be a child of the mocap body {parent!r} "
+            f"without a joint; {_REMEDY}"
+        )
+    children = (model.body_parentid == mocap) & (model.body_subtreemass > 0.0)
+    children[mounted] = False
+    if children.any():
+        raise SensorError(
+            f"the mocap body {parent!r} also carries {_names(model, children)}, which the sensors "
+            f"on {name!r} do not feel; put all in one child, or move the site to the mocap body"
+        )
 
 
 def _reaction_at_rest(model: Model, data: Data, division: _Division) -> Vector:
@@ -360,6 +363,7 @@ def _check_forces(model: Model, body: int, mounted: int) -> None:
                 f"the equality constraint {name!r} holds the scene to the mocap body, but it "
                 f"yields, and its load is wrong by several per cent or more; {_REMEDY}"
             )
+
     hanging = _hangs_on(model, mounted)
     unfelt = []
     for number in range(model.nu):
