@@ -32,10 +32,10 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
         with parquet.ParquetFile(path, memory_map=False, pre_buffer=False) as file:
             metadata, schema = file.metadata, file.schema_arrow
             groups = range(metadata.num_row_groups)
-        if metadata.num_rows > MAX_ROWS or len(schema) > options.columns.most:
+        if metadata.num_rows > MAX_ROWS or len(schema) > options.columns.max_count:
             raise ContentError(
                 f"it has {metadata.num_rows} rows and {len(schema)} columns; send at most "
-                f"{MAX_ROWS:,} rows and {options.columns.most} columns"
+                f"{MAX_ROWS:,} rows and {options.columns.max_count} columns"
             )
         require_unpacked(sum(metadata.row_group(at).total_byte_size for at in groups))
 

@@ -84,13 +84,13 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         return
 
     def records(content: BinaryIO) -> Iterator[Record]:
-        every = records_of(lines_of(content, encoding), 1, delimiter, width)
-        for line, cells in islice(every, 1):  # spreadsheets write a line sep=; first
+        all_records = records_of(lines_of(content, encoding), 1, delimiter, width)
+        for line, cells in islice(all_records, 1):  # spreadsheets write a line sep=; first
             is_whole = _SEPARATOR_LINE.fullmatch(delimiter.join(cells))
             is_split = cells[0].lower() in ("sep=", '"sep=') and cells[1:] and not any(cells[1:])
             if not (is_whole or is_split):
                 yield line, cells
-        yield from every
+        yield from all_records
 
     cell_format = CellFormat(options.decimal == ",", declared=options.decimal is not None)
     if options.decimal is None and delimiter != ",":
@@ -309,10 +309,7 @@ def encoding_of(path: Path) -> str:
 
 
 def lines_of(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:
-    """Yield the lines with their ends (LF, CR or both); `number` is that of the first line.
-
-    Raises BrokenLineError if a line cannot be read.
-    """
+    """Yield lines with their ends (LF, CR or both) from `number` on; raises BrokenLineError."""
     with io.TextIOWrapper(content, encoding=encoding, newline="") as text:
         while line := text.readline(MAX_LINE):
             if len(line) >= MAX_LINE:

@@ -244,6 +244,7 @@ def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, s
     message = f"is an unknown key; write one of {', '.join(_ROW_KEYS)}"
     cells: list[Any] = []
     problems = [(key, message) for key in unknown]
+
     for key in ARRAYS:
         names = getattr(columns, key)
         values = row.get(key)
@@ -261,6 +262,7 @@ def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, s
             if {*map(type, line)} != {float}:
                 label = f"{key}[{at}]" if key == "compliance" else key
                 cells[-width:] = _number_cells(label, line, problems)
+
     for key in TEXTS:
         text = row.get(key)
         if not (text is None or type(text) is str):

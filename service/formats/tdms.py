@@ -82,10 +82,10 @@ def _pieces(
 ) -> Iterator[tuple[list[str], list[np.ndarray]]]:
     """Yield labels and channels, `PIECE` rows at a time; with a time if there is a waveform."""
     columns = options.columns
-    if len(channels) > columns.most:
+    if len(channels) > columns.max_count:
         raise ContentError(
-            f"its group has {len(channels)} channels, but at most {columns.most} are read; leave "
-            "some out"
+            f"its group has {len(channels)} channels, but at most {columns.max_count} are read; "
+            "leave some out"
         )
     lengths = {len(channel) for channel in channels}
     if len(lengths) != 1:
