@@ -199,20 +199,14 @@ class DisplacementCalls(Connection):
 
 
 def _server_wait(chosen: Document) -> float:
-    """Return the longest time, s, that the server may wait before it answers.
-
-    With ``on_thin="wait"`` it is `wait_s`, 30 s by default; `solve` states it itself.
-    """
+    """Return the seconds for which the server may wait: `wait_s`, by default 30 with ``wait``."""
     if "on_thin" not in chosen:
         return chosen.get("wait_s", 0.0)
     return chosen.get("wait_s", 30.0) if chosen["on_thin"] == "wait" else 0.0
 
 
 def deformed_format(file: str | Path) -> str:
-    """Return the format of a surface's file by its ending.
-
-    Raises InvalidArgument if the ending is unknown.
-    """
+    """Return the format of a surface's file by its ending; raises InvalidArgument."""
     return format_of(file, "surface", FORMATS)
 
 
@@ -222,16 +216,9 @@ class SurfaceCalls(Connection):
     def deformed(
         self, name: str, force: ArrayLike, moment: ArrayLike | None = None
     ) -> DeformedShape:
-        """Return a component's deformed surface under one wrench.
+        """Return a component's deformed surface under one wrench, N and N·m.
 
-        Parameters
-        ----------
-        name : str
-            The component.
-        force, moment : array_like
-            Shape (3,), N, and shape (3,), N·m, acting ON the component about its interface point
-            where it is now, in axes fixed to the undeformed interface frame; or the whole wrench as
-            the force alone, shape (6,).
+        Parameters are those of `DisplacementCalls`.
 
         Raises
         ------
@@ -327,6 +314,7 @@ class EventCalls(Connection):
         while True:
             if (remaining := newest + limit - time.monotonic()) <= 0:
                 return
+
             headers = {"Accept": "text/event-stream", **({"Last-Event-ID": last} if last else {})}
             try:
                 query = {"component": component}
@@ -350,6 +338,7 @@ class EventCalls(Connection):
             except (ServerUnreachable, http.client.HTTPException, EOFError, OSError) as error:
                 if first and not isinstance(error, TimeoutError):
                     raise
+
             first = False
             time.sleep(max(min(wait, newest + limit - time.monotonic()), 0.0))
             wait = min(2 * wait, AGAIN_S[1])

@@ -39,7 +39,7 @@ from .errors import InvalidArgument, required
 from .notebook import DISPLACEMENT_COLUMNS, WRENCH_COLUMNS
 from .replies import Displacements, Vector
 from .table import Table
-from .wrenches import single_wrench
+from .wrenches import require_one_of, single_wrench
 
 if TYPE_CHECKING:
     from . import Client
@@ -180,8 +180,7 @@ def _pyplot() -> ModuleType:
 
 
 def _index(argument: str, name: str, names: tuple[str, ...]) -> int:
-    if name not in names:
-        raise InvalidArgument(f"{argument} must be one of {', '.join(names)}, not {name!r}")
+    require_one_of(argument, name, names)
     return names.index(name)
 
 

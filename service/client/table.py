@@ -18,6 +18,7 @@ from wrenchbook.surrogate.kernel.binding import PackedTable, kernel
 from wrenchbook.surrogate.kernel.format import write_file
 
 from ..contract import COVERAGE, LOADS, Coverage
+from ..messages import Part
 from .errors import InvalidArgument, TableError, required
 from .notebook import html_table, named_columns
 from .replies import EXACT, ROUNDED, Displacement, Displacements
@@ -201,12 +202,9 @@ class Table:
         slope: Floats | None,
         interfaces: Mapping[str, Displacement] | None = None,
     ) -> Displacement:
-        """Return an answer with a reply's six outputs from index `first` on.
-
-        Without outputs if None.
-        """
-        moved, error = (None, None) if first is None else (reply.outputs, reply.error)
-        start = first or 0
+        """Return an answer with a reply's six outputs from index `first` on, if it is given."""
+        moved = {} if first is None else _parts(reply.outputs, first)
+        error = None if first is None else _parts(reply.error, first)
         source = "table" if reply.outputs else None
         reason = reply.reason
         if reply.row is not None:
@@ -215,14 +213,9 @@ class Table:
         return Displacement(
             component=self.name,
             wrench=wrench,
-            translation=_frozen(moved[start : start + 3]) if moved else None,
-            rotation=_frozen(moved[start + 3 : start + 6]) if moved else None,
-            error={
-                "translation": _frozen(error[start : start + 3]),
-                "rotation": _frozen(error[start + 3 : start + 6]),
-            }
-            if error
-            else None,
+            translation=moved.get("translation"),
+            rotation=moved.get("rotation"),
+            error=error or None,
             coverage=cast(Coverage, reply.coverage),
             source=source,
             method=reply.method,
@@ -307,6 +300,7 @@ class Table:
             slopes = packed.derivatives(loads, limit, method) if derivatives else None
         except ValueError as error:
             raise InvalidArgument(str(error)) from error
+
         # Errors without the solver's part cannot be compared with a tolerance.
         complete = packed.bars_are_complete
         allowed = (limit or self.allowed_errors(self.tolerance)) if complete else None
@@ -526,11 +520,13 @@ class DownloadCalls(Connection):
         return Table(packed, name, self, etag, scene)
 
 
-def _frozen(values: Sequence[float | None]) -> Vector:
-    """Return floats, NaN for None, as a read-only array."""
-    array = np.array(values, dtype=float)
-    array.flags.writeable = False
-    return array
+def _parts(outputs: Sequence[float | None] | None, first: int) -> dict[Part, Vector]:
+    """Return translation and rotation from an index on, read-only, NaN for None; empty if none."""
+    if not outputs:
+        return {}
+    six = np.array(outputs[first : first + _PER_INTERFACE], dtype=float)
+    six.flags.writeable = False
+    return {"translation": six[:3], "rotation": six[3:]}
 
 
 def _columns(quantities: Iterable[Input | Output]) -> list[str]:

@@ -94,12 +94,14 @@ def describe(component: str, guid: str, tool: str, summary: str, space: Space = 
         files = ElementTree.SubElement(interface, "SourceFiles")
         for name in SOURCES:
             ElementTree.SubElement(files, "File", name=name)
+
     definitions = ElementTree.SubElement(root, "UnitDefinitions")
     for name in dict.fromkeys(
         ("N", "N.m", "m", "rad", *(_unit(load.unit) for load in space.inputs))
     ):
         unit = ElementTree.SubElement(definitions, "Unit", name=name)
         ElementTree.SubElement(unit, "BaseUnit", _UNITS.get(name, {}))
+
     categories = ElementTree.SubElement(root, "LogCategories")
     for name in ("logStatusWarning", "logStatusError"):
         ElementTree.SubElement(categories, "Category", name=name)

@@ -94,10 +94,7 @@ def is_number(cell: str) -> bool:
 
 
 def decimal_mark(cell: str) -> str | None:
-    """Return the mark, ``.`` or ``,``, if it can only be a number's decimal mark.
-
-    None otherwise.
-    """
+    """Return the mark, ``.`` or ``,``, that can only be a number's decimal mark, or None."""
     if grouped := _GROUPED.fullmatch(cell):
         if grouped["mark"] or not grouped["more"]:
             return grouped["mark"]
@@ -180,10 +177,7 @@ def text_problem(text: str) -> str | None:
 
 
 def cell_text(value: Any, label: str) -> str:
-    """Return a stored value of a column as the text of a cell, empty for none.
-
-    Raises ContentError if the value has no text.
-    """
+    """Return a stored value as the text of a cell, empty for none; raises ContentError."""
     if value is None or value != value:
         return ""
     if isinstance(value, Decimal):
@@ -258,10 +252,7 @@ _PINT = Context(prec=50)  # pi as pint writes it
 
 @cache
 def si_factor(unit: str, quantity: Quantity) -> float:
-    """Return the factor from a unit such as `lbf` or `N*mm` to that of arrays.
-
-    Raises UnitError if the unit is unknown or of another quantity.
-    """
+    """Return the factor from a unit such as `lbf` or `N*mm` to that of arrays; raises UnitError."""
     parts = _parts(unit)
     if quantity.scales:
         factors = {name: factor for name, factor, _ in quantity.scales}
@@ -295,10 +286,7 @@ def further_quantity(name: str, unit: str) -> Quantity:
 
 
 def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, float]]:
-    """Return the unit of each quantity in an export, else SI, and its factor.
-
-    Raises UnitError if a unit is unknown or of another quantity.
-    """
+    """Return the unit of each quantity in an export, else SI, and its factor; raises UnitError."""
     others = dict(units or {})
     chosen: dict[Quantity, tuple[str, float]] = {}
     for quantity in QUANTITIES:

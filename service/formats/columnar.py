@@ -32,12 +32,13 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
         with parquet.ParquetFile(path, memory_map=False, pre_buffer=False) as file:
             metadata, schema = file.metadata, file.schema_arrow
             groups = range(metadata.num_row_groups)
-        if metadata.num_rows > MAX_ROWS or len(schema) > options.columns.most:
+        if metadata.num_rows > MAX_ROWS or len(schema) > options.columns.max_count:
             raise ContentError(
                 f"it has {metadata.num_rows} rows and {len(schema)} columns; send at most "
-                f"{MAX_ROWS:,} rows and {options.columns.most} columns"
+                f"{MAX_ROWS:,} rows and {options.columns.max_count} columns"
             )
         require_unpacked(sum(metadata.row_group(at).total_byte_size for at in groups))
+
         # The index of a pandas data frame is no column of the table.
         index = tuple(name for name in schema.names if name.startswith("__index_level_"))
         options = replace(options, ignore=(*options.ignore, *index))
@@ -48,6 +49,7 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
             tags = field.metadata or {}
             unit = tags.get(b"unit") or tags.get(b"units") or b""
             labels.append(with_unit(field.name, unit.decode(errors="replace"), options.columns))
+
         # Equal texts of a batch are in memory once.
         with parquet.ParquetFile(path, read_dictionary=texts, pre_buffer=False) as file:
             batches = file.iter_batches(batch_size=PIECE, use_threads=False)

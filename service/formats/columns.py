@@ -101,7 +101,7 @@ class Columns:
     half width in `uncertainty` and over each input a tangent in `compliance`. `curvature` has third
     derivatives of the complementary energy e in the order of `Rows.curvature`, always in SI:
     ``d3e/dfx/dfx/dmz [J/(N*N*N*m)]``, where m stands for mu. `numbers` are all but these; a file
-    has at most `most` columns.
+    has `max_count` columns at most.
     """
 
     def __init__(self, space: Space) -> None:
@@ -119,7 +119,7 @@ class Columns:
         triples = combinations_with_replacement(self.wrench, 3)
         self._curvatures = {"/d".join(("d3e", *inputs)): inputs for inputs in triples}
         self.curvature = tuple(self._curvatures)
-        self.most = max(MAX_COLUMNS, 2 * len(self.numbers) + len(self.curvature))
+        self.max_count = max(MAX_COLUMNS, 2 * len(self.numbers) + len(self.curvature))
         # The columns that have one spelling.
         single = *TEXTS, *self.compliance, *self.curvature, *scalars
         self._exact = {name.lower(): name for name in single}
@@ -167,10 +167,9 @@ class Columns:
         column = next((column for column in columns if column != TIME_COLUMN), "")
         if not column:
             return ""
-        which = f"names an unknown interface {interface!r}" if interface else "names no interface"
-        there = self.space.interfaces
-        example = f"{there[0]}.{column}"
-        return f"{which}; choose one of {', '.join(there)}, for example {example}"
+        problem = f"names an unknown interface {interface!r}" if interface else "names no interface"
+        known = self.space.interfaces
+        return f"{problem}; choose one of {', '.join(known)}, for example {known[0]}.{column}"
 
     def factor(self, name: str, unit: str) -> float:
         """Return the factor from a unit of the column `name` to that of the table; UnitError."""

@@ -74,7 +74,8 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         with path.open("rb") as content:
             delimiter = _delimiter(lines_of(content, encoding), options)
         with path.open("rb") as content:
-            width = _blank_width(content, encoding) if delimiter == " " else 0
+            rows = filter(is_row, map(str.split, lines_of(content, encoding)))
+            width = len(next(rows, ())) if delimiter == " " else 0  # cells between blanks
     except BrokenLineError as error:
         report.mistakes.ruin(error.line, "line", str(error))
         return
@@ -83,13 +84,13 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         return
 
     def records(content: BinaryIO) -> Iterator[Record]:
-        every = records_of(lines_of(content, encoding), 1, delimiter, width)
-        for line, cells in islice(every, 1):  # spreadsheets write a line sep=; first
+        all_records = records_of(lines_of(content, encoding), 1, delimiter, width)
+        for line, cells in islice(all_records, 1):  # spreadsheets write a line sep=; first
             is_whole = _SEPARATOR_LINE.fullmatch(delimiter.join(cells))
             is_split = cells[0].lower() in ("sep=", '"sep=') and cells[1:] and not any(cells[1:])
             if not (is_whole or is_split):
                 yield line, cells
-        yield from every
+        yield from all_records
 
     cell_format = CellFormat(options.decimal == ",", declared=options.decimal is not None)
     if options.decimal is None and delimiter != ",":
@@ -105,15 +106,6 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         body = _Body(content, encoding, delimiter, header, mark, inputs, report.mistakes)
         pieces = body.pieces(first[0]) if first else iter(())
         yield from read_pieces(header, pieces, options, report, cell_format)
-
-
-def _blank_width(content: BinaryIO, encoding: str) -> int:
-    """Return the number of cells of the first row of a text with blanks between cells, or 0."""
-    for line in lines_of(content, encoding):
-        row = line.split()
-        if is_row(row):
-            return len(row)
-    return 0
 
 
 class _ArrowColumns(NamedTuple):
@@ -291,10 +283,7 @@ class _Lines(list[str]):
 
 
 def encoding_of(path: Path) -> str:
-    """Return the encoding of a file: utf-8-sig, utf-16 (with a mark) or cp1252.
-
-    Raises ContentError if it is none of these.
-    """
+    """Return a file's encoding: utf-8-sig, utf-16 (with a mark) or cp1252; raises ContentError."""
     with path.open("rb") as content:
         head = content.read(4)
         if head.startswith(b"PK\x03\x04"):
@@ -320,10 +309,7 @@ def encoding_of(path: Path) -> str:
 
 
 def lines_of(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:
-    """Yield the lines with their ends (LF, CR or both); `number` is that of the first line.
-
-    Raises BrokenLineError if a line cannot be read.
-    """
+    """Yield lines with their ends (LF, CR or both) from `number` on; raises BrokenLineError."""
     with io.TextIOWrapper(content, encoding=encoding, newline="") as text:
         while line := text.readline(MAX_LINE):
             if len(line) >= MAX_LINE:

@@ -87,10 +87,7 @@ class Preamble:
         return self._any
 
     def add(self, cells: list[str]) -> bool:
-        """Read a line if it belongs to a preamble; return whether it does.
-
-        Raises ValueError if a number is not above zero.
-        """
+        """Read a line; return whether a preamble has it. Raises ValueError on a wrong number."""
         filled = [cell.strip() for cell in ",".join(cells).split(",") if cell.strip()]
         if filled and filled[0].lower().startswith("start time"):
             filled = [" ".join(filled)]  # a date may contain commas
@@ -181,17 +178,18 @@ def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Opti
     """
     heads = [bare(line) for line in islice(lines, MAX_TITLES + 1)]
     columns = options.columns
+    limit = columns.max_count
     marks = _SURE_DELIMITERS + _OTHER_DELIMITERS
 
     def names(line: str, mark: str) -> int:
-        return named_columns(line.split(mark, columns.most), columns, options.mapping)
+        return named_columns(line.split(mark, limit), columns, options.mapping)
 
     for line in heads:
         if any(names(line, mark) >= _SEVERAL for mark in marks):
             return _mark_of_header(line, names)
     for line in heads:
-        rows = [mark for mark in marks if is_row(line.split(mark, columns.most)[: columns.most])]
-        cells = line.split(None, columns.most)[: columns.most]
+        rows = [mark for mark in marks if is_row(line.split(mark, limit)[:limit])]
+        cells = line.split(None, limit)[:limit]
         if is_row(cells) and not any(cell[0] in marks or cell[-1] in marks for cell in cells):
             rows += [" "]
         if len(rows) > 1 and rows[0] in _OTHER_DELIMITERS:
@@ -215,7 +213,7 @@ def _mark_of_header(header: str, names: Callable[[str, str], int]) -> str:
 def named_columns(cells: Sequence[str], columns: Columns, mapping: Mapping[str, str]) -> int:
     """Return the number of cells that name a column of a table or a key of the mapping."""
     mapped = {_key(name) for name in mapping} - {""}
-    labels = (" ".join(cell.split()) for cell in cells[: columns.most])
+    labels = (" ".join(cell.split()) for cell in cells[: columns.max_count])
     return sum(
         not mapped.isdisjoint((_key(label), _key(_parts(label)[0])))
         or bool(label and readings_of(label, columns))
@@ -287,10 +285,12 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
                 "there is no header below the logger's lines; write the names of the columns there"
             )
         return _no_header(0, "file", message), records
+
     titles, (line, cells), records = _split_titles((line, cells), records, options.mapping, columns)
-    if any(cell.strip() for cell in cells[columns.most :]):
-        message = f"names {len(cells):,} columns, at most {columns.most} are read; remove some"
+    if any(cell.strip() for cell in cells[columns.max_count :]):
+        message = f"names {len(cells):,} columns, at most {columns.max_count} are read; remove some"
         return _no_header(line, "header", message), records
+
     positions = [int(key) for key in options.mapping if POSITION.fullmatch(key)]
     # Concatenated files have the mark of UTF-8 before a later label too.
     labels = [" ".join(cell.replace("\ufeff", "").split()) for cell in cells]
@@ -302,6 +302,7 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
         records = chain([(line, cells)], records)
     while len(labels) > max(positions, default=0) and not labels[-1]:
         labels.pop()  # a spreadsheet's empty columns on the right
+
     below = next(records, None)
     units = below[1] if below and _is_units_row(labels, below[1], options) else []
     if below and not units:
@@ -391,13 +392,14 @@ def _read_labels(
                 _add_column(header, column, target, options, line)
             except UnitError as error:
                 header.mistakes.append(FileMistake(line, column.label, str(error)))
+
     if options.role == "table":
-        there = _keys(labels).union(str(at) for at in range(1, len(labels) + 1))
+        present = _keys(labels).union(str(at) for at in range(1, len(labels) + 1))
         known = f"it has {len(labels)}: {', '.join(filter(None, labels))[:_MAX_LISTED]}"
         option_of = dict.fromkeys(options.mapping, "mapping (--column)")
         option_of |= dict.fromkeys(options.ignore, "ignore (--ignore)")
         for name, option in option_of.items():
-            if _key(name) not in there and name not in options.optional:
+            if _key(name) not in present and name not in options.optional:
                 message = f"is in {option}, but the file has no such column; {known}"
                 header.mistakes.append(FileMistake(line, name, message))
     for message in _missing_columns(header, labels, options):
@@ -422,12 +424,14 @@ def _add_column(
         elif kind[0].lower().startswith("rdt"):
             header.sequence = bare
         return
+
     columns = options.columns
     text = (target or bare.label).strip()
     sign = -1.0 if target and text.startswith("-") else 1.0
     text = text.removeprefix("-") if target else text
     if target and text.startswith("-"):
         raise UnitError(f"has two minus signs; write {text} for the opposite sign")
+
     try:
         name, unit, factor = _reading(text, bare.unit, header.preamble, columns)
     except _UnknownColumnError:
@@ -446,10 +450,7 @@ def _add_column(
 
 
 def _reading(label: str, below: str, preamble: Preamble, columns: Columns) -> Reading:
-    """Return name, unit and factor of a label with a unit below it.
-
-    Raises UnitError if the label is no column, or its unit is wrong.
-    """
+    """Return name, unit and factor of a label with a unit below it; raises UnitError."""
     problem: UnitError | None = None
     fits: dict[str, Reading] = {}
     meanings = list(columns.readings(label))
@@ -468,6 +469,7 @@ def _reading(label: str, below: str, preamble: Preamble, columns: Columns) -> Re
             problem = problem or error
             continue
         fits.setdefault(name, Reading(name, unit, si / count * factor))
+
     if len(fits) == 1:
         return next(iter(fits.values()))
     if len(fits) > 1:
@@ -515,7 +517,7 @@ def _unknown(name: str, columns: Columns) -> str:
 
 def _missing_of_profile(named: set[str], labels: Sequence[str], options: Options) -> Iterator[str]:
     """Yield a message on each load that a profile names and the file lacks: it is not zero."""
-    there = _keys(labels)
+    present = _keys(labels)
     columns = options.columns
     for load in columns.loads:
         others = [
@@ -523,7 +525,7 @@ def _missing_of_profile(named: set[str], labels: Sequence[str], options: Options
             for label in options.mapping.keys() & {*options.optional}
             if load in (r.column for r in readings_of(options.mapping[label].lstrip("- "), columns))
         ]
-        if others and load not in named and there.isdisjoint(map(_key, others)):
+        if others and load not in named and present.isdisjoint(map(_key, others)):
             yield (
                 f"there is no column for {load}, called {' or '.join(sorted(others))} by the rig; "
                 f"name it with mapping (--column 'LABEL={load}'), or choose another profile"
@@ -552,6 +554,7 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
         r.column for label in labels if label not in known for r in readings_of(label, columns)
     }
     named = mistaken | set(header.columns)
+
     has_loads = options.role != "displacements"
     needed = []
     if options.role != "loads":
@@ -565,6 +568,7 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
             alone = _ALONE if quantity == "displacement" and options.role == "table" else ""
             yield f"there is no {quantity} column; name at least one of {named_so}{alone}"
     yield from _missing_outputs(header, named, columns)
+
     absent = [name for name in columns.loads if name not in named]
     is_partial = 0 < len(absent) < len(columns.loads)
     if is_partial and has_loads and options.missing_loads != "zero":

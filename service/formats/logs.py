@@ -13,8 +13,7 @@ from wrenchbook.service.formats.columns import TIME_COLUMN
 from wrenchbook.service.formats.options import Array, Options, ParsedTable, ReadReport
 from wrenchbook.surrogate.findings.clock import Logs, clock_findings, estimate_lag, repeated
 
-# Ratio to the median interval of the loads: in a longer interval samples were lost.
-GAP_FACTOR = 5.0
+GAP_FACTOR = 5.0  # over the median interval of the loads: in a longer one samples were lost
 _CLOCK = 1e6  # s: clock times count from 1900 or 1970, elapsed ones from the beginning of a test
 
 
@@ -48,7 +47,7 @@ def _applied_lag(
     """Return the seconds to add to the displacements' times; None after a mistake."""
     if report.mistakes.of_file:
         return None
-    auto = options.time_offset_s == "auto"
+    is_auto = options.time_offset_s == "auto"
     applied = 0.0 if options.time_offset_s == "auto" else options.time_offset_s
     when = np.concatenate(
         [np.empty(0), *(piece.time for piece in pieces if piece.time is not None)]
@@ -57,15 +56,16 @@ def _applied_lag(
     if len(when) and options.space.is_default:
         moved = np.concatenate([piece.displacement for piece in pieces])
         lag = estimate_lag(Logs(time, wrench, when, moved), applied)
-    if auto and (lag is None or lag.others):
+    if is_auto and (lag is None or lag.others):
+        cause = f" ({repeated(lag)})" if lag else ""
         message = (
-            "lag=auto cannot find the difference of the "
-            f"clocks{f' ({repeated(lag)})' if lag else ''}; give as lag the seconds to add to the "
-            "displacements' times"
+            f"lag=auto cannot find the difference of the clocks{cause}; give as lag the seconds to "
+            "add to the displacements' times"
         )
         report.mistakes.ruin(0, "time", message)
         return None
-    applied = lag.seconds if auto and lag else applied
+
+    applied = lag.seconds if is_auto and lag else applied
     report.clock = {
         "applied_s": applied,
         "lag_s": lag and lag.seconds,
@@ -114,6 +114,7 @@ def with_loads(
             )
             report.mistakes.ruin(int(piece.seq[0]), "time", message)
             return
+
         when = piece.time + lag
         after = np.clip(np.searchsorted(time, when, side="right"), 1, len(time) - 1)
         start = time[after - 1]
@@ -125,6 +126,7 @@ def with_loads(
         report.unmatched += int((~good).sum())
         loads = loads_between(time, wrench, when[good], after[good])
         yield replace(piece.take(good), wrench=loads, time=None)
+
     if report.read and report.unmatched == report.read and not report.mistakes:
         when = np.concatenate([piece.time for piece in pieces if piece.time is not None])
         dated = {unit for _, name, unit in report.columns if name == TIME_COLUMN} == {""}

@@ -50,10 +50,7 @@ def _mat_variables(path: Path) -> dict[str, Any]:
 
 
 def _vectors(values: dict[str, Any]) -> dict[str, Array]:
-    """Return variables, or a single struct's fields, as vectors of one length.
-
-    Raises ContentError if they are no such vectors.
-    """
+    """Return a file's variables, or its only struct's fields, as vectors; raises ContentError."""
     struct = next(iter(values.values()), None) if len(values) == 1 else None
     if isinstance(struct, np.ndarray) and struct.dtype.names:
         values = {name: struct[name].tolist() for name in struct.dtype.names}

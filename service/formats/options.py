@@ -59,8 +59,7 @@ time.
 _MAX_FIELD = 200  # characters of a field in a message: a key of a row can have a million
 _MAX_CAUSES = 100
 _MAX_SHOWN = 10  # rows and columns of a cause in a message
-# Parts that differ between two mistakes of one cause.
-_VALUE = re.compile(r"'[^']*'|[-+\d][\w.+-]*")
+_VALUE = re.compile(r"'[^']*'|[-+\d][\w.+-]*")  # what differs in mistakes of one cause
 _MAX_FIRST = 20 * MAX_LISTED  # mistakes before they are sorted at the end of a piece
 
 

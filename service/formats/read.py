@@ -162,6 +162,7 @@ def table_parts(
         pieces = read_table_file(file, read_options, report)
     else:
         pieces = read_logs(file, Path(second), read_options, report)
+
     sample = FindingsSample()
     for piece in pieces:
         if report.mistakes.of_file:
@@ -178,6 +179,7 @@ def table_parts(
         good += len(piece)
         if len(piece):
             yield _part(piece)
+
     findings = [] if report.mistakes.of_file else sample.findings(read_options, report.findings)
     yield Part({**report.as_json(good, shown), "findings": findings})
 
@@ -279,6 +281,7 @@ def _uncorrected_rows(path: Path, options: Options, report: ReadReport) -> Itera
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
         return
+
     needed = options.sheet and not options.optional_sheet and options.role == "table"
     if needed and report.format not in ("xlsx", "xls", "tdms"):
         message = (
@@ -290,6 +293,7 @@ def _uncorrected_rows(path: Path, options: Options, report: ReadReport) -> Itera
         message = f"must be a log with times, not {report.format}; send CSV, XLSX, Parquet or TDMS"
         report.mistakes.ruin(0, "file", message)
         return
+
     try:
         yield from _READERS[report.format](path, options, report)
     except ModuleNotFoundError:
@@ -303,15 +307,16 @@ def _is_gzip(path: Path) -> bool:
         return file.read(2) == b"\x1f\x8b"
 
 
-def unpack(path: Path, target: Path, most: int = MAX_BYTES) -> None:
-    """Unpack a gzipped file; ContentError if it is damaged, gzipped twice or above `most` bytes."""
+def unpack(path: Path, target: Path, max_bytes: int = MAX_BYTES) -> None:
+    """Unpack a gzipped file; ContentError if it is damaged, gzipped twice or too large."""
     written = 0
     try:
         with gzip.open(path) as content, target.open("wb") as unpacked:
             while block := content.read(_BLOCK):
                 written += len(block)
-                if written > most:
-                    raise ContentError(f"unpacks to more than {most >> 20} MiB; send it in parts")
+                if written > max_bytes:
+                    limit = f"{max_bytes >> 20} MiB"
+                    raise ContentError(f"unpacks to more than {limit}; send it in parts")
                 unpacked.write(block)
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:  # a full disk is no damage
         raise ContentError(f"is a damaged gzip file ({error}); send it again") from error
@@ -333,6 +338,7 @@ def _format_of(path: Path) -> Format:
     for magic, description in _OTHER_FORMATS.items():
         if head.startswith(magic):
             raise ContentError(f"is {description}")
+
     utf16 = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     # A header in Latin letters has a zero in every second byte, or in three of four.
     start = head[: len(head) // 4 * 4]
@@ -346,6 +352,7 @@ def _format_of(path: Path) -> Format:
             "is not a table, because it contains zero bytes. Send CSV, XLSX, XLS, Parquet, JSON, "
             "HDF5, MAT, LVM or TDMS, each gzipped if you like"
         )
+
     text = head.removeprefix(codecs.BOM_UTF8).lstrip()
     if text[:1] == b"<":
         raise ContentError("is a web page or XML, not a table; export the table as CSV or XLSX")

@@ -31,14 +31,17 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     try:
         _require_whole_segments(path)
         with TdmsFile.open(path) as file:
-            groups = {g.name: [c for c in g.channels() if len(c)] for g in file.groups()}
-            scores = {
+            groups = {
+                group.name: [channel for channel in group.channels() if len(channel)]
+                for group in file.groups()
+            }
+            named = {
                 name: named_columns([c.name for c in group], options.columns, options.mapping)
                 for name, group in groups.items()
                 if group
             }
-            best = {name for name, score in scores.items() if score == max(scores.values())}
-            sheet = chosen_sheet(list(scores), options.sheet, best.__contains__, report)
+            best = {name for name, count in named.items() if count == max(named.values())}
+            sheet = chosen_sheet(list(named), options.sheet, best.__contains__, report)
             report.ignored += [c.name for c in file[sheet].channels() if not len(c)]
             yield from read_columns(_pieces(groups[sheet], options), options, report)
     except ContentError as error:
@@ -77,14 +80,14 @@ def _require_whole_segments(path: Path) -> None:
 def _pieces(
     channels: Sequence[Any], options: Options
 ) -> Iterator[tuple[list[str], list[np.ndarray]]]:
-    """Yield labels and channels, some rows at a time; with a time if all channels are waveforms."""
-    lengths = {len(channel) for channel in channels}
+    """Yield labels and channels, `PIECE` rows at a time; with a time if there is a waveform."""
     columns = options.columns
-    if len(channels) > columns.most:
+    if len(channels) > columns.max_count:
         raise ContentError(
-            f"its group has {len(channels)} channels, but at most {columns.most} are read; leave "
-            "some out"
+            f"its group has {len(channels)} channels, but at most {columns.max_count} are read; "
+            "leave some out"
         )
+    lengths = {len(channel) for channel in channels}
     if len(lengths) != 1:
         sizes = ", ".join(f"{c.name} {len(c)}" for c in channels[:_MAX_NAMED])
         raise ContentError(f"its channels differ in length ({sizes}); resample them to one time")
@@ -97,12 +100,13 @@ def _pieces(
     }
     if len(times) > 1:
         (first_time, first_name), (next_time, next_name) = list(times.items())[:2]
-        trios = zip(waveform, first_time, next_time, strict=True)
-        differing = ", ".join(f"wf_{key} {a} and {b}" for key, a, b in trios if a != b)
+        pairs = zip(waveform, first_time, next_time, strict=True)
+        differing = ", ".join(f"wf_{key} {a} and {b}" for key, a, b in pairs if a != b)
         raise ContentError(
             f"the waveforms of {first_name} and {next_name} have different times ({differing}); "
             "resample them to one time"
         )
+
     names = [reading.column for label in labels for reading in readings_of(label, columns)]
     named = any(name.startswith("time") for name in (*names, *options.mapping.values()))
     _, start, step = next(iter(times), (None, None, 0.0))

@@ -316,14 +316,13 @@ class _Conversion:
         time = self._times() if options.role != "table" else None
         if options.role == "loads":
             displacement = np.zeros(displacement.shape)  # those of the other log count
+
         self._check_status()
         if options.role != "loads":
             self._check_measured(displacement)
         self._check_complete(compliance, names.compliance, "tangents")
         self._check_complete(curvature, names.curvature, "third derivatives")
-        source = self._texts("source")
-        note = self._texts("note")
-        fingerprint = self._texts("fingerprint")
+
         shape = len(self._row), len(names.displacement), len(names.wrench)
         piece = {
             "seq": self._row,
@@ -332,10 +331,10 @@ class _Conversion:
             "compliance": compliance.reshape(shape),
             "curvature": curvature if any(curvature.strides) else np.empty((len(self._row), 0)),
             "uncertainty": uncertainty,
-            "source": source,
-            "fingerprint": fingerprint,
+            "source": self._texts("source"),
+            "fingerprint": self._texts("fingerprint"),
             "space": options.space,
-            "note": note.tolist(),
+            "note": self._texts("note").tolist(),
             "time": time,
         }
         if not is_corrected(options):
@@ -450,6 +449,7 @@ class _Conversion:
             return np.full(len(self._row), np.nan)
         elif column.unit:
             factor = column.factor
+
         cells = self._columns[column.index]
         if isinstance(cells, np.ndarray):
             values = cells * (column.factor if factor is None else factor)
@@ -460,6 +460,7 @@ class _Conversion:
                 for cell in cells
             ]
             values = np.array(seconds)
+
         for at in np.flatnonzero(~np.isfinite(values)).tolist():
             needed = "is not a number; correct it or leave the row out"
             if factor is None:
@@ -508,10 +509,7 @@ class _Conversion:
 
 
 def _floats(cells: Sequence[str], comma: bool) -> Array | None:
-    """Return a column, shape (n,), NaN where a cell is empty.
-
-    None if a cell is no finite number.
-    """
+    """Return a column, (n,), NaN where a cell is empty; None if a cell is no finite number."""
     joined = "".join(cells)
     if "_" in joined or not joined.isascii() or (comma and "." in joined):
         return None

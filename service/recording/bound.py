@@ -50,6 +50,7 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
     if np.isnan(low).any():
         unknown = np.full(len(space.outputs), np.nan)
         return Bound(unknown, "unknown", "", "outside", None, "no wrench has come yet")
+
     corners = _corners(low, high)
     with np.errstate(over="ignore"):
         centre = low / 2 + high / 2
@@ -59,6 +60,7 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
     more += [envelope.lowest, envelope.highest]
     answers = table.packed.batch(np.concatenate([corners, *more]))
     coverage = int(answers.coverage.max(initial=COVERED))
+
     if table.linear and table.fit.complete:
         largest = _largest_linear(table, low, high) + answers.errors.max(axis=0)
         at_zero = table.packed.batch(np.zeros((1, len(low)))).outputs[0]

@@ -126,12 +126,14 @@ class RecordingStore:
         scale = component.load_range.scale
         points = scaled_loads(acting, scale)
         keys = packed(acting)
-        inside = component.load_range.holds(acting) if len(keys) else np.ones(0, dtype=bool)
+        inside = component.load_range.holds(acting) if keys else np.ones(0, dtype=bool)
         outside = int((~inside).sum())
+
         with self._ledger.writing() as db:
             before = _tally(db, name, "recording")
             if block is not None and not _claim_block(db, name, "recording", block, wrenches):
                 return BlockResult(before, known=True, outside=outside)
+
             subset_within, subset_beyond = self._subsets_of(component, before, db)
             within = take(subset_within, *_chosen(points, keys, inside))
             beyond = take(subset_beyond, *_chosen(points, keys, ~inside))
@@ -147,10 +149,12 @@ class RecordingStore:
                 within_outside=beyond.subset.within,
                 scale=_packed_scale(scale),
             )
-            first_place = {key: place for place, key in reversed(list(enumerate(keys)))}
-            added = sorted(within.added + beyond.added, key=first_place.__getitem__)
+
+            first_index = {key: index for index, key in reversed(list(enumerate(keys)))}
+            added = sorted(within.added + beyond.added, key=first_index.__getitem__)
             _replace_recorded(db, name, within.dropped + beyond.dropped, added)
             _save(db, name, "recording", after)
+
         # The block is on the disk from now on.
         self._remember(component, after.revision, (within.subset, beyond.subset))
         return BlockResult(after, known=False, outside=outside)
@@ -179,10 +183,7 @@ class RecordingStore:
         return BlockResult(after, known=False, outside=outside)
 
     def recording(self, name: str) -> RecordingState:
-        """Return a component's recording.
-
-        Raises UnknownComponentError if there is no such component.
-        """
+        """Return a component's recording; raises UnknownComponentError if there is none."""
         count = len(self._library[name].load_range.low)
         with self._ledger.reading() as db:
             tally = _tally(db, name, "recording")
@@ -190,10 +191,7 @@ class RecordingStore:
         return RecordingState(tally, unpacked(keys, count))
 
     def envelope(self, name: str) -> EnvelopeState:
-        """Return a component's envelope.
-
-        Raises UnknownComponentError if there is no such component.
-        """
+        """Return a component's envelope; raises UnknownComponentError if there is none."""
         count = len(self._library[name].load_range.low)
         with self._ledger.reading() as db:
             tally = _tally(db, name, "envelope")
@@ -233,6 +231,7 @@ class RecordingStore:
         if tally.scale is not None and len(tally.scale) == scale.nbytes and not same:
             # The load range was edited since: distances have another scale.
             stretched = max(1.0, float((unpacked([tally.scale], len(scale))[0] / scale).max()))
+
         keys = _recorded(db, component.name, len(scale))
         wrenches = unpacked(keys, len(scale))
         points = scaled_loads(wrenches, scale)
@@ -293,10 +292,7 @@ def _save(db: Connection, component: str, kind: Kind, tally: Tally) -> None:
 def _claim_block(
     db: Connection, component: str, kind: Kind, block: BlockKey, wrenches: Floats
 ) -> bool:
-    """Write the key of a new block and delete old keys; return False if it was recorded before.
-
-    Raises BlockKeyError if the key was used for other wrenches, or is too old to be known.
-    """
+    """Write a block's key, delete old ones; return False if it is known. Raises BlockKeyError."""
     client, sequence = block
     digest = content_key(b"".join(packed(wrenches)))
     key = "component = ? AND kind = ? AND client = ?"
@@ -311,14 +307,15 @@ def _claim_block(
                 "give each block its own number, or use another client name"
             )
         return False
+
     last = db.execute(f"SELECT max(sequence) FROM blocks WHERE {key}", of_client).fetchone()[0]
     if last is not None and sequence <= last - BLOCKS_OF_A_CLIENT:
         raise BlockKeyError(
             f"block {sequence} of client {client!r} is {last - sequence} before its newest, "
             f"{last}; only the last {BLOCKS_OF_A_CLIENT} are remembered, so it is unknown whether "
-            "it was recorded. Send blocks in order, or "
-            "use another client name to record it now"
+            "it was recorded. Send blocks in order, or use another client name to record it now"
         )
+
     added = db.execute(
         "INSERT INTO blocks (component, kind, client, sequence, digest) VALUES (?, ?, ?, ?, ?)",
         (*of_client, sequence, digest),

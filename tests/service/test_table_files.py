@@ -444,7 +444,7 @@ def test_a_gzip_bomb_is_unpacked_no_further_than_may_be(tmp_path):
     bomb, target = tmp_path / "bomb", tmp_path / "plain"
     bomb.write_bytes(gzip.compress(bytes(64 << 20)))
     with pytest.raises(ContentError, match="unpacks to more than 1 MiB"):
-        unpack(bomb, target, most=1 << 20)
+        unpack(bomb, target, max_bytes=1 << 20)
     assert target.stat().st_size <= 1 << 20
 
 

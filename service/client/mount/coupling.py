@@ -23,9 +23,7 @@ from ..wrenches import Vector
 RELAXATIONS = ("aitken", "newton", "off")
 # Limits of the factor: 0.02 is stable for G = 99, 1 takes the answer itself.
 SMALLEST, LARGEST = 0.02, 1.0
-# Growth of the factor while the pose does not overshoot: slow, since only an overshoot shows a too
-# large factor.
-GROWTH = 1.3
+GROWTH = 1.3  # of the factor without overshoot: slow, since only an overshoot shows a too large one
 # Signs of divergence: a row of residuals, each opposite to the one before. Loads that change by
 # themselves make such rows too, but short ones and of all sizes. White noise is opposite and as
 # large with a chance of 0.4: once in two million syncs over sixteen.
@@ -49,13 +47,11 @@ DERIVED = 1e-3  # part of the largest answer so far: the tolerance if none is gi
 # and swing by more than 2 tolerances; more than 3 spans in a row do not become smaller. A scene
 # that converges has done so long before.
 SPAN, SHORTEST, SWING, SPANS = 64, 12, 2.0, 3
-# Unexplained part of the variance of answers in a cycle; noise leaves 0.7 and more.
-UNEXPLAINED = 0.5
+UNEXPLAINED = 0.5  # part of the variance of answers in a cycle; noise leaves 0.7 and more
 LARGEST_TURN = math.radians(20.0)  # limit of the wrench contract
 BEYOND = 16  # syncs in a row with an answer beyond the limit: the load causes it, and no overshoot
 HALVINGS = 6  # halvings of a Newton step that leads further away: 1/64 of it is still a direction
-# Residuals in a row that grow in the same direction: no overshoot, and no equilibrium ahead.
-RUNAWAY = 6
+RUNAWAY = 6  # residuals in a row that grow in the same direction: no equilibrium ahead
 STEP = 1.0  # tolerances: motion of a scene for its stiffness by differences
 STEP_WITHOUT_TOLERANCE = 1e-9  # m or rad: the same before an answer has given a tolerance
 LAGS = 4  # earlier answers in the autoregression of a cycle: enough for two oscillations
@@ -211,6 +207,7 @@ class ContractionWatch:
         records = self.records + 1 if opposite and size >= RECORD * self.largest else 0
         further = along > ONWARD * size * self.size and size >= RECORD * self.largest
         onward = self.onward + 1 if further else 0
+
         # Residuals within the tolerance do not count.
         first = self.first if steady > 1 else self.size
         if size > 1.0 and (records >= BURST or (steady >= CYCLE and size >= first)):
@@ -248,6 +245,7 @@ class CycleWatch:
         self._count += 1
         if self._count < SPAN:
             return
+
         self._count = 0
         before = self._spread
         spreads = np.ptp(self._answers, axis=0)
@@ -264,6 +262,7 @@ class CycleWatch:
             factors, *_ = np.linalg.lstsq(model, answers[LAGS:], rcond=None)
             unexplained = answers[LAGS:] - model @ factors
             swings = float(unexplained.var()) < UNEXPLAINED * float(answers.var())
+
         self._rows = self._rows + 1 if swings and self._spread >= STEADY * before else 0
         if self._rows > SPANS:
             raise CouplingDiverged(
@@ -280,10 +279,7 @@ def within_limit(displacement: Vector) -> Vector:
 
 
 def require_within_limit(displacement: Vector, component: str) -> None:
-    """Check that an equilibrium (6,), m and rad, is within the largest rotation of a table.
-
-    Raises CouplingDiverged if it is not.
-    """
+    """Raise CouplingDiverged if an equilibrium (6,), m and rad, rotates beyond all tables."""
     turned = math.degrees(math.sqrt(float(displacement[3:] @ displacement[3:])))
     if turned > math.degrees(LARGEST_TURN):
         raise CouplingDiverged(
@@ -351,24 +347,21 @@ class CouplingIteration:
 
 @dataclass
 class Loop:
-    """Base class of the static loops."""
+    """A scene that stands still and a component: a limited number of answers, each recorded."""
 
     read: Callable[[Vector], Vector]  # the scene: displacement (6,), m and rad, to wrench
     ask: Callable[[Vector], tuple[Displacement, Vector]]  # the component: wrench to answer (6,)
     scale: Scale
     accuracy: float  # tolerances by which each output may still be off
-    most: int  # largest number of answers
+    max_answers: int
     residuals: list[float] = field(default_factory=list)  # in tolerances
 
     def evaluate(self, displacement: Vector) -> CouplingIteration:
-        """Set a displacement, read the scene's wrench, and get the component's answer.
-
-        Raises CouplingDiverged after the last allowed answer.
-        """
-        if len(self.residuals) >= self.most:
+        """Evaluate scene and component at a displacement (6,); raises CouplingDiverged."""
+        if len(self.residuals) >= self.max_answers:
             raise CouplingDiverged(
-                f"the coupling has not settled after {self.most} answers: pose and answer are "
-                f"{self.residuals[-1]:.3g} tolerances apart, above {self.accuracy:g}. If they "
+                f"the coupling has not settled after {self.max_answers} answers: pose and answer "
+                f"are {self.residuals[-1]:.3g} tolerances apart, above {self.accuracy:g}. If they "
                 f"still approach, raise most=. {REMEDY}",
                 self.residuals,
             )
@@ -382,10 +375,7 @@ class Loop:
 
 
 def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> CouplingIteration:
-    """Find the equilibrium by relaxation, from a displacement (6,), m and rad.
-
-    Raises CouplingDiverged if scene and component drive each other apart, or do not converge.
-    """
+    """Find the equilibrium by relaxation from a displacement (6,); raises CouplingDiverged."""
     relaxation.restart()
     state = loop.evaluate(start)
     runaway = 0
@@ -409,6 +399,29 @@ def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> Coupling
     return state
 
 
+def newton_step(compliance: Vector, stiffness: Vector, residual: Vector) -> Vector:
+    """Return the change of displacement (6,), m and rad, by which a residual (6,) becomes zero.
+
+    It is (I - C K)^-1 r with the compliance C and the scene's stiffness K (6, 6), SI. Outputs whose
+    compliance is NaN count as rigid.
+    """
+    matrix = np.eye(6) - np.nan_to_num(compliance) @ stiffness
+    return np.asarray(np.linalg.solve(matrix, residual), dtype=float)
+
+
+def _stiffness_of_scene(loop: Loop, state: CouplingIteration) -> Vector:
+    """Return the scene's dw/du (6, 6), SI, by small motions from a state, to which it returns."""
+    stiffness = np.empty((6, 6))
+    tolerance = loop.scale.tolerance
+    sizes = np.where(tolerance > 0.0, STEP * tolerance, STEP_WITHOUT_TOLERANCE)
+    for column, size in enumerate(sizes):
+        displacement = state.displacement.copy()
+        displacement[column] += size
+        stiffness[:, column] = (loop.read(displacement) - state.wrench) / size
+    loop.read(state.displacement)
+    return stiffness
+
+
 def by_newton(
     loop: Loop, start: Vector, stiffness: Vector | None
 ) -> tuple[CouplingIteration, float | None]:
@@ -422,27 +435,16 @@ def by_newton(
     state = loop.evaluate(start)
     radius = None
     while state.size > loop.accuracy:
-        slope = stiffness
-        if slope is None:  # by small motions of the scene
-            slope = np.empty((6, 6))
-            sizes = np.where(
-                loop.scale.tolerance > 0.0, STEP * loop.scale.tolerance, STEP_WITHOUT_TOLERANCE
-            )
-            for column, size in enumerate(sizes):
-                displacement = state.displacement.copy()
-                displacement[column] += size
-                slope[:, column] = (loop.read(displacement) - state.wrench) / size
-            loop.read(state.displacement)  # restores the scene's position
+        slope = _stiffness_of_scene(loop, state) if stiffness is None else stiffness
         compliance = state.answer.derivative
         if compliance is None:
             raise MountError(
                 f"{state.answer.component} has no derivative at this wrench, which Newton needs; "
                 "settle with relaxation='aitken'"
             )
-        product = np.nan_to_num(compliance) @ slope  # NaN: an output that counts as rigid
         radius = spectral_radius(np.nan_to_num(compliance), slope)
         try:
-            step = np.asarray(np.linalg.solve(np.eye(6) - product, state.residual), dtype=float)
+            step = newton_step(compliance, slope, state.residual)
         except np.linalg.LinAlgError:
             raise CouplingDiverged(
                 "the scene has no stable equilibrium here: its negative stiffness cancels the "
@@ -450,6 +452,7 @@ def by_newton(
                 loop.residuals,
                 radius,
             ) from None
+
         fraction = 1.0  # the part of the step that leads nearer
         before = state
         for _ in range(HALVINGS):
