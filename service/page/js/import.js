@@ -120,7 +120,7 @@ function preview(result) {
   if (!result.preview?.length) return null;
   const head = ["#row", ...LOADS.map((one) => `#${plain(one)}, ${unitOfLoad(one)}`), ...OUTPUTS.map((one) => `#${one}, ${unitOfOutput(one)}`)];
   const lines = result.preview.map((one) => [String(one.row), ...[...one.wrench, ...one.displacement].map((value) => number(value, 5))]);
-  const shown = table(head, lines, { scrolls: true, caption: "The first correct rows, in SI" });
+  const shown = table(head, lines, { scrolls: true, caption: "The first correct rows, converted to SI" });
   shown.id = "preview";
   return shown;
 }

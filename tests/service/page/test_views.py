@@ -636,11 +636,11 @@ def test_a_row_is_withdrawn_found_by_its_state_and_restored_in_the_list_of_rows(
 
 
 def test_the_list_of_rows_is_paged_over_solves_and_imports_newest_first(browser, client):
-    client.solve("spring", [0, 0, 5.0], wait_s=120)
+    client.solve("spring", [0, 0, -5.0], wait_s=120)
     header = {"Content-Type": "text/csv"}
-    text = "\n".join([f"{LOADS},uz [mm]", *(f"0,0,{k / 10},0,0,0,{k}" for k in range(1, 31))])
+    text = "\n".join([f"{LOADS},uz [mm]", *(f"0,0,{-k / 10},0,0,0,{-k}" for k in range(1, 31))])
     client.call("POST", "/v1/components/spring/table", content=text.encode(), headers=header)
-    client.solve("spring", [0, 0, 6.0], wait_s=120)
+    client.solve("spring", [0, 0, -6.0], wait_s=120)
     rows = client.call_json("GET", "/v1/components/spring/table")["rows"]
     present = sorted((row["row"] for row in rows), reverse=True)
     browser.visit("#/c/spring/rows")
