@@ -17,7 +17,7 @@ export async function picture(root, about, read, signal) {
   const interfaces = Object.entries(detail.interfaces || { "": detail.interface }).filter(([, one]) => one?.point);
   const most = LONGEST * extent(surface.vertices);
   const around = interfaces.flatMap(([, { point }]) => [-most, most].flatMap((way) => [0, 1, 2].map((k) => point.map((one, at) => one + (k === at ? way : 0))))); // where arrows may end
-  const place = el("div", { class: `plot${about.space ? "" : " low"}`, id: "loads", "data-away": awayFrom([...surface.vertices, ...around]) });
+  const place = el("div", { class: `plot${about.space ? "" : " low"}`, id: "loads", "data-away": 1.15 * awayFrom([...surface.vertices, ...around]) });
   const view = figure(place, "The part and its loads", marks());
   root.append(view.root, interfaces.length ? el("p", { class: "muted small" }, "Lines x, y and z at the point: the axes of the interface, in which loads and displacements are given.") : "");
   const edges = lines(surface.vertices, outline(surface.vertices, surface.triangles), MM);
