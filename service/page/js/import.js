@@ -118,9 +118,11 @@ function findings(state, found, number) {
 
 function preview(result) {
   if (!result.preview?.length) return null;
-  const head = ["#row", ...LOADS.map((one) => `#${plain(one)}, ${unitOfLoad(one)}`), ...OUTPUTS.map((one) => `#${one}, ${unitOfOutput(one)}`)];
+  const inFile = new Map((result.columns || []).map(({ name, unit }) => [name.replace("-", ""), unit?.replace("*", "·").replace("um", "µm")]));
+  const headOf = (name, text, unit) => `#${text}, ${unit}${inFile.get(name) && inFile.get(name) !== unit ? ` (file: ${inFile.get(name)})` : ""}`;
+  const head = ["#row", ...LOADS.map((one) => headOf(one, plain(one), unitOfLoad(one))), ...OUTPUTS.map((one) => headOf(one, one, unitOfOutput(one)))];
   const lines = result.preview.map((one) => [String(one.row), ...[...one.wrench, ...one.displacement].map((value) => number(value, 5))]);
-  const shown = table(head, lines, { scrolls: true, caption: "The first correct rows, in SI" });
+  const shown = table(head, lines, { scrolls: true, caption: "The first correct rows, converted to SI" });
   shown.id = "preview";
   return shown;
 }

@@ -77,9 +77,10 @@ function askForKey() {
   const close = () => { dialog.close(); dialog.remove(); };
   const refused = el("div", { "aria-live": "polite" });
   const use = async () => {
+    const before = key(); // a refused key does not cost the one that worked
     setKey(input.value.trim());
     const [needed, known] = await Promise.all(["", key()].map((one) => answers(one)));
-    if (key() && !known && !needed) return put(refused, note("outside", "The server refuses this key. Copy it again, or ask for a new one."), setKey(""));
+    if (key() && !known && !needed) return put(refused, note("outside", "The server refuses this key. Copy it again, or ask for a new one."), setKey(before));
     verdict = !key() ? "" : needed ? " (not needed)" : " ✓";
     if (key() && needed) notify("This server needs no key.");
     close();

@@ -25,10 +25,15 @@ export async function show(root, about, signal, query = new URLSearchParams()) {
   let walk = null, latest = 0;
   const load = async (fresh) => {
     const mine = latest += 1; // of two at once the later one counts
-    if (fresh) { walk = walkOf(about.name, number.value, source.value, status.value, imports.filter(({ id }) => !from.value || String(id) === from.value), Boolean(from.value), signal); put(body); }
     older.hidden = true;
     put(state, el("p", { class: "muted" }, "Reading rows …"));
     try {
+      if (fresh) {
+        const now = (await get(`${of(about.name)}/imports`, signal)).imports.filter(({ id }) => !from.value || String(id) === from.value); // withdrawals change them
+        if (mine !== latest) return;
+        walk = walkOf(about.name, number.value, source.value, status.value, now, Boolean(from.value), signal);
+        put(body);
+      }
       let shown = 0, read = 0, more = true;
       while (more && shown < SHOWN && read < MOST_READ) {
         const numbers = await walk.next();

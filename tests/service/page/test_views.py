@@ -636,11 +636,11 @@ def test_a_row_is_withdrawn_found_by_its_state_and_restored_in_the_list_of_rows(
 
 
 def test_the_list_of_rows_is_paged_over_solves_and_imports_newest_first(browser, client):
-    client.solve("spring", [0, 0, 5.0], wait_s=120)
+    client.solve("spring", [0, 0, -5.0], wait_s=120)
     header = {"Content-Type": "text/csv"}
-    text = "\n".join([f"{LOADS},uz [mm]", *(f"0,0,{k / 10},0,0,0,{k}" for k in range(1, 31))])
+    text = "\n".join([f"{LOADS},uz [mm]", *(f"0,0,{-k / 10},0,0,0,{-k}" for k in range(1, 31))])
     client.call("POST", "/v1/components/spring/table", content=text.encode(), headers=header)
-    client.solve("spring", [0, 0, 6.0], wait_s=120)
+    client.solve("spring", [0, 0, -6.0], wait_s=120)
     rows = client.call_json("GET", "/v1/components/spring/table")["rows"]
     present = sorted((row["row"] for row in rows), reverse=True)
     browser.visit("#/c/spring/rows")
@@ -740,3 +740,101 @@ def test_a_file_that_is_no_table_offers_no_mending(browser, rig):
     browser.drop(".drop", "notes.csv", "")
     browser.named(".note", "notes.csv is not read as a table; nothing was loaded.")
     assert browser.all("#check-again") == []
+
+
+def test_a_drawing_has_the_layout_of_a_turned_telephone(browser, plate):
+    browser.resize(390, 844)
+    browser.visit(f"{PLATE}/shape")
+    browser.drawn("#shape")
+    bar = "return document.querySelector('#shape')._fullData[0].colorbar.orientation"
+    assert browser.run(bar) == "h"
+    browser.resize(844, 390)
+    browser.until(lambda: browser.run(bar) == "v")
+    size = "return document.querySelector('#shape')._fullLayout.width"
+    browser.until(lambda: browser.run(size) > 600)
+
+
+def test_numbers_of_faces_at_one_place_are_one_text(browser, client):
+    browser.visit(f"{PLATE}/faces")
+    browser.drawn("#faces")
+    texts = browser.run(
+        "return document.querySelector('#faces').data.filter((one) => one.type !== 'mesh3d')"
+        ".map((one) => one.text[0])"
+    )
+    numbers = [number for text in texts for number in re.findall(r"\d+", text)]
+    assert sorted(map(int, numbers)) == list(range(1, len(texts) + 1))
+    assert any(", " in text for text in texts)  # both sides of the thin plate
+
+
+# Answers calls whose address has a text, and keeps their bodies; all others go to the server.
+STUB = """const own = window.fetch; window.sent = [];
+window.fetch = (to, how) => {
+  const [, reply] = JSON.parse(arguments[0]).find(([text]) => String(to).includes(text)) || [];
+  if (reply === undefined) return own(to, how);
+  if (how.body) window.sent.push(JSON.parse(how.body));
+  return Promise.resolve(new Response(JSON.stringify(reply)));
+};"""
+
+
+def test_a_fill_goes_on_round_by_round_to_the_number_of_solves_that_was_given(browser, client):
+    browser.visit("#/c/plate")
+    browser.one("#fill")
+    replies = [
+        ["/fill", {"jobs": [{"id": 1}, {"id": 2}], "reason": "the largest errors first"}],
+        ["v1/jobs/", {"status": "done"}],
+    ]
+    browser.run(STUB, json.dumps(replies))
+    browser.type("form input[type=number]", "5")
+    browser.click("#fill")
+    browser.named("span", "The budget is spent.")
+    assert browser.run("return window.sent") == [{"budget": 5}, {"budget": 3}, {"budget": 1}]
+
+
+def test_the_first_bar_of_the_coverage_has_its_own_legend(browser, plate):
+    browser.visit(PLATE)
+    browser.until(lambda: len(browser.all(".legend")) == 2)
+    first, second = (item.text for item in browser.all(".legend"))
+    assert "over it or not known" in first
+    assert "thin" in second
+
+
+def test_a_component_toml_alone_is_dropped_and_added(browser, client):
+    text = (ROOT / "data/components/bar/component.toml").read_text()
+    text = text.replace('name = "bar"', 'name = "alone"')
+    browser.visit("#/add")
+    browser.drop(".drop", "component.toml", text)
+    browser.click("button", "Add the bundle")
+    browser.named("h1", "alone")
+    assert client.component("alone")["has_fea"]
+
+
+def test_a_refused_key_leaves_the_one_that_worked(browser, client):
+    browser.visit("#/")
+    browser.one("a.card")
+    before = browser.run("return sessionStorage.getItem('wrenchbook-key')")
+    browser.run(
+        "const own = window.fetch; window.fetch = (to, how) => how.headers.Authorization === "
+        "arguments[0] ? own(to, how) : Promise.resolve(new Response('{}', {status: 401}))",
+        f"Bearer {before}",
+    )
+    browser.click("#key")
+    browser.type("dialog input", "wb_wrong")
+    browser.click("dialog button", "Use this key")
+    browser.named("dialog .note", "refuses this key")
+    assert browser.run("return sessionStorage.getItem('wrenchbook-key')") == before
+
+
+def test_the_preview_of_an_import_names_the_units_of_the_file(browser, rig):
+    browser.visit("#/c/unmeasured/table")
+    header = LOADS.replace("Fz [N]", "Fz [kN]")
+    browser.drop(".drop", "kilo.csv", f"{header},uz [mm]\n0,0,0.1,0,0,0,0.1\n")
+    head = browser.one("#preview thead").text
+    assert "Fz, N (file: kN)" in head
+    assert "uz, m (file: mm)" in head
+    assert "Fx, N (file" not in head
+
+
+def test_one_import_of_a_table_without_solves_has_nothing_to_be_compared_with(browser, client):
+    measured(client, "single", 100, 200)
+    browser.visit("#/c/single/compare")
+    browser.named(".empty", "Compare needs two imports")
