@@ -93,7 +93,7 @@ def joint(
     if out is not None:
         out.write_text(text, encoding="utf-8")
         if ' file="' in text and out.resolve().parent != scene.resolve().parent:
-            sys.stderr.write(f"its file names refer to the folder {scene.parent}; move it there\n")
+            sys.stderr.write(f"{out} has file names relative to {scene.parent}; move it there\n")
     if as_json:
         print_json({"component": name, "tip_mass": mass, "file": out, "mjcf": text})
     elif out is None:
@@ -103,7 +103,7 @@ def joint(
 def _mass_note(name: str, facts: dict[str, Any], mass: list[list[float]] | None, tip: str) -> str:
     """Return a text on the mass that moves with the tip; `mass` as of `_moving`."""
     if mass is None:
-        return f"{name} has no known mass; give its materials a density"
+        return f"{name} has no known mass, so {tip!r} has none of it; give its materials a density"
     total = facts["vibration"]["mass"]
     moving = sum(mass[k][k] for k in range(3)) / 3
     return (

@@ -195,7 +195,7 @@ def stiffness_lines(body: dict[str, Any]) -> Iterator[Table | str]:
         if line is not None:
             table.add_row(name, str(line["rows"]), *(f"{line[key]:.6g}" for key in names))
     span = f"{body['axis']} from {low:g} to {high:g} N (N·m)"
-    yield table if table.row_count else f"Fewer than three measured rows have {span}."
+    yield table if table.row_count else f"Fewer than three measured rows have {span}; import more."
     for name, play in body["play"].items():
         unit = body["unit"].rpartition("/")[2]
         yield f"Play at no load, of {name}: {play['value']:.4g} +- {play['half_width']:.2g} {unit}"

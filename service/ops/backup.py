@@ -109,7 +109,7 @@ def back_up(folder: Path, target: Path) -> Manifest:
         path = Path(str(error.filename))
         problem = f"{target} cannot be written: {with_remedy(error)}"
         if path.is_relative_to(folder) and HELD.fullmatch(path.relative_to(folder).as_posix()):
-            problem = f"{path} cannot be read: {error.strerror}"
+            problem = f"{path} cannot be read: {error.strerror}; let this user read it"
         raise BackupError(f"{problem}. No backup was made") from error
     except LedgerError as error:
         raise BackupError(f"no backup was made: {error}") from error

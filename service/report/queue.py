@@ -20,7 +20,8 @@ _LOCK, CANCEL = "lock", "cancel"
 State = Literal["none", "running", "done", "failed"]
 _KILLED = (
     "the process was killed before it wrote the report, for lack of memory or as the server "
-    "stopped; make the report again, and if that ends the same, see log.txt there"
+    "stopped; make the report again, and if that ends the same, see reports/{}/log.txt in the data "
+    "directory"
 )
 
 
@@ -114,7 +115,7 @@ class Reports:
         ordered, written = file_stamp((folder / "order.json", folder / FILES["json"]))
         is_missing = ordered and (not written or written[0] < ordered[0])
         if is_missing and not (folder / CANCEL).exists():
-            return ReportState("failed", 0.0, _KILLED)
+            return ReportState("failed", 0.0, _KILLED.format(name))
         return ReportState("done", 1.0) if written else ReportState("none")
 
     def file(self, name: str, format: str) -> Path | None:  # noqa: A002 (the contract's word)
