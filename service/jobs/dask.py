@@ -426,20 +426,14 @@ class DaskEngine(attempts.Listeners):
         return "finished"
 
     async def _submit_once(self, task: _Task) -> attempts.State | None:
-        """Submit the attempt once.
-
-        Return its final state, or None if it is to be submitted again.
-        """
+        """Submit the attempt once; return its final state, None if it is to be submitted again."""
         attempt = task.attempt
         client = await self._connected(lambda: not self._unreachable)
         workers, resources = await self._suitable_workers(task)
         name, bundle = await self._send(client, attempt.bundle)
 
         def run(*arguments: Any) -> dict[str, Any]:
-            """Run a task.
-
-            Pickled by value, as a scheduler unpickles tasks and lacks this program.
-            """
+            """Run a task; pickled by value, as a scheduler unpickles it and lacks this program."""
             from wrenchbook.service.jobs.dask_worker import run_task
 
             return run_task(*arguments)

@@ -78,10 +78,7 @@ def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
 
 
 def _stored(rows: Rows, load_range: LoadRange) -> ComplianceFit:
-    """Return the mean of the rows' compliances.
-
-    The error bar is half their spread, at full loads.
-    """
+    """Return the rows' mean compliance; its error bar is half their spread at full loads."""
     # The displacement at zero load, (6,), is taken from the row whose loads move it least. Values
     # within `SAME_LINE` of the row's motion are its rounding.
     moved = (rows.compliance @ rows.wrench[:, :, None])[:, :, 0]
