@@ -389,7 +389,7 @@ def edit_import(
         raise UnknownImportError(
             f"import {number} of {component!r} has no finding {cause!r}; its findings are {causes}"
         )
-    keys = [key for some in lists for key in some] if all(lists) else []
+    keys = [key for part in lists for key in part] if all(lists) else []
     seqs = _chosen(db, component, number, keys, withdrawn=not withdrawn)
     rows.edit(db, component, seqs, withdrawn=withdrawn, now=time.time())
     if seqs:

@@ -72,9 +72,9 @@ _MAX_VALUES = 500  # values of one statement; SQLite before 3.32 allows 999
 
 def in_parts(values: Iterable[Any]) -> Iterator[tuple[str, list[Any]]]:
     """Yield the placeholders and values of `IN (...)`, some at a time."""
-    every = list(values)
-    for start in range(0, len(every), _MAX_VALUES):
-        part = every[start : start + _MAX_VALUES]
+    listed = list(values)
+    for start in range(0, len(listed), _MAX_VALUES):
+        part = listed[start : start + _MAX_VALUES]
         yield ", ".join("?" * len(part)), part
 
 

@@ -47,8 +47,8 @@ def negative_log_likelihood(
         value += fraction * float(likelihoods.mean())
         unit = factor.weights / np.sqrt(factor.variance * len(group.outputs))
         sensitivity = factor.T.T @ factor.T - unit @ unit.T
-        by = contracted(sensitivity, factor.equations, hyperparameters, factor.nugget)
-        gradient += 0.5 * fraction * by
+        derivative = contracted(sensitivity, factor.equations, hyperparameters, factor.nugget)
+        gradient += 0.5 * fraction * derivative
     return value, gradient
 
 

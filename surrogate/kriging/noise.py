@@ -242,10 +242,12 @@ def negative_log_posterior(
         middle = np.diag(probability.sum(axis=1) @ result.inverse) - (solved * weight) @ solved.T
         sensitivity = eigen.rotation.T @ middle @ eigen.rotation
         if not eigen.terms:
-            by = contracted(sensitivity, rows.equations, kernel, settings.nugget)
+            derivative = contracted(sensitivity, rows.equations, kernel, settings.nugget)
         else:
-            by = _contracted_values(sensitivity, rows.squares, eigen.terms, kernel, settings.nugget)
-        gradient += 0.5 * by
+            derivative = _contracted_values(
+                sensitivity, rows.squares, eigen.terms, kernel, settings.nugget
+            )
+        gradient += 0.5 * derivative
     count = sum(len(rows.outputs) for rows in groups)
     return total / count, gradient / count
 
