@@ -338,8 +338,9 @@ def _between_sources(rows: Rows, load_range: LoadRange, groups: Sequence[Group])
             continue
         for number in sources:
             at = np.flatnonzero((source == number) & load_range.holds(rows.wrench))
-            some = rows.take(at[:: max(len(at) // MAX_COMPARED_ROWS, 1)])
-            error = beyond_noise(some.displacement, group.kriging.answer_many(some.wrench)[0])
+            compared = rows.take(at[:: max(len(at) // MAX_COMPARED_ROWS, 1)])
+            answers, _ = group.kriging.answer_many(compared.wrench)
+            error = beyond_noise(compared.displacement, answers)
             outputs = list(group.outputs)
             largest[outputs] = np.maximum(largest, error)[outputs]
     return largest

@@ -333,14 +333,14 @@ class _Refinement:
         """
         rows, before = self.surrogate.rows, np.nan
         count = len(rows)
-        some = len(rows) // 2
-        half = build(rows.take(np.arange(some)), self.surrogate.load_range).groups[0]
+        half_count = len(rows) // 2
+        half = build(rows.take(np.arange(half_count)), self.surrogate.load_range).groups[0]
         if half.kriging is not None:
             bars = half.kriging.sigma_with(sample[:0], sample) / self.allowed
             before = float(np.quantile(bars[:, self.outputs].max(axis=1), ENOUGH))
         if not (np.isfinite(before) and before > worst > 1.0):
             return "; its rows do not show yet how many solves the tolerance takes"
-        rate = log(before / worst) / log(count / some)
+        rate = log(before / worst) / log(count / half_count)
         more = count * (min(worst ** (1 / rate), MAX_SOLVES) - 1) if rate > MIN_RATE else np.inf
         if more <= budget:
             return ""
@@ -349,7 +349,7 @@ class _Refinement:
         )
         return (
             f"; the tolerance takes {number} further solves, an estimate by the rate so far: "
-            f"{before:.3g} times the tolerance with {some} rows, {worst:.3g} with {count}"
+            f"{before:.3g} times the tolerance with {half_count} rows, {worst:.3g} with {count}"
         )
 
     def _losses(self, wrenches: Floats) -> Floats:

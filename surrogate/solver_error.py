@@ -115,10 +115,10 @@ class SolverError:
         if "linearity" in self.values:
             components["linearity"] = None
         if self._remainder is not None:
-            most = np.max(sizes * self.packed["one_over"], initial=0.0)
-            power = most if self.second is None else most**2
+            part_of_range = np.max(sizes * self.packed["one_over"], initial=0.0)
+            power = part_of_range if self.second is None else part_of_range**2
             growth = (1 + self.saturation) / (1 + self.saturation * power)
-            linearity = self._remainder * most * power * growth
+            linearity = self._remainder * part_of_range * power * growth
             if self.second is not None:
                 linearity += 0.5 * np.abs(self.second @ acting @ acting)
             components["linearity"] = linearity.tolist()

@@ -341,10 +341,7 @@ class Listeners:
     _listeners: tuple[Listener, ...] = ()
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call the listener when an attempt's state may have changed.
-
-        Return a function that ends this.
-        """
+        """Call the listener when an attempt may have changed; return a function that ends this."""
         self._listeners = (*self._listeners, listener)
 
         def stop() -> None:

@@ -47,9 +47,9 @@ for _name in ("distributed.client", "distributed.batched"):
 # A free thread finds its next task on its worker: the way through the scheduler takes as long as a
 # solve of 10 ms. Scheduler and workers keep the order of priorities.
 TASKS_A_THREAD = 2
-CLOSE_SECONDS = 5.0
+CLOSE_SECONDS = 5.0  # time for the engine's thread to end, as the scheduler may not answer
 CANCEL_SECONDS = 2.0  # time for the scheduler to be reachable before an attempt counts as cancelled
-# Also the time for which the client tries to reconnect before it is replaced.
+# Time for a connection, and for a client to reconnect by itself before another one replaces it.
 CONNECT_SECONDS = 10.0
 AWAY_SECONDS = (0.2, 5.0)  # pause before the first reconnection, and the longest one
 # Interval of requests for the list of workers: a new one is used within a second.
@@ -159,16 +159,14 @@ class DaskEngine(attempts.Listeners):
         if why := self._unreachable:
             raise attempts.EngineError(why)
         if attempt.task not in self._tasks:
-            task = self._tasks[attempt.task] = _Task(attempt)
-            self._call_soon(self._start, task)
+            self._start(attempt)
 
     def attach(self, attempt: Attempt) -> None:
         """Submit the attempt under its key: a task of that key on the cluster continues."""
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
             if attempt.task not in self._tasks and not (attempt.folder / OUTCOME).exists():
                 attempt.bundle = attempts.read_attempt(attempt.folder).bundle
-                task = self._tasks[attempt.task] = _Task(attempt)
-                self._call_soon(self._start, task)
+                self._start(attempt)
 
     def poll(self, attempt: Attempt) -> attempts.State:
         """Return the attempt's state by the latest event; see `service.jobs.dispatcher`."""
@@ -190,6 +188,14 @@ class DaskEngine(attempts.Listeners):
         self._tasks.clear()
         self._call_soon(self._loop.stop)
         self._thread.join(CLOSE_SECONDS)
+
+    def _start(self, attempt: Attempt) -> None:
+        task = self._tasks[attempt.task] = _Task(attempt)
+
+        def run() -> None:
+            task.run = self._create_task(self._run(task))
+
+        self._call_soon(run)
 
     @property
     def _fit(self) -> list[_Worker]:
@@ -340,11 +346,8 @@ class DaskEngine(attempts.Listeners):
 
     # -- attempts, in the engine's own thread --------------------------------------------------
 
-    def _start(self, task: _Task) -> None:
-        task.run = self._create_task(self._run(task))
-
     async def _cancel(self, name: str) -> None:
-        """Cancel an attempt in the scheduler, whoever submitted it, and write its outcome."""
+        """Cancel an attempt in the scheduler, of any client, and write its outcome."""
         task = self._tasks.get(name)
         if task and task.run:
             task.run.cancel()
@@ -426,20 +429,14 @@ class DaskEngine(attempts.Listeners):
         return "finished"
 
     async def _submit_once(self, task: _Task) -> attempts.State | None:
-        """Submit the attempt once.
-
-        Return its final state, or None if it is to be submitted again.
-        """
+        """Submit the attempt once; return its final state, None if it is to be submitted again."""
         attempt = task.attempt
         client = await self._connected(lambda: not self._unreachable)
         workers, resources = await self._suitable_workers(task)
         name, bundle = await self._send(client, attempt.bundle)
 
         def run(*arguments: Any) -> dict[str, Any]:
-            """Run a task.
-
-            Pickled by value, as a scheduler unpickles tasks and lacks this program.
-            """
+            """Run a task; pickled by value, as a scheduler unpickles it and lacks this program."""
             from wrenchbook.service.jobs.dask_worker import run_task
 
             return run_task(*arguments)

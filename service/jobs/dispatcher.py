@@ -146,12 +146,13 @@ class Dispatcher:
     handles the jobs it claimed, and takes over those of a dead dispatcher of the same engine, whose
     solvers may still be running.
 
-    `bundles` returns the folder of a component by its name; its errors fail the job. The jobs
-    folder has the attempts' folders, ``<job>/<attempt>``, and ``owners``. `fields` stores deformed
-    surfaces and `errors` estimates of the solver's own error, if they are given. `deadline` is the
-    time of a solve in seconds, by default derived from the component's check. `setups` returns the
-    present fingerprint of a component: a job that was accepted for an earlier one, before an
-    upgrade for example, is submitted again for it. `stop` does not close the engine.
+    `bundles`: returns the folder of a component by its name; its errors fail the job.
+    `jobs_folder`: has the attempts' folders, ``<job>/<attempt>``, and ``owners``.
+    `fields`, `errors`: store deformed surfaces and estimates of the solver's own error.
+    `setups`: returns the present fingerprint of a component: a job that was accepted for an earlier
+    one, before an upgrade for example, is submitted again for it.
+
+    `stop` does not close the engine.
     """
 
     def __init__(
@@ -163,7 +164,6 @@ class Dispatcher:
         fields: FieldStore | None = None,
         errors: SolverErrors | None = None,
         *,
-        deadline: float | None = None,
         setups: Callable[[str], str] = lambda _: "",
     ) -> None:
         self._failing: str | None = None
@@ -175,7 +175,6 @@ class Dispatcher:
         self._jobs_folder = Path(jobs_folder).absolute()
         self._fields = fields
         self._errors = errors
-        self._deadline = deadline
         self._lease: Lease | None = None
         self._attempts: dict[str, Attempt] = {}  # by task key, as the next dictionary
         # Polled often: their end may come without an event, or an action is due soon.
@@ -373,6 +372,7 @@ class Dispatcher:
                 attempt.accepted = attempt.adopted = True
                 attempt.witnessed = self._engine.poll(attempt) in ALIVE
                 self._add(attempt)
+
         now = time.monotonic()
         keys = [(job.id, job.attempt) for job in foreign]
         self._abandoned = {key: self._abandoned.get(key, now) for key in keys}
@@ -397,11 +397,10 @@ class Dispatcher:
         """Add the component's folder and the resources of its solve."""
         check = estimate_of(bundle)
         memory, seconds = check.get("memory_bytes"), check.get("nonlinear_seconds")
-        deadline = UNKNOWN_DEADLINE
+        attempt.deadline = UNKNOWN_DEADLINE
         if isinstance(memory, int) and isinstance(seconds, int | float):
             attempt.memory = memory
-            deadline = max(MIN_DEADLINE, DEADLINE_MARGIN * seconds)
-        attempt.deadline = deadline if self._deadline is None else self._deadline
+            attempt.deadline = max(MIN_DEADLINE, DEADLINE_MARGIN * seconds)
         attempt.bundle = str(bundle.absolute())
 
     def _add(self, attempt: Attempt) -> None:
@@ -426,28 +425,32 @@ class Dispatcher:
             self._unstarted = None
         if state in ALIVE:
             return
-        if not attempt.leaving:
-            # Whether the end of a solver without an outcome counts as a failure of its job.
-            counts = attempt.witnessed and (attempt.began or solver_began(attempt.folder))
-            if attempt.died is None and state == "lost" and counts:
-                attempt.died = time.monotonic()
-                self._pressing[attempt.task] = attempt
-                self._may_claim = True
-            if attempt.died is not None and time.monotonic() - attempt.died < OUTLIVE_SECONDS:
-                return
-            record_loss = self._ledger.release
-            if counts:
-                cause = last_output(attempt.folder)
-                record_loss = functools.partial(self._ledger.lose, cause=cause)
-            elif attempt.witnessed and attempt.accepted:
-                record_loss = functools.partial(self._ledger.release, delay=START_AGAIN_SECONDS)
-                if state == "lost":
-                    cause = last_output(attempt.folder) or "it printed nothing"
-                    log = attempt.folder / LOG
-                    self._unstarted = f"solvers stop before they start: {cause}. See {log}"
-                    _log.error("job %d: %s", attempt.job, self._unstarted)
-            with contextlib.suppress(StaleAttemptError):
-                record(self._ledger, attempt, record_loss, self._fields, self._errors)
+        if attempt.leaving:
+            self._drop(attempt)
+            return
+
+        # Whether the end of a solver without an outcome counts as a failure of its job.
+        counts = attempt.witnessed and (attempt.began or solver_began(attempt.folder))
+        if attempt.died is None and state == "lost" and counts:
+            attempt.died = time.monotonic()
+            self._pressing[attempt.task] = attempt
+            self._may_claim = True
+        if attempt.died is not None and time.monotonic() - attempt.died < OUTLIVE_SECONDS:
+            return
+
+        record_loss = self._ledger.release
+        if counts:
+            cause = last_output(attempt.folder)
+            record_loss = functools.partial(self._ledger.lose, cause=cause)
+        elif attempt.witnessed and attempt.accepted:
+            record_loss = functools.partial(self._ledger.release, delay=START_AGAIN_SECONDS)
+            if state == "lost":
+                cause = last_output(attempt.folder) or "it printed nothing"
+                log = attempt.folder / LOG
+                self._unstarted = f"solvers stop before they start: {cause}. See {log}"
+                _log.error("job %d: %s", attempt.job, self._unstarted)
+        with contextlib.suppress(StaleAttemptError):
+            record(self._ledger, attempt, record_loss, self._fields, self._errors)
         self._drop(attempt)
 
     def _claim(self, lease: Lease, limit: int) -> None:

@@ -190,10 +190,7 @@ def _enter_keys(ledger: Ledger, parts: Sequence[tuple[int, bytes]]) -> None:
 
 
 def _show(ledger: Ledger, component: str, number: int, origin: ImportOrigin, start: int) -> int:
-    """Publish the rows that no other process has inserted since seq `start`.
-
-    Return their number.
-    """
+    """Publish the rows that no other process has inserted since seq `start`; return the count."""
     with ledger.writing() as db:
         rows.yield_to_others(db, component, start)
         (new,) = db.execute(f"SELECT coalesce(sum(count), 0) {_ROWS}", (number,)).fetchone()
@@ -254,10 +251,7 @@ def append_rows(
 
 
 def drop_abandoned(ledger: Ledger) -> None:
-    """Delete the hidden rows of imports whose process has ended.
-
-    Do nothing while an import runs.
-    """
+    """Delete the hidden rows of imports whose process has ended, unless an import is running."""
     with ledger.reading() as db:
         if rows.first_hidden(db, None) is None:
             return
@@ -395,7 +389,7 @@ def edit_import(
         raise UnknownImportError(
             f"import {number} of {component!r} has no finding {cause!r}; its findings are {causes}"
         )
-    keys = [key for some in lists for key in some] if all(lists) else []
+    keys = [key for part in lists for key in part] if all(lists) else []
     seqs = _chosen(db, component, number, keys, withdrawn=not withdrawn)
     rows.edit(db, component, seqs, withdrawn=withdrawn, now=time.time())
     if seqs:

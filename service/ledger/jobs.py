@@ -26,6 +26,7 @@ from wrenchbook.service.ledger.records import (
     Status,
     UnknownJobError,
 )
+from wrenchbook.surrogate.table.rows import SOLVED
 
 # Seconds for which a job waits after its solver's first, second and third death; the fourth ends
 # it. The cause of deaths, such as a lack of memory, has often passed a minute or two later.
@@ -94,6 +95,7 @@ def accept(
     key = wrench if isinstance(wrench, bytes) else pack_vector(wrench)
     where = "WHERE component = ? AND fingerprint = ? AND wrench = ?"
     known = _select(db, where, (component, fingerprint, key))
+
     if not known:
         actor = charged(db, component, quota)
         added = db.execute(
@@ -106,6 +108,7 @@ def accept(
         after = {"status": job.status, "priority": priority, "asked_by": asked_by}
         note(db, "job.accept", job.id, component, after=after)
         return job, True
+
     job = known[0]
     if _lacks_its_row(db, job) or (job.status == "cancelled" and reopen_cancelled):
         caller = {"asked_by": asked_by, "actor": charged(db, component, quota)}
@@ -176,6 +179,7 @@ def next_waiting(db: Connection, most: int) -> list[JobRecord]:
             queues[actor] = jobs[::-1]
             turns[actor] = 0, db.execute(last, (actor,)).fetchone()[0]
         actor = db.execute(other.format(">"), (actor,)).fetchone()[0]
+
     picked: list[JobRecord] = []
     while queues and len(picked) < most:
         heads = {actor: jobs[-1] for actor, jobs in queues.items()}
@@ -239,7 +243,7 @@ def commit(
     attempt: int,
     displacement: Sequence[float],
     *,
-    source: str = "fea",
+    source: str = SOLVED,
     origin: str = "",
     seconds: float | None = None,
     **known: Any,

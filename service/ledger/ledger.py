@@ -203,7 +203,7 @@ class Ledger:
 
         Raises ValueError if a solve lacks an output or a tangent is infinite.
         """
-        unsolved = (rows.source == "fea") & np.isnan(rows.displacement).any(axis=1)
+        unsolved = rows.is_solved & np.isnan(rows.displacement).any(axis=1)
         if unsolved.any():
             at = int(unsolved.argmax())
             displacement = rows.displacement[at].tolist()
@@ -348,10 +348,7 @@ class Ledger:
         return {name: file.stat().st_size if file.exists() else 0 for name, file in files.items()}
 
     def checkpoint(self) -> bool:
-        """Move the log into the file and empty it.
-
-        Return False if another connection uses it now.
-        """
+        """Move the log into the file and empty it; return False if another connection uses it."""
         with self._write_lock, self.named_errors():
             writer = self._present_writer()
             writer.execute(f"PRAGMA busy_timeout = {round(1000 * CHECKPOINT_SECONDS)}")

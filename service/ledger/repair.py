@@ -279,10 +279,7 @@ def _place(db: Connection, component: str, table_rows: Rows, now: float) -> None
 
 
 def _restore_record(db: Connection, record: Record) -> int:
-    """Insert those rows of a record whose keys and numbers a new ledger lacks.
-
-    Return their number.
-    """
+    """Insert the rows of a record whose keys and numbers a new ledger lacks; return the count."""
     last = record.seq + record.count - 1
     used = {seq for seq, _ in rows.containing(db, range(record.seq, last + 1))}
     known = rows.stored(db, record.keys())

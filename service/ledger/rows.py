@@ -11,6 +11,8 @@ import logging
 import time
 from collections.abc import Iterable, Iterator, Sequence, Set
 from hashlib import blake2b
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -70,9 +72,9 @@ _MAX_VALUES = 500  # values of one statement; SQLite before 3.32 allows 999
 
 def in_parts(values: Iterable[Any]) -> Iterator[tuple[str, list[Any]]]:
     """Yield the placeholders and values of `IN (...)`, some at a time."""
-    every = list(values)
-    for start in range(0, len(every), _MAX_VALUES):
-        part = every[start : start + _MAX_VALUES]
+    listed = list(values)
+    for start in range(0, len(listed), _MAX_VALUES):
+        part = listed[start : start + _MAX_VALUES]
         yield ", ".join("?" * len(part)), part
 
 
@@ -124,11 +126,10 @@ def number(
 
 def stored(db: Connection, keys: Sequence[bytes], *, hidden: bool = False) -> dict[bytes, int]:
     """Return the numbers of existing rows by key; with `hidden` of hidden rows."""
-    hashes = key_hashes(b"".join(keys)).tolist()
     seqs: list[int] = []
-    for marks, some in in_parts(hashes):
+    for marks, part in in_parts(key_hashes(b"".join(keys)).tolist()):
         select = f"SELECT seq FROM row_keys WHERE hash IN ({marks})"
-        seqs += (seq for (seq,) in db.execute(select, some))
+        seqs += (seq for (seq,) in db.execute(select, part))
     wanted = set(keys)
     numbers = {}
     for seq, record in containing(db, seqs, "NOT " * hidden + SHOWN):
@@ -191,8 +192,8 @@ def yield_to_others(db: Connection, component: str, after: int) -> None:
 
 def delete(db: Connection, first: int, last: int, most: int) -> int:
     """Delete the last `most` records of hidden rows, and return the first number deleted."""
-    some = "seq BETWEEN ? AND ? ORDER BY seq DESC LIMIT ?"
-    records = list(_records(db, some, (first, last, most)))
+    where = "seq BETWEEN ? AND ? ORDER BY seq DESC LIMIT ?"
+    records = list(_records(db, where, (first, last, most)))
     for record in records:
         db.executemany("DELETE FROM row_keys WHERE hash = ? AND seq = ?", row_entries(record))
         db.execute("DELETE FROM rows WHERE seq = ?", (record.seq,))
@@ -232,6 +233,7 @@ def add_solved(
     if len(displacement) < MIN_NUMBERS:
         needs = f"needs {MIN_NUMBERS} or more numbers, not {len(displacement)}"
         raise ValueError(f"the displacement of job {job.id} {needs}")
+
     # Only the numbers of inputs and outputs matter.
     inputs = (Input("", "", "scalar"),) * len(job.wrench)
     space = Space(inputs, (Output("", ""),) * len(displacement))
@@ -239,9 +241,10 @@ def add_solved(
     more = {name: [value] for name, value in columns.items()}
     block = NotedRows(Rows.of([job.wrench], [displacement], space, **more), [origin])
     keys = row_keys(job.component, block)
+
     insert(db, job.component, block, keys, now, job=job.id)
     (seq,) = stored(db, keys).values()
-    if seq not in numbered(db, [seq]):
+    if seq not in numbered(db, [seq]):  # the row of the same content is damaged
         (record,) = records_of(job.component, block, keys, seq, now, job.id)
         write_anew(db, record)
         if not is_withdrawn(db, seq):
@@ -338,15 +341,17 @@ def row_changes(
     """
     newest = last_seq(db, component)
     touched = "SELECT row FROM edits WHERE component = ? AND seq > ? AND seq <= ?"
-    gone = frozenset(seq for (seq,) in db.execute(touched, (component, after, newest)))
-    hidden = withdrawn(db, component, newest)
-    back = [seq for seq in gone if seq <= after and seq not in hidden]
-    records = list(dict.fromkeys(record for _, record in containing(db, back)))
+    edited = frozenset(seq for (seq,) in db.execute(touched, (component, after, newest)))
+    gone = withdrawn(db, component, newest)
+    restored = [seq for seq in edited if seq <= after and seq not in gone]
+    records = list(dict.fromkeys(record for _, record in containing(db, restored)))
     records = [record for record in records if record.component == component]
-    old = noted_rows(records, np.isin(numbers_of(records), back), space, fingerprint, db.damaged)
-    new, last = _read(db, component, after, newest, hidden, most, space, fingerprint)
-    cut = last is not None
-    return RowChanges(joined((old.rows, new.rows)), gone, last if cut else newest, complete=not cut)
+    wanted = np.isin(numbers_of(records), restored)
+    old = noted_rows(records, wanted, space, fingerprint, db.damaged)
+
+    new, last = _read(db, component, after, newest, gone, most, space, fingerprint)
+    rows = joined((old.rows, new.rows))
+    return RowChanges(rows, edited, newest if last is None else last, complete=last is None)
 
 
 def table_at(
@@ -404,14 +409,9 @@ def get(db: Connection, seq: int) -> LedgerRow:
 def numbered(db: Connection, seqs: Iterable[int]) -> dict[int, LedgerRow]:
     """Return the existing undamaged ones of some rows, by number."""
     rows: dict[int, LedgerRow] = {}
-    last = None
-    sound = [False]
-    for seq, record in containing(db, seqs):
-        if record is not last:
-            last = record
-            sound = record.sound()
-        if sound[seq - record.seq]:
-            rows[seq] = record.row(seq)
+    for record, pairs in groupby(containing(db, seqs), key=itemgetter(1)):
+        sound = record.sound()
+        rows |= {seq: record.row(seq) for seq, _ in pairs if sound[seq - record.seq]}
     return rows
 
 

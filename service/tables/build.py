@@ -216,10 +216,7 @@ class TableBuilder:
                 self._guarded(name, self._write, self._unwritten)
 
     def _guarded(self, name: str, step: Callable[[str], None], faults: dict[str, str]) -> bool:
-        """Run a step for one component without stopping others at a failure.
-
-        Return whether it succeeded.
-        """
+        """Run a step for one component; record its failure, and return whether it succeeded."""
         try:
             step(name)
             faults.pop(name, None)

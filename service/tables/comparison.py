@@ -1,4 +1,4 @@
-"""Measured rows beside a reference: the answer of the solves alone, or of another import's rows.
+"""Measured rows beside a reference: the answers of the solves alone, or of another import's rows.
 
 The reference never contains the compared rows: a table of both would answer between them.
 """
@@ -29,7 +29,7 @@ from wrenchbook.surrogate.table.space import Space
 
 MAX_COMPARED = 3_000  # rows of a reply: 2 MB of JSON; a plot shows no more
 MAX_REFERENCE = 3_000  # rows of another import in a reference: its build takes a second
-MAX_LISTED = 500
+MAX_LISTED = 500  # rows of a list of disagreements, the worst first: 0.1 MB of JSON
 _OUTSIDE = NAMES.index("outside")
 _KINDS = "displacement", "expected", "residual", "bar", "uncertainty"
 Indices = NDArray[np.intp]
@@ -202,7 +202,6 @@ def comparison(
     selection = _selection(component, rows, spans, number, against)
     solved = against is None
     compared, reference = rows.take(selection.compared), rows.take(selection.used)
-    campaign = selection.of_import[selection.compared]
     answers = _answers(component, compared, reference, error, solved=solved)
     stated = np.ascontiguousarray(compared.uncertainty)  # contiguous for the JSON writer
     columns = _Columns(
@@ -212,6 +211,14 @@ def comparison(
         bar=answers.bar,
         scatter=np.where(np.isfinite(stated), stated, answers.noise),
     )
+
+    campaign = selection.of_import[selection.compared]
+    campaigns = []
+    for of_import in np.unique(campaign).tolist():
+        mask = campaign == of_import
+        part = {"rows": int(mask.sum()), "outputs": columns.summaries(mask)}
+        campaigns.append({"import": of_import or None, **part})
+    coverage = [NAMES[code] for code in answers.coverage.tolist()]
     return Comparison(
         component=component.name,
         table_version=version,
@@ -226,21 +233,14 @@ def comparison(
         measured=selection.measured,
         beyond_range=selection.beyond_range,
         compared=len(compared),
-        coverages={name: int((answers.coverage == code).sum()) for code, name in enumerate(NAMES)},
+        coverages={name: coverage.count(name) for name in NAMES},
         noise=answers.noise,
         reason=_incomparable(compared, reference, against),
         outputs=columns.summaries(campaign >= 0),
-        campaigns=[
-            {
-                "import": number or None,
-                "rows": int((campaign == number).sum()),
-                "outputs": columns.summaries(campaign == number),
-            }
-            for number in np.unique(campaign).tolist()
-        ],
+        campaigns=campaigns,
         row=compared.seq.tolist(),
-        campaign=[number or None for number in campaign.tolist()],
-        coverage=[NAMES[code] for code in answers.coverage.tolist()],
+        campaign=[of_import or None for of_import in campaign.tolist()],
+        coverage=coverage,
         wrench=compared.wrench,
         displacement=compared.displacement,
         expected=answers.expected,
@@ -261,15 +261,9 @@ class _Columns(NamedTuple):
 
     def summaries(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
         """Return the differences of each output over the rows of a mask, (k,)."""
-        return {
-            name: _summary(
-                self.measured[mask, at],
-                self.expected[mask, at],
-                self.bar[mask, at],
-                self.scatter[mask, at],
-            )
-            for at, name in enumerate(self.outputs)
-        }
+        arrays = (array[mask].T for array in (self.measured, self.expected, self.bar, self.scatter))
+        parts = zip(self.outputs, *arrays, strict=True)
+        return {name: _summary(*columns) for name, *columns in parts}
 
 
 def _incomparable(compared: Rows, reference: Rows, against: int | None) -> str:

@@ -48,10 +48,7 @@ class CoordinatorState:
             folder.mkdir(parents=True, exist_ok=True)
 
     def take(self) -> bool:
-        """Lock the folder for the process that builds.
-
-        Return False if another process has the lock.
-        """
+        """Lock the folder for the process that builds; return False if another one has the lock."""
         self._lock = take(self._folder / LOCK)
         if self._lock is None:
             return False

@@ -21,6 +21,7 @@ from wrenchbook.surrogate.findings.comparison import MAX_COMPARED_ROWS, comparis
 from wrenchbook.surrogate.findings.find import MAX_ROWS
 from wrenchbook.surrogate.findings.response import RigFinding
 from wrenchbook.surrogate.table.compliance import fit_compliance
+from wrenchbook.surrogate.table.rows import SOLVED
 
 SAME = 1e-12  # part of a number: rounding of an export in other units and of its import
 TWICE = (
@@ -49,33 +50,27 @@ def import_files(
     table: ServedTable | None = None,
     append: bool = False,
 ) -> dict[str, Any]:
-    """Read one table, or the logs of the loads and the displacements, and load its rows.
+    """Read one table, or the logs of loads and displacements, load its rows, and return the reply.
 
-    Load range and fingerprint are the component's, not those of `options`. `dry_run` only counts;
-    with `partial` the good rows are loaded even if others have mistakes; the reply has the first
-    `preview` good rows. With `append` the rows of a JSON block go into the import of `origin`,
-    without findings. Findings include differences of measured rows from the answers of `table`. The
-    reply has the members ``inserted``, ``existing``, ``restored`` and so on; ``loaded``:
-    whether rows were loaded.
+    `options`: of the file; load range and fingerprint are the component's.
+    `dry_run`: whether rows are only counted.
+    `partial`: whether good rows are loaded even if others have mistakes.
+    `preview`: number of good rows in the reply.
+    `table`: measured rows that differ from its answers have a finding.
+    `append`: whether the rows, of a JSON block, go into the import of `origin`, without findings.
 
     Raises SandboxBusyError, ImportRunningError, LedgerUnavailableError or OSError if nothing can be
     read or written now.
     """
-    component_options = replace(
-        options, load_range=component.load_range, fingerprint=component.fingerprint
-    )
-    if append:
-        read = read_block(files[0], component_options)
-    else:
-        read = read_untrusted(files, component_options, preview)
+    setup = {"load_range": component.load_range, "fingerprint": component.fingerprint}
+    options = replace(options, **setup)
+    read = read_block(files[0], options) if append else read_untrusted(files, options, preview)
     report = dict(read.report)
     refused = report.pop("whole") or bool(report["errors"] and not partial)
     report.pop("converted")
-
-    def pieces() -> Iterator[ParsedTable]:
-        # A block is in SI, so that a repeated one has the stored bits; a comparison with all stored
-        # rows would take longer with each block.
-        return read.pieces() if append else _with_stored_numbers(ledger, component, read)
+    # A block is in SI, so that a repeated one has the stored bits; a comparison with all stored
+    # rows would take longer with each block.
+    pieces = read.pieces if append else lambda: _with_stored_numbers(ledger, component, read)
 
     loaded = Loaded(0, 0, None)
     if not refused:
@@ -88,15 +83,15 @@ def import_files(
             blocks = (NotedRows(piece, piece.note) for piece in pieces())
             load = ledger.append_rows if append else ledger.import_rows
             loaded = load(component.name, blocks, origin)
+
     restored = 0
     if loaded.known and not append:
         again = (key for piece in pieces() for key in _keys(component, piece))
         keys = ledger.withdrawn_keys(component.name, again)
         restored = len(keys) if dry_run else ledger.restore_confirmed(component.name, keys)
     if not loaded.new:  # all rows were stored before, so that none counts twice
-        report["findings"] = [
-            finding for finding in report["findings"] if finding["cause"] != "twice"
-        ]
+        report["findings"] = [item for item in report["findings"] if item["cause"] != "twice"]
+
     holds = component.load_range.holds
     rows = report.pop("rows")
     good = rows.pop("good")
@@ -177,28 +172,28 @@ def _compared(
         return []
     stride = max(good // MAX_COMPARED_ROWS, 1)
     parts = [piece.take(np.arange(0, len(piece), stride)) for piece in read.pieces()]
-    wrench = np.concatenate([part.wrench[part.source != "fea"] for part in parts])
-    moved = np.concatenate([part.displacement[part.source != "fea"] for part in parts])
+    wrench = np.concatenate([part.wrench[~part.is_solved] for part in parts])
+    moved = np.concatenate([part.displacement[~part.is_solved] for part in parts])
     inside = table.load_range.holds(wrench)
     replies = table.packed.batch(wrench[inside], without_rows=True)
-    solves = set(table.sources) == {"fea"}
+    solves = set(table.sources) == {SOLVED}
     answers = moved[inside], replies.outputs, replies.errors
     return [item.body() for item in comparison_findings(*answers, solves=solves)]
 
 
 def solved_compliance(component: Component, table: ServedTable) -> list[list[float]] | None:
     """Return the compliance (outputs, inputs), SI, of a component's solves, zero where unknown."""
-    if not component.has_fea or not table.sources.get("fea"):
+    if not component.has_fea or not table.sources.get(SOLVED):
         return None
     # Rows are appended often, solves seldom: the compliance is cached by the numbers of the solves.
     packed = table.packed
-    fea = [number for number, names in enumerate(packed.meta["sources"]) if "fea" in names]
-    solves = packed.arrays["g0/row/seq"][np.isin(packed.arrays["g0/row/source"], fea)]
+    of_solves = [number for number, names in enumerate(packed.meta["sources"]) if SOLVED in names]
+    solves = packed.arrays["g0/row/seq"][np.isin(packed.arrays["g0/row/source"], of_solves)]
     setup = (component.fingerprint, solves.tobytes())
     cached = _solved.get(component.name)
     if cached is None or cached[0] != setup:
         rows = table.rows
-        solved = rows.take(np.flatnonzero(rows.source == "fea")[:MAX_ROWS])
+        solved = rows.take(np.flatnonzero(rows.is_solved)[:MAX_ROWS])
         fit = fit_compliance(solved, component.load_range, linear=component.linear)
         cached = _solved[component.name] = setup, np.where(fit.known, fit.matrix, 0.0).tolist()
     return cached[1]

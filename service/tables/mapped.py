@@ -372,10 +372,7 @@ class MappedTables:
             raise failed
 
     def _map(self, component: Component, file: PackedFile) -> bool:
-        """Map a file unless it belongs to another component or setup.
-
-        Return whether it is mapped.
-        """
+        """Map a file unless it is of another component or setup; return whether it is mapped."""
         name = component.name
         version = (file, component)
         if version in (self._mapped.get(name), self._refused.get(file.path)):

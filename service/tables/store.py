@@ -157,10 +157,7 @@ class TableStore:
         return {name for name in names if self.size(name) <= LARGE}
 
     def written(self, name: str) -> float | None:
-        """Return when a component's HDF5 file was written, s since the epoch.
-
-        None without a file.
-        """
+        """Return when a component's HDF5 file was written, s since the epoch; None without one."""
         try:
             return self._path(name).stat().st_mtime
         except OSError:
@@ -272,10 +269,7 @@ class TableStore:
         )
 
     def _restore(self, name: str, rows: Rows, meta: TableMeta) -> None:
-        """Insert a file's rows and repeat its edits.
-
-        Rows that the ledger has are recognised by content.
-        """
+        """Insert a file's rows, except for those of known content, and repeat its edits."""
         newest = self.ledger.last_seq(name)
         inserted, _ = self.ledger.insert_rows(name, rows, "table file", above=meta.last_seq)
         if inserted:

@@ -141,8 +141,8 @@ def prune(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event)
                 continue
             done = status == "done"
             folder = jobs / str(number)
-            days, most = limits[done]
-            if remaining[done] < most and now - ended < days * DAY:
+            days, max_count = limits[done]
+            if remaining[done] < max_count and now - ended < days * DAY:
                 remaining[done] += 1
                 continue
             for name in _names(folder):  # later attempts, of a reopened job, stay

@@ -171,20 +171,20 @@ class Triangulation:
     def _compared(self, points: Floats) -> Indices:
         """Return the regular simplex that holds each point (k, 3) best, of all; -1 if none."""
         simplices = np.full(len(points), -1)
-        most = np.full(len(points), -ROUNDED)
+        largest = np.full(len(points), -ROUNDED)
         for radius, members, middles in self._by_size:
             count = middles.query_ball_point(points, radius, return_length=True)
             held = np.flatnonzero(count)
             ends = np.flatnonzero(np.diff(np.cumsum(count[held]) // PAIRS)) + 1
-            for some in np.split(held, ends) if len(held) else ():
-                near = middles.query_ball_point(points[some], radius)
-                of = np.repeat(some, count[some])
-                every = members[np.concatenate(near)]
-                least = self.barycentric(every, points[of]).min(axis=1)
-                order = np.lexsort((least, of))  # the last of each point is the best
-                order = order[np.diff(of[order], append=len(points)) > 0]
-                better = order[least[order] >= most[of[order]]]
-                simplices[of[better]], most[of[better]] = every[better], least[better]
+            for part in np.split(held, ends) if len(held) else ():
+                near = middles.query_ball_point(points[part], radius)
+                owner = np.repeat(part, count[part])
+                candidates = members[np.concatenate(near)]
+                least = self.barycentric(candidates, points[owner]).min(axis=1)
+                order = np.lexsort((least, owner))  # the last of each point is the best
+                order = order[np.diff(owner[order], append=len(points)) > 0]
+                better = order[least[order] >= largest[owner[order]]]
+                simplices[owner[better]], largest[owner[better]] = candidates[better], least[better]
         return simplices
 
     @cached_property
@@ -332,11 +332,11 @@ def recovered_slopes(triangulation: Triangulation, values: Floats) -> Floats:
     distances = np.asarray(nearest[0])[:, 1:]
     near = np.asarray(nearest[1], dtype=np.intp)[:, 1:]
     for start in range(0, n, CHUNK):
-        some = slice(start, start + CHUNK)
-        delta = local[near[some]] - local[some, None]
-        rise = values[near[some]] - values[some, None]
-        slope = _quadratics(delta, distances[some], rise)
-        slopes[some] = np.einsum("niq,ij->nqj", slope, triangulation.basis)
+        part = slice(start, start + CHUNK)
+        delta = local[near[part]] - local[part, None]
+        rise = values[near[part]] - values[part, None]
+        slope = _quadratics(delta, distances[part], rise)
+        slopes[part] = np.einsum("niq,ij->nqj", slope, triangulation.basis)
     return slopes
 
 

@@ -129,30 +129,32 @@ def _output_faults(terms: Floats, y: Floats) -> list[Fault]:
         return [Fault("dead", all_rows, float(y[0]), 0.0)]
     if not _is_explained(terms, y):
         return [Fault("noise", all_rows, float(y.std()), 0.0)]
+
     high, low, run = _constant_rows(y, equal)
     steps = np.diff(np.sort(y))
     step = float(np.median(steps[steps > equal]))  # of the readings
     faults = list[Fault]()
-    for end, some in ((1.0, high), (-1.0, low), (0.0, run)):  # 0: at neither end
-        others = np.delete(all_rows, some)
+    for end, suspects in ((1.0, high), (-1.0, low), (0.0, run)):  # 0: at neither end
+        others = np.delete(all_rows, suspects)
         if not end and (np.isin(run[0], high) or np.isin(run[0], low)):
             continue
-        if len(some) < MIN_EQUAL or len(others) < ROWS_A_TERM * terms.shape[1]:
+        if len(suspects) < MIN_EQUAL or len(others) < ROWS_A_TERM * terms.shape[1]:
             continue
         without = y.copy()
-        without[some] = np.nan
+        without[suspects] = np.nan
         off = fitted(terms, without) - y
         # Readings are rounded to steps: a uniform error, whose deviation is step / sqrt(12).
         deviation = np.hypot(NORMAL * float(np.median(np.abs(off[others]))), step / np.sqrt(12))
         # Clipped rows should be beyond their end, on average. How sure the other rows' prediction
         # is depends on the place of each row.
-        weights = terms[some] @ np.linalg.pinv(terms[others], rcond=RANK)
-        sure_off = off[some] / np.sqrt(1 + (weights**2).sum(axis=1))
+        weights = terms[suspects] @ np.linalg.pinv(terms[others], rcond=RANK)
+        sure_off = off[suspects] / np.sqrt(1 + (weights**2).sum(axis=1))
         far = end * sure_off.mean() if end else np.sqrt((sure_off**2).mean())
-        sure = CONFIDENT * deviation / (np.sqrt(len(some)) if end else 1.0)
+        sure = CONFIDENT * deviation / (np.sqrt(len(suspects)) if end else 1.0)
         if far > max(sure, REMARKABLE * size):
+            worst = np.abs(off[suspects]).max() / size
             cause = "clipped" if end else "stuck"
-            faults.append(Fault(cause, some, float(y[some[0]]), np.abs(off[some]).max() / size))
+            faults.append(Fault(cause, suspects, float(y[suspects[0]]), worst))
     return faults
 
 
@@ -176,21 +178,21 @@ def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Fault]:
     moving[np.concatenate((high, low, run))] = np.nan
     is_enough = np.isfinite(moving).sum() >= ROWS_A_TERM * terms.shape[1]
     off_moving = moving - fitted(terms, moving) if is_enough else off
+
     for is_end, constant in ((True, high), (True, low), (False, run)):
-        some = constant[known[constant]]
+        suspects = constant[known[constant]]
         others = np.setdiff1d(np.flatnonzero(known), constant)
-        if len(some) < MIN_EQUAL or len(others) < ROWS_A_TERM * terms.shape[1]:
+        if len(suspects) < MIN_EQUAL or len(others) < ROWS_A_TERM * terms.shape[1]:
             continue
-        spread = np.median(np.abs(off[some] - np.median(off[some])))
+        spread = np.median(np.abs(off[suspects] - np.median(off[suspects])))
         # Many rows of one wrench whose load is wrong bend the fit of all rows.
-        is_one_wrench = np.ptp(terms[some], axis=0).max() < PLACE
+        is_one_wrench = np.ptp(terms[suspects], axis=0).max() < PLACE
         of_others = (off_moving if is_one_wrench else off)[others]
         usual = np.nanmedian(np.abs(of_others - np.nanmedian(of_others)))
         if spread > max(CONFIDENT * usual, REMARKABLE * size):
+            worst = np.abs(off[suspects]).max() / size
             cause = "clipped" if is_end else "stuck"
-            value = float(load[some[0]])
-            worst = np.abs(off[some]).max() / size
-            faults.append(Fault(cause, some, value, worst))
+            faults.append(Fault(cause, suspects, float(load[suspects[0]]), worst))
     return faults
 
 

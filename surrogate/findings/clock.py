@@ -99,14 +99,10 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
 
     # Another lag, another rate and a loop each must explain the residual better than the others.
     at_best, at_applied, loop = fit.residual(best), fit.residual(applied), fit.with_loop(applied)
-    rate = 0.0
-    with_rate = at_best
-    if at_best.mean() > MIN_MISFIT**2:
-        rate, with_rate = fit.rate(best)
-    drift = abs(rate) * float(np.ptp(logs.when))
-    if drift < step or not with_rate.sum() < min(ALIKE * at_best.sum(), loop.sum()):
-        rate = 0.0
-        with_rate = at_best
+    rate, with_rate = fit.rate(best) if at_best.mean() > MIN_MISFIT**2 else (0.0, at_best)
+    is_drift = abs(rate) * duration >= step
+    if not (is_drift and with_rate.sum() < min(ALIKE * at_best.sum(), loop.sum())):
+        rate, with_rate = 0.0, at_best
     if with_rate.mean() > 1 - RELATED or not np.isfinite(error):
         return None
     return Lag(
@@ -184,6 +180,7 @@ def _correlated_lags(logs: Logs, applied: float, step: float) -> list[float]:
     order = np.argsort(logs.when, kind="stable")
     x = _on_grid(grid + applied, logs.time, logs.wrench)
     y = _on_grid(grid, logs.when[order], logs.displacement[order])
+
     size = 2 * len(grid)
     of_loads = np.fft.rfft(x, size, axis=0)
     of_moved = np.conj(np.fft.rfft(y, size, axis=0))
@@ -192,6 +189,7 @@ def _correlated_lags(logs: Logs, applied: float, step: float) -> list[float]:
     shifts = np.arange(-int(longest / step), int(longest / step) + 1)
     inverse = np.linalg.pinv(x.T @ x, rcond=LOAD_RANK)
     explained = np.einsum("ksi,ij,ksj->s", cross[:, shifts], inverse, cross[:, shifts])
+
     inner = explained[1:-1]
     peaks = 1 + np.flatnonzero((inner >= explained[:-2]) & (inner >= explained[2:]))
     peaks = peaks[np.argsort(-explained[peaks])[:PEAKS]]
@@ -302,6 +300,7 @@ class _Fit:
             if not curvature.sum() > 0:
                 return lag, np.inf
             lag += step * float(np.clip((low - high).sum() / curvature.sum() / 2, -1, 1))
+
         terms = self._terms(lag)
         y = self.logs.displacement
         residual = y - terms @ np.linalg.lstsq(terms, y, rcond=RANK)[0]

@@ -240,7 +240,7 @@ def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
     deviation = np.full(3, np.inf)
     moved = np.eye(6)
     for _ in range(LEVER_ROUNDS if complete else 0):  # the weights depend on the lever
-        by_lever = [_Skew.of(fit, np.eye(6) + way, load_range).values for way in by_axis]
+        by_lever = [_Skew.of(fit, np.eye(6) + change, load_range).values for change in by_axis]
         changes = np.stack(by_lever, axis=1) - before.values[:, None]
         weighted = np.linalg.solve(after.covariance, changes)
         covariance = np.linalg.inv(changes.T @ weighted)
@@ -252,7 +252,7 @@ def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:
         bool((np.abs(lever) > CONFIDENT * deviation).any()) and after.size * MIN_IMPROVEMENT < size
     )
     if is_sure and (np.diag(fit.matrix @ moved) > 0).all():
-        load_point, moved_point = (",".join(f"{x:.4g}" for x in by * lever) for by in (-1, 1))
+        load_point, moved_point = (",".join(f"{x:.4g}" for x in sign * lever) for sign in (-1, 1))
         message = (
             f"reference points of moments and displacements are {np.linalg.norm(lever):.4g} m "
             f"apart (asymmetry {size:.0%}). If the displacements are of the interface's point, "

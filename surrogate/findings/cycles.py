@@ -45,7 +45,7 @@ def passes_of(load: Floats) -> Passes:
     sure = np.ones(len(load), bool)
     if span == 0.0:
         return Passes(number, sure.copy(), sure)
-    peaks, valleys = (find_peaks(way, prominence=TURN * span)[0] for way in (load, -load))
+    peaks, valleys = (find_peaks(signed, prominence=TURN * span)[0] for signed in (load, -load))
     turns = np.sort(np.concatenate((peaks, valleys)))
     for turn, end in pairwise([*turns.tolist(), len(load) - 1]):
         # A held load keeps its branch.

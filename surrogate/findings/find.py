@@ -136,13 +136,13 @@ def loop_of(rows: Rows, load_range: LoadRange) -> tuple[Floats, Floats]:
 def _effects(rows: Rows, load_range: LoadRange) -> tuple[Indices, Effects | None]:
     """Return which rows of a table are readings, and the effects in them; None if too few are."""
     indices = np.flatnonzero(~rows.is_solved & ~rows.has_tangent & load_range.holds(rows.wrench))
-    some = rows.take(indices)
-    if len(some) < MIN_FIT_ROWS:
+    readings = rows.take(indices)
+    if len(readings) < MIN_FIT_ROWS:
         return indices, None
-    positions = np.arange(0, len(some), -(-len(some) // MAX_ROWS))
-    shown = some.take(positions)
+    positions = np.arange(0, len(readings), -(-len(readings) // MAX_ROWS))
+    shown = readings.take(positions)
     wrong = wrong_rows(shown, load_range, response_of(shown, load_range)).any(axis=1)
-    return indices, effects_of(some, load_range, positions[~wrong])
+    return indices, effects_of(readings, load_range, positions[~wrong])
 
 
 def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:
@@ -157,14 +157,14 @@ def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:
         ("zero", "offset", effects.zero[None]),
     )
     for cause, entry, sizes in causes:
-        most = sizes[np.abs(sizes).argmax(axis=0), np.arange(len(ranges))]
-        remarkable = np.flatnonzero(np.abs(most) > REMARKABLE * ranges)
+        largest = sizes[np.abs(sizes).argmax(axis=0), np.arange(len(ranges))]
+        remarkable = np.flatnonzero(np.abs(largest) > REMARKABLE * ranges)
         if not len(remarkable):
             continue
-        parts = np.abs(most[remarkable]) / ranges[remarkable]
+        parts = np.abs(largest[remarkable]) / ranges[remarkable]
         name = OUTPUTS[remarkable[parts.argmax()]]
         part = parts.max()
-        numbers = {entry: {OUTPUTS[output]: float(most[output]) for output in remarkable}}
+        numbers = {entry: {OUTPUTS[output]: float(largest[output]) for output in remarkable}}
         findings.append(RigFinding(cause, EFFECTS[cause].format(part=part, name=name), (), numbers))
     return findings
 

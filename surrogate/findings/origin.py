@@ -111,12 +111,10 @@ def _posterior(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Flo
     the loads and their signs.
     """
     n = len(x)
-    count = columns[0].shape[1]
     values = np.ones((n, 1), dtype=bool)
     slopes = np.ones((1, 7), dtype=bool)
     slopes[:, 0] = False
     zero_load = np.zeros((1, 6))
-    picked = np.eye(count)[:N_SLOPES]  # E
     # One entry for each kernel, noise and output.
     shape = len(KERNELS), len(RATIOS), y.shape[1]
     negative_log_likelihoods = np.empty(shape)
@@ -130,32 +128,47 @@ def _posterior(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Flo
         across[:, :6] = vectors.T @ covariance(x, values, zero_load, slopes, kernel)
         prior[:6, :6] = covariance(zero_load, slopes, zero_load, slopes, kernel)
         for output, terms in enumerate(columns):
-            # Products (B, k, U' y)' D (B, k, U' y) for every noise at once; `b`, `k` and -1 are
-            # the positions of the three.
             factors = np.column_stack((vectors.T @ terms, across, vectors.T @ y[:, output]))
-            products = (factors[:, :, None] * factors[:, None]).reshape(n, -1)
-            weighted = (inverse @ products).reshape(len(RATIOS), *[factors.shape[1]] * 2)
-            b = slice(0, count)
-            k = slice(count, count + N_SLOPES)
-            normal = weighted[:, b, b] + np.eye(count) / PRIOR**2
-            covariances = np.linalg.inv(normal)
-            estimate = np.einsum("rab,rb->ra", covariances, weighted[:, b, -1])
-            residual = weighted[:, -1, -1] - (estimate * weighted[:, b, -1]).sum(axis=1)
-            variance = np.maximum(residual, np.finfo(float).tiny) / max(n - count, 1)
-            determinants = np.linalg.slogdet(normal)[1] - np.log(inverse).sum(axis=1)
-            negative_log_likelihoods[number, :, output] = 0.5 * (
-                (n - count) * np.log(variance) + determinants
-            )
-            by_mean = picked - weighted[:, k, b]  # R'
-            mean = weighted[:, k, -1] + np.einsum("rkb,rb->rk", by_mean, estimate)
-            spread = prior - weighted[:, k, k]
-            spread = spread + by_mean @ covariances @ by_mean.transpose(0, 2, 1)
-            means[number, :, output] = mean
-            second_moments[number, :, output] = variance[:, None, None] * spread
-            second_moments[number, :, output] += mean[:, :, None] * mean[:, None]
+            result = _posterior_by_noise(factors, inverse, prior)
+            negative_log_likelihoods[number, :, output] = result[0]
+            means[number, :, output], second_moments[number, :, output] = result[1:]
+
     # The average over kernels and noises; letters: kernel, ratio, output, entry, entry.
     weights = np.exp(negative_log_likelihoods.min(axis=(0, 1)) - negative_log_likelihoods)
     weights /= weights.sum(axis=(0, 1))
     mean = np.einsum("kro,kroe->oe", weights, means)
     second_moment = np.einsum("kro,kroef->oef", weights, second_moments)
     return mean, second_moment - mean[:, :, None] * mean[:, None]
+
+
+def _posterior_by_noise(
+    factors: Floats, inverse: Floats, prior: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return half the negative log likelihood, (r,), mean and second moment of slopes and jumps.
+
+    They are those of one output by one kernel for each of r noises, (r, 12) and (r, 12, 12).
+
+    `factors` (n, c + 13): B, k and U' y side by side.
+    `inverse` (r, n): D of each noise; `prior` (12, 12): P.
+    """
+    n = len(factors)
+    count = factors.shape[1] - N_SLOPES - 1
+    # (B, k, U' y)' D (B, k, U' y); `b`, `k` and -1 are the positions of the three.
+    products = (factors[:, :, None] * factors[:, None]).reshape(n, -1)
+    weighted = (inverse @ products).reshape(len(inverse), *[factors.shape[1]] * 2)
+    b = slice(0, count)
+    k = slice(count, count + N_SLOPES)
+
+    normal = weighted[:, b, b] + np.eye(count) / PRIOR**2
+    covariances = np.linalg.inv(normal)
+    estimate = np.einsum("rab,rb->ra", covariances, weighted[:, b, -1])
+    residual = weighted[:, -1, -1] - (estimate * weighted[:, b, -1]).sum(axis=1)
+    variance = np.maximum(residual, np.finfo(float).tiny) / max(n - count, 1)
+    determinants = np.linalg.slogdet(normal)[1] - np.log(inverse).sum(axis=1)
+    value = 0.5 * ((n - count) * np.log(variance) + determinants)
+
+    by_mean = np.eye(count)[:N_SLOPES] - weighted[:, k, b]  # R', with E the first rows of 1
+    mean = weighted[:, k, -1] + np.einsum("rkb,rb->rk", by_mean, estimate)
+    spread = prior - weighted[:, k, k] + by_mean @ covariances @ by_mean.transpose(0, 2, 1)
+    second_moment = variance[:, None, None] * spread + mean[:, :, None] * mean[:, None]
+    return value, mean, second_moment

@@ -42,10 +42,7 @@ _WHY = 512  # bytes of the message of a table that cannot be opened; the kernel 
 
 
 class Kernel(NamedTuple):
-    """The library: calls by `with_gil` keep the interpreter lock.
-
-    Calls by `without_gil` release it.
-    """
+    """The library, called with the interpreter lock (`with_gil`) or without it (`without_gil`)."""
 
     with_gil: ctypes.PyDLL
     without_gil: ctypes.CDLL

@@ -165,10 +165,7 @@ def map_file(path: str | os.PathLike[str]) -> Packed:
 
 
 def _without_waiting(path: str, flags: int) -> int:
-    """Open a path without blocking on a pipe that no process writes to.
-
-    A later check refuses pipes.
-    """
+    """Open a path without blocking on a pipe that no process writes to; pipes are refused later."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 

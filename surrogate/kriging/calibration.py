@@ -90,6 +90,7 @@ def errors_of(factor: KrigingFactor, out: LeftOutRows, rows: Indices) -> Errors:
     above = np.sqrt(np.maximum(errors**2 - factor.nugget, 0.0))
     part = np.divide(above, np.abs(errors), out=np.zeros_like(above), where=above > 0)
     above = above / np.sqrt(factor.variance)
+
     sigma = np.sqrt(squared)
     sizes = np.where(noise[:, None] > 0, above / sigma[:, None], part * out.sizes[rows])
     finite = np.isfinite(above).all(axis=1)
@@ -177,10 +178,10 @@ def query_points(
     loaded = np.abs(x - at_rest) > ZERO_LOAD
     loaded = loaded[np.linspace(0, len(loaded) - 1, count).round().astype(np.intp)]
     apart = np.where(loaded | fixed, queries - at_rest, 0.0)
-    for level, most in zip(load_groups(scaling), secondary_limits, strict=True):
-        beside = np.stack([np.where(group, 0.0, np.abs(apart)).max(axis=1) for group in level])
-        main = level[beside.argmin(axis=0)]
-        apart = np.where(main | fixed, apart, np.clip(apart, -most, most))
+    for groups, limit in zip(load_groups(scaling), secondary_limits, strict=True):
+        beside = np.stack([np.where(group, 0.0, np.abs(apart)).max(axis=1) for group in groups])
+        main = groups[beside.argmin(axis=0)]
+        apart = np.where(main | fixed, apart, np.clip(apart, -limit, limit))
     return at_rest + apart
 
 
@@ -200,8 +201,8 @@ def secondary_loads(x: Floats, scaling: Scaling) -> Floats:
     apart = np.abs(x - scaling.loads(np.zeros((1, x.shape[1]))))
     return np.stack(
         [
-            np.min([np.where(group, 0.0, apart).max(axis=1) for group in level], axis=0)
-            for level in load_groups(scaling)
+            np.min([np.where(group, 0.0, apart).max(axis=1) for group in groups], axis=0)
+            for groups in load_groups(scaling)
         ],
         axis=1,
     )
@@ -231,7 +232,7 @@ def left_out_as_far(
     largest = count // settings.min_left_out + 1
     passed = np.zeros(count, dtype=np.bool_)
     with_nearest = LeftOutRows(*map(np.copy, leave_one_out))
-    far = []
+    far_rows = list[int]()
     for row in rows[list(farthest_first(scaled[rows]))].tolist():
         if passed[row]:
             continue
@@ -239,8 +240,7 @@ def left_out_as_far(
         # The row itself is first, before rows that differ only in loads of no influence.
         squared[row] = -1.0
         order = np.argsort(np.round(squared, DECIMALS), kind="stable")
-        size = 1
-        out = leave_one_out
+        size, out = 1, leave_one_out
         while out.variances[row] - noise[row] < distant**2 and size < largest:
             size = min(size + (size + 1) // 2, largest)
             labels = np.full(count, -1, dtype=np.intp)
@@ -248,11 +248,11 @@ def left_out_as_far(
             out = left_out(factor, labels)
         passed[order[:size]] = True
         if out.variances[row] - noise[row] >= distant**2:
-            far.append(row)
+            far_rows.append(row)
             for old, new in zip(with_nearest, out, strict=True):
                 old[row] = new[row]
-    far_rows = np.array(far, dtype=np.intp)
-    return errors_of(factor, with_nearest, far_rows), errors_of(factor, leave_one_out, near)
+    far = np.array(far_rows, dtype=np.intp)
+    return errors_of(factor, with_nearest, far), errors_of(factor, leave_one_out, near)
 
 
 def calibrated(
@@ -270,9 +270,9 @@ def calibrated(
     factor, settings = neighbours.factor, neighbours.settings
     subset = factor.equations
     outputs = len(factor.output_group.outputs)
-    if not subset.known[:, 1:].any() and not has_levels(subset.x[:, scaling.active]):
-        return Calibration.unknown(outputs, settings)
-    if subset.count <= 1 + scaling.active.sum():  # the mean takes all of them
+    n_mean = 1 + scaling.active.sum()
+    shows_curvature = subset.known[:, 1:].any() or has_levels(subset.x[:, scaling.active])
+    if not shows_curvature or subset.count <= n_mean:  # the mean takes all equations
         return Calibration.unknown(outputs, settings)
     parts = [_of_kind(kind, neighbours, leave_one_out) for kind in kinds]
     max_sigma = max(part.max_sigma for part in parts)
@@ -280,9 +280,8 @@ def calibrated(
         return Calibration.unknown(outputs, settings)
     factors = np.max([part.factors for part in parts], axis=0)
     if factor.output_group.noise.any():
-        # Noise hides the errors of left-out rows: bars hold the posterior, and the uncertainty of
-        # it.
-        freedom = max(len(subset) - (1.0 + scaling.active.sum()), 1.0)
+        # Noise hides the errors of left-out rows: bars hold the posterior and its uncertainty.
+        freedom = max(float(len(subset) - n_mean), 1.0)
         least = widenings * settings.posterior_width
         factors = np.maximum(factors, least * widening(freedom, subset.data.shape[2]))
     return Calibration(factors, max_sigma)
@@ -295,14 +294,13 @@ def _of_kind(kind: Kind, neighbours: Neighbourhoods, leave_one_out: LeftOutRows)
     # Rows are left out of the complete factor; answers have the deviation of a neighbourhood.
     explained = factor.explained_at(kind.queries)
     complete = np.sqrt(factor.variance_of(*explained, factor.mean_covariance))
-    numbers = 1, equations.n_derivatives
-    across = block(kind.queries, equations.x, factor.hyperparameters, *numbers)
+    across = block(kind.queries, equations.x, factor.hyperparameters, 1, equations.n_derivatives)
     local = neighbours.deviations(kind.queries, across.reshape(len(kind.queries), -1))
     wider = float(np.quantile(local / complete, settings.neighbourhood_quantile))
 
     rows = np.flatnonzero(kind.rows[factor.output_group.rows])
     rows = rows[evenly(len(rows), settings.left_out_rows)]
-    distant = settings.comparable * float(np.median(complete))
+    distant = settings.comparable * float(np.median(complete))  # as far as queries are
     far, near = left_out_as_far(factor, leave_one_out, rows, distant, settings)
 
     factors = np.zeros(len(factor.output_group.outputs))

@@ -242,9 +242,9 @@ def covariance(
     first_x, first_v = numbers(known_x), numbers(known_v)
     for there, columns in _rows_by_order(known_v, x.shape[1]):
         wanted_v = known_v[columns, :there]
-        for here, rows_x in _rows_by_order(known_x, x.shape[1]):
-            size = len(rows_x) * len(columns) * here * there
-            for rows in np.array_split(rows_x, 1 + size // MAX_COVARIANCES):
+        for here, every_row in _rows_by_order(known_x, x.shape[1]):
+            size = len(every_row) * len(columns) * here * there
+            for rows in np.array_split(every_row, 1 + size // MAX_COVARIANCES):
                 wanted_x = known_x[rows, :here]
                 values = block(x[rows], v[columns], hyperparameters, here, there)
                 values = values.reshape(wanted_x.size, wanted_v.size)

@@ -120,9 +120,9 @@ class _Readings(NamedTuple):
         count = int(session.max(initial=0)) + 1
         members = [np.flatnonzero(session == number) for number in range(count)]
         middle = np.zeros((len(rows), 2 * count))
-        for number, at in enumerate(members):
-            middle[at, number] = np.linspace(-0.5, 0.5, len(at))
-            middle[at, count + number] = count > 1
+        for number, of_session in enumerate(members):
+            middle[of_session, number] = np.linspace(-0.5, 0.5, len(of_session))
+            middle[of_session, count + number] = count > 1
         middle[:, count:] -= middle[:, count:].mean(axis=1, keepdims=True)
 
         loads = rows.wrench / load_range.scale
@@ -138,8 +138,8 @@ class _Readings(NamedTuple):
         cubic = _is_no_polynomial(of_sessions, loads[good], 3)
         straight = _is_no_polynomial(of_sessions, loads[good], 1)
         steps = terms.copy()
-        for at in members:
-            first = np.unique(place[at])
+        for of_session in members:
+            first = np.unique(place[of_session])
             steps[first[1:]] -= steps[first[:-1]]
             steps[first[:1]] = 0.0
         steps = steps[place]  # a load that stays at its place keeps its branch
@@ -308,8 +308,8 @@ def _extent(moved: Floats, good: Indices, session: Indices) -> Floats:
     """
     ranges = np.zeros((session.max(initial=0) + 1, moved.shape[1]))
     for number in np.unique(session[good]):
-        these = np.ma.masked_invalid(moved[good[session[good] == number]])
-        ranges[number] = np.ma.filled(np.ma.ptp(these, axis=0), 0.0)
+        of_session = np.ma.masked_invalid(moved[good[session[good] == number]])
+        ranges[number] = np.ma.filled(np.ma.ptp(of_session, axis=0), 0.0)
     widest = ranges.max(axis=0)
     return (ranges / np.where(widest > 0.0, widest, 1.0))[session]
 
@@ -453,6 +453,7 @@ def _estimated(
     first = linear.shape[1]
     n_sessions = columns.shape[1] // 4
     contrasts = _contrasts(first, n_sessions)
+
     free = n - first - 2 - np.count_nonzero(columns[:, 1:].any(axis=(0, 2)))
     if free < 1:
         none = np.zeros((len(contrasts), len(outputs)))
@@ -461,21 +462,22 @@ def _estimated(
     priors[:, first + 1 :] = PRIOR**-2
     moves = (size > 0) & (scale > 0)
     priors[moves, -2 * n_sessions :] = (size[moves, None] / scale[moves, None]) ** 2
+
     spectra = []
     for matrix in _covariances(x, rows.space):
         roots, vectors = np.linalg.eigh(matrix)
         spectra.append((vectors, 1 / (np.maximum(roots, 0.0) + RATIOS[:, None])))
-    shape = len(spectra), len(RATIOS), len(outputs)
-    negative_log_likelihoods = np.empty(shape)
-    means, second_moments = np.empty((2, *shape, len(contrasts)))
+    posteriors = []
     for output in range(len(outputs)):
         all_columns = np.column_stack((linear, np.ones(n), columns[:, :, output]))
         result = _posterior(all_columns, y[:, output], contrasts, priors[output], spectra, free)
-        negative_log_likelihoods[:, :, output] = result.negative_log_likelihood
-        means[:, :, output] = result.mean
-        second_moments[:, :, output] = result.second_moment
+        posteriors.append(result)
+
     # The average over kernels and noises; letters: kernel, ratio, output, effect.
-    weights = np.exp(negative_log_likelihoods.min(axis=(0, 1)) - negative_log_likelihoods)
+    values, means, second_moments = (
+        np.stack(part, axis=2) for part in zip(*posteriors, strict=True)
+    )
+    weights = np.exp(values.min(axis=(0, 1)) - values)
     weights /= weights.sum(axis=(0, 1))
     mean = np.einsum("kro,kroe->eo", weights, means)
     second_moment = np.einsum("kro,kroe->eo", weights, second_moments)
@@ -511,7 +513,7 @@ def _contrasts(n_loads: int, n_sessions: int) -> Floats:
 class _Posterior(NamedTuple):
     """Posterior of e effects on an output, by k kernels and r noises."""
 
-    negative_log_likelihood: Floats  # (k, r), half of it
+    negative_log_likelihood: Floats  # (k, r): half of it
     mean: Floats  # (k, r, e), spreads
     second_moment: Floats  # (k, r, e), spreads squared
 
@@ -530,44 +532,44 @@ def _posterior(
     `y` (n,), spreads: its readings.
     `contrasts` (e, c): the effects by the coefficients of the columns.
     `prior` (c,): prior precision of the coefficients.
-    `spectra`: for each kernel the eigenvectors (n, n), and one over eigenvalues with noise (r, n).
+    `spectra`: for each kernel U (n, n), and D of each noise (r, n), as in the module's formula.
     `free`: degrees of freedom of the readings less those of the columns.
     """
-    # An orthonormal basis of the columns, and the data along it: normal equations then keep their
-    # digits.
-    basis, sizes, right = _directions(columns)
-    parts = right.T / sizes
+    # In an orthonormal basis of the columns, the normal equations keep their digits.
+    basis, sizes, directions = _directions(columns)
+    parts = directions.T / sizes
     back = contrasts @ parts
     along = basis.T @ y
     pull = parts.T * prior @ parts  # the prior pulls coefficients towards zero
     residual_data = y - basis @ along
-    results: list[tuple[Floats, Floats, Floats]] = []
-    for vectors, inverse in spectra:
-        b, data = vectors.T @ basis, vectors.T @ residual_data
-        products = b[:, :, None] * b[:, None]
-        normal = (inverse @ products.reshape(len(b), -1)).reshape(len(inverse), *[b.shape[1]] * 2)
-        right = inverse @ (b * data[:, None])
-        square = inverse @ data**2
+
+    shape = len(spectra), len(RATIOS)
+    result = _Posterior(np.empty(shape), *np.empty((2, *shape, len(contrasts))))
+    for kernel, (vectors, D) in enumerate(spectra):
+        B, data = vectors.T @ basis, vectors.T @ residual_data
+        products = B[:, :, None] * B[:, None]
+        normal = (D @ products.reshape(len(B), -1)).reshape(len(D), *[B.shape[1]] * 2)  # B' D B
+        moments = D @ (B * data[:, None])
+        square = D @ data**2
+
         # The prior counts relative to the process variance, which follows from it.
-        variance = np.ones(len(inverse))
-        posterior, covariances, estimate = normal, normal, right
+        variance = np.ones(len(D))
+        posterior, covariances, estimate = normal, normal, moments
         for _ in range(2):
             posterior = normal + variance[:, None, None] * pull
             covariances = np.linalg.inv(posterior)
-            moment = right - variance[:, None] * (pull @ along)
+            moment = moments - variance[:, None] * (pull @ along)
             estimate = np.einsum("rab,rb->ra", covariances, moment)
             residual = square - (estimate * moment).sum(axis=1) + variance * (along @ pull @ along)
             variance = np.maximum(residual, TINY) / free
-        logarithms = np.linalg.slogdet(posterior)[1] - np.log(inverse).sum(axis=1)
+
+        logarithms = np.linalg.slogdet(posterior)[1] - np.log(D).sum(axis=1)
         effects = (along + estimate) @ back.T
         spread = np.einsum("ea,rab,eb->re", back, covariances, back)
-        values = 0.5 * (free * np.log(variance) + logarithms)
-        results.append((values, effects, effects**2 + variance[:, None] * spread))
-    return _Posterior(
-        negative_log_likelihood=np.array([values for values, _, _ in results]),
-        mean=np.array([effects for _, effects, _ in results]),
-        second_moment=np.array([squares for _, _, squares in results]),
-    )
+        result.negative_log_likelihood[kernel] = 0.5 * (free * np.log(variance) + logarithms)
+        result.mean[kernel] = effects
+        result.second_moment[kernel] = effects**2 + variance[:, None] * spread
+    return result
 
 
 def _half_widths(
@@ -589,18 +591,19 @@ def _half_widths(
     freedom = np.full(len(deviation), float(free))
     misfits = np.empty(outputs)
     for output in range(outputs):
-        b = np.column_stack((terms, np.ones(n), columns[:, :, output]))
-        off_mean = np.eye(b.shape[1])[terms.shape[1] :]
-        off_mean[:, -contrasts.shape[1] :] = contrasts
-        left, sizes, right = _directions(b)
-        along = off_mean @ right.T
+        all_columns = np.column_stack((terms, np.ones(n), columns[:, :, output]))
+        effects = np.eye(all_columns.shape[1])[terms.shape[1] :]  # by all coefficients
+        effects[:, -contrasts.shape[1] :] = contrasts
+        left, sizes, right = _directions(all_columns)
+        along = effects @ right.T
         residual = moved[:, output] - left @ (left.T @ moved[:, output])
         misfits[output] = np.linalg.norm(residual) / np.sqrt(max(n - len(sizes), 1))
+
         worst = np.sqrt(n) * np.linalg.norm(along / sizes, axis=1)
-        # A grid in the order of its loads is a straight function of time: no drift is identifiable.
-        is_identified = np.linalg.norm(off_mean - along @ right, axis=1) < SAME
         misfit = MISFIT * np.ptp(moved[:, output]) * worst
         deviation[:, output] = np.hypot(deviation[:, output], misfit)
+        # A grid in the order of its loads is a straight function of time: no drift is identifiable.
+        is_identified = np.linalg.norm(effects - along @ right, axis=1) < SAME
         # Rows without a sure direction show nothing of a loop.
         freedom[1] = max(np.count_nonzero(columns[:, 0, output]) - n + free, 1)
         quantile = -stdtrit(freedom, CHANCE / 2)
@@ -618,11 +621,8 @@ def _covariances(x: Floats, space: Space) -> Iterator[Floats]:
     squares = [apart**2 @ group for group in space.kriging_groups]
     kinks = matern(apart**2, 0, 1)[0].sum(axis=2)
     for theta in THETAS:
-        terms = [matern(np.exp(theta) * square, 0)[0] for square in squares]
-        axes = terms[:-1]
-        joint = terms[-1]
+        *axes, joint = [matern(np.exp(theta) * square, 0)[0] for square in squares]
         for joint_weight, kink_weight in JOINT_AND_KINK_WEIGHTS:
             matrix = sum(axes) + joint_weight * joint + kink_weight * kinks
-            across = matrix[:-1, -1]
-            at_zero = matrix[-1, -1]
+            across, at_zero = matrix[:-1, -1], matrix[-1, -1]
             yield (matrix[:-1, :-1] - np.outer(across, across) / at_zero) / at_zero

@@ -16,6 +16,9 @@ from ..table.space import Space
 from .correlation import SECOND_SMOOTHNESS, SLOPES_SMOOTHNESS, Mask, derivative_count, indices
 from .settings import DEFAULTS, KrigingSettings
 
+DECIMALS = 12  # decimals of scaled loads: a thousandth of the accuracy of error bars
+BLOCK = 20_000  # rows whose equations are made at once: 7 MB of values and slopes
+
 
 class TooFewRowsError(RowError):
     """A table with too few rows in its load range for a kriging."""
@@ -43,9 +46,6 @@ class Scaling:
     def wrenches(self, points: Floats) -> Floats:
         """Return wrenches (n, 6), N and N·m, of points in half ranges from the centre."""
         return self.centre + points * self.half
-
-
-DECIMALS = 12  # decimals of scaled loads: a thousandth of the accuracy of error bars
 
 
 @dataclass(frozen=True)
@@ -144,10 +144,10 @@ def scaling_of(rows: Rows, load_range: LoadRange, settings: KrigingSettings = DE
     offset = np.nanmean(rows.displacement, axis=0)
     spread = np.nanstd(rows.displacement, axis=0)
     largest = load_range.space.largest_of_kind(spread)
-    # If no output of a kind varies, the limit is the size of the outputs in place of their
-    # variation.
+    # If no output of a kind varies, the limit follows from the outputs' size instead.
     size = np.maximum(largest, np.abs(offset) * settings.rounding)
     constant = spread <= settings.rounding * size
+
     # Loads that have a range and, where all rows have slopes, move some output.
     active = load_range.high > load_range.low
     tangents = rows.compliance[_with_slopes(rows)]
@@ -181,22 +181,24 @@ def equations_of(
     loads, outputs = rows.wrench.shape[1], rows.displacement.shape[1]
     n_derivatives = derivative_count(loads, 2 if curved.any() else 1)
     known = np.zeros((len(rows), n_derivatives), dtype=bool)
-    known[:, 0] = True
-    known[:, 1 : 1 + loads] = with_slopes[:, None] & scaling.active
     data = np.zeros((len(rows), n_derivatives, outputs))
+
+    known[:, 0] = True
     data[:, 0] = np.where(measured, (rows.displacement - scaling.offset) / scaling.spread, 0.0)
+    known[:, 1 : 1 + loads] = with_slopes[:, None] & scaling.active
     slopes = rows.compliance * scaling.half / scaling.spread[:, None]
     data[:, 1 : 1 + loads] = slopes.transpose(0, 2, 1)
     if curved.any():
         first, second = np.array(indices(loads, 2)[1 + loads :]).T
         known[:, 1 + loads :] = curved[:, None] & scaling.active[first] & scaling.active[second]
-        some = rows.take(np.flatnonzero(curved))
+        part = rows.take(np.flatnonzero(curved))
         derivatives = second_derivatives(
-            some.wrench, some.displacement, some.compliance, some.curvature, scaling.space
+            part.wrench, part.displacement, part.compliance, part.curvature, scaling.space
         )
         scaled = derivatives[:, :, first, second] * (scaling.half[first] * scaling.half[second])
         data[curved, 1 + loads :] = (scaled / scaling.spread[:, None]).transpose(0, 2, 1)
     data[~known] = 0.0
+
     half_widths = np.nan_to_num(rows.uncertainty) / scaling.spread
     equations = Equations(
         # Rounded, so that another unit's rounding is not blown up by the covariance's condition.
@@ -225,12 +227,9 @@ def farthest_first(points: Floats) -> Iterator[int]:
         row = int(np.argmax(np.round(distance, DECIMALS)))
 
 
-def evenly(count: int, most: int) -> NDArray[np.intp]:
-    """Return the indices of at most `most` of `count` sorted rows, evenly spaced."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
-
-
-BLOCK = 20_000  # rows whose equations are made at once: 7 MB of values and slopes
+def evenly(count: int, limit: int) -> NDArray[np.intp]:
+    """Return the indices of at most `limit` of `count` sorted rows, evenly spaced."""
+    return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(np.intp))
 
 
 def values_of(

@@ -64,24 +64,26 @@ def output_groups(
     noise = equations.noise / variance
     # Noise below the nugget changes nothing.
     size = np.log(np.maximum(noise, settings.nugget))
-    groups: list[list[int]] = []
+    alike: list[list[int]] = []
     for output in range(noise.shape[1]):
-        for group in groups:
-            rows = equations.measured[:, group[0]]
+        for members in alike:
+            first = members[0]
+            rows = equations.measured[:, first]
             same = (rows == equations.measured[:, output]).all()
-            same &= kernels is None or kernels[output] is kernels[group[0]]
-            difference = np.abs(size[rows, output] - size[rows, group[0]])
+            same &= kernels is None or kernels[output] is kernels[first]
+            difference = np.abs(size[rows, output] - size[rows, first])
             if same and (difference <= np.log(settings.like_noise)).all():
-                group.append(output)
+                members.append(output)
                 break
         else:
-            groups.append([output])
-    divided = []
-    for group in groups:
-        rows = np.flatnonzero(equations.measured[:, group[0]])
-        outputs = np.array(group, dtype=np.intp)
-        divided.append(OutputGroup(outputs, rows, noise[np.ix_(rows, outputs)].mean(axis=1)))
-    return divided
+            alike.append([output])
+
+    groups = []
+    for members in alike:
+        outputs = np.array(members, dtype=np.intp)
+        rows = np.flatnonzero(equations.measured[:, outputs[0]])
+        groups.append(OutputGroup(outputs, rows, noise[np.ix_(rows, outputs)].mean(axis=1)))
+    return groups
 
 
 class SingularCovarianceError(ArithmeticError):
@@ -255,14 +257,10 @@ def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
     `labels` (r,): group of each of the factor's rows; -1 of rows that stay.
     """
     equations = factor.equations
-    outputs = len(factor.variance)
     sizes = equations.known.sum(axis=1)
     ends = np.cumsum(sizes)
-    out = LeftOutRows(
-        np.full((len(equations), outputs), np.nan),
-        np.full((len(equations), outputs), np.nan),
-        np.full(len(equations), np.nan),
-    )
+    errors, deviations = np.full((2, len(equations), len(factor.variance)), np.nan)
+    out = LeftOutRows(errors, deviations, np.full(len(equations), np.nan))
     for label in np.unique(labels[labels >= 0]):
         rows = np.flatnonzero(labels == label)
         if len(rows) == len(equations):
@@ -274,12 +272,13 @@ def left_out(factor: KrigingFactor, labels: Indices) -> LeftOutRows:
         means = below.T @ factor.TF[indices[0] :]
         diagonal = np.diag_indices_from(block)
         block[diagonal] += REGULAR * block[diagonal].mean()
-        covariance = np.linalg.inv(block - means @ factor.mean_covariance @ means.T)
+        covariance = np.linalg.inv(block - means @ factor.mean_covariance @ means.T)  # inv(Q_bb)
+
         residuals = covariance @ factor.weights[indices]
         start = 0
         for row, size in zip(rows, sizes[rows], strict=True):
             part = slice(start, start + size)
-            out.errors[row], out.variances[row] = (residuals[part][0], covariance[start, start])
+            out.errors[row], out.variances[row] = residuals[start], covariance[start, start]
             # the row's squared errors, by their expected covariance
             squares = residuals[part] * np.linalg.solve(covariance[part, part], residuals[part])
             out.sizes[row] = np.sqrt(np.maximum(squares.sum(axis=0) / size / factor.variance, 0.0))
@@ -308,6 +307,8 @@ class Neighbourhoods:
 
     `local_factors`: one factor of all rows, or the neighbourhood of each of the factor's rows.
     `number` (r,): index in `local_factors` of the neighbourhood of each row as an anchor.
+    `size`, `plain_size` (r,): number of equations of each row, with second derivatives and without.
+    `roots` (g, 6), dimensionless: scales of the loads in the distances of each term, first all.
     """
 
     def __init__(
@@ -368,8 +369,8 @@ class Neighbourhoods:
             for tree, root in zip(self.trees, self.roots, strict=True)
         ]
         lists = []
-        for row in np.stack(nearest, axis=2).reshape(len(x), -1).tolist():
-            near = np.array(list(dict.fromkeys(row)), dtype=np.intp)[:max_rows]
+        for neighbours in np.stack(nearest, axis=2).reshape(len(x), -1).tolist():
+            near = np.array(list(dict.fromkeys(neighbours)), dtype=np.intp)[:max_rows]
             size = np.append(self.size[near[:n_curved]], self.plain_size[near[n_curved:]])
             lists.append(near[np.cumsum(size) <= max_equations])
         return lists

@@ -1,8 +1,12 @@
-"""The derivatives of a covariance by its hyperparameters, for gradients of likelihoods."""
+"""The search for hyperparameters, and the derivatives of a covariance by them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import numpy as np
+from scipy.optimize import minimize
 from scipy.sparse import csr_array
 
 from ..table.rows import Floats
@@ -15,6 +19,26 @@ from .correlation import (
     positions_of,
 )
 from .equations import Equations
+from .settings import KrigingSettings
+
+
+def minimised(
+    function: Callable[..., tuple[float, Floats]],
+    start: Floats,
+    bounds: Sequence[tuple[float, float]],
+    settings: KrigingSettings,
+    *arguments: Any,
+) -> tuple[Floats, float]:
+    """Return the logarithms of hyperparameters at a minimum, and the minimum.
+
+    `function`: of the logarithms, the `arguments` and the settings; returns value and gradient.
+    """
+    options = {"maxiter": settings.likelihood_steps, "ftol": settings.likelihood_accuracy}
+    search: dict[str, Any] = {"jac": True, "method": "L-BFGS-B", "bounds": bounds}
+    run = minimize(function, start, (*arguments, settings), options=options, **search)
+    # Rounded, so that the rounding of another unit does not change the result; the likelihood is
+    # flat.
+    return np.round(run.x, settings.decimals), run.fun
 
 
 def contracted(
@@ -25,8 +49,7 @@ def contracted(
     The derivatives are by the logarithms of the hyperparameters.
     """
     # Sums of the symmetric matrix over the entries of each derivative.
-    n = len(equations)
-    count = equations.n_derivatives
+    n, loads, count = len(equations), equations.loads, equations.n_derivatives
     full = np.zeros((n, count, n, count))
     known = np.flatnonzero(equations.known)
     full.reshape(n * count, n * count)[np.ix_(known, known)] = sensitivity
@@ -34,16 +57,14 @@ def contracted(
     diagonal = np.einsum("ipiq->pq", full)
     diagonal[np.diag_indices(count)] *= 1 + nugget
     pairs = np.concatenate((2 * full[first, :, second], diagonal[None]))
-    joined, sign = joins(equations.loads, count, count)
+    joined, sign = joins(loads, count, count)
     shape = (int(joined.max()) + 1, joined.size)
     gather = csr_array((sign.ravel(), (joined.ravel(), np.arange(joined.size))), shape=shape)
-    delta = np.concatenate(
-        (equations.x[first] - equations.x[second], np.zeros((1, equations.loads)))
-    )
     parts = gather @ pairs.reshape(len(pairs), -1).T
+
+    delta = np.concatenate((equations.x[first] - equations.x[second], np.zeros((1, loads))))
     delta = np.ascontiguousarray(delta.T)
-    order = 2 * order_of(equations.n_derivatives, equations.loads)
-    loads = equations.loads
+    order = 2 * order_of(count, loads)
     by_rate = np.zeros(loads)
     by_weight = []
     for rates, weight in zip(*hyperparameters.terms, strict=True):

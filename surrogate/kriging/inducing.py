@@ -45,10 +45,11 @@ from .factor import (
 from .noise import Estimate
 from .settings import KrigingSettings
 
-ROWS = 128  # rows at once: with 256 inducing wrenches 256 kB of covariances, in a processor's cache
+# Rows of a block: with 256 inducing wrenches 256 kB of covariances, in a processor's cache.
+BLOCK_ROWS = 128
 DECIMALS = 9  # decimals of a prior variance: nearer ones are a tie, and the first row is taken
-TINY = 1e-13  # part of the information of a wrench: above rounding
-STEP = 0.1  # step of the logarithm of noise: a twentieth of its deviation
+TINY = 1e-13  # added to the eigenvalues of A, so that none is 0: above their rounding
+STEP = 0.1  # step of the logarithm of the noise's variance, which errs by 5 % at most
 # Rows among which inducing wrenches are chosen, evenly: four times the most inducing wrenches.
 CANDIDATES = 4000
 
@@ -76,13 +77,12 @@ def spread_points(
     prior = sum(float(kernel.prior(1)[0]) * weight for kernel, weight in weighted)
     remaining = np.full(len(x), prior)
     chosen = list[int]()
-    most = min(settings.inducing, len(x) // 2)  # with more one factor of all rows costs less
-    reduced = np.empty((most, len(x)))
-    while len(chosen) < most:
-        if remaining.mean() <= len(chosen) / count:
+    limit = min(settings.inducing, len(x) // 2)  # with more one factor of all rows costs less
+    reduced = np.empty((limit, len(x)))
+    while (size := len(chosen)) < limit:
+        if remaining.mean() <= size / count:
             return np.array(chosen, dtype=np.intp), True
         pivot = int(np.argmax(np.round(remaining / prior, DECIMALS)))
-        size = len(chosen)
         if remaining[pivot] <= settings.nugget * prior:
             break
         column = -reduced[:size, pivot] @ reduced[:size]
@@ -98,29 +98,30 @@ def spread_points(
 def values_between(x: Floats, v: Floats, kernel: Hyperparameters) -> Floats:
     """Return the covariance of values at x (n, 6) and v (m, 6), shape (n, m), by Matern 7/2.
 
-    As `covariance` does, in a fifth of the time: distances are sums of squares and products, which
-    lose 1e-15 of a squared length.
+    With s the scaled distance it is (1 + s + 2/5 s^2 + s^3/15) exp(-s), computed in place: a fifth
+    of the time of `covariance`. Squared distances are sums of squares and products, which lose
+    1e-15 of a squared length.
     """
     out = np.zeros((len(x), len(v)))
     for rates, weight in zip(*kernel.terms, strict=True):
         chosen = np.flatnonzero(rates)
         scale = np.sqrt(7 * rates[chosen])
-        a, b = x[:, chosen] * scale, v[:, chosen] * scale
-        q = a @ (-2 * b.T)
-        q += (a**2).sum(axis=1)[:, None]
-        q += (b**2).sum(axis=1)
-        np.maximum(q, 0.0, out=q)
-        s = np.sqrt(q)
-        part = s * (1 / 15)  # (1 + s + 2/5 s^2 + s^3/15) exp(-s)
-        part += 0.4
-        part *= q
-        part += s
-        part += 1.0
+        here, there = x[:, chosen] * scale, v[:, chosen] * scale
+        squared = here @ (-2 * there.T)
+        squared += (here**2).sum(axis=1)[:, None]
+        squared += (there**2).sum(axis=1)
+        np.maximum(squared, 0.0, out=squared)
+        s = np.sqrt(squared)
+        term = s * (1 / 15)
+        term += 0.4
+        term *= squared
+        term += s
+        term += 1.0
         np.negative(s, out=s)
-        part *= np.exp(s, out=s)
+        term *= np.exp(s, out=s)
         if weight != 1.0:
-            part *= weight
-        out += part
+            term *= weight
+        out += term
     return out
 
 
@@ -191,8 +192,7 @@ def induced(
     # Each group in a thread of its own, with the same bits on any number of processors.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for sums in pool.map(summed, groups):
-            likely = likely_noise(sums, settings)
-            outputs = sums.outputs
+            outputs, likely = sums.outputs, likely_noise(sums, settings)
             # The noise of an output that does not vary says nothing about the others' noise.
             varying = estimate.noise[outputs] > 0
             if varying.any():
@@ -246,6 +246,7 @@ def _without_readings(equations: Equations) -> Equations:
 
 
 def _prior_factor(pseudo: Equations, kernel: Hyperparameters, settings: KrigingSettings) -> Factor:
+    """Return the factor of the inducing wrenches without readings, whose T is inv(L)."""
     z, known = pseudo.x, pseudo.known
     matrix = covariance(z, known, z, known, kernel)
     prior = np.tile(kernel.prior(1), len(z))
@@ -255,18 +256,18 @@ def _prior_factor(pseudo: Equations, kernel: Hyperparameters, settings: KrigingS
 
 
 def sums_of(equations: Equations, group: OutputGroup, z: Floats, prior: Factor) -> Sums:
-    """Return the sums over the rows of a group, in blocks; `z` are the inducing wrenches (m, 6)."""
+    """Return the sums over the rows of a group; `z` (m, 6), half ranges: inducing wrenches."""
     kernel, loads, outputs = prior.hyperparameters, equations.loads, group.outputs
     A = np.zeros((len(z), len(z)))
     moments = np.zeros((1 + loads, 1 + loads + len(outputs)))
     crossed = np.zeros((len(z), moments.shape[1]))
     square = np.zeros(len(outputs))
-    for start in range(0, len(group.rows), ROWS):
-        rows = group.rows[start : start + ROWS]
+    for start in range(0, len(group.rows), BLOCK_ROWS):
+        rows = group.rows[start : start + BLOCK_ROWS]
         x = equations.x[rows]
         values = equations.data[rows, 0][:, outputs]
-        explained = values_between(x, z, kernel) @ prior.T.T
-        precision = 1 / group.noise[start : start + ROWS]
+        explained = values_between(x, z, kernel) @ prior.T.T  # W'
+        precision = 1 / group.noise[start : start + BLOCK_ROWS]  # D
         terms = np.concatenate((np.ones((len(rows), 1)), x, values), axis=1)
         weighted = explained * np.sqrt(precision)[:, None]
         A += weighted.T @ weighted
@@ -292,17 +293,19 @@ def likely_noise(sums: Sums, settings: KrigingSettings) -> LikelyNoise:
     solved = np.linalg.solve(H, np.concatenate((sums.G.T, sums.h), axis=1))
     of_wrenches, of_data = np.split(solved, [len(sums.A)], axis=1)
     values, vectors = np.linalg.eigh(sums.A - sums.G @ of_wrenches)
+    values = np.maximum(values, 0.0)
     squares = (vectors.T @ (sums.b - sums.G @ of_data)) ** 2
     total = sums.square - np.einsum("ak,ak->k", sums.h, of_data)
+
+    # Half the negative logarithm of the likelihood, (grid, k), and the likelihood itself.
     freedom = sums.rows - len(H) + sums.repeats
     logarithms = np.arange(*settings.ratio_bounds, STEP)
     ratios = np.exp(logarithms)[:, None]
-    values = np.maximum(values, 0.0)
     residual = total + sums.scatter - (1 / (values + ratios)) @ squares
     variance = np.maximum(residual / ratios / freedom, ROUNDING)
-    unlikely = freedom * (np.log(variance) + logarithms[:, None])
-    unlikely = 0.5 * (unlikely + np.log1p(values / ratios).sum(axis=1)[:, None])
-    likelihood = np.exp(unlikely.min(axis=0) - unlikely)
+    negative = freedom * (np.log(variance) + logarithms[:, None])
+    negative = 0.5 * (negative + np.log1p(values / ratios).sum(axis=1)[:, None])
+    likelihood = np.exp(negative.min(axis=0) - negative)
     likelihood /= likelihood.sum(axis=0)
     ratio = np.exp(logarithms @ likelihood)
     return LikelyNoise(ratio, np.exp(np.einsum("gk,gk->k", likelihood, np.log(variance))))
@@ -318,9 +321,11 @@ def posterior_factor(
     values, vectors = np.linalg.eigh(A)
     values = np.maximum(values, 0.0)
     inverse = (vectors / (1 + values)) @ vectors.T  # inv(B)
+
     precision = H - G.T @ inverse @ G + np.eye(len(H)) / settings.mean_variance
     mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
     coefficients = mean_covariance @ (h - G.T @ inverse @ b)
+
     # R'R = I - inv(B), R lower, by its root: what rounding leaves of that may not be definite.
     root = np.sqrt(values / (1 + values) + TINY)[:, None] * vectors.T
     R = np.asarray(np.linalg.qr(root[:, ::-1], mode="r"))[::-1, ::-1]

@@ -40,12 +40,10 @@ from .settings import DEFAULTS, KrigingSettings
 
 try:
     from threadpoolctl import ThreadpoolController
-# Numba may be missing in a simulator's environment: slower, and other last digits.
-except ImportError:
+except ImportError:  # a simulator's environment may lack it: slower, and other last digits
     ThreadpoolController = None
 
 _BLAS = ThreadpoolController and ThreadpoolController().select(user_api="blas")
-
 
 # Relative rounding error of one covariance times one weight: some units in the last place for each
 # of squared distance, root, exponential and polynomial. The errors have either sign: sums of
@@ -69,9 +67,9 @@ class Kriging:
     # that no row varies where none brings slopes
     tangent: Floats
     equations: Equations
-    # one for each factor: outputs with the same rows and noise share a factor
+    # (factors,): outputs with the same rows and noise share a factor
     neighbourhoods: tuple[Neighbourhoods, ...]
-    calibrations: tuple[Calibration, ...]  # one per item of `neighbourhoods`
+    calibrations: tuple[Calibration, ...]  # (factors,)
     weights: Floats  # (n, p, 6), spreads
     coefficients: Floats  # (7, 6), spreads
     deviation: Floats  # (6,), spreads: process standard deviation
@@ -115,6 +113,7 @@ class Kriging:
         """Solve for the weights of each output group, and calibrate its error bars."""
         equations, known = model.equations, model.equations.known
         n_rows, n_outputs = equations.measured.shape
+        is_inducing = bool(model.inducing)
         weights = np.zeros(equations.data.shape)
         coefficients = np.empty((1 + equations.loads, n_outputs))
         deviation, rounding = np.empty((2, n_outputs))
@@ -122,23 +121,23 @@ class Kriging:
         neighbourhoods, calibrations = list[Neighbourhoods](), list[Calibration]()
         for factor, table in model.factors(settings):
             rows, outputs = factor.output_group.rows, factor.output_group.outputs
-            # The weights among the values and derivatives of all rows.
-            all_rows = np.zeros((*known.shape, len(outputs)))
-            all_rows[known & np.isin(np.arange(n_rows), rows)[:, None]] = factor.weights
-            weights[:, :, outputs], coefficients[:, outputs] = all_rows, factor.coefficients
+            group_weights = np.zeros((*known.shape, len(outputs)))
+            group_weights[known & np.isin(np.arange(n_rows), rows)[:, None]] = factor.weights
+            weights[:, :, outputs], coefficients[:, outputs] = group_weights, factor.coefficients
             deviation[outputs] = np.sqrt(factor.variance)
             value_rows = np.abs(table[np.nonzero(known)[1] == 0])
-            rounding[outputs] = (ROUNDING_LOSS * value_rows @ np.abs(all_rows[known])).max(axis=0)
+            losses = ROUNDING_LOSS * value_rows @ np.abs(group_weights[known])
+            rounding[outputs] = losses.max(axis=0)
+
             leave_one_out = left_out(factor, np.arange(len(rows)))
             errors[np.ix_(rows, outputs)] = leave_one_out.errors
-            is_inducing = bool(model.inducing)
             near = Neighbourhoods(equations, factor, table, settings, of_all_rows=is_inducing)
+            neighbourhoods.append(near)
             if is_inducing:
                 calibration = of_posterior(factor, table, settings)
             else:
                 widening = model.estimate.widening[outputs]
                 calibration = calibrated(near, leave_one_out, data.scaling, data.kinds, widening)
-            neighbourhoods.append(near)
             calibrations.append(calibration)
         return cls(
             settings=settings,
@@ -186,8 +185,7 @@ class Kriging:
     def answer_many(self, wrenches: Floats) -> tuple[Floats, Floats]:
         """Return displacements and 95 % error bars at wrenches (n, 6), each (n, 6), m and rad."""
         x = self.scaling.loads(wrenches)
-        spread = self.scaling.spread
-        offset = self.scaling.offset
+        spread, offset = self.scaling.spread, self.scaling.offset
         displacement, error_bars = np.empty((2, len(x), len(spread)))
         with single_thread():
             for part in self._chunks(len(x)):
@@ -207,14 +205,14 @@ class Kriging:
         known = np.empty((len(x), n_outputs), dtype=bool)
         values = self.coefficients[0] + (x[:, None] @ self.coefficients[1:])[:, 0]
         weights = self.weights.reshape(-1, n_outputs)
-        terms = self.equations.n_derivatives
         kernel = None
-        across = np.empty((0, 0))
+        across = np.empty((0, 0))  # covariances of the points with all equations, by `kernel`
         for neighbours, calibration in zip(self.neighbourhoods, self.calibrations, strict=True):
             outputs = neighbours.factor.output_group.outputs
             if neighbours.factor.hyperparameters is not kernel:
                 kernel = neighbours.factor.hyperparameters
-                across = block(x, self.equations.x, kernel, 1, terms).reshape(len(x), -1)
+                n_derivatives = self.equations.n_derivatives
+                across = block(x, self.equations.x, kernel, 1, n_derivatives).reshape(len(x), -1)
             # Each point separately: weights are up to 1e8 times their sum, and the order of a sum
             # depends on the shape of the matrices.
             values[:, outputs] += (across[:, None] @ weights[:, outputs])[:, 0]
@@ -250,6 +248,8 @@ class Kriging:
             factors = [neighbours.factor for neighbours in self.neighbourhoods]
             factor = max(factors, key=lambda factor: len(factor.equations))
             hyperparameters, mean_covariance = factor.hyperparameters, factor.mean_covariance
+
+            # The posterior covariance of the pending equations, `within`.
             n_derivatives = self.equations.n_derivatives
             known = np.zeros((len(others), n_derivatives), dtype=bool)
             known[:, 0], known[:, 1:] = True, self.equations.known[:, 1:].any(axis=0)
@@ -258,6 +258,7 @@ class Kriging:
             within += new_terms @ mean_covariance @ new_terms.T
             prior = np.tile(hyperparameters.prior(n_derivatives), (len(others), 1))[known]
             within[np.diag_indices_from(within)] += factor.nugget * prior
+
             for part in self._chunks(len(x)):
                 explained, here_terms = factor.explained_at(x[part])
                 value = np.ones((len(x[part]), 1), dtype=bool)
@@ -346,8 +347,7 @@ class _Model(NamedTuple):
 
     estimate: Estimate
     equations: Equations
-    # The factors through inducing wrenches; empty without inducing wrenches.
-    inducing: list[KrigingFactor]
+    inducing: list[KrigingFactor]  # the factors through inducing wrenches, if these are used
     observation_variance: Floats  # (6,), spreads squared: see `Kriging`
     detail: str  # see `Kriging`
 
@@ -356,14 +356,14 @@ class _Model(NamedTuple):
         cls, data: _TrainingData, dependence: Floats | float, settings: KrigingSettings
     ) -> _Model:
         """Estimate covariances and noise; `dependence`: see `Kriging.build`."""
-        equations = data.equations
-        scaling = data.scaling
-        through = None
+        equations, scaling, queries = data.equations, data.scaling, data.kinds[0].queries
         values_alone = equations.n_derivatives == 1
-        some = equations.take(evenly(len(equations), CANDIDATES)) if values_alone else equations
-        estimate = estimated(some, scaling, data.kinds[0].queries, settings)
         if values_alone:
+            sample = equations.take(evenly(len(equations), CANDIDATES))
+            estimate = estimated(sample, scaling, queries, settings)
             through = induced(equations, estimate, settings, dependence)
+        else:
+            estimate, through = estimated(equations, scaling, queries, settings), None
         noise = estimate.noise if through is None else through.noise
 
         observed = (equations.observations > 0).any(axis=0)

@@ -8,16 +8,16 @@ tr((inv(K) - a a' / s^2) dK) / 2 with a = inv(K) (y - F b).
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from ..table.rows import Floats
 from .correlation import Hyperparameters
 from .equations import Equations, Scaling, farthest_first
 from .factor import OutputGroup, SingularCovarianceError, factorise, output_groups
-from .gradient import contracted
+from .gradient import contracted, minimised
 from .noise import REFUSED, Estimate, estimate_noise
 from .settings import DEFAULTS, KrigingSettings
 
@@ -47,8 +47,8 @@ def negative_log_likelihood(
         value += fraction * float(likelihoods.mean())
         unit = factor.weights / np.sqrt(factor.variance * len(group.outputs))
         sensitivity = factor.T.T @ factor.T - unit @ unit.T
-        by = contracted(sensitivity, factor.equations, hyperparameters, factor.nugget)
-        gradient += 0.5 * fraction * by
+        derivative = contracted(sensitivity, factor.equations, hyperparameters, factor.nugget)
+        gradient += 0.5 * fraction * derivative
     return value, gradient
 
 
@@ -56,30 +56,16 @@ def maximise(
     equations: Equations, groups: list[OutputGroup], settings: KrigingSettings = DEFAULTS
 ) -> Hyperparameters:
     """Return the most likely hyperparameters, from two starts."""
-    bounds = [settings.theta_bounds] * equations.loads + [
-        settings.weight_bounds
-    ] * equations.weights
+    bounds = [settings.theta_bounds] * equations.loads
+    bounds += [settings.weight_bounds] * equations.weights
     weights = [0.0] * (equations.weights - 1) + [settings.weight_start]
     # With second derivatives the first start ended at the higher maximum, or both starts at the
     # same, for 35 of 35 tables: real solves of `plate_thin` and synthetic parts.
     thetas = settings.theta_starts[: 1 if equations.weights > 1 else None]
     starts = [np.array([theta] * equations.loads + weights) for theta in thetas]
-    runs = [
-        minimize(
-            negative_log_likelihood,
-            start,
-            args=(equations, groups, settings),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=bounds,
-            options={"maxiter": settings.likelihood_steps, "ftol": settings.likelihood_accuracy},
-        )
-        for start in starts
-    ]
-    # Rounded, so that the rounding of another unit does not change the result; the likelihood is
-    # flat.
-    best = np.round(min(runs, key=lambda run: run.fun).x, settings.decimals)
-    return _hyperparameters(best, equations)
+    arguments = bounds, settings, equations, groups
+    runs = [minimised(negative_log_likelihood, start, *arguments) for start in starts]
+    return _hyperparameters(min(runs, key=itemgetter(1))[0], equations)
 
 
 def _hyperparameters(logarithms: Floats, equations: Equations) -> Hyperparameters:

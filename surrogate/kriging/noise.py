@@ -25,12 +25,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from ..calibration import CONFIDENCE
 from ..table.rows import Floats
 from .correlation import Hyperparameters, covariance, matern, mean_terms
-from .equations import Equations, Scaling
+from .equations import Equations, Scaling, evenly
 from .factor import (
     Indices,
     OutputGroup,
@@ -39,7 +38,7 @@ from .factor import (
     inverse_factor,
     output_groups,
 )
-from .gradient import contracted
+from .gradient import contracted, minimised
 from .settings import KrigingSettings
 
 # Half the negative log likelihood of a covariance without a factor: above any other.
@@ -156,6 +155,7 @@ def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings
         matrix = covariance(x, known, x, known, kernel)
     prior = np.tile(kernel.prior(rows.equations.n_derivatives), (len(x), 1))[known]
     matrix[np.diag_indices_from(matrix)] += settings.nugget * prior
+
     data = rows.equations.data[known][:, rows.outputs]
     exact = rows.parts <= 0
     white = 1 / np.sqrt(rows.parts[~exact])
@@ -163,9 +163,8 @@ def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings
         basis = white[:, None] * rows.basis
         values, vectors = np.linalg.eigh(basis.T @ matrix @ basis)
         rotation = vectors.T @ basis.T
-        count = 0
-        logarithm = 0.0
-    else:
+        count, logarithm = 0, 0.0
+    else:  # eliminate the equations without noise
         mean = mean_terms(x, known)
         matrix += settings.mean_variance * mean @ mean.T
         inverse, _ = inverse_factor(
@@ -221,7 +220,6 @@ def negative_log_posterior(
     """
     example = groups[0].equations
     kernel = Hyperparameters.of_logarithms(logarithms, example.groups, example.smoothness)
-    total = 0.0
     gradient = np.zeros(len(logarithms))
     centre, deviation = settings.length_prior
     away = (logarithms[: example.loads] - centre) / deviation
@@ -237,16 +235,19 @@ def negative_log_posterior(
         probability = np.exp(least - result.values)
         total += float((least - np.log(probability.mean(axis=0))).sum())
         probability /= probability.sum(axis=0)
+
         solved = (result.inverse[:, :, None] * eigen.data).transpose(1, 0, 2)
         solved = solved.reshape(len(eigen.data), probability.size)
         weight = (probability / result.variance * result.by_square).ravel()
         middle = np.diag(probability.sum(axis=1) @ result.inverse) - (solved * weight) @ solved.T
         sensitivity = eigen.rotation.T @ middle @ eigen.rotation
         if not eigen.terms:
-            by = contracted(sensitivity, rows.equations, kernel, settings.nugget)
+            derivative = contracted(sensitivity, rows.equations, kernel, settings.nugget)
         else:
-            by = _contracted_values(sensitivity, rows.squares, eigen.terms, kernel, settings.nugget)
-        gradient += 0.5 * by
+            derivative = _contracted_values(
+                sensitivity, rows.squares, eigen.terms, kernel, settings.nugget
+            )
+        gradient += 0.5 * derivative
     count = sum(len(rows.outputs) for rows in groups)
     return total / count, gradient / count
 
@@ -273,8 +274,7 @@ def _contracted_values(
 def _evenly(equations: Equations, rows: Indices, limit: int) -> Indices:
     """Return an even choice of `rows` with about `limit` equations, at least one row."""
     count = int(np.searchsorted(np.cumsum(equations.known[rows].sum(axis=1)), limit))
-    positions = np.linspace(0, len(rows) - 1, max(min(count, len(rows)), 1))
-    return rows[np.unique(positions.round().astype(np.intp))]
+    return rows[evenly(len(rows), max(count, 1))]
 
 
 def estimate_noise(
@@ -388,6 +388,7 @@ def _fitted(
         weight = np.exp(values.min(axis=(0, 1)) - values)
         weights.append(weight / weight.sum(axis=(0, 1)))
     chosen = int(np.argmax(joint))
+
     kernels = [candidate.kernel for candidate in candidates]
     estimates = {}
     for group, rows in enumerate(complete):
@@ -455,18 +456,8 @@ def _likely_logarithms(rows: list[NoisyRows], settings: KrigingSettings) -> Floa
     low, high = np.array([settings.theta_bounds] * loads + [settings.weight_bounds] * weights).T
     start = np.full(loads + weights, settings.length_prior[0])
     start[loads:] = [0.0] * (weights - 1) + [settings.weight_start]
-    run = minimize(
-        negative_log_posterior,
-        start,
-        args=(rows, settings),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=list(zip(low, high, strict=True)),
-        options={"maxiter": settings.likelihood_steps, "ftol": settings.likelihood_accuracy},
-    )
-    # Rounded, so that the rounding of another unit does not change the result; the likelihood is
-    # flat.
-    best = np.round(run.x, settings.decimals)
+    bounds = list(zip(low, high, strict=True))
+    best, _ = minimised(negative_log_posterior, start, bounds, settings, rows)
     shifts = np.zeros((len(settings.length_shifts), loads + weights))
     shifts[:, :loads] = np.array(settings.length_shifts)[:, None]
     return np.clip(best + shifts, low, high)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import accumulate, chain
+from itertools import chain
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -71,32 +71,47 @@ def axes_arrays(axes: Axes, members: Sequence[tuple[int, ...]]) -> dict[str, Arr
 
     `members`: the numbers (`seq`) of the rows merged into each row of the axes.
     """
-    tables = axes.tables
-    simplices = [0 if table is None else len(table.triangulation.simplices) for table in tables]
-    # Points, simplices and hulls, of all axes one after another.
-    first_point = _first([0 if table is None else len(table.values) for table in tables])
-    first_simplex = _first(simplices)
-    facets = [_facets(table) for table in tables]
-    for index, facet in enumerate(facets):
-        facet[:, :3] += first_point[index]
-        facet[:, 3] += first_simplex[index]
-    known = [table for table in tables if table is not None]
-    flat = [table.triangulation.degenerate[_order(table)[1]] for table in known]
-    slopes = [table.slopes[_order(table)[0]] for table in known]
-    each = zip(tables, first_point, first_simplex, strict=False)
+    shapes = {"simplex": [SIMPLEX], "degenerate": [], "vertex": [VERTEX], "slopes": [6, 3]}
+    shapes["facets"] = [4]
+    parts: dict[str, list[NDArray]] = {name: [np.empty((0, *n))] for name, n in shapes.items()}
+    span = np.zeros((3, 3, 2))
+    first = np.zeros((4, 3), dtype=np.int32)  # first point, simplex and facet of each axis; ends
+    for axis, table in enumerate(axes.tables):
+        first[axis + 1] = first[axis]
+        if table is None:
+            continue
+        shape, (points, simplices) = table.triangulation, _order(table)
+        facets = _facets(table)
+        facets[:, :3] += first[axis, 0]
+        facets[:, 3] += first[axis, 1]
+        loads = table.rows.points * table.scale
+        span[axis] = np.stack((loads.min(axis=0), loads.max(axis=0)), axis=1)
+        parts["simplex"].append(_simplices(table, *first[axis, :2].tolist()))
+        parts["degenerate"].append(shape.degenerate[simplices])
+        vertices = np.concatenate((shape.points[points], table.values[points]), axis=1)
+        parts["vertex"].append(vertices)
+        parts["slopes"].append(table.slopes[points])
+        parts["facets"].append(facets)
+        first[axis + 1] += len(points), len(simplices), len(facets)
+    joined = {name: np.concatenate(part) for name, part in parts.items()}
+    floats, ints, grid = _grids(axes.tables, first[:, 1].tolist())
+    member_first, numbers = _row_numbers(axes.tables, members)
     arrays = AxesArrays(
-        _joined([_simplices(*axis) for axis in each], (0, SIMPLEX)),
-        _joined(flat, (0,)).astype(np.uint8),
-        _joined([_vertices(table) for table in tables], (0, VERTEX)),
-        _joined(slopes, (0, 6, 3)),
-        _joined(facets, (0, 4)).astype(np.int32),
-        np.array(first_point, dtype=np.int32),
-        np.array(first_simplex, dtype=np.int32),
-        np.array(_first([len(facet) for facet in facets]), dtype=np.int32),
-        *_grids(tables, first_simplex),
-        np.array([_span(table) for table in tables]),
-        axes.at_zero,
-        *_row_numbers(tables, members),
+        simplex=joined["simplex"],
+        degenerate=joined["degenerate"].astype(np.uint8),
+        vertex=joined["vertex"],
+        slopes=joined["slopes"],
+        facets=joined["facets"].astype(np.int32),
+        point_first=first[:, 0].copy(),
+        simplex_first=first[:, 1].copy(),
+        facet_first=first[:, 2].copy(),
+        floats=floats,
+        ints=ints,
+        grid=grid,
+        span=span,
+        zero_load=axes.at_zero,
+        member_first=member_first,
+        members=numbers,
     )
     named: dict[str, Array] = arrays._asdict()
     for moment, cuts in enumerate(axes.cuts):
@@ -146,28 +161,17 @@ def _row_numbers(
     return np.cumsum(np.concatenate(sizes)).astype(np.int32), np.concatenate(numbers)
 
 
-def _first(counts: list[int]) -> list[int]:
-    return list(accumulate(counts, initial=0))
-
-
-def _joined(parts: Sequence[Array | None], shape: tuple[int, ...]) -> NDArray:
-    """Return the parts that are not None as one array; an empty one of `shape` if all are None."""
-    return np.concatenate([np.empty(shape), *(part for part in parts if part is not None)])
-
-
 def _order(table: AxisTable) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the old number of each point and of each simplex."""
     numbered = numbered_of(table.triangulation)
     return numbered.point_order, numbered.simplex_order
 
 
-def _simplices(table: AxisTable | None, point: int, simplex: int) -> Floats | None:
+def _simplices(table: AxisTable, point: int, simplex: int) -> Floats:
     """Return the numbers (m, SIMPLEX) of a table's simplices.
 
     `point`, `simplex`: the index of the table's first point and simplex among those of all axes.
     """
-    if table is None:
-        return None
     numbered = numbered_of(table.triangulation)
     out = np.zeros((len(numbered.simplex), SIMPLEX))
     ints = numbered.simplex.copy()
@@ -180,30 +184,15 @@ def _simplices(table: AxisTable | None, point: int, simplex: int) -> Floats | No
     return out
 
 
-def _vertices(table: AxisTable | None) -> Floats | None:
-    if table is None:
-        return None
-    order = numbered_of(table.triangulation).point_order
-    return np.concatenate((table.triangulation.points[order], table.values[order]), axis=1)
-
-
-def _facets(table: AxisTable | None) -> NDArray[np.intp]:
+def _facets(table: AxisTable) -> NDArray[np.intp]:
     """Return the hull's facets (f, 4): vertices and the simplex behind, in their new numbers."""
-    if table is None or not table.triangulation.dimension:
-        return np.zeros((0, 4), dtype=np.intp)
     shape, (points, simplices) = table.triangulation, _order(table)
+    if not shape.dimension:
+        return np.zeros((0, 4), dtype=np.intp)
     facets = np.zeros((len(shape.hull), 4), dtype=np.intp)
     facets[:, : shape.dimension] = np.argsort(points)[shape.hull]
     facets[:, 3] = np.argsort(simplices)[shape.behind_hull]
     return facets
-
-
-def _span(table: AxisTable | None) -> Floats:
-    """Return the smallest and largest of an axis' three loads, (3, 2), N and N·m."""
-    if table is None:
-        return np.zeros((3, 2))
-    loads = table.rows.points * table.scale
-    return np.stack((loads.min(axis=0), loads.max(axis=0)), axis=1)
 
 
 def _members_of(
@@ -239,35 +228,36 @@ _KNOWN: WeakKeyDictionary[Triangulation, Numbered] = WeakKeyDictionary()
 
 def numbered_of(shape: Triangulation) -> Numbered:
     """Return a triangulation numbered for walks."""
-    numbered = _KNOWN.get(shape)
-    if numbered is None:
-        local = shape.local_coordinates(shape.points)
-        dimension = shape.dimension
-        weights = shape.weights if dimension == 3 else shape.weights @ shape.basis.T
-        points = curve_order(local)
-        way = curve_order(local[shape.simplices].mean(axis=1))
-        new_point = np.empty(len(points), np.intp)
-        new_simplex = np.empty(len(way) + 1, np.intp)
-        new_point[points] = np.arange(len(points))
-        new_simplex[way], new_simplex[-1] = np.arange(len(way)), -1
-        simplex = np.zeros((len(way), 8), dtype=np.int32)
-        simplex[:, : dimension + 1] = new_point[shape.simplices[way]]
-        simplex[:, 4:] = -1
-        simplex[:, 4 : 5 + dimension] = new_simplex[shape.neighbours[way]]
-        positions = np.zeros((len(local), 3))
-        positions[:, :dimension] = local[points]
-        maps = np.zeros((len(way), MAP))
-        for corner in range(dimension):
-            maps[:, 3 * corner : 3 * corner + dimension] = weights[way, corner]
-        maps[:, 9:] = positions[simplex[:, dimension]]
-        floats = np.zeros(FLOATS)
-        ints = np.zeros(INTS, dtype=np.int32)
-        floats[:3], ints[CELLS : CELLS + 3], ints[DIMENSION] = 1.0, 1, dimension
-        floats[ORIGIN : ORIGIN + 3], floats[SLACK] = shape.origin, shape.slack
-        floats[BASIS : BASIS + 3 * dimension] = shape.basis.ravel()
-        grid = new_simplex[_grid(shape, local, floats, ints)]
-        numbered = _KNOWN[shape] = Numbered(maps, simplex, grid, floats, ints, way, points)
-    return numbered
+    if (numbered := _KNOWN.get(shape)) is not None:
+        return numbered
+    dimension, local = shape.dimension, shape.local_coordinates(shape.points)
+    weights = shape.weights if dimension == 3 else shape.weights @ shape.basis.T
+    points = curve_order(local)
+    simplices = curve_order(local[shape.simplices].mean(axis=1))
+    new_point = np.empty(len(points), np.intp)
+    new_point[points] = np.arange(len(points))
+    new_simplex = np.empty(len(simplices) + 1, np.intp)
+    new_simplex[simplices], new_simplex[-1] = np.arange(len(simplices)), -1
+
+    simplex = np.zeros((len(simplices), 8), dtype=np.int32)
+    simplex[:, : dimension + 1] = new_point[shape.simplices[simplices]]
+    simplex[:, 4:] = -1
+    simplex[:, 4 : 5 + dimension] = new_simplex[shape.neighbours[simplices]]
+    positions = np.zeros((len(local), 3))
+    positions[:, :dimension] = local[points]
+    maps = np.zeros((len(simplices), MAP))
+    for corner in range(dimension):
+        maps[:, 3 * corner : 3 * corner + dimension] = weights[simplices, corner]
+    maps[:, 9:] = positions[simplex[:, dimension]]
+
+    floats = np.zeros(FLOATS)
+    ints = np.zeros(INTS, dtype=np.int32)
+    floats[:3], ints[CELLS : CELLS + 3], ints[DIMENSION] = 1.0, 1, dimension
+    floats[ORIGIN : ORIGIN + 3], floats[SLACK] = shape.origin, shape.slack
+    floats[BASIS : BASIS + 3 * dimension] = shape.basis.ravel()
+    grid = new_simplex[_grid(shape, local, floats, ints)]
+    _KNOWN[shape] = Numbered(maps, simplex, grid, floats, ints, simplices, points)
+    return _KNOWN[shape]
 
 
 def _grid(shape: Triangulation, local: Floats, floats: Floats, ints: NDArray[np.int32]) -> Indices:

@@ -117,21 +117,14 @@ def _space_arrays(table: Table, groups: int) -> Iterator[tuple[str, Array]]:
 
 def _solver_arrays(table: Table) -> Iterator[tuple[str, Array]]:
     """Yield the arrays of the solver's error."""
-    error = table.solver_error
-    n = len(table.load_range.low)
-    by_tangent = False
-    known = table.bars_are_complete
-    linear = False
-    linearity_known = True
-    arrays = SolverError({"loads": [0.0] * n}).packed
+    error, complete = table.solver_error, table.bars_are_complete
+    flags = [False, complete, False, True, complete]
     if error is not None:
-        arrays = error.packed
-        by_tangent, known = error.stiffness is not None, error.mesh is not None
-        linear = "linearity" in error.values
-        linearity_known = error.linearity is not None
-    flags = [by_tangent, known, linear, linearity_known, table.bars_are_complete]
+        flags = [error.stiffness is not None, error.mesh is not None]
+        flags += ["linearity" in error.values, error.linearity is not None, complete]
     yield "solver/flags", np.array(flags, dtype=np.int32)
-    yield from named("solver/", arrays).items()
+    error = error or SolverError({"loads": [0.0] * len(table.load_range.low)})
+    yield from named("solver/", error.packed).items()
 
 
 class _Sources:
@@ -270,36 +263,36 @@ def _factor_arrays(
     """Yield the arrays of sigma and its calibration for the outputs of one factor."""
     factor, local_factors = neighbourhoods.factor, neighbourhoods.local_factors
     count = len(local_factors)
-    most = max(len(local.columns) for local in local_factors)
-    padded = -(-most // PANEL) * PANEL
-    number = np.zeros(stride, dtype=np.int32)
-    least = np.full(stride, np.inf)
-    columns = np.zeros((count, padded), dtype=np.int32)
+    padded = -(-max(len(local.columns) for local in local_factors) // PANEL) * PANEL
+    equations = np.zeros((count, padded), dtype=np.int32)
     panels = np.zeros((count, PANEL * padded * (padded // PANEL + 1) // 2))
-    unsettled = np.zeros((count, local_factors[0].TF.shape[1], padded))
-    for k, local in enumerate(local_factors):
+    trend = np.zeros((count, local_factors[0].TF.shape[1], padded))
+    for index, local in enumerate(local_factors):
         size = len(local.columns)
-        at_row, of_row = np.divmod(local.columns, derivatives)
-        columns[k, :size] = of_row * stride + at_row
+        row, derivative = np.divmod(local.columns, derivatives)
+        equations[index, :size] = derivative * stride + row
         # A lower triangle (e, e), dimensionless, in panels of rows, columns first.
         lower = np.zeros((padded, padded))
         lower[: len(local.T), : len(local.T)] = local.T
-        panels[k] = np.concatenate(
+        panels[index] = np.concatenate(
             [lower[top : top + PANEL, : top + PANEL].T.ravel() for top in range(0, padded, PANEL)]
         )
-        unsettled[k, :, :size] = local.TF.T
+        trend[index, :, :size] = local.TF.T
+
     rows = factor.output_group.rows
+    number = np.zeros(stride, dtype=np.int32)
     number[rows] = neighbourhoods.number
-    least[rows] = [local_factors[k].min_variance for k in neighbourhoods.number.tolist()]
-    yield "outputs", np.isin(np.arange(outputs), factor.output_group.outputs).astype(np.int32)
-    yield "number", number
-    yield "equations", columns
-    yield "panels", panels
-    yield "trend", unsettled
-    yield "min_variance", least
-    yield "penalty", np.where(np.isfinite(least), 0.0, np.inf)
-    yield "mean_covariance", factor.mean_covariance
+    min_variance = np.full(stride, np.inf)
+    min_variance[rows] = [local_factors[k].min_variance for k in neighbourhoods.number.tolist()]
     scale = np.zeros(outputs)
     scale[factor.output_group.outputs] = calibration.factors
+    yield "outputs", np.isin(np.arange(outputs), factor.output_group.outputs).astype(np.int32)
+    yield "number", number
+    yield "equations", equations
+    yield "panels", panels
+    yield "trend", trend
+    yield "min_variance", min_variance
+    yield "penalty", np.where(np.isfinite(min_variance), 0.0, np.inf)
+    yield "mean_covariance", factor.mean_covariance
     yield "scale", scale
     yield "max_sigma", np.array([calibration.max_sigma])

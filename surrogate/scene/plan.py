@@ -124,13 +124,13 @@ def need_of(
     mistakes = []
     for load, (low, high) in enumerate(ends.tolist()):
         entry = limits.space.inputs[load]
-        least, most = min(limits.low[load], entry.zero), max(limits.high[load], entry.zero)
+        lowest, highest = min(limits.low[load], entry.zero), max(limits.high[load], entry.zero)
         if low > high:
             ends_given = f"{low:g} {entry.unit}, must not be above the high end, {high:g}"
             message = f"the low end of {entry.name}, {ends_given}; swap the two"
             mistakes.append((load, message))
-        elif load not in idle and (low < least - slack[load] or high > most + slack[load]):
-            within = f"{least:g} to {most:g} {entry.unit}, the load range"
+        elif load not in idle and (low < lowest - slack[load] or high > highest + slack[load]):
+            within = f"{lowest:g} to {highest:g} {entry.unit}, the load range"
             message = f"{entry.name} must lie within {within}, not {low:g} to {high:g}"
             mistakes.append((load, message))
     if mistakes:

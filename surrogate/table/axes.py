@@ -39,7 +39,7 @@ def _levels(values: Floats) -> int:
     step = MIN_STEP * min(float(np.ptp(values)) / 2, 1.0)
     for value in np.sort(values).tolist():
         if value > last + step:
-            count = count + 1
+            count += 1
             last = value
     return count
 
@@ -202,7 +202,7 @@ CHUNK = 5000  # points at once: their coordinates along all directions take 20 M
 # Odd factors of Knuth's multiplicative hashing (The Art of Computer Programming 3, 6.4), one for
 # each coordinate.
 _FACTORS = np.uint64(0x9E3779B97F4A7C15) * np.arange(1, 13, 2, dtype=np.uint64)
-_HALF = np.uint64(32)
+_HALF = np.uint64(32)  # half the bits, by which hashes mix their upper bits into the lower ones
 
 
 def evenly_chosen(points: Floats) -> NDArray[np.bool_]:
@@ -217,6 +217,7 @@ def evenly_chosen(points: Floats) -> NDArray[np.bool_]:
     if not halvings:
         return np.ones(len(points), dtype=bool)
     chosen = hashes(points) >> np.uint64(64 - halvings) == 0
+
     # The outermost point along each of many directions and each corner of the box.
     corners = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3)).reshape(3, -1).T
     # Directions spread evenly over the sphere, (DIRECTIONS, 3): Fibonacci's spiral.

@@ -23,8 +23,6 @@ UNCHECKED = 0.1
 
 
 @dataclass(frozen=True)
-# (6, 6), m/N, m/(N·m), rad/N, rad/(N·m): a column is zero where the rows do not determine the
-# load's influence.
 class ComplianceFit:
     """A linear map from wrench to displacement."""
 
@@ -80,10 +78,7 @@ def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
 
 
 def _stored(rows: Rows, load_range: LoadRange) -> ComplianceFit:
-    """Return the mean of the rows' compliances.
-
-    The error bar is half their spread, at full loads.
-    """
+    """Return the rows' mean compliance; its error bar is half their spread at full loads."""
     # The displacement at zero load, (6,), is taken from the row whose loads move it least. Values
     # within `SAME_LINE` of the row's motion are its rounding.
     moved = (rows.compliance @ rows.wrench[:, :, None])[:, :, 0]
@@ -112,6 +107,7 @@ def _from_displacements(rows: Rows, load_range: LoadRange, *, linear: bool) -> C
         shape = rows.compliance.shape[1:]
         none = np.zeros(shape[1], dtype=bool)
         return ComplianceFit(np.zeros(shape), none, np.zeros(shape[0]), "none")
+
     basis, sizes, directions = np.linalg.svd(scaled, full_matrices=False)
     basis = basis[:, sizes > RANK * sizes[0]]
     spanned = directions[sizes > RANK * sizes[0]]
@@ -121,6 +117,7 @@ def _from_displacements(rows: Rows, load_range: LoadRange, *, linear: bool) -> C
     residual = rows.displacement - scaled @ columns
     matrix = np.where(known, columns.T / load_range.scale, 0.0)
     offset = 0.0 - matrix @ zero  # no -0.0
+
     stored = np.nan_to_num(rows.uncertainty).max(axis=0)
     spare = len(rows) - len(spanned)
     # With as many rows as unknowns there is no residual. An FEA solve is repeatable and then needs

@@ -14,6 +14,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args
@@ -39,9 +40,9 @@ T = TypeVar("T")
 M = TypeVar("M", h5py.Group, h5py.Dataset)
 
 FORMAT = "wrenchbook table"
-# Limit of an upload's unpacked size, in the constants below. A row takes 450 bytes, so that this is
-# two million rows; a compressed file of a few bytes can declare any size.
 MIB = 1024 * 1024
+# Limit of an upload's unpacked size: two million rows of 450 bytes. A compressed file of a few
+# bytes can declare any size.
 MAX_FOREIGN_BYTES = 1024 * MIB
 MAX_DEPTH = 8  # levels of groups above the columns: a file may link a group to itself
 MAX_CHUNK_BYTES = 64 * MIB  # a chunk is unpacked in full for any part of it
@@ -125,23 +126,27 @@ def _read(source: Path, part: Callable[[h5py.File], T]) -> T:
     """Return a part of a table file after a check of its digest."""
     if not source.exists():
         raise FileNotFoundError(source)
-    try:
+    remedy = (
+        ". Restore it from a backup, or move it away: rows still in the ledger come back at the "
+        "next start."
+    )
+    with _named_errors(f"{source.name} is not a readable wrenchbook table", remedy):
         if not is_as_written(source):
-            raise _unreadable(source, "its checksum is wrong: the file is damaged")
+            raise ValueError("its checksum is wrong: the file is damaged")
         with h5py.File(source, "r") as file:
             _check_schema(file, source)
             return part(file)
+
+
+@contextmanager
+def _named_errors(problem: str, remedy: str) -> Iterator[None]:
+    """Raise the errors of the block as TableFileError, with their text between two others."""
+    try:
+        yield
     except TableFileError:
         raise
     except Exception as error:  # h5py's errors on a damaged file have no common base
-        raise _unreadable(source, str(error) or repr(error)) from error
-
-
-def _unreadable(source: Path, why: str) -> TableFileError:
-    return TableFileError(
-        f"{source.name} is not a readable wrenchbook table ({why}). Restore it from a "
-        "backup, or move it away: rows still in the ledger come back at the next start."
-    )
+        raise TableFileError(f"{problem} ({str(error) or repr(error)}){remedy}") from error
 
 
 def _write_meta(file: h5py.File, meta: TableMeta) -> None:
@@ -264,22 +269,22 @@ def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
 _ALL = slice(None)
 
 
-def _numbers(file: h5py.File, name: str, some: slice = _ALL) -> np.ndarray:
-    return np.asarray(_dataset(file, name)[some])
+def _numbers(file: h5py.File, name: str, piece: slice = _ALL) -> np.ndarray:
+    return np.asarray(_dataset(file, name)[piece])
 
 
-def _strings(file: h5py.File, name: str, some: slice = _ALL) -> np.ndarray:
-    return np.array(_dataset(file, name).asstr()[some], dtype=str)
+def _strings(file: h5py.File, name: str, piece: slice = _ALL) -> np.ndarray:
+    return np.array(_dataset(file, name).asstr()[piece], dtype=str)
 
 
-def _read_rows(file: h5py.File, some: slice = _ALL) -> Rows:
+def _read_rows(file: h5py.File, piece: slice = _ALL) -> Rows:
     """Return the rows of a slice of a table file."""
-    strings = {name: _strings(file, f"rows/{name}", some) for name in ("source", "fingerprint")}
+    strings = {name: _strings(file, f"rows/{name}", piece) for name in ("source", "fingerprint")}
     optional = {"curvature", "session"}
     names = [
         name for name in (*_UNITS, "session") if name not in optional or f"rows/{name}" in file
     ]
-    numbers = {name: _numbers(file, f"rows/{name}", some) for name in ("seq", *names)}
+    numbers = {name: _numbers(file, f"rows/{name}", piece) for name in ("seq", *names)}
     numbers.setdefault("curvature", np.empty((len(numbers["seq"]), 0)))
     for name in ("uncertainty", "compliance"):
         if np.isnan(numbers[name]).all():
@@ -294,7 +299,7 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
     or is larger when read than `MAX_FOREIGN_BYTES`.
     """
     source = Path(path)
-    try:
+    with _named_errors("cannot be read as a wrenchbook table", "; export the table again"):
         with h5py.File(path, "r") as file:
             _check_contained(file)
         if not is_as_written(source):
@@ -307,17 +312,11 @@ def foreign_tables(path: str | os.PathLike[str]) -> Iterator[tuple[Rows, list[st
             _read_meta(file)
             count = len(_dataset(file, "rows/seq"))
             for start in range(0, count, FOREIGN_PIECE):
-                some = slice(start, start + FOREIGN_PIECE)
-                rows = _read_rows(file, some)
-                has_notes = "rows/note" in file
-                notes = np.asarray(_dataset(file, "rows/note").asstr()[some]) if has_notes else None
-                yield rows, [""] * len(rows) if notes is None else notes.tolist()
-    except TableFileError:
-        raise
-    except Exception as error:  # h5py's errors on a damaged file have no common base
-        raise TableFileError(
-            f"cannot be read as a wrenchbook table ({error}); export the table again"
-        ) from error
+                piece = slice(start, start + FOREIGN_PIECE)
+                rows = _read_rows(file, piece)
+                stored = _dataset(file, "rows/note") if "rows/note" in file else None
+                notes = [] if stored is None else np.asarray(stored.asstr()[piece]).tolist()
+                yield rows, notes or [""] * len(rows)
 
 
 def _check_contained(file: h5py.File) -> None:
@@ -407,27 +406,23 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
     if outside := leads_out(path):
         names = ", ".join(outside[:MAX_LISTED])
         raise TableFileError(f"refers to data in other files ({names}); copy them into this file")
-    try:
-        with h5py.File(path, "r") as file:
-            columns = _named_columns(file)
-            if not columns:
-                raise TableFileError(
-                    "has no columns; write each one as a one-dimensional dataset of numbers"
-                )
-            lengths = {len(dataset) for _, dataset, _ in columns}
-            if len(lengths) != 1:
-                sizes = (f"{name}: {len(dataset)}" for name, dataset, _ in columns[:MAX_LISTED])
-                raise TableFileError(
-                    f"has columns of several lengths ({', '.join(sizes)}); make them equal"
-                )
-            names = [name for name, _, _ in columns]
-            for start in range(0, lengths.pop() or 1, FOREIGN_PIECE):
-                some = slice(start, start + FOREIGN_PIECE)
-                yield names, [read(dataset[some]) for _, dataset, read in columns]
-    except TableFileError:
-        raise
-    except Exception as error:  # h5py's errors on a damaged file have no common base
-        raise TableFileError(f"cannot be read as HDF5 ({error}); write it again") from error
+    again = "; write it again"
+    with _named_errors("cannot be read as HDF5", again), h5py.File(path, "r") as file:
+        columns = _named_columns(file)
+        if not columns:
+            raise TableFileError(
+                "has no columns; write each one as a one-dimensional dataset of numbers"
+            )
+        lengths = {len(dataset) for _, dataset, _ in columns}
+        if len(lengths) != 1:
+            sizes = (f"{name}: {len(dataset)}" for name, dataset, _ in columns[:MAX_LISTED])
+            raise TableFileError(
+                f"has columns of several lengths ({', '.join(sizes)}); make them equal"
+            )
+        names = [name for name, _, _ in columns]
+        for start in range(0, lengths.pop() or 1, FOREIGN_PIECE):
+            piece = slice(start, start + FOREIGN_PIECE)
+            yield names, [read(dataset[piece]) for _, dataset, read in columns]
 
 
 NamedColumn = tuple[str, Any, Callable[[np.ndarray], np.ndarray]]
@@ -443,8 +438,10 @@ class _Vector:
     def __len__(self) -> int:
         return int(self._data.size or 0)
 
-    def __getitem__(self, some: slice) -> np.ndarray:
-        return np.asarray(self._data[0, some] if self._data.shape[0] == 1 else self._data[some, 0])
+    def __getitem__(self, piece: slice) -> np.ndarray:
+        return np.asarray(
+            self._data[0, piece] if self._data.shape[0] == 1 else self._data[piece, 0]
+        )
 
 
 def matlab_object(name: str, kind: str) -> str:
@@ -456,16 +453,16 @@ def matlab_object(name: str, kind: str) -> str:
     return f"{only}; make it a struct: S = table2struct({table},'ToScalar',true); save('t.mat','S')"
 
 
-def _other_form(name: str, thing: h5py.Group | h5py.Dataset) -> str | None:
+def _other_form(name: str, member: h5py.Group | h5py.Dataset) -> str | None:
     """Return the remedy for a table of pandas or MATLAB that is not stored as columns."""
-    if "pandas_type" in thing.attrs:
+    if "pandas_type" in member.attrs:
         file = f"'table.h5', '{name}'"
         return f"is of pandas' to_hdf; send pandas.read_hdf({file}).to_parquet('table.parquet')"
     if name.startswith("#"):  # MATLAB's own groups
         return None
-    if "MATLAB_object_decode" in thing.attrs:
-        return matlab_object(name, "".join(_texts(thing, "MATLAB_class")))
-    if isinstance(thing, h5py.Dataset) and thing.dtype == h5py.ref_dtype:
+    if "MATLAB_object_decode" in member.attrs:
+        return matlab_object(name, "".join(_texts(member, "MATLAB_class")))
+    if isinstance(member, h5py.Dataset) and member.dtype == h5py.ref_dtype:
         at = name.partition("/")[0]
         return (
             f"has MATLAB records in {at}; convert them to a struct of vectors: S = "
@@ -626,18 +623,16 @@ def leads_out(path: Path) -> list[str]:
         return []
     outside: list[str] = []
 
-    def check(name: str, thing: h5py.Group | h5py.Dataset) -> None:
-        if isinstance(thing, h5py.Dataset) and (thing.external or thing.is_virtual):
+    def check(name: str, member: h5py.Group | h5py.Dataset) -> None:
+        if isinstance(member, h5py.Dataset) and (member.external or member.is_virtual):
             outside.append(name)
 
     def check_link(name: bytes, link: h5l.LinkInfo) -> None:
         if link.type not in (h5l.TYPE_HARD, h5l.TYPE_SOFT):
             outside.append(name.decode(errors="replace"))
 
-    try:
-        with h5py.File(path, "r") as file:
-            file.id.links.visit(check_link, info=True)
-            file.visititems(check)
-    except Exception as error:
-        raise TableFileError(f"cannot be searched as HDF5 ({error}); write it again") from error
+    again = "; write it again"
+    with _named_errors("cannot be searched as HDF5", again), h5py.File(path, "r") as file:
+        file.id.links.visit(check_link, info=True)
+        file.visititems(check)
     return outside

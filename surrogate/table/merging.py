@@ -20,7 +20,8 @@ from .rows import NEAR, SOLVED, ZERO_LOAD, Floats, LoadRange, Rows
 
 # Directions: with three, nine tenths of 30,000 rows have no neighbour along one of them.
 DIRECTIONS = 3
-ALONG = 1 + 1e-6  # factor on a distance along a direction: rounding, 2e-16 over a distance of 1e-6
+# Factor on a distance along a direction: the rounding of loads, 2e-16, over a distance of 1e-6.
+ALONG = 1 + 1e-6
 # Decimals of scaled loads: rows that agree to these decimals are one, without a distance.
 EQUAL = 12
 MAX_PAIRS = 10_000_000  # pairs of near rows, each counted twice: 80 MB
@@ -87,42 +88,52 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
     observations = Observations(number, np.zeros_like(number))
     if not len(several):
         return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner, observations)
+
     # The wrench is that of the row with the fewest loads, so that a single-axis row stays
     # single-axis, and zero load stays zero load. Of equal rows the outermost counts, so that the
     # hull does not shrink.
     loaded = (np.abs(scaled) > ZERO_LOAD).sum(axis=1)
     order = np.lexsort((rows.seq, -(scaled**2).sum(axis=1), loaded, owner))
     first = order[np.cumsum(sizes) - sizes]
+
     order, starts = _several(owner)
+    columns = _merged_columns(rows, order, starts)
+    merged = {name: np.array(getattr(rows, name)[first]) for name in columns}
+    for name, values in columns.items():
+        merged[name][several] = values
+    members = list(zip(rows.seq[first].tolist(), strict=True))
+    for index, group in zip(several.tolist(), np.split(rows.seq[order], starts[1:]), strict=True):
+        members[index] = tuple(group.tolist())
+
+    mean = columns["displacement"].repeat(sizes[several], axis=0)
+    squares = np.where(present[order], rows.displacement[order] - mean, 0.0) ** 2
+    unknown = ~np.logical_or.reduceat(is_known[order], starts)
+    observations = observations.take(first)
+    number = np.add.reduceat(present[order], starts, dtype=float)
+    observations.number[several] = np.where(unknown, number, 0)
+    observations.scatter[several] = np.where(unknown, np.add.reduceat(squares, starts), 0.0)
+    merged_rows = replace(rows.take(first), **merged)
+    return Merged(merged_rows, tuple(members), within[first], owner, observations)
+
+
+def _merged_columns(
+    rows: Rows, order: NDArray[np.intp], starts: NDArray[np.intp]
+) -> dict[str, NDArray[Any]]:
+    """Return the columns of merged rows that are not those of one row; see `_several`."""
     part = rows.take(order)
-    present = present[order]
-    mean = _means(part.displacement, starts, ())
+    present = np.isfinite(part.displacement)
     high = np.maximum.reduceat(np.where(present, part.displacement, -np.inf), starts)
     low = np.minimum.reduceat(np.where(present, part.displacement, np.inf), starts)
     largest = np.maximum.reduceat(np.nan_to_num(part.uncertainty), starts)
     # Solves repeat exactly; a merged row does so only if all its rows do.
     measured = np.where(part.is_solved, len(part), np.arange(len(part)))
-    columns = {
-        "displacement": mean,
+    return {
+        "displacement": _means(part.displacement, starts, ()),
         "uncertainty": np.maximum(np.where(high > low, high - low, 0.0) / 2, largest),
         "compliance": _means(part.compliance, starts, (1, 2)),
         "curvature": _means(rows.curvature[order], starts, (1,)),
         "source": np.append(part.source, SOLVED)[np.minimum.reduceat(measured, starts)],
     }
-    merged = {name: np.array(getattr(rows, name)[first]) for name in columns}
-    for name, values in columns.items():
-        merged[name][several] = values
-    members = list(zip(rows.seq[first].tolist(), strict=True))
-    for index, group in zip(several.tolist(), np.split(part.seq, starts[1:]), strict=True):
-        members[index] = tuple(group.tolist())
-    deviations = np.where(present, part.displacement - mean.repeat(sizes[several], axis=0), 0.0)
-    unknown = ~np.logical_or.reduceat(is_known[order], starts)
-    observations = observations.take(first)
-    number = np.add.reduceat(present, starts, dtype=float)
-    observations.number[several] = np.where(unknown, number, 0)
-    observations.scatter[several] = np.where(unknown, np.add.reduceat(deviations**2, starts), 0.0)
-    merged_rows = replace(rows.take(first), **merged)
-    return Merged(merged_rows, tuple(members), within[first], owner, observations)
 
 
 class RowIndex:
@@ -222,8 +233,8 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
         return np.empty(0, dtype=np.intp)
     # + 0.0 turns -0.0 into 0.0, as the comparison of bytes would separate them
     keys = np.round(points, EQUAL) + 0.0
-    # The distinct points in lexical order, and the index of each given point in them.
-    # `numpy.unique` along an axis does the same, but compares bytes and blocks all other threads.
+    # The distinct points in lexical order, and the index of each point in them. `numpy.unique`
+    # along an axis does the same, but compares bytes and blocks all other threads.
     order = np.lexsort(keys.T[::-1])
     ordered = keys[order]
     new = np.ones(len(keys), dtype=bool)
@@ -231,20 +242,22 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     group = np.empty(len(keys), dtype=np.intp)
     group[order] = np.cumsum(new) - 1
     distinct = ordered[new]
-    near, most = _maybe_near(distinct)
+
+    near, n_pairs = _maybe_near(distinct)
     # Readings of a held load are dense. Readings of one cell are one group, represented by its
     # first reading; cells grow until the remaining pairs fit into memory.
     shown = np.arange(len(near))
     cell = np.arange(len(near))
     edge = NEAR
     tree = KDTree(distinct[near])
-    while most > MAX_PAIRS and tree.count_neighbors(tree, NEAR, p=np.inf) > MAX_PAIRS:
+    while n_pairs > MAX_PAIRS and tree.count_neighbors(tree, NEAR, p=np.inf) > MAX_PAIRS:
         cells = np.floor(distinct[near] / edge)
         _, shown, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
         tree = KDTree(distinct[near[shown]])
         edge = 2 * edge
     pairs = near[shown[tree.query_pairs(NEAR, p=np.inf, output_type="ndarray")]]
     pairs = np.concatenate((pairs, np.stack((near, near[shown[cell.reshape(-1)]]), axis=1)))
+
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(distinct),) * 2)
     label = np.asarray(connected_components(links, directed=False)[1])[group]
     _, first, number = np.unique(label, return_index=True, return_inverse=True)
@@ -260,7 +273,7 @@ def _maybe_near(points: Floats) -> tuple[NDArray[np.intp], int]:
     directions.
     """
     remaining = np.arange(len(points))
-    most = 0
+    n_pairs = 0
     directions = np.random.default_rng(0).uniform(0.5, 1.0, (DIRECTIONS, points.shape[1]))
     for direction in directions:
         along = points[remaining] @ direction
@@ -268,12 +281,12 @@ def _maybe_near(points: Floats) -> tuple[NDArray[np.intp], int]:
         extent = NEAR * direction.sum() * ALONG
         ends = np.searchsorted(along[order], along[order] + extent, side="right")
         after = ends - np.arange(1, len(order) + 1)  # points within the extent
-        most = 2 * int(after.sum())
+        n_pairs = 2 * int(after.sum())
         is_close = np.zeros(len(remaining), dtype=bool)
         is_close[order[after > 0]] = True
         is_close[order[1:][after[:-1] > 0]] = True
         remaining = remaining[is_close]
-    return remaining, most
+    return remaining, n_pairs
 
 
 def _several(owner: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -153,7 +153,9 @@ def _positive(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str
     energies = _energies(fit.matrix, load_range)
     known = np.flatnonzero(fit.known[: len(energies)])
     energies = energies[np.ix_(known, known)]
-    least, most = _extreme_eigenvalues(energies) if len(known) else (np.float64(0), np.float64(1))
+    smallest, largest = np.float64(0), np.float64(1)
+    if len(known):
+        smallest, largest = _extreme_eigenvalues(energies)
     # An eigenvalue may be negative by as much as the fit's asymmetry, an error of the fit.
     fitted = min(ASYMMETRY, float(_asymmetry(energies))) if len(known) else 0.0
     with_tangent = rows.has_tangent
@@ -161,10 +163,10 @@ def _positive(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[str
     low, high = _extreme_eigenvalues(_energies(rows.compliance[with_tangent], load_range))
     wrong[with_tangent] = low < -NEGATIVE * high
     names = load_range.space.input_names
-    idle = np.abs(energies).max(axis=1, initial=0.0) < NEGATIVE * most
+    idle = np.abs(energies).max(axis=1, initial=0.0) < NEGATIVE * largest
     return {
-        "ok": bool(least >= -max(NEGATIVE, fitted) * most and not wrong.any()),
-        "smallest_over_largest_eigenvalue": float(least / most),
+        "ok": bool(smallest >= -max(NEGATIVE, fitted) * largest and not wrong.any()),
+        "smallest_over_largest_eigenvalue": float(smallest / largest),
         "loads_without_influence": [names[load] for load in known[idle]],
         "rows": _listed(rows, wrong),
     }
@@ -227,28 +229,28 @@ def _work(rows: Rows, load_range: LoadRange, uncertain: Floats) -> dict[str, Any
 def _tangents(rows: Rows, load_range: LoadRange, uncertain: Floats) -> dict[str, Any]:
     """Check that the mean of two neighbours' tangents leads from one to the other."""
     with_tangent = np.flatnonzero(rows.has_tangent)
-    some = rows.take(with_tangent)
-    pairs = _neighbours(some, load_range) if len(with_tangent) > 1 else np.empty((0, 2), dtype=int)
+    solved = rows.take(with_tangent)
+    pairs = _neighbours(solved, load_range)
     if not len(pairs):
         return {"ok": None, "reason": "fewer than two tangents; solve more rows", "rows": []}
-    steps = some.wrench[pairs[:, 1]] - some.wrench[pairs[:, 0]]
+    steps = solved.wrench[pairs[:, 1]] - solved.wrench[pairs[:, 0]]
     near = np.linalg.norm(steps / load_range.scale, axis=1) <= NEAR
     if not near.any():
         return {"ok": None, "reason": "tangents too far apart; solve rows between", "rows": []}
     (first, second), step = pairs[near].T, steps[near]
-    mean = (some.compliance[first] + some.compliance[second]) / 2
-    moved = some.displacement[second] - some.displacement[first]
+    mean = (solved.compliance[first] + solved.compliance[second]) / 2
+    moved = solved.displacement[second] - solved.displacement[first]
     residual = np.abs(moved - np.einsum("pij,pj->pi", mean, step))
-    sizes = _sizes(some, load_range.space)
+    sizes = _sizes(solved, load_range.space)
     # Deviations within the uncertainties are no evidence.
     residual -= uncertain[with_tangent][first] + uncertain[with_tangent][second]
     over = (residual > TANGENT * np.abs(moved) + SMALL_STEP * sizes).any(axis=1)
-    blamed = np.bincount(pairs[near][over].reshape(-1), minlength=len(some))
+    blamed = np.bincount(pairs[near][over].reshape(-1), minlength=len(solved))
     wrong = blamed > 1 if (blamed > 1).any() else blamed > 0
     return {
         "ok": not over.any(),
         "largest_miss": float((residual / sizes).max().clip(0.0)),
-        "rows": _listed(some, wrong),
+        "rows": _listed(solved, wrong),
     }
 
 

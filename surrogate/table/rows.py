@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -264,8 +264,9 @@ class Rows:
         """Return the rows that an index array or a mask of shape (n,) picks."""
         index = np.asarray(which)
         count = int(index.sum()) if index.dtype == bool else len(index)
-        columns = {name: getattr(self, name) for name in _COLUMNS}
-        for name, column in columns.items():
+        columns: dict[str, NDArray[Any]] = {}
+        for name in _COLUMNS:
+            column = getattr(self, name)
             # A column of NaN takes no memory, so its part must not either.
             unknown = is_unknown(column)
             columns[name] = unknown_column(count, *column.shape[1:]) if unknown else column[index]
@@ -294,16 +295,14 @@ class Rows:
             "compliance": (unknown_column(n, outputs, inputs), float),
             "curvature": (np.empty((n, 0)), float),
             "uncertainty": (unknown_column(n, outputs), float),
-            "source": (np.full(n, "", dtype=object), str),
-            "fingerprint": (np.full(n, "", dtype=object), str),
+            "source": (np.full(n, ""), str),
+            "fingerprint": (np.full(n, ""), str),
             "session": (np.zeros(n), float),
         }
         filled = {
             name: np.array(columns[name]).astype(kind, copy=False) if name in columns else blank
             for name, (blank, kind) in unknown.items()
         }
-        for name in ("source", "fingerprint"):
-            filled[name] = filled[name].astype(str)
         moved = np.array(displacement, dtype=float).reshape(-1, outputs)
         return cls(wrench=wrenches, displacement=moved, space=space, **filled)
 
@@ -314,17 +313,7 @@ def rotation_angles(displacements: Floats) -> Floats:
         return np.sqrt(np.nansum(displacements[:, 3:] ** 2, axis=1))
 
 
-_COLUMNS = (
-    "seq",
-    "wrench",
-    "displacement",
-    "compliance",
-    "curvature",
-    "uncertainty",
-    "source",
-    "fingerprint",
-    "session",
-)
+_COLUMNS = tuple(column.name for column in fields(Rows) if column.name != "space")
 
 
 def unknown_column(count: int, *shape: int) -> Floats:
@@ -342,23 +331,24 @@ def is_unknown(column: NDArray[Any]) -> bool:
 
 def joined(parts: Sequence[Rows]) -> Rows:
     """Return the rows of several tables, at least one, in this order."""
-    some = [part for part in parts if len(part)]
-    if len(some) < 2:
-        return some[0] if some else parts[0]
+    filled = [part for part in parts if len(part)]
+    if len(filled) < 2:
+        return filled[0] if filled else parts[0]
     merged: dict[str, NDArray[Any]] = {}
     for name in _COLUMNS:
-        columns = [getattr(part, name) for part in some]
+        columns = [getattr(part, name) for part in filled]
         # NaN fills the curvature, (n, p), of tables without one, (n, 0).
         width = max(column.shape[1:] for column in columns)
         if all(map(is_unknown, columns)):
             merged[name] = unknown_column(sum(map(len, columns)), *width)
             continue
-        blank = [unknown_column(len(column), *width) for column in columns]
-        pairs = zip(columns, blank, strict=True)
         merged[name] = np.concatenate(
-            [column if column.shape[1:] == width else no for column, no in pairs]
+            [
+                column if column.shape[1:] == width else unknown_column(len(column), *width)
+                for column in columns
+            ]
         )
-    return Rows(**merged, space=some[0].space)
+    return Rows(**merged, space=filled[0].space)
 
 
 def why_beyond(load_range: LoadRange, wrench: Floats) -> str:
