@@ -51,6 +51,7 @@ RUN = [
             "record",
             "scene",
             "several-inputs",
+            "simulators",
             "um-bridge",
         )
     ),
