@@ -44,7 +44,16 @@ RUN = [
     DOCS / "concepts/coupling.md",
     *(
         DOCS / f"how-to/{name}.md"
-        for name in ("batches", "in-process", "record", "scene", "um-bridge")
+        for name in (
+            "batches",
+            "compare",
+            "in-process",
+            "record",
+            "scene",
+            "several-inputs",
+            "simulators",
+            "um-bridge",
+        )
     ),
     *sorted(DOCS.glob("tutorials/*.md")),
     *sorted(DOCS.glob("notebooks/*.ipynb")),
