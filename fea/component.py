@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -204,16 +203,18 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
 
     # Ties move their nodes onto the main surfaces, and constrain them to these.
     held[fixed], held[sliding[0]] = np.eye(3), sliding[1]
-    sections = [(frame.where, frame.section.node_ids) for frame in frames]
-    mesh, ties = joined(mesh, bundle.ties, held, sections, problems)
-    tied = np.concatenate([fixed[:0], *(tie.nodes for tie in ties)])
-    not_tied = ~np.isin(sliding[0], tied)
-    sliding = sliding[0][not_tied], sliding[1][not_tied]
+    occupied = [(frame.where, frame.section.node_ids) for frame in frames]
+    mesh, ties = joined(mesh, bundle.ties, held, occupied, problems)
+    for i, tie in enumerate(ties):
+        not_tied = ~np.isin(sliding[0], tie.nodes)
+        sliding = sliding[0][not_tied], sliding[1][not_tied]
+        assert mesh.dependents is not None
+        masters = mesh.dependents.map[tie.nodes].indices
+        occupied.append((f"tie[{i}]", np.append(tie.nodes, masters)))
 
     problems = cell_problems(mesh) + problems
     _check_disjoint(mesh, fixed, frames, problems)
-    occupied = [("supports.fixed", fixed), *sections, *_tie_nodes(mesh, ties)]
-    _check_bolts(mesh, bolts, occupied, sliding, problems)
+    _check_bolts(mesh, bolts, [("supports.fixed", fixed), *occupied], sliding, problems)
     _check_locked(bundle, interfaces, problems)
     if problems:
         raise BundleError(problems)
@@ -254,13 +255,6 @@ def _attach_all(
         _join(mesh, f"spring[{i}].groups", joint, problems) for i, joint in enumerate(bundle.joints)
     ]
     return interfaces, bushings, joints
-
-
-def _tie_nodes(mesh: Mesh, ties: tuple[TiedNodes, ...]) -> Iterator[tuple[str, Array]]:
-    """Yield the key of each tie with its tied nodes and those that they depend on, (k,)."""
-    if mesh.dependents is not None:
-        for i, tie in enumerate(ties):
-            yield f"tie[{i}]", np.append(tie.nodes, mesh.dependents.map[tie.nodes].indices)
 
 
 def _temperature_rise(bundle: Bundle, mesh: Mesh) -> Array | None:

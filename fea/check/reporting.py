@@ -17,11 +17,11 @@ from wrenchbook.fea.bundle.tables import ComponentFile
 from wrenchbook.fea.check.cost import estimate
 from wrenchbook.fea.check.deck_differences import contradictions, listing
 from wrenchbook.fea.check.mechanisms import listed_bodies, motion_problems
+from wrenchbook.fea.check.strength import strength
 from wrenchbook.fea.check.trial import (
     deflection_warnings,
     frequency,
     solver_of,
-    strength,
     trial,
     weight_warnings,
 )
@@ -86,7 +86,7 @@ def report(
         ``mesh_file`` (see `fea.check.deck_differences`); ``materials``, ``section`` (of several
         interfaces ``sections``, with their names), ``supports``, ``ties``, ``temperature`` and
         ``acceleration`` where there are any; ``estimate`` (`fea.check.cost.Cost`), ``trial``,
-        ``vibration`` and ``strength`` (`Trial`, `Swing` and `LargestStress` of `fea.check.trial`);
+        ``vibration`` (`Trial` and `Swing` of `fea.check.trial`) and ``strength`` (`LargestStress`);
         for meshes that solve in seconds ``solver_error`` (see `fea.accuracy.estimate`). Lengths in
         m. Instead of all from ``faces`` on, ``deck`` (see `fea.deck.running`).
     """

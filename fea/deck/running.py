@@ -32,6 +32,7 @@ PRINTED = "printed.txt"
 """File of the program's standard output and errors."""
 
 _PLACEHOLDER = re.compile(rb"\$([FM][XYZ])\b")
+_PACKAGES = {"ccx": "CalculiX: on Debian and Ubuntu, apt-get install calculix-ccx"}
 _MAX_QUOTED = 400  # characters of a solver's output in a message: longer texts are cut
 
 
@@ -302,9 +303,6 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
         "solves run"
     )
     return summary, [BundleProblem("deck.command", message)]
-
-
-_PACKAGES = {"ccx": "CalculiX: on Debian and Ubuntu, apt-get install calculix-ccx"}
 
 
 def solver_failed(program: str, ending: str, quoted: str, folder: Path) -> SolveFailed:

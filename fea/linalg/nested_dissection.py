@@ -33,7 +33,6 @@ Smaller leaves make more fronts, whose calls then take longer than their arithme
 flange of tetrahedra at 12); larger ones fill in more (the factor is a fifth larger at 32 hex20).
 """
 
-
 _WINDOW = 0.3
 """Part of the cells, to either side of the middle, among which the cut is chosen."""
 

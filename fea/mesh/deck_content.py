@@ -22,7 +22,6 @@ _FORCES = {"in": 4.4482216152605, "ft": 4.4482216152605, "um": 1e-6}
 All others go with newtons.
 """
 
-
 _HEX20 = re.compile(r"^\s*\*ELEMENT\s*,[^*]*?\bTYPE\s*=\s*C3D20(\w*)", re.I | re.M)
 
 

@@ -63,7 +63,6 @@ FACES: dict[str, tuple[tuple[int, ...], ...]] = {
 }
 """Local nodes of each face of each kind of cell, in VTK facet order, seen from outside."""
 
-
 TRIANGLES: dict[str, tuple[tuple[int, int, int], ...]] = {
     "tri3": ((0, 1, 2),),
     "quad4": ((0, 1, 2), (0, 2, 3)),

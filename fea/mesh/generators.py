@@ -20,7 +20,6 @@ from wrenchbook.fea.spec.mesh_source import Generator
 
 Array = np.ndarray
 
-
 # Radius of the core over the section's: with it a core of one or two cells has the most exact
 # torsion.
 _LEAST_CORE = 0.6

@@ -71,7 +71,6 @@ _WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (2, 3)}
 _MASS_SIMPLEX_DEGREES = {**_SIMPLEX_DEGREES, "tet4": 2, "tet10": 4}
 _MASS_WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (4, 3)}
 
-
 _ROUNDOFF = 1e-12  # roundoff of reference coordinates, which are 0, 1/2 and 1
 _TINY = 1e-30  # replaces a height of 0 below a pyramid's apex in a divisor
 

@@ -79,7 +79,6 @@ _DENOMINATOR = 64
 """Denominator of the corners' weights: nodes of children lie at quarters along three directions,
 4^3."""
 
-
 # Largest rounding of a shape function at a point of a pattern, where it is a multiple of 1/64.
 _ZERO = 1e-9
 

@@ -47,7 +47,6 @@ _WHOLE = 0.9
 _NEIGHBOURS = 8  # main nodes beside a sliding node, some on its plane of symmetry if the surface is
 _SAME = 1e-9  # part of a projector: axes are written to about as many digits
 
-
 _OF_TIE = (
     "{count} secondary nodes, such as the one at {at} m, also belong to {where}, but a node can "
     "follow one only. Swap secondary and main, or leave cells between the two"

@@ -61,7 +61,6 @@ _REFUSED = {
 }
 """Keywords that generate nodes or elements, and the keyword that lists these instead."""
 
-
 # Members of all sets together, with repetitions: several for each node of the largest solved mesh.
 _MAX_MEMBERS = 20_000_000
 

@@ -86,7 +86,6 @@ _MISSING = {
     "TEMPERATURE": "is not imported; write [inputs.temperature]",
 }
 
-
 _PARTLY = (
     "couples only some directions, but all three are coupled here; couple 1 to 3, or fix all "
     "freedoms of its point to make the group a support"
@@ -513,7 +512,6 @@ _CONSTANTS = {
     "EXPANSION": ("thermal_expansion",),
     "PLASTIC": ("yield_strength",),
 }
-
 
 _TAKERS: dict[str, Callable[[Reader, Deck, Keyword], None]] = {
     "ELEMENT": _take_elements,

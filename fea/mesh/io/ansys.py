@@ -113,8 +113,9 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
         archive.parameters[fields[0]] = "".join(values[1:2])
     elif word == "ET":  # ET,ITYPE,Ename,KOP1,KOP2,...
         archive.types[values[0]] = _Type(re.sub(r"\D", "", values[1]), values[3:4] == ["1"])
-    elif word.startswith("KEYOP") and values[1:3] == ["2", "1"]:  # KEYOPT,ITYPE,KNUM,VALUE
-        archive.types[values[0]] = archive.type_of(values[0])._replace(is_full=True)
+    elif word.startswith("KEYOP") and values[1:2] == ["2"]:  # KEYOPT,ITYPE,KNUM,VALUE
+        is_full = values[2:3] == ["1"]
+        archive.types[values[0]] = archive.type_of(values[0])._replace(is_full=is_full)
     elif word in ("MP", "MPDATA"):
         _take_constant(archive, word, values)
     elif word in ("D", "F", "DDELE", "FDELE"):

@@ -61,22 +61,25 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
 
     between = distance > _SAME * size
     if between.any() and len(points) > 1:
-        # Interpolate linearly in the space, the plane or the line of the points; NaN outside.
-        centre = points.mean(axis=0)
-        _, sizes, axes = np.linalg.svd(points - centre, full_matrices=False)
-        axes = axes[sizes > _SAME * sizes[0]]
-        here = (points - centre) @ axes.T
-        there = (nodes[between] - centre) @ axes.T
-        if len(axes) == 1:
-            order = np.argsort(here[:, 0])
-            inside = np.interp(there[:, 0], here[order, 0], values[order], np.nan, np.nan)
-        else:
-            # Imported here, as it takes 20 ms of a solve's start.
-            from scipy.interpolate import LinearNDInterpolator
-
-            inside = np.asarray(LinearNDInterpolator(here, values)(there))
+        inside = _interpolated(points, values, nodes[between])
         shape[between] = np.where(np.isnan(inside), shape[between], inside)
     return shape
+
+
+def _interpolated(points: Array, values: Array, nodes: Array) -> Array:
+    """Interpolate linearly in the space, plane or line of points, to nodes (n, 3); NaN outside."""
+    centre = points.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(points - centre, full_matrices=False)
+    axes = axes[sizes > _SAME * sizes[0]]
+    here = (points - centre) @ axes.T
+    there = (nodes - centre) @ axes.T
+    if len(axes) == 1:
+        order = np.argsort(here[:, 0])
+        return np.interp(there[:, 0], here[order, 0], values[order], np.nan, np.nan)
+    # Imported here, as it takes 20 ms of a solve's start.
+    from scipy.interpolate import LinearNDInterpolator
+
+    return np.asarray(LinearNDInterpolator(here, values)(there))
 
 
 def _table(field: Path) -> Array:

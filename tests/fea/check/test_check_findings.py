@@ -18,7 +18,8 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check import as_text, report
 from wrenchbook.fea.check.mechanisms import describe, free_motions
-from wrenchbook.fea.check.trial import largest, strength
+from wrenchbook.fea.check.strength import strength
+from wrenchbook.fea.check.trial import largest
 from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.bodies import bodies_of, coincident_nodes
