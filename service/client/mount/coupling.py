@@ -35,17 +35,14 @@ BURST, RECORD = 4, 1.5  # number in a row, and each one's ratio to the largest o
 # sign. Loads may grow, but not by half each sync, `CYCLE` times in a row: 650 x.
 ONWARD = 0.9  # the smallest cosine between such residuals
 ABSURD = 1e100  # tolerances: beyond this squares overflow, and no test can decide
-# Tolerances: smaller residuals of a running simulation mean nothing; `settle` takes them for an
-# equilibrium. A load that rests on a row of the table meets the row's own answer or, a rounding
-# error beside it, the interpolated one: that jump has either sign. As overshoots, such jumps
-# reduced the factor to its smallest value, and the next load was followed with a lag of 12 %. A
-# loop that diverges grows beyond this, and is detected then.
+# Tolerances: smaller residuals of a running simulation mean nothing. A load that rests on a row of
+# the table meets the row's own answer or, a rounding error beside it, the interpolated one: as
+# overshoots, such jumps reduced the factor to its smallest value, and the next load lagged by 12 %.
 RESTS = 1e-3
 DERIVED = 1e-3  # part of the largest answer so far: the tolerance if none is given
 
 # A limit cycle: in a span of 64 syncs answers have a period of 12 syncs or less, that is two turns,
-# and swing by more than 2 tolerances; more than 3 spans in a row do not become smaller. A scene
-# that converges has done so long before.
+# and swing by more than 2 tolerances; more than 3 spans in a row do not become smaller.
 SPAN, SHORTEST, SWING, SPANS = 64, 12, 2.0, 3
 UNEXPLAINED = 0.5  # part of the variance of answers in a cycle; noise leaves 0.7 and more
 LARGEST_TURN = math.radians(20.0)  # limit of the wrench contract
@@ -198,7 +195,7 @@ class ContractionWatch:
     onward: int = 0  # residuals in a row in one direction and far larger than all before
 
     def updated(self, size: float, along: float) -> ContractionWatch:
-        """Return the watch after another residual of a size; `along`: its product with the last.
+        """Return the watch after a residual, of the product `along` with the one before.
 
         Raises CouplingDiverged if the row of such residuals is too long.
         """
@@ -236,11 +233,7 @@ class CycleWatch:
         self._spread = 0.0
 
     def see(self, answer: Vector) -> None:
-        """Record an answer (6,), in tolerances.
-
-        Raises CouplingDiverged if the answers of more than `SPANS` spans in a row swing as far
-        as those before.
-        """
+        """Record an answer (6,), in tolerances; raises CouplingDiverged after `SPANS` swings."""
         self._answers[self._count] = answer
         self._count += 1
         if self._count < SPAN:

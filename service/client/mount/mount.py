@@ -112,7 +112,10 @@ class Coverage:
 
     def __str__(self) -> str:
         counts = ", ".join(f"{getattr(self, k)} {k}" for k in ("covered", *_MEANS))
-        first = [f"\n  first {k}: answer {a.step}, {a.reason}" for k, a in self.first.items()]
+        first = [
+            f"\n  first {kind}: answer {answer.step}, {answer.reason}"
+            for kind, answer in self.first.items()
+        ]
         return f"{self.answers} answers: {counts}{''.join(first)}"
 
 
