@@ -29,19 +29,15 @@ from ..wrenches import (
 from .coupling import (
     BEYOND,
     CycleWatch,
-    Loop,
     Relaxation,
     Scale,
-    Settled,
-    by_newton,
-    by_relaxation,
-    newton_step,
     require_within_limit,
     stable_factor,
     within_limit,
 )
 from .ringing import warn_if_ringing
 from .sources import Ask, from_server, from_solves, from_table, require_server
+from .statics import Loop, Settled, by_newton, by_relaxation, newton_step
 
 if TYPE_CHECKING:
     from .. import Client, Table

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InvalidArgument, MountWarning, SensorError, required, warn
 from ..wrenches import Vector
-from .coupling import Settled
 from .mount import Mount, from_world, require_weight
+from .statics import Settled
 
 if TYPE_CHECKING:
     from .. import Client, Table
