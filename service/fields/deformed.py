@@ -10,13 +10,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wrenchbook.fea.tensors import von_mises
 from wrenchbook.service.fields.blend import ARRAYS, Blend
 from wrenchbook.service.fields.record import DamagedFieldsError, RowFields, SurfaceGeometry
 from wrenchbook.service.fields.shape import (
     Deformed,
+    Floats,
     error_parts,
     largest_stress,
     rounding,
@@ -29,8 +29,6 @@ from wrenchbook.surrogate.field_weights import FieldWeights, nearest_rows
 from wrenchbook.surrogate.kriging import Hyperparameters, SingularCovarianceError
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import NEAR, Rows, why_beyond
-
-Floats = NDArray[np.float64]
 
 # Rows of one interpolation: with their slopes as accurate as all rows; its factorisation takes 0.02
 # s.
