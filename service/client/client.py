@@ -25,8 +25,7 @@ from .wrenches import Load, Tolerance, loads_body, many_wrenches, options, singl
 
 # Wrenches from which a batch is sent as float64 by default: twenty times faster than JSON.
 BINARY_FROM = 1000
-FORMATS = {".glb": "gltf", ".vtu": "vtu", ".json": "json"}
-"""Format of a deformed surface by the file's ending."""
+FORMATS = {".glb": "gltf", ".vtu": "vtu", ".json": "json"}  # of a surface's file by its ending
 SILENCE_S = 45.0  # three heartbeats: a connection without one in this time is dead
 # Pause between attempts while the server is away, s: doubled from the first to the second.
 AGAIN_S = (0.2, 5.0)

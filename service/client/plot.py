@@ -37,9 +37,9 @@ from ..contract import COVERAGE, LOADS, OUTPUTS
 from ..messages import DeformedShape
 from .errors import InvalidArgument, required
 from .notebook import DISPLACEMENT_COLUMNS, WRENCH_COLUMNS
-from .replies import Displacements, Vector
+from .replies import Displacements
 from .table import Table
-from .wrenches import require_one_of, single_wrench
+from .wrenches import Vector, require_one_of, single_wrench
 
 if TYPE_CHECKING:
     from . import Client

@@ -25,9 +25,7 @@ from .notebook import (
 )
 from .rotation import checked_pose, rotation_matrix
 from .transport import Response
-from .wrenches import wrench_of
-
-Vector = NDArray[np.float64]
+from .wrenches import Vector, wrench_of
 
 EXACT = "One row of the table has exactly this wrench."
 ROUNDED = "One row of the table has this wrench, rounded to 1e-6 of the load range."

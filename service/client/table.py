@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import threading
 from collections.abc import Iterable, Mapping, Sequence
@@ -430,9 +429,9 @@ class Table:
     def __repr__(self) -> str:
         low, high = self.packed.load_range
         spans = [
-            f"{load.name} {a:g} to {b:g}"
-            for load, a, b in zip(self.space.inputs, low, high, strict=True)
-            if a or b
+            f"{load.name} {least:g} to {largest:g}"
+            for load, least, largest in zip(self.space.inputs, low, high, strict=True)
+            if least or largest
         ]
         units = ["N", "N·m", *dict.fromkeys(load.unit for load in self.space.scalars)]
         rows = self.packed.meta["provenance"]["rows"]
@@ -465,9 +464,7 @@ class Table:
         pandas = required("pandas", "to_pandas", "pandas")
         frames = []
         arrays, space = self.packed.arrays, self.space
-        for group in itertools.count():
-            if f"g{group}/row/wrench" not in arrays:
-                break
+        for group in range(len(self.packed.meta["groups"])):
             columns = named_columns(_columns(space.inputs), arrays[f"g{group}/row/wrench"])
             columns |= named_columns(_columns(space.outputs), arrays[f"g{group}/row/moved"])
             frames.append(pandas.DataFrame({"group": group, **columns}))

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wrenchbook.fea.tensors import von_mises
 from wrenchbook.service.fields.record import RowFields, SurfaceGeometry
 from wrenchbook.surrogate.calibration import LEVEL, conformal_factor
 from wrenchbook.surrogate.field_weights import FieldWeights
-
-Floats = NDArray[np.float64]
+from wrenchbook.surrogate.table.rows import Floats
 
 MIN_LEFT_OUT = 4  # rows with a surface: fewer do not show the size of the error
 ARRAYS = 7  # arrays of a row: its fields, and their slopes by each of six loads

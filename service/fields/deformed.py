@@ -10,13 +10,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wrenchbook.fea.tensors import von_mises
 from wrenchbook.service.fields.blend import ARRAYS, Blend
 from wrenchbook.service.fields.record import DamagedFieldsError, RowFields, SurfaceGeometry
 from wrenchbook.service.fields.shape import (
     Deformed,
+    Floats,
     error_parts,
     largest_stress,
     rounding,
@@ -29,8 +29,6 @@ from wrenchbook.surrogate.field_weights import FieldWeights, nearest_rows
 from wrenchbook.surrogate.kriging import Hyperparameters, SingularCovarianceError
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import NEAR, Rows, why_beyond
-
-Floats = NDArray[np.float64]
 
 # Rows of one interpolation: with their slopes as accurate as all rows; its factorisation takes 0.02
 # s.
@@ -121,6 +119,7 @@ class DeformedSurfaces:
             load = int(too_far.argmax())
             ends = f"{component.space.input_names[load]} {low[load]:.6g} to {high[load]:.6g}"
             raise TooFarError(f"{beyond}, too far away for a surface; give a load within {ends}")
+
         if component.linear:
             shape = self._linear(component, rows, acting)
         else:
@@ -155,6 +154,7 @@ class DeformedSurfaces:
             moved += row.displacement - row.displacement_slopes @ solved
             if len(stresses):
                 stresses += row.stress - row.stress_slopes @ solved
+
         stress = largest_stress(component, geometry, stresses, 0.0)
         # All rows of a linear component have the same compliance; NaN if no row has one.
         compliances = rows.compliance[rows.fingerprint == component.fingerprint]
@@ -181,6 +181,7 @@ class DeformedSurfaces:
                     geometry = self._geometry(component, row)
                 except DamagedFieldsError:
                     return None
+
                 # The row's fields, extrapolated by their slopes from its wrench to this one.
                 step = wrench - np.array(row.meta["wrench"])
                 moved = row.displacement_slopes @ step
@@ -226,6 +227,7 @@ class DeformedSurfaces:
         cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
         chosen = solved[having][np.sort(first)]
+
         with self._lock:  # one at a time: a new interpolation takes a processor and its memory
             blend = self._blend(component, rows.take(chosen), wrench, hyperparameters)
         fields = blend.at(wrench)
@@ -233,6 +235,7 @@ class DeformedSurfaces:
         if error is not None:
             error = np.maximum(error, rounding(fields.displacement))
         reason = _inaccuracy(component, blend, error)
+
         stress = None
         if fields.stress is not None:
             stress = largest_stress(component, blend.geometry, fields.stress, fields.stress_error)
@@ -265,6 +268,7 @@ class DeformedSurfaces:
         row_bytes = ARRAYS * _FLOAT_BYTES * (first.displacement.size + first.stress.size)
         limit = min(MAX_ROWS, max(MIN_ROWS, BLEND_BYTES // max(row_bytes, 1)))
         near = rows.take(nearest_rows(rows.wrench, wrench, component.load_range, limit))
+
         lengths = None if hyperparameters is None else hyperparameters.logarithms.tobytes()
         key = component.fingerprint, near.seq.tobytes(), lengths
         cached = self._blends.get(component.name)
@@ -272,6 +276,7 @@ class DeformedSurfaces:
             self._blends.move_to_end(component.name)
             return cached[1]
         self._blends.pop(component.name, None)  # freed before the next takes as much memory
+
         read: list[tuple[int, RowFields]] = []
         for place, row_wrench in enumerate(near.wrench):
             read += [(place, row) for row in self._readable(component, row_wrench[None])]
@@ -281,6 +286,7 @@ class DeformedSurfaces:
         digest = read[-1][1].meta["geometry"]  # another version of a mesher makes another mesh
         same_mesh = [(place, row) for place, row in read if row.meta["geometry"] == digest]
         used = near.take([place for place, _ in same_mesh])
+
         try:
             geometry = self._geometry(component, same_mesh[0][1])
             weights = FieldWeights.of(used.wrench, component.load_range, hyperparameters)

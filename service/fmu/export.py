@@ -292,7 +292,7 @@ def make_fmu(
     # GUID.
     header = f"{component}\0{method_index}\0".encode()
     digest = hashlib.blake2b(header + table.content, digest_size=16).hexdigest()
-    guid = "{" + "-".join(digest[a:b] for a, b in pairwise(_GUID_ENDS)) + "}"
+    guid = "{" + "-".join(digest[start:end] for start, end in pairwise(_GUID_ENDS)) + "}"
     try:
         tool = f"wrenchbook {version('wrenchbook')}"
     except PackageNotFoundError:  # a checkout that is not installed

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import (
+from wrenchbook.service.formats.units import (
     FORCE,
     MOMENT,
     ROTATION,
@@ -39,9 +39,8 @@ TIME_COLUMN = "time"
 MAX_COLUMNS = 256  # an unknown name is compared with all known ones: 0.3 ms each
 MAX_LABEL = 200  # characters; a longer label is a title, and takes seconds to read
 ORIGIN = ("row", "when", "who")  # columns of an export that an import ignores
-
+# From a standard uncertainty to an interval of 95 %: k = 2 (JCGM 100:2008, G.6.6).
 COVERAGE_FACTOR = 2.0
-"""From a standard uncertainty to an interval of 95 %: k = 2 (JCGM 100:2008, G.6.6)."""
 
 _LETTERS = {"f": FORCE, "m": MOMENT, "u": TRANSLATION, "r": ROTATION}
 # The synonyms of column names; a direction follows.
@@ -291,7 +290,8 @@ class NumberColumn:
     def digits(self, rows: WritableRows) -> list[str]:
         """Return the column in its unit as digits, empty where unknown."""
         factor = self.factor
-        return ["" if v != v else in_unit(v, factor) for v in self.values(rows).tolist()]
+        numbers = self.values(rows).tolist()
+        return ["" if number != number else in_unit(number, factor) for number in numbers]
 
 
 @dataclass(frozen=True)

@@ -21,17 +21,11 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import ContentError, guard_formula, number_text
+from wrenchbook.service.formats.cells import MAX_TEXT, ContentError, guard_formula, number_text
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN, Layout, WritableRows
-from wrenchbook.service.formats.header import (
-    Header,
-    Preamble,
-    Record,
-    delimiter_in,
-    is_row,
-    read_head,
-)
+from wrenchbook.service.formats.header import Header, Record, delimiter_in, is_row, read_head
 from wrenchbook.service.formats.options import Mistakes, Options, ParsedTable, ReadReport
+from wrenchbook.service.formats.preamble import Preamble
 from wrenchbook.service.formats.text import (
     BrokenLineError,
     CellFormat,
@@ -46,7 +40,6 @@ from wrenchbook.service.formats.text import (
 MAX_LINE = 1 << 20  # characters of a line; 54 numbers and three texts are some thousands
 MAX_RECORD = 4 * MAX_LINE  # characters of a record: a quoted text may have many lines
 MAX_BLANK = 1 << 20  # consecutive blank lines: a spreadsheet has no more lines at all
-MAX_TEXT = csv.field_size_limit()  # characters of a cell: 131,072
 _BLOCK = 1 << 22  # bytes: 25,000 rows
 _MAX_HEAD = 200  # lines in which the header must be
 _LONG_ZERO = b"0" * 290  # a number with so many zeros may be too small for a float
@@ -199,10 +192,11 @@ class _Body:
         """Return the columns of numbers and of texts; a time without a unit is a clock time."""
         columns = self.header.columns.values()
         texts = [column.index for column in columns if not column.unit]
-        texts += [c.index for c in (self.header.status, self.header.sequence) if c]
+        logged = (self.header.status, self.header.sequence)
+        texts += [column.index for column in logged if column]
         texts += self.header.unnamed
         loads = [column.index for column in columns if column.name in self.inputs]
-        more = [c.index for c in columns if c.index not in (*texts, *loads)]
+        more = [column.index for column in columns if column.index not in (*texts, *loads)]
         return _ArrowColumns(loads + more, texts, len(loads))
 
     def _arrow_table(self, block: bytes, columns: _ArrowColumns) -> Any:
@@ -433,7 +427,8 @@ def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
     if not broken:
         return ""
     # A text of several lines has the numbers of the row in at most one of them.
-    numeric = [c.index for name, c in header.columns.items() if name not in (*TEXTS, TIME_COLUMN)]
+    columns = header.columns.values()
+    numeric = [column.index for column in columns if column.name not in (*TEXTS, TIME_COLUMN)]
     rows = 0
     for line in _LINE_END.split(delimiter.join(cells)):
         parts = [part.strip().replace(",", ".") for part in line.split(delimiter)]

@@ -9,15 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from wrenchbook.service.formats.options import (
-    FEA,
-    LOAD_LIMIT,
-    Array,
-    Options,
-    ParsedTable,
-    ReadReport,
-    largest_loads,
-)
+from wrenchbook.service.formats.limits import LOAD_LIMIT, largest_loads
+from wrenchbook.service.formats.options import FEA, Array, Options, ParsedTable, ReadReport
 from wrenchbook.surrogate.findings.cycles import TURN, Passes, passes_of
 from wrenchbook.surrogate.table.rows import joined
 from wrenchbook.surrogate.table.space import Space

@@ -31,8 +31,7 @@ from wrenchbook.service.formats.options import (
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_pieces, read_records
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
-MAX_BYTES = 112 * 1024 * 1024
-"""Decoded rows take seven times their text: 450,000 rows are 800 MB."""
+MAX_BYTES = 112 * 1024 * 1024  # rows take seven times their text: 450,000 rows are 800 MB
 
 _SPACE_KEYS = ("inputs", "outputs")
 _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")

@@ -58,8 +58,11 @@ def _vectors(values: dict[str, Any]) -> dict[str, Array]:
             values = {name: _record_values(column) for name, column in values.items()}
     columns = {name: np.asarray(value) for name, value in values.items() if np.ndim(value)}
     if not columns:  # a single row, or none
-        scalars = {n: v for n, v in values.items() if isinstance(v, int | float)}
-        columns = {name: np.array([value]) for name, value in scalars.items()}
+        columns = {
+            name: np.array([value])
+            for name, value in values.items()
+            if isinstance(value, int | float)
+        }
     form = "must hold numeric vectors of one length, one for each column"
     each = "save each column as a variable of its own, such as fx_N = A(:, 1)"
     if not columns:
@@ -69,9 +72,11 @@ def _vectors(values: dict[str, Any]) -> dict[str, Array]:
             kind = f"shape {column.shape}, type {column.dtype}"
             raise ContentError(f"{form}, but {name} is not one ({kind}); {each}")
     if len({len(column) for column in columns.values()}) > 1:
-        lengths = ", ".join([f"{n} {len(c)}" for n, c in columns.items()][:_MAX_NAMED])
+        lengths = [f"{name} {len(column)}" for name, column in columns.items()]
         only = "save only those of the table: save('t.mat', 'fx_N', 'ux_mm')"
-        raise ContentError(f"{form}, but their lengths are {lengths}; {only}")
+        raise ContentError(
+            f"{form}, but their lengths are {', '.join(lengths[:_MAX_NAMED])}; {only}"
+        )
     return columns
 
 

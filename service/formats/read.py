@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import FORCE, ContentError, si_factor
+from wrenchbook.service.formats.cells import ContentError
 from wrenchbook.service.formats.columnar import read_hdf5, read_parquet
 from wrenchbook.service.formats.csv import read_csv
 from wrenchbook.service.formats.cycles import with_cycles
 from wrenchbook.service.formats.header import POSITION
 from wrenchbook.service.formats.json import read_json
+from wrenchbook.service.formats.limits import of_current_setup, within_limits
 from wrenchbook.service.formats.logs import joined_loads, with_loads
 from wrenchbook.service.formats.lvm import MAGIC, read_lvm
 from wrenchbook.service.formats.mat import read_mat
@@ -34,11 +35,10 @@ from wrenchbook.service.formats.options import (
     ParsedTable,
     ReadReport,
     is_corrected,
-    of_current_setup,
-    within_limits,
 )
 from wrenchbook.service.formats.rig import rigged, with_known_point, zeroed
 from wrenchbook.service.formats.tdms import read_tdms
+from wrenchbook.service.formats.units import FORCE, si_factor
 from wrenchbook.service.formats.xlsx import read_xls, read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
 from wrenchbook.surrogate.findings.find import MAX_ROWS, find
@@ -48,12 +48,10 @@ from wrenchbook.surrogate.table.space import DEFAULT, Space
 
 MAX_PREVIEW = 100
 MAX_BLOCK = 1_000  # rows that are appended at once: read in hundredths of a second
+# Of a file, packed or not: two million rows of 12 numbers, or a million with 17 digits each.
 MAX_BYTES = 512 * 1024 * 1024
-"""Of a file, packed or not: two million rows of 12 numbers, or a million with 17 digits each."""
-
+# A million rows of 17 digits take 20 s and 300 MB.
 _LIMITS = Limits(memory=1024 << 20, seconds=60.0, output=1024 << 20)
-"""A million rows of 17 digits take 20 s and 300 MB."""
-
 _NUMBERS = ("seq", "wrench", "displacement", "uncertainty", "compliance", "curvature")
 _READERS: dict[str, Callable[[Path, Options, ReadReport], Iterator[ParsedTable]]] = {
     "csv": read_csv,

@@ -18,16 +18,15 @@ import numpy as np
 
 from wrenchbook.fea.spec.problems import suggest
 from wrenchbook.service.formats.cells import text_problem
+from wrenchbook.service.formats.limits import LOAD_LIMIT, largest_loads
 from wrenchbook.service.formats.options import (
     FEA,
-    LOAD_LIMIT,
     MEASURED,
     Array,
     Options,
     ParsedTable,
     Problem,
     ReadReport,
-    largest_loads,
     picked,
 )
 from wrenchbook.surrogate.table.space import PER_INTERFACE
@@ -40,12 +39,11 @@ _ROUNDOFF = 1e-12  # error of the nearest rotation by a singular value decomposi
 _FARTHEST = 100.0  # m: a point given in mm is refused
 _KEYS = ("name", "frame", "load_point", "displacement_point", "load_cell")
 _OWN = "import"  # the table of one import's options, which replace those of the profile
+# Keys of a profile beside those of the frame, with the names of the import's own options.
 OPTIONS = (
     *("columns", "ignore", "ignore_extra", "decimal", "missing_loads", "tare", "lag", "sheet"),
     *("skip_cycles", "branch", "thin", "mean_cycles"),
 )
-"""Keys of a profile beside those of the frame, with the names of the import's own options."""
-
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")  # name of a stored or shipped profile
 _LOAD_CELLS = ("moving", "fixed")
 _SMALL_SHIFT = 0.01  # part of the moment's range: the default tolerance of an output
@@ -99,11 +97,9 @@ class Rig:
 
     @classmethod
     def read(cls, text: str) -> Rig:
-        """Return the rig of a TOML text.
+        """Return the rig of a TOML text; raises RigError if a key or a value is wrong.
 
         Values of its table ``import`` replace those of the top level.
-
-        Raises RigError if a key or a value is wrong.
         """
         try:
             values = tomllib.loads(text)
@@ -112,6 +108,7 @@ class Rig:
         table = values.pop(_OWN, {})
         values |= table if isinstance(table, dict) else {_OWN: table}
         known = *_KEYS, *OPTIONS
+
         if unknown := [key for key in values if key not in known]:
             near = suggest(unknown[0][:100], known)
             named = f"the rig has no key {unknown[0][:100]!r}{near}"
@@ -128,6 +125,7 @@ class Rig:
         cell = values.get("load_cell", "")
         if cell not in ("", *_LOAD_CELLS):
             raise RigError(f"load_cell: must be moving or fixed, not {str(cell)[:100]!r}")
+
         loads, moved = (_numbers(key, values.get(key, [0, 0, 0]), 3) for key in _KEYS[2:4])
         options = {key: values[key] for key in OPTIONS if key in values}
         axes = _axes(values.get("frame", "x=x,y=y,z=z"))
@@ -194,12 +192,14 @@ def rigged(
     if not at_interface and not options.space.is_default:
         report.mistakes.ruin(0, "rig", _ONE_INTERFACE)
         return
+
     for piece in pieces:
         loads, moved, uncertainty = piece.wrench, piece.displacement, piece.uncertainty
         if not at_interface:
             loads, moved = rig.loads(loads), rig.displacements(moved)
             stated = any(uncertainty.strides)
             uncertainty = rig.uncertainties(uncertainty) if stated else uncertainty
+
         shift = np.zeros(loads.shape)
         if rig.load_cell == "fixed":
             shift = _shift(loads, moved)
@@ -207,6 +207,7 @@ def rigged(
             # The point moves with the section: its lever rotates by the measured rotation.
             lever = _swing(np.nan_to_num(moved[:, 3:]), rig.load_point)
             shift[:, 3:] = -np.cross(lever, loads[:, :3])
+
         good = np.ones(len(piece), dtype=bool)
         for at, name, message in _problems(piece, rig, moved, shift, names):
             good[at] = False
@@ -227,35 +228,37 @@ def with_known_point(
     with a source (an export's) or slopes are about the displaced interface point, and so is a
     moment without a column, which no cell has measured.
     """
-    span, solved = options.load_range, options.solved
-    if span is None or not span.space.is_default or Rig.read(options.rig).load_cell:
+    load_range, solved = options.load_range, options.solved
+    if load_range is None or not load_range.space.is_default or Rig.read(options.rig).load_cell:
         yield from pieces
         return
-    size = largest_loads(span) / LOAD_LIMIT
-    count = np.zeros(len(size) + 1)
+    size = largest_loads(load_range) / LOAD_LIMIT
+    count = np.zeros(len(size) + 1)  # rows beyond each input's limit, and beyond their uncertainty
     rows = 0
+    worst = 0.0  # the largest shift over the moment's range; its row and size, N·m, are:
     row = 0
     value = 0.0
-    worst = 0.0
     for piece in pieces:
         yield piece
-        asked = np.ones(len(piece), dtype=bool)
+        is_checked = np.ones(len(piece), dtype=bool)
         names = {name for _, name, _ in report.columns}
         if not options.rig:
-            asked = ~(_of_interface(piece) | (piece.source != ""))
+            is_checked = ~(_of_interface(piece) | (piece.source != ""))
             size[[bool(names) and name not in names for name in options.columns.wrench]] = np.inf
-        shift = np.nan_to_num(_shift(piece.wrench, piece.displacement))[asked]
+
+        shift = np.nan_to_num(_shift(piece.wrench, piece.displacement))[is_checked]
         share = np.abs(shift) / size
         rows = rows + len(shift)
         count[:-1] += (share > _SMALL_SHIFT).sum(axis=0)
         if solved is not None and any(piece.uncertainty.strides):
             effect = np.abs(shift @ np.transpose(solved))
-            count[-1] += (effect > piece.uncertainty[asked]).any(axis=1).sum()
+            count[-1] += (effect > piece.uncertainty[is_checked]).any(axis=1).sum()
         if share.max(initial=0.0) > worst:
             at, load = np.unravel_index(share.argmax(), share.shape)
             worst = float(share[at, load])
             value = float(np.abs(shift[at, load]))
-            row = int(piece.seq[asked][at])
+            row = int(piece.seq[is_checked][at])
+
     if (count > _FEW_ROWS * rows).any():
         more = " or the row's stated uncertainty" if count[-1] > _FEW_ROWS * rows else ""
         numbers = {"count": int(count.max()), "rows": rows, "row": row, "value": value}
@@ -291,16 +294,17 @@ def _problems(
 ) -> Iterator[Problem]:
     """Yield the rows that are the interface's already, and those that cannot be moved to it."""
     missing = np.isnan(piece.displacement)
-    done = _of_interface(piece)
-    loose = np.asarray(missing[:, 3:].any(axis=1) & ~missing[:, :3].all(axis=1))
-    loose &= rig.displacement_point.any()
-    lost = np.asarray(np.isnan(moved).all(axis=1))
-    for at in np.flatnonzero(done | loose | lost | np.isnan(shift).any(axis=1)).tolist():
-        if done[at]:
+    is_interface = _of_interface(piece)
+    lacks_rotation = np.asarray(missing[:, 3:].any(axis=1) & ~missing[:, :3].all(axis=1))
+    lacks_rotation &= rig.displacement_point.any()
+    lacks_translation = np.asarray(np.isnan(moved).all(axis=1))
+    wrong = is_interface | lacks_rotation | lacks_translation | np.isnan(shift).any(axis=1)
+    for at in np.flatnonzero(wrong).tolist():
+        if is_interface[at]:
             yield at, "source", _DONE
-        elif loose[at]:
+        elif lacks_rotation[at]:
             yield at, names[3 + int(missing[at, 3:].argmax())], _ROTATIONS_MISSING
-        elif lost[at]:
+        elif lacks_translation[at]:
             yield at, names[int(missing[at].argmax())], _TRANSLATIONS_MISSING
         else:
             first = int(np.isnan(shift[at]).argmax()) // PER_INTERFACE * PER_INTERFACE
@@ -332,6 +336,7 @@ def _axes(value: Any) -> Array:
         axes = np.stack([signed[axis] for axis in "xyz"])
     else:
         axes = _numbers("frame", value, 9).reshape(3, 3)
+
     left, _, right = np.linalg.svd(axes)
     nearest = left @ right
     if (skew := np.abs(axes - nearest).max()) > _SKEW:
@@ -346,10 +351,7 @@ def _axes(value: Any) -> Array:
 
 
 def _numbers(name: str, value: Any, count: int) -> Array:
-    """Return the `count` numbers of the profile's entry `name`, a list or a text.
-
-    Raises RigError if there are not as many finite numbers, or one is too large.
-    """
+    """Return `count` numbers of the profile's entry `name`, a list or a text; raises RigError."""
     try:
         values = re.split(r"[,;\s]+", value.strip()) if isinstance(value, str) else value
         numbers = np.array(values, dtype=float).ravel()

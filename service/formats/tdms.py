@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from wrenchbook.service.formats.text import PIECE, read_columns
 from wrenchbook.service.formats.xlsx import chosen_sheet
 
 _HEAD_BYTES = 28  # of a segment: tag, flags, version, and two lengths
-_BIG_ENDIAN = 1 << 6  # the flag of segments whose numbers begin with the highest byte
+_BIG_ENDIAN = 1 << 6  # the flag, in the lowest byte, of numbers with the highest byte first
 _MAX_NAMED = 8  # channels in a message: more would hide its remedy
 
 
@@ -36,13 +35,17 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
                 for group in file.groups()
             }
             named = {
-                name: named_columns([c.name for c in group], options.columns, options.mapping)
+                name: named_columns(
+                    [channel.name for channel in group], options.columns, options.mapping
+                )
                 for name, group in groups.items()
                 if group
             }
             best = {name for name, count in named.items() if count == max(named.values())}
             sheet = chosen_sheet(list(named), options.sheet, best.__contains__, report)
-            report.ignored += [c.name for c in file[sheet].channels() if not len(c)]
+            report.ignored += [
+                channel.name for channel in file[sheet].channels() if not len(channel)
+            ]
             yield from read_columns(_pieces(groups[sheet], options), options, report)
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
@@ -63,13 +66,11 @@ def _require_whole_segments(path: Path) -> None:
         while start < size:
             file.seek(start)
             head = file.read(_HEAD_BYTES)
-            if len(head) == _HEAD_BYTES and head[:4] == b"TDSm":
-                (flags,) = struct.unpack("<I", head[4:8])
-                order = ">" if flags & _BIG_ENDIAN else "<"
-                (length,) = struct.unpack(f"{order}Q", head[12:20])
-                start += _HEAD_BYTES + length
-            else:
+            if len(head) < _HEAD_BYTES or not head.startswith(b"TDSm"):
                 start = size + 1
+                break
+            order = "big" if head[4] & _BIG_ENDIAN else "little"
+            start += _HEAD_BYTES + int.from_bytes(head[12:20], order)
     if start > size:
         raise ContentError(
             "ends within a segment, because its writing or copying was cut off; copy it again, or "
@@ -89,14 +90,17 @@ def _pieces(
         )
     lengths = {len(channel) for channel in channels}
     if len(lengths) != 1:
-        sizes = ", ".join(f"{c.name} {len(c)}" for c in channels[:_MAX_NAMED])
+        sizes = ", ".join(f"{channel.name} {len(channel)}" for channel in channels[:_MAX_NAMED])
         raise ContentError(f"its channels differ in length ({sizes}); resample them to one time")
-    labels = [with_unit(c.name, c.properties.get("unit_string", ""), columns) for c in channels]
+    labels = [
+        with_unit(channel.name, channel.properties.get("unit_string", ""), columns)
+        for channel in channels
+    ]
     waveform = ("start_time", "start_offset", "increment")
     times = {
-        tuple(c.properties.get(f"wf_{key}") for key in waveform): c.name
-        for c in channels
-        if c.properties.get("wf_increment")
+        tuple(channel.properties.get(f"wf_{key}") for key in waveform): channel.name
+        for channel in channels
+        if channel.properties.get("wf_increment")
     }
     if len(times) > 1:
         (first_time, first_name), (next_time, next_name) = list(times.items())[:2]

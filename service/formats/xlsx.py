@@ -154,7 +154,7 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         name = chosen_sheet(book.sheet_names, options.sheet, is_filled, report)
         sheet = book.get_sheet_by_name(name)
         empty = [""] * (sheet.start or (0, 0))[1]  # columns on the left
-        cells = enumerate((empty + [_text(v) for v in row] for row in sheet.iter_rows()), start=1)
+        cells = enumerate(([*empty, *map(_text, row)] for row in sheet.iter_rows()), start=1)
         yield from read_records(filter(lambda row: any(row[1]), cells), options, report)
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))

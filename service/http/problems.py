@@ -22,8 +22,8 @@ from wrenchbook.service.actors import NotPermittedError
 from wrenchbook.service.events import FIRST_POLL_S, TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
 from wrenchbook.service.files.redact import redact_values
-from wrenchbook.service.formats.cells import UnitError
 from wrenchbook.service.formats.rig import RigError
+from wrenchbook.service.formats.units import UnitError
 from wrenchbook.service.formats.xlsx import SheetFullError
 from wrenchbook.service.jobs.waiting import TooManyPollsError
 from wrenchbook.service.library import component

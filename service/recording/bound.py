@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 
 from wrenchbook.service.contract import COVERAGE
-from wrenchbook.service.recording.store import EnvelopeState, Floats
+from wrenchbook.service.recording.store import EnvelopeState
+from wrenchbook.service.recording.thinning import Floats
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.answer import COVERED, OUTSIDE
 from wrenchbook.surrogate.table.rows import Tolerance

@@ -35,7 +35,12 @@ from tests.service.table_files import (
 from wrenchbook.service.formats import csv as csv_table
 from wrenchbook.service.formats import options as table_options
 from wrenchbook.service.formats import xlsx as xlsx_table
-from wrenchbook.service.formats.cells import (
+from wrenchbook.service.formats.columnar import write_parquet
+from wrenchbook.service.formats.columns import columns_of
+from wrenchbook.service.formats.options import Options
+from wrenchbook.service.formats.read import ContentError, unpack
+from wrenchbook.service.formats.text import MAX_NAME
+from wrenchbook.service.formats.units import (
     FORCE,
     MOMENT,
     ROTATION,
@@ -44,11 +49,6 @@ from wrenchbook.service.formats.cells import (
     chosen_units,
     si_factor,
 )
-from wrenchbook.service.formats.columnar import write_parquet
-from wrenchbook.service.formats.columns import columns_of
-from wrenchbook.service.formats.options import Options
-from wrenchbook.service.formats.read import ContentError, unpack
-from wrenchbook.service.formats.text import MAX_NAME
 from wrenchbook.service.formats.xlsx import entry_sizes, write_xlsx
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange

@@ -159,15 +159,18 @@ class Joints:
         Raises InvalidArgument if a shape is wrong or the step not above zero.
         """
         steps = self._steps
-        n = len(self)
         arrays = poses, velocities, inverse_masses
-        inputs = [np.asarray(a.detach().cpu() if hasattr(a, "detach") else a) for a in arrays]
+        inputs = [
+            np.asarray(array.detach().cpu() if hasattr(array, "detach") else array)
+            for array in arrays
+        ]
         shapes = tuple(array.shape for array in inputs)
-        each = tuple(a.shape for a in (steps.poses, steps.velocities, steps.inverse_masses))
-        if shapes not in (each, (*each[:2], each[2][1:])):
+        buffers = steps.poses, steps.velocities, steps.inverse_masses
+        expected = tuple(buffer.shape for buffer in buffers)
+        if shapes not in (expected, (*expected[:2], expected[2][1:])):
             raise InvalidArgument(
                 "poses, velocities and inverse_masses of {} joints must have shapes {}, {} and {}, "
-                "not {}, {} and {}".format(n, *each, *shapes)
+                "not {}, {} and {}".format(len(self), *expected, *shapes)
             )
         if not (isinstance(dt, Real) and math.isfinite(dt) and dt > 0):
             raise InvalidArgument(f"dt must be a finite number above 0 s, not {dt!r}")

@@ -160,10 +160,7 @@ def _tip_body(spec: Spec, base: str, tip: str) -> Spec:
 
 
 def _interface_in(body: Spec, site: str | None, model: Any) -> tuple[Vector, Vector]:
-    """Return point (3,), m, and axes (3, 3) of a site in its body, or of the body's own frame.
-
-    Raises JointError if the body has no such site.
-    """
+    """Return point (3,), m, and axes (3, 3) of a body's site or frame; raises JointError."""
     if site is None:
         return np.zeros(3), np.eye(3)
     if site not in [item.name for item in body.sites]:

@@ -29,19 +29,15 @@ from ..wrenches import (
 from .coupling import (
     BEYOND,
     CycleWatch,
-    Loop,
     Relaxation,
     Scale,
-    Settled,
-    by_newton,
-    by_relaxation,
-    newton_step,
     require_within_limit,
     stable_factor,
     within_limit,
 )
 from .ringing import warn_if_ringing
 from .sources import Ask, from_server, from_solves, from_table, require_server
+from .statics import Loop, Settled, by_newton, by_relaxation, newton_step
 
 if TYPE_CHECKING:
     from .. import Client, Table
@@ -112,7 +108,10 @@ class Coverage:
 
     def __str__(self) -> str:
         counts = ", ".join(f"{getattr(self, k)} {k}" for k in ("covered", *_MEANS))
-        first = [f"\n  first {k}: answer {a.step}, {a.reason}" for k, a in self.first.items()]
+        first = [
+            f"\n  first {kind}: answer {answer.step}, {answer.reason}"
+            for kind, answer in self.first.items()
+        ]
         return f"{self.answers} answers: {counts}{''.join(first)}"
 
 

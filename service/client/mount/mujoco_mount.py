@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InvalidArgument, MountWarning, SensorError, required, warn
 from ..wrenches import Vector
-from .coupling import Settled
 from .mount import Mount, from_world, require_weight
+from .statics import Settled
 
 if TYPE_CHECKING:
     from .. import Client, Table
@@ -311,11 +311,8 @@ def _check_mounted(model: Model, mocap: int, mounted: int) -> None:
 
 
 def _reaction_at_rest(model: Model, data: Data, division: _Division) -> Vector:
-    """Return the force sensor's reading at rest, shape (3,), N, in the world.
-
-    It is computed in a copy, at the scene's present position, without contacts.
-    """
-    aside = engine.MjData(model)
+    """Return the force that the sensor reads at rest, without contacts, (3,), N, in the world."""
+    aside = engine.MjData(model)  # the scene's own data do not change
     aside.qpos[:], aside.mocap_pos[:] = data.qpos, data.mocap_pos
     aside.mocap_quat[:] = data.mocap_quat
     flags = model.opt.disableflags
