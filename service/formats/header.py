@@ -559,6 +559,7 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
     needed = []
     if options.role != "loads":
         needed.append(("displacement", columns.displacement))
+        yield from _missing_outputs(header, named, columns)
     if has_loads:
         needed.append(("load", columns.loads))
     for quantity, names in needed:
@@ -567,7 +568,6 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
             named_so = ", ".join(map("{} [{}]".format, names, units))
             alone = _ALONE if quantity == "displacement" and options.role == "table" else ""
             yield f"there is no {quantity} column; name at least one of {named_so}{alone}"
-    yield from _missing_outputs(header, named, columns)
     absent = [name for name in columns.loads if name not in named]
     is_partial = 0 < len(absent) < len(columns.loads)
     if is_partial and has_loads and options.missing_loads != "zero":
