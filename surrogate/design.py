@@ -268,23 +268,18 @@ class _Refinement:
         unit = "the tolerance" if self.tolerance is not None else "the outputs' range"
         unit += " or a joint's share of the load range" if self.joint is not None else ""
         reason = f"95 % of the interpolation errors are at most {worst:.3g} times {unit}"
-        if not np.isfinite(worst):
-            reason = "the rows do not show the error yet; solves go where they are farthest apart"
-        elif self.tolerance is not None and not self.span.space.is_default:
+        if self.tolerance is not None and not self.span.space.is_default:
             reason += self._estimate_of_solves(sample, worst, budget)
         if len(self.indefinite):
             reason += f"; not positive definite: the compliance at {len(self.indefinite)} wrenches"
         return Design(self._largest(sample, budget), "refine", reason)
 
-    def _largest(self, sample: Floats, budget: int) -> Floats:
-        """Return at most `budget` candidates, shape (k, 6), N and N·m, in order of decreasing loss.
+    def _candidates(self) -> Floats:
+        """Return the candidates of a round, shape (k, 6), N and N·m.
 
-        Stop early once the error bars at the sample will be within the tolerance. Solved wrenches
-        only ever lower a bar, so a candidate's loss computed earlier is an upper limit: only those
-        that may still be the largest are computed again (Minoux 1978).
+        They are evenly spread, and start at another place with each row. Where rows bring no
+        tangents, wrenches of one axis are worth as much as multi-axis ones.
         """
-        # The candidates are evenly spread, and start at another place with each row. Where rows
-        # bring no tangents, wrenches of one axis are worth as much as multi-axis ones.
         start = 1 + CANDIDATES + len(self.surrogate.rows)
         parts = [self.indefinite, spread_wrenches(self.span, CANDIDATES, start)]
         has_tangents = self.surrogate.used.has_tangent.any()
@@ -294,13 +289,18 @@ class _Refinement:
             parts += [
                 np.where(np.isin(np.arange(6), axis.inputs), single, zero_load) for axis in AXES
             ]
-        candidates = self.known.new(np.concatenate(parts))
+        return self.known.new(np.concatenate(parts))
+
+    def _largest(self, sample: Floats, budget: int) -> Floats:
+        """Return at most `budget` candidates, shape (k, 6), N and N·m, in order of decreasing loss.
+
+        Stop early once the error bars at the sample will be within the tolerance. Solved wrenches
+        only ever lower a bar, so a candidate's loss computed earlier is an upper limit: only those
+        that may still be the largest are computed again (Minoux 1978).
+        """
+        candidates = self._candidates()
         losses = self._losses(candidates)
         pending = self.known.pending
-        # Unknown errors: the kriging's own error bars order the candidates all the same.
-        if not np.isfinite(losses).all():
-            errors = self.kriging.answer_many(candidates)[1] / self.allowed
-            losses = errors[:, self.outputs].max(axis=1)
         expected = losses * self._reduction(pending, candidates)
         now = self._losses(sample)
         first = len(pending)

@@ -49,9 +49,7 @@ class Outcome:
     displacement: Sequence[float] | None = None  # m and rad, six an interface
     compliance: Sequence[Sequence[float]] | None = None
     curvature: Sequence[Any] | None = None
-    solver_error: Mapping[str, Any] | None = (
-        None  # the mesh's error, if the attempt was to estimate it
-    )
+    solver_error: Mapping[str, Any] | None = None  # the mesh's error, if the attempt estimates it
     notes: Sequence[str] | None = None
     program: str | None = None  # version and code digest of the solver
     further: dict[str, Any] = field(default_factory=dict)
@@ -269,9 +267,9 @@ def _digest(content: Mapping[str, Any]) -> str:
     return blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-MAX_BYTES: Final = 1 << 30  # bytes of all files together; a deck's solver may leave any number
-_MAX_TEXT: Final = 8 << 20
-_PIECE: Final = 1 << 18
+MAX_BYTES: Final = 1 << 30  # bytes of all files together; a deck's solver may write any number
+_MAX_TEXT: Final = 8 << 20  # bytes of a text that is searched for paths, and of a zip in memory
+_PIECE: Final = 1 << 18  # bytes of a file in memory at once
 _TEXTS: Final = (".txt", ".json", ".log")
 
 

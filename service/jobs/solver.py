@@ -147,7 +147,7 @@ class ComponentSolver:
 
     def has_grown(self) -> bool:
         """Return whether memory has grown by a leak since the first attempt with the component."""
-        memory = _memory_bytes()
+        _, memory = _process_bytes()
         if self.ready is not self._measured:
             self._measured = self.ready
             self._first_bytes = memory
@@ -254,23 +254,20 @@ def limit_memory(estimated: int | None) -> int | None:
             remedy = f"set {MARGIN_VARIABLE}={MEMORY_MARGIN:g} where the server starts, or unset it"
             raise SolveRefusedError("bad_setting", message, remedy)
         allowed = int(estimated * margin)
-        soft = _address_space_bytes() + allowed
+        address_space, _ = _process_bytes()
+        soft = address_space + allowed
         if hard != resource.RLIM_INFINITY:
             soft = min(soft, hard)
     resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
     return allowed
 
 
-def _address_space_bytes() -> int:
-    """Return the address space of this process, on Linux."""
-    return int(_PROCESS_PAGES.read_text().split()[0]) * resource.getpagesize()
-
-
-def _memory_bytes() -> int:
-    """Return the memory of this process; 0 on other systems than Linux."""
+def _process_bytes() -> tuple[int, int]:
+    """Return the address space and the memory of this process; zeros except on Linux."""
     if sys.platform != "linux":
-        return 0
-    return int(_PROCESS_PAGES.read_text().split()[1]) * resource.getpagesize()
+        return 0, 0
+    size, resident, *_ = map(int, _PROCESS_PAGES.read_text().split())
+    return size * resource.getpagesize(), resident * resource.getpagesize()
 
 
 def run_attempt(folder: str | Path, solve: Solve | None = None) -> int:
@@ -350,7 +347,7 @@ def _named_solver() -> Solve | None:
                 return solve
             why = f"the module {module} has no function {function!r}"
     remedy = "set it to package.module:function, importable by the solvers, or unset it"
-    raise SolveRefusedError("no_solver", f"{SOLVE_VARIABLE}={name!r}: " + why, remedy)
+    raise SolveRefusedError("no_solver", f"{SOLVE_VARIABLE}={name!r}: {why}", remedy)
 
 
 def _checked(numbers: Mapping[str, Any], loads: int) -> Outcome:

@@ -30,10 +30,10 @@ from wrenchbook.surrogate.table.rows import Rows
 
 log = logging.getLogger(__name__)
 
-POLL_S = 0.02
+POLL_S = 0.02  # pause between polls of the ledger, of some microseconds each
 SMALL_AT_ONCE = 2  # small builds beside a large one: all share one interpreter
-SAVE_AFTER_QUIET_S = 1.0
-RETRY_S = 1.0
+SAVE_AFTER_QUIET_S = 1.0  # time without changes before an HDF5 file, written as a whole, is due
+RETRY_S = 1.0  # pause before a failed step is repeated: a full disk lasts
 START_S = 30.0  # s for small tables at a start; larger ones answer 503 until they are built
 _UNCONFIRMED = -1  # version of a file's rows that the ledger could not confirm
 
@@ -81,9 +81,11 @@ class _Version:
     used: float = 0.0
 
     def rows_in_memory(self) -> int:
+        """Return the number of rows in memory; 0 as long as their HDF5 file is not written."""
         return 0 if self.table is None or self.save_at is not None else len(self.table.rows)
 
     def drop(self) -> None:
+        """Drop the table."""
         self.table = None
 
 
@@ -257,13 +259,10 @@ class TableBuilder:
             rows, version = followed(self._ledger, component, rows, after)
         except LedgerUnavailableError:
             if known is None:  # its file answers while the ledger cannot be read
+                rows, version = Rows.empty(component.space), 0
                 content = self._store.read(component)
-                if content is None or content[1].fingerprint != component.fingerprint:
-                    rows = Rows.empty(component.space)
-                    version = 0
-                else:
-                    rows = content[0]
-                    version = content[1].last_seq
+                if content is not None and content[1].fingerprint == component.fingerprint:
+                    rows, version = content[0], content[1].last_seq
                 self._build(component, rows, version)
                 self._versions[name].number = _UNCONFIRMED
                 self._versions[name].save_at = None
@@ -303,9 +302,8 @@ class TableBuilder:
         with suppress(LedgerUnavailableError):
             number = self._ledger.last_seq(name)
             origin = self._store.origin(component, number)
-            saved = None
-            if self._store.is_current(component, number, origin):
-                saved = self._store.saved(component, number, origin["ledger"])
+            current = self._store.is_current(component, number, origin)
+            saved = self._store.saved(component, number, origin["ledger"]) if current else None
             if saved is None:
                 self._store.remove_packed(name)  # no other process must answer from it
                 return
@@ -317,9 +315,8 @@ class TableBuilder:
         """Write a table's HDF5 file, and its packed file if that is missing."""
         version = self._versions[name]
         version.save_at = time.monotonic() + RETRY_S  # in case of a failure
-        rows = version.table.rows if version.table else None
-        if rows is None:
-            rows = self._store.rows(version.component, version.number)
+        table = version.table
+        rows = table.rows if table else self._store.rows(version.component, version.number)
         self._store.save(version.component, rows, version.number)
         if version.packed:
             self._store.write_packed(name, version.number, version.packed)

@@ -106,8 +106,8 @@ class ServedTable:
     @property
     def rows(self) -> Rows:
         """The rows of this version, read on first use: 0.05 s for 20,000."""
-        rows = self._rows
         self.used = time.monotonic()
+        rows = self._rows  # another thread may drop it
         if rows is None:
             assert self._rows_of is not None
             rows = self._rows = self._rows_of()
@@ -116,7 +116,7 @@ class ServedTable:
     def surrogate(self) -> Table:
         """Return the numpy table, built from the rows on first use: seconds for 20,000."""
         with self._lock:
-            built = self.built
+            built = self.built  # another thread may drop it
             self.used = time.monotonic()
             if built is None:
                 built = self.built = build(
@@ -254,9 +254,8 @@ class MappedTables:
         component = self._library[name]
         if self._store.size(name):
             raise TableBehindError.unbuilt(name, self.faults().get(name))
-        table = build_table(
-            component, Rows.empty(component.space), 0, self._store.solver_error(component)
-        )
+        error = self._store.solver_error(component)
+        table = build_table(component, Rows.empty(component.space), 0, error)
         packed = PackedTable.from_bytes(packed_bytes(table, component))
         with self._changed:
             empty = ServedTable(packed, built=table, method=self._method)

@@ -433,14 +433,16 @@ class PackedTable:
         quaternions, angular velocities and moments refer to the tip's axes. Many joints release the
         interpreter lock, a single joint keeps it.
         """
-        code = method_code(method or self.method)
-        library = kernel()
-        form = library.with_gil if count == 1 else library.without_gil
-        k, memory = form.wb_joint_interfaces(self.handle), form.wb_joint_memory(self.handle)
-        options = (code, axes)
-        arguments = (count, method, axes)
-        sizes = k, memory, self._scratch
-        return JointSteps(self, form.wb_joint_step, count, options, sizes, arguments)
+        library = kernel().with_gil if count == 1 else kernel().without_gil
+        return JointSteps(
+            self,
+            library.wb_joint_step,
+            (count, method, axes),
+            method=method_code(method or self.method),
+            interfaces=library.wb_joint_interfaces(self.handle),
+            memory=library.wb_joint_memory(self.handle),
+            scratch=self._scratch,
+        )
 
     @property
     def handle(self) -> int:

@@ -76,23 +76,24 @@ class JointSteps:
         self,
         table: PackedTable,
         call: Callable[..., int],
-        count: int,
-        options: tuple[int, Floats | None],
-        sizes: tuple[int, int, int],
-        arguments: tuple[Any, ...],
+        arguments: tuple[int, str | None, Floats | None],
+        *,
+        method: int,
+        interfaces: int,
+        memory: int,
+        scratch: int,
     ) -> None:
         """Allocate the arrays.
 
-        `call`: the kernel's function; `options`: number of the method, and axes.
-        `sizes`: number of interfaces, doubles of a joint's memory, bytes of scratch.
+        `call`: the kernel's function; `method`: the number of the method.
+        `memory`: doubles of a joint's memory; `scratch`: bytes of scratch.
         """
-        method, self._axes = options
+        count, _, self._axes = arguments
         self._table = table
         self._call = call
         self.arguments = arguments
         self.inputs = np.zeros(table.inputs)
-        self.interfaces = sizes[0]
-        k = self.interfaces
+        self.interfaces = k = interfaces
         if not 1 <= k <= MAX_INTERFACES:
             raise ValueError(
                 f"the table has {k} interfaces that move, those with a freedom that is not locked; "
@@ -102,19 +103,19 @@ class JointSteps:
         self.poses[..., 3] = 1.0
         self.inverse_masses = np.zeros((count, FREEDOMS * k, FREEDOMS * k))
         reply, history = types_of(k)
-        self.memory = np.zeros((count, sizes[1]))
+        self.memory = np.zeros((count, memory))
         self.replies = np.zeros(count, reply)
         self.history = self.memory[:, -(history.itemsize // 8) :].view(history)[:, 0]
-        self._scratch = np.zeros(sizes[2] // 8 + 1)
+        self._scratch = np.zeros(scratch // 8 + 1)
         self._options = _Options(
             *(method, None, 0, self.inputs.ctypes.data),
             *(None if self._axes is None else self._axes.ctypes.data, 0.0, 0.0, 1, 0),
         )
         buffers = (self.poses, self.velocities, self.inverse_masses, self.memory, self.replies)
-        poses, velocities, masses, memory, replies = (array.ctypes.data for array in buffers)
+        poses, velocities, masses, *state = (array.ctypes.data for array in buffers)
         head = ctypes.addressof(self._options), count, poses
-        self._step = *head, velocities, masses, memory, replies
-        self._state = *head, None, None, memory, replies
+        self._step = *head, velocities, masses, *state
+        self._state = *head, None, None, *state
         self._at = self._scratch.ctypes.data
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -126,27 +127,27 @@ class JointSteps:
         for name, array in arrays.items():
             getattr(self, name)[:] = array
 
-    def step(self, dt: float, damping: float, threads: int = 1) -> None:
-        """Compute the wrenches of a step of `dt`, s; `damping` is a ratio of critical damping."""
+    def step(self, dt: float, damping: float, threads: int = 1, *, law: bool = False) -> None:
+        """Compute the wrenches of a step of `dt`, s; `damping` is a ratio of critical damping.
+
+        `law`: see the method of this name.
+        """
         self._options.dt = dt
         self._options.damping = damping
-        self._options.law = 0
-        self._done(self._call(self._table.handle, *self._step, threads, self._at))
+        self._options.law = law
+        self._compute(self._step, threads)
 
     def law(self, dt: float, damping: float, threads: int = 1) -> None:
         """Compute the force, and its rate by the velocities, before a step of `dt`, s.
 
         The simulator then solves for the velocities after the step.
         """
-        self._options.dt = dt
-        self._options.damping = damping
-        self._options.law = 1
-        self._done(self._call(self._table.handle, *self._step, threads, self._at))
+        self.step(dt, damping, threads, law=True)
 
     def state(self) -> None:
         """Compute the wrenches of the poses alone, without velocities and masses."""
-        self._done(self._call(self._table.handle, *self._state, 1, self._at))
+        self._compute(self._state, 1)
 
-    def _done(self, wrong: int) -> None:
-        if wrong:
+    def _compute(self, arguments: tuple[int | None, ...], threads: int) -> None:
+        if self._call(self._table.handle, *arguments, threads, self._at):
             raise MemoryError(f"there is no memory for {len(self.poses)} joints; create fewer")
