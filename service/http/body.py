@@ -121,9 +121,9 @@ class Spooled:
 
     stored = 0  # bytes of all bodies that are in files now
 
-    def __init__(self, path: Path | None = None) -> None:
+    def __init__(self) -> None:
         self.content = b""
-        self.path = path
+        self.path: Path | None = None
 
     def read(self) -> bytes:
         """Return all of it."""

@@ -398,7 +398,7 @@ class Shipper:
 
 
 def stays(created: float, retained: list[float]) -> bool:
-    """Whether a manifest stays, by the times of the newer ones that do, the newest first; s."""
+    """Return whether a manifest stays; `retained`: times of newer ones that do, newest first, s."""
     if not retained:
         return True
     age = retained[0] - created

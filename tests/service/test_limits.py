@@ -109,7 +109,8 @@ def test_a_large_batch_is_read_in_a_file_and_answered_as_a_small_one_is(live, mo
 
 
 def test_a_mistake_in_a_large_batch_is_told_as_in_a_small_one(tmp_path):
-    body = bodies.Spooled(tmp_path / "body")
+    body = bodies.Spooled()
+    body.path = tmp_path / "body"
     body.path.write_bytes(b'{"wrenches":[[0,0,0,0,0,"x"]]}')
     with pytest.raises(HttpProblemError) as caught:
         batch.read_batch_body(body)

@@ -62,6 +62,7 @@ async def deformed(
     ]
     if errors:
         raise bad_body(errors)
+
     require_single_wrench(name, workspace.library.as_read(name).space)
     loads = np.array([fx, fy, fz, mx, my, mz])
     # In its own small pool of threads: it reads files and multiplies large arrays.
@@ -82,8 +83,9 @@ def _reply(workspace: Workspace, name: str, loads: NDArray[np.float64], form: st
             "Wrenchbook-Within-Tolerance": json.dumps(shape.within_tolerance),
         }
         return Response(write(shape), 200, headers, kind)
+
     geometry = shape.geometry
-    count = len(shape.geometry.vertices)
+    count = len(geometry.vertices)
     stress = None
     if shape.stress is not None:
         stress = Stress(**{**shape.stress._asdict(), "at": np.array(shape.stress.at)})
