@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from wrenchbook.fea.coupling.section import InterfaceSection, section_of_facets, section_of_nodes
 from wrenchbook.fea.mesh.bolts import BoltCut, cut_bolts
-from wrenchbook.fea.mesh.cad.meshing import mesh_geometry, surface_of_geometry
-from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
-from wrenchbook.fea.mesh.facets import facets_within, group_nodes, missing, outer_surface
-from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.mesh.element_order import first_order_problems
+from wrenchbook.fea.mesh.facets import facets_within, outer_surface
+from wrenchbook.fea.mesh.groups import group_nodes, missing
 from wrenchbook.fea.mesh.io.temperature_field import shape_on
 from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
-from wrenchbook.fea.mesh.surface import Surface
+from wrenchbook.fea.mesh.sources import mesh_of
 from wrenchbook.fea.mesh.tie import TiedNodes, joined
 from wrenchbook.fea.spec.material import AnyMaterial
-from wrenchbook.fea.spec.mesh_source import Generator, GeometryFile, MeshFile, MeshSource
+from wrenchbook.fea.spec.mesh_source import MeshSource
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
@@ -44,8 +40,7 @@ _ZERO = 1e-9
 roundoff, since axes and coordinates are written to about as many digits."""
 _ANY_MOTION = np.array([0.3, 0.5, 0.7, 0.2, 0.6, 0.4])
 """Motion of a section, m and rad: an arbitrary one, without a pattern by which parts of it could
-cancel.
-"""
+cancel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,30 +187,35 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     source = _mesh_source(bundle)
     mesh = mesh_of(source) if mesh is None else mesh
     problems = first_order_problems(mesh)
-    uncut, (mesh, bolts) = mesh, cut_bolts(mesh, bundle.bolts, problems)
+    uncut = mesh
+    mesh, bolts = cut_bolts(mesh, bundle.bolts, problems)
     material_of_cells = _material_numbers(mesh, bundle.materials, problems)
+
     supports = bundle.supports or Supports()
     fixed = _fixed_nodes(mesh, supports, problems)
     held = _held_directions(mesh, supports, fixed, problems)
+    interfaces, bushings, joints = _attach_all(bundle, mesh, supports, problems)
+    ends = [end for joint in joints for end in joint.ends]
+    frames = [*interfaces, *(bushing for bushing, _ in bushings), *ends]
     sliding = _projectors(held)
-
-    attachments = _attach_all(bundle, mesh, supports, problems)
-    for frame in attachments.frames:
+    for frame in frames:
         sliding = _free_sliding(mesh, sliding, frame, problems)
 
     # Ties move their nodes onto the main surfaces, and constrain them to these.
     held[fixed], held[sliding[0]] = np.eye(3), sliding[1]
-    sections = [(frame.where, frame.section.node_ids) for frame in attachments.frames]
-    mesh, ties = joined(mesh, bundle.ties, held, sections, problems)
-    tied = np.concatenate([fixed[:0], *(tie.nodes for tie in ties)])
-    not_tied = ~np.isin(sliding[0], tied)
-    sliding = sliding[0][not_tied], sliding[1][not_tied]
+    occupied = [(frame.where, frame.section.node_ids) for frame in frames]
+    mesh, ties = joined(mesh, bundle.ties, held, occupied, problems)
+    for i, tie in enumerate(ties):
+        not_tied = ~np.isin(sliding[0], tie.nodes)
+        sliding = sliding[0][not_tied], sliding[1][not_tied]
+        assert mesh.dependents is not None
+        masters = mesh.dependents.map[tie.nodes].indices
+        occupied.append((f"tie[{i}]", np.append(tie.nodes, masters)))
 
     problems = cell_problems(mesh) + problems
-    _check_disjoint(mesh, fixed, attachments.frames, problems)
-    occupied = [("supports.fixed", fixed), *sections, *_tie_nodes(mesh, ties)]
-    _check_bolts(mesh, bolts, occupied, sliding, problems)
-    _check_locked(bundle, attachments.interfaces, problems)
+    _check_disjoint(mesh, fixed, frames, problems)
+    _check_bolts(mesh, bolts, [("supports.fixed", fixed), *occupied], sliding, problems)
+    _check_locked(bundle, interfaces, problems)
     if problems:
         raise BundleError(problems)
 
@@ -225,60 +225,36 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         materials=_materials(bundle),
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
-        interfaces=tuple(attachments.interfaces),
+        interfaces=tuple(interfaces),
         analysis=bundle.analysis,
         sliding=sliding,
-        bushings=tuple(
-            (end, bushing.stiffness)
-            for end, bushing in zip(attachments.bushings, supports.bushings, strict=True)
-        ),
+        bushings=tuple(bushings),
         further=bundle.further,
         ties=ties,
         temperature_rise=_temperature_rise(bundle, mesh),
-        joints=tuple(attachments.joints),
+        joints=tuple(joints),
         bolts=bolts,
         uncut=_without_cuts(mesh, uncut) if bolts else None,
     )
 
 
-class _Attachments(NamedTuple):
-    """Frames on the mesh of a bundle, in the bundle's order."""
-
-    interfaces: list[AttachedInterface]
-    bushings: list[AttachedInterface]
-    joints: list[AttachedJoint]
-
-    @property
-    def frames(self) -> list[AttachedInterface]:
-        """All frames: interfaces, bushings, ends of joints."""
-        ends = [end for joint in self.joints for end in joint.ends]
-        return [*self.interfaces, *self.bushings, *ends]
-
-
 def _attach_all(
     bundle: Bundle, mesh: Mesh, supports: Supports, problems: list[BundleProblem]
-) -> _Attachments:
-    """Attach the interfaces, bushings and joints of a bundle to its mesh."""
+) -> tuple[list[AttachedInterface], list[tuple[AttachedInterface, Array]], list[AttachedJoint]]:
+    """Return the interfaces, bushings with their stiffness, and joints of a bundle on its mesh."""
     is_single = len(bundle.interfaces) == 1
     interfaces = []
     for i, interface in enumerate(bundle.interfaces):
         table = "interface" if is_single else f"interface[{i}]"
         interfaces.append(_attach(mesh, f"{table}.section", interface, problems))
-    bushings = [
-        _attach(mesh, f"supports.bushing[{i}].group", bushing.end(bushing.group), problems)
-        for i, bushing in enumerate(supports.bushings)
-    ]
+    bushings = []
+    for i, bushing in enumerate(supports.bushings):
+        end = _attach(mesh, f"supports.bushing[{i}].group", bushing.end(bushing.group), problems)
+        bushings.append((end, bushing.stiffness))
     joints = [
         _join(mesh, f"spring[{i}].groups", joint, problems) for i, joint in enumerate(bundle.joints)
     ]
-    return _Attachments(interfaces, bushings, joints)
-
-
-def _tie_nodes(mesh: Mesh, ties: tuple[TiedNodes, ...]) -> Iterator[tuple[str, Array]]:
-    """Yield the key of each tie with its tied nodes and those that they depend on, (k,)."""
-    if mesh.dependents is not None:
-        for i, tie in enumerate(ties):
-            yield f"tie[{i}]", np.append(tie.nodes, mesh.dependents.map[tie.nodes].indices)
+    return interfaces, bushings, joints
 
 
 def _temperature_rise(bundle: Bundle, mesh: Mesh) -> Array | None:
@@ -290,10 +266,7 @@ def _temperature_rise(bundle: Bundle, mesh: Mesh) -> Array | None:
 
 
 def _mesh_source(bundle: Bundle) -> MeshSource:
-    """Return the mesh of a bundle.
-
-    Raises BundleError if the bundle has no mesh to solve.
-    """
+    """Return the mesh of a bundle; raise BundleError if it has none to solve."""
     tables = {  # beside a [deck], each of these tables is optional
         "mesh": bundle.mesh,
         "material": bundle.materials,
@@ -324,10 +297,7 @@ def _materials(bundle: Bundle) -> tuple[AnyMaterial, ...]:
 def _held_directions(
     mesh: Mesh, supports: Supports, fixed: Array, problems: list[BundleProblem]
 ) -> Array:
-    """Return the sum of d d^T over the directions d that hold each sliding node, (n, 3, 3).
-
-    It is zero at other nodes, and at fixed ones.
-    """
+    """Return the sum of d d^T over directions d that hold sliding nodes, (n, 3, 3), else zero."""
     held = np.zeros((len(mesh.points), 3, 3))
     for i, support in enumerate(supports.sliding):
         nodes = group_nodes(mesh, f"supports.sliding[{i}].group", support.group, problems)
@@ -350,40 +320,10 @@ def _without_cuts(mesh: Mesh, uncut: Mesh) -> Mesh:
     return replace(uncut, points=mesh.points[:size], dependents=dependents)
 
 
-def mesh_of(source: MeshSource) -> Mesh:
-    """Return the mesh of a bundle, each point used by a cell.
-
-    Raises BundleError if the file cannot be read, or its geometry cannot be meshed.
-    """
-    if isinstance(source, Generator):
-        return source.mesh()
-    if source.geometry is not None:
-        return mesh_geometry(source.file, source.geometry)
-    return read_grouped(source.file, source)
-
-
-def read_grouped(file: Path, source: MeshSource) -> Mesh:
-    """Return the mesh of a file with the unit, the order and the groups of `source`."""
-    mesh = read_mesh(file, source.unit)
-    mesh = mesh if source.order is None else second_order(mesh)
-    grouped = isinstance(source, MeshFile) and source.groups
-    return Surface(mesh).choose(grouped) if grouped else mesh
-
-
-def surface_of(source: MeshSource) -> Surface:
-    """Return the numbered faces of a bundle's mesh, without its groups by geometry."""
-    if isinstance(source, GeometryFile):
-        return surface_of_geometry(source.file, source)
-    return Surface(mesh_of(replace(source, groups={}) if isinstance(source, MeshFile) else source))
-
-
 def _material_numbers(
     mesh: Mesh, materials: tuple[AnyMaterial, ...], problems: list[BundleProblem]
 ) -> tuple[Array, ...]:
-    """Return the index of each cell's material.
-
-    "all" stands for cells that no other material names.
-    """
+    """Return the index of each cell's material; "all" are cells that no other material names."""
     numbers = tuple(np.full(len(block), -1) for block in mesh.blocks)
     named = [(i, m) for i, m in enumerate(materials) if m.region != "all"]
     for i, material in named:
@@ -401,10 +341,12 @@ def _material_numbers(
             problems.append(BundleProblem(key, message))
         for block, chosen in zip(numbers, cells, strict=True):
             block[chosen] = i
+
     general = [i for i, material in enumerate(materials) if material.region == "all"]
     if len(general) > 1:
         message = f'repeats "all" of material[{general[0]}]; keep one of the two'
         problems.append(BundleProblem(f"material[{general[1]}].region", message))
+
     count = sum(int((block < 0).sum()) for block in numbers)
     if count and not general:
         pairs = zip(mesh.blocks, numbers, strict=True)
@@ -421,10 +363,7 @@ def _material_numbers(
 
 
 def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) -> Array:
-    """Return the fixed nodes, sorted, (k,).
-
-    Note a problem if they alone hold the part and lie on one line.
-    """
+    """Return the fixed nodes, sorted, (k,); a problem if they alone hold the part, on one line."""
     names = [(f"supports.fixed[{i}]", name) for i, name in enumerate(supports.fixed)]
     groups = [group_nodes(mesh, key, name, problems) for key, name in names]
     nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *groups]))
@@ -460,6 +399,7 @@ def _attach(
                 section = section_of_facets(mesh.points, facets, nodes)
             else:
                 section = section_of_nodes(mesh.points, nodes)
+
     table = key.rpartition(".")[0]
     if interface.weights != "area" and len(nodes):
         section = replace(section, weights=_weights(mesh, table, interface, nodes, problems))
@@ -495,10 +435,7 @@ def _check_bolts(
     sliding: tuple[Array, Array],
     problems: list[BundleProblem],
 ) -> None:
-    """Note cuts whose nodes a key of `occupied` names too, or a support holds along their axis.
-
-    sliding: as `ComponentModel.sliding`.
-    """
+    """Note cuts whose nodes a key of `occupied` names too, or `sliding` holds along their axis."""
     for bolt in bolts:
         along = np.abs(sliding[1] @ bolt.axis).max(axis=1, initial=0.0) > _ZERO
         for key, nodes in (*occupied, ("supports.sliding", sliding[0][along])):

@@ -1,279 +1,25 @@
-"""Shapes of cells, connected bodies and warnings of a mesh, from the component alone.
+"""Warnings about a component's mesh, sections, supports, ties, bolts and units.
 
-Four measures of a cell's shape, each with the worst cell and where it is:
-
-``scaled_jacobian``
-    Least over the corners of the volume its three edges span, over that of the ideal cell with
-    edges of those lengths: 1 for cubes, regular tetrahedra and right wedges on regular triangles,
-    0 for flat cells (the measure of Knupp, "Algebraic mesh quality metrics", 2001).
-``jacobian_ratio``
-    Least over largest det(dx/dxi) over a cell's nodes and quadrature points: 1 for straight
-    parallelepipeds and straight tetrahedra; 0 or less is a cell that folds over, an error.
-``aspect_ratio``
-    Longest over shortest edge.
-``edge_curvature``
-    Distance of a midside node from the middle of its edge over the edge's length: 0.1 on a circle
-    cut in eight, 0.21 on one cut in four, 0.25 for a node at the quarter point.
-
-The warnings are those of `fea.check`, and the notes of every solution of the embedded solver. They
-cost one pass over the cells and two searches among the nodes of the surface: less than the symbolic
-analysis before a solve.
+They are those of `fea.check`, and the notes of every solution of the embedded solver. They cost one
+pass over the cells and two searches among the nodes of the surface: less than the symbolic analysis
+before a solve.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from wrenchbook.fea.component import ComponentModel
+from wrenchbook.fea.mesh.bodies import Bodies, bodies_of, coincident_nodes, stacked_singly
 from wrenchbook.fea.mesh.bolts import BoltCut
-from wrenchbook.fea.mesh.facets import (
-    EDGES,
-    FACES,
-    TRIANGLES,
-    corners_of,
-    facets_within,
-    outer_surface,
-)
-from wrenchbook.fea.mesh.mapping import extreme_determinants
-from wrenchbook.fea.mesh.mesh import CellBlock, Mesh, row_numbers
-from wrenchbook.fea.mesh.reference_cell import node_coordinates
+from wrenchbook.fea.mesh.facets import TRIANGLES, facets_within, outer_surface
+from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.quality import quality, quality_warnings
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
-from wrenchbook.fea.tensors import determinant
 
 Array = np.ndarray
-
-_IDEAL_VOLUME = {"tet": 0.5**0.5, "pyr": 0.5**0.5, "wed": 0.75**0.5, "hex": 1.0}
-"""Volume that the three edges of length 1 at a corner of the ideal cell span, by kind of cell."""
-_NO_LENGTH = 1e-300  # m: replaces a length of 0 in a divisor
-
-
-@dataclass(frozen=True)
-class Measure:
-    """One measure of the shape of cells."""
-
-    name: str  # key of the measure in the report
-    # From points of shape (n, 3), m, and a block of m cells to the values, shape (m,), no unit
-    of: Callable[[Array, CellBlock], Array]
-    # limit, larger_is_worse: the limit of a bad cell, and on which side of it cells are bad
-    limit: float
-    larger_is_worse: bool
-    description: str  # the description of a bad cell
-
-
-def scaled_jacobian(points: Array, block: CellBlock) -> Array:
-    """Return the least scaled Jacobian of each cell's corners, shape (m,)."""
-    # For each corner itself and its three neighbours, right-handed.
-    coordinates = node_coordinates(block.kind)
-    pairs = EDGES[block.kind]
-    triples = []
-    for corner in range(int(np.max(pairs)) + 1):
-        ends = [b if a == corner else a for a, b in pairs if corner in (a, b)][:3]
-        edges = coordinates[ends] - coordinates[corner]
-        triples.append([corner, *(ends if np.linalg.det(edges) > 0 else ends[::-1])])
-    at = points[block.nodes]
-    triples = np.array(triples)
-    edges = at[:, triples[:, 1:]] - at[:, triples[:, :1]]
-    volume = determinant(edges)
-    length = np.linalg.norm(edges, axis=3).prod(axis=2)
-    scaled = np.divide(volume, length, out=np.zeros_like(volume), where=length > 0)
-    return np.minimum(scaled.min(axis=1) / _IDEAL_VOLUME[block.kind[:3]], 1.0)
-
-
-def jacobian_ratio(points: Array, block: CellBlock) -> Array:
-    """Return the least over the largest determinant of each cell, shape (m,)."""
-    least, largest = extreme_determinants(points, block)
-    return np.divide(least, largest, out=np.zeros(len(block)), where=largest > 0)
-
-
-def aspect_ratio(points: Array, block: CellBlock) -> Array:
-    """Return the longest over the shortest edge of each cell, shape (m,)."""
-    lengths = edge_lengths(points, block)
-    shortest = np.maximum(lengths.min(axis=1), _NO_LENGTH)
-    return lengths.max(axis=1) / shortest
-
-
-def edge_curvature(points: Array, block: CellBlock) -> Array:
-    """Return the largest relative offset of a midside node of each cell, shape (m,)."""
-    pairs = np.array(EDGES[block.kind])
-    corners = pairs.max() + 1
-    if block.nodes.shape[1] < corners + len(pairs):
-        return np.zeros(len(block))
-    ends = points[block.nodes[:, pairs]]
-    middle = points[block.nodes[:, corners : corners + len(pairs)]]
-    offset = np.linalg.norm(middle - ends.mean(axis=2), axis=2)
-    return (offset / np.maximum(edge_lengths(points, block), _NO_LENGTH)).max(axis=1)
-
-
-def edge_lengths(points: Array, block: CellBlock) -> Array:
-    """Return the straight lengths of each cell's edges, shape (m, edges), m."""
-    ends = points[block.nodes[:, EDGES[block.kind]]]
-    return np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
-
-
-MEASURES = (
-    Measure("scaled_jacobian", scaled_jacobian, 0.1, False, "nearly flat at a corner"),
-    Measure("jacobian_ratio", jacobian_ratio, 0.1, False, "strongly distorted"),
-    Measure("aspect_ratio", aspect_ratio, 50.0, True, "long and thin"),
-    Measure("edge_curvature", edge_curvature, 0.25, True, "curved too far along an edge"),
-)
-
-
-def quality(mesh: Mesh) -> dict[str, dict[str, Any]]:
-    """Return each measure's worst value, that cell's centre (m), and the number of bad cells."""
-    return {measure.name: _worst(mesh, measure) for measure in MEASURES}
-
-
-def quality_warnings(measured: dict[str, dict[str, Any]]) -> list[str]:
-    """Return a sentence for each measure with cells beyond its limit."""
-    warnings = []
-    for measure in MEASURES:
-        worst = measured[measure.name]
-        if worst["bad"]:
-            warnings.append(
-                f"{worst['bad']} cells are {measure.description} ({measure.name.replace('_', ' ')} "
-                f"{'over' if measure.larger_is_worse else 'under'} {measure.limit:g}; the worst, a "
-                f"{worst['kind']} near {point_text(worst['at'])} m, has {worst['worst']:.3g}); "
-                "stresses and stiffness there are not to be trusted"
-            )
-    return warnings
-
-
-def _worst(mesh: Mesh, measure: Measure) -> dict[str, Any]:
-    """Return a measure's worst value with its cell, and the number of cells beyond its limit."""
-    sign = 1.0 if measure.larger_is_worse else -1.0  # times a value: the worst is the largest
-    bad = 0
-    worst = -np.inf
-    kind = ""
-    centre = np.zeros(3)
-    for block in mesh.blocks:
-        values = sign * measure.of(mesh.points, block)
-        bad += int((values > sign * measure.limit).sum())
-        if len(values) and values.max() > worst:
-            cell = int(values.argmax())
-            worst = float(values[cell])
-            kind = block.kind
-            centre = mesh.points[block.nodes[cell]].mean(axis=0)
-    return {
-        "worst": sign * worst,
-        "at": centre.tolist(),
-        "kind": kind,
-        "bad": bad,
-        "limit": measure.limit,
-    }
-
-
-_COINCIDENT = 1e-2
-"""Fraction of the shortest edge within which two nodes count as coincident."""
-
-_OPPOSITE = np.array([(0, 1), (2, 4), (3, 5)])
-"""Opposite faces of a hexahedron, in the order of `fea.mesh.facets.FACES`."""
-
-
-@dataclass(frozen=True, eq=False)
-class Bodies:
-    """Groups of cells that are connected by faces."""
-
-    count: int  # number of bodies; numbered from the body with the most cells
-    cells: Array  # number of cells of each body, shape (count,), int64
-    nodes: list[Array]  # the nodes of each body, shape (k,), int64: indices, ascending
-
-
-def bodies_of(mesh: Mesh) -> Bodies:
-    """Group the cells that share faces; cells that share only an edge or a point do not join."""
-    # A graph of cells, then faces, with an edge from each cell to each of its faces.
-    faces, owners = _faces(mesh)
-    total = sum(len(block) for block in mesh.blocks)
-    size = total + int(faces.max(initial=-1)) + 1
-    graph = coo_array((np.ones(len(faces), dtype=np.int8), (owners, total + faces)), (size, size))
-    count, label = connected_components(graph, directed=False)
-    label = label[:total]
-    # Number bodies from the one with the most cells.
-    sizes = np.bincount(label, minlength=count)
-    order = np.argsort(-sizes, kind="stable")
-    rank = np.empty(count, dtype=np.int64)
-    rank[order] = np.arange(count)
-    number = rank[label]
-    # The nodes of each body: pairs of body and node as one number, body * nodes + node.
-    pairs = []
-    first = 0
-    for block in mesh.blocks:
-        bodies = np.repeat(number[first : first + len(block)], block.nodes.shape[1])
-        pairs.append(bodies * len(mesh.points) + block.nodes.ravel())
-        first += len(block)
-    bodies, nodes = np.divmod(np.unique(np.concatenate(pairs)), len(mesh.points))
-    cuts = np.searchsorted(bodies, np.arange(1, count))
-    return Bodies(count, sizes[order], np.split(nodes, cuts))
-
-
-def _faces(mesh: Mesh) -> tuple[Array, Array]:
-    """Return a face number for each face of each cell, equal for equal corners, and the cell."""
-    corners = []
-    owners = []
-    first = 0
-    for block in mesh.blocks:
-        for face in FACES[block.kind]:
-            several = corners_of("tri" if len(face) in (3, 6) else "quad")
-            row = np.full((len(block), 4), -1)
-            row[:, :several] = block.nodes[:, face[:several]]
-            corners.append(np.sort(row, axis=1))
-            owners.append(first + np.arange(len(block)))
-        first += len(block)
-    return row_numbers(np.concatenate(corners)), np.concatenate(owners)
-
-
-def stacked_singly(mesh: Mesh) -> Array:
-    """Return the middles of hex20 cells that are stacked singly, without cells at their sides.
-
-    Shape (k, 3), m. Two or more cells in a row, each joined to others along one direction only, are
-    a stack.
-    """
-    if all(block.kind != "hex20" for block in mesh.blocks):
-        return np.empty((0, 3))
-    number, _ = _faces(mesh)
-    is_shared = np.bincount(number)[number] > 1
-    # Cells that are joined to others along one direction at most: their faces, (6, k), and middles.
-    first = 0
-    single_faces = []
-    middles = []
-    for block in mesh.blocks:
-        faces = slice(first, first + len(FACES[block.kind]) * len(block))
-        first = faces.stop
-        if block.kind == "hex20":
-            joined = is_shared[faces].reshape(-1, len(block))[_OPPOSITE].any(axis=1)
-            single = joined.sum(axis=0) <= 1
-            single_faces.append(number[faces].reshape(-1, len(block))[:, single])
-            middles.append(mesh.points[block.nodes[single]].mean(axis=1))
-    # Of these, cells that share a face with another of them.
-    faces_of_single = np.hstack(single_faces)
-    times = np.bincount(faces_of_single.ravel(), minlength=int(number.max()) + 1)
-    return np.concatenate(middles)[(times[faces_of_single] > 1).any(axis=0)]
-
-
-def coincident_nodes(mesh: Mesh) -> Array:
-    """Return pairs of coincident surface nodes that share no unknowns and do not depend on others.
-
-    Shape (k, 2), int64: indices of nodes.
-    """
-    surface = outer_surface(mesh.blocks).node_ids
-    shortest = min(float(edge_lengths(mesh.points, b).min()) for b in mesh.blocks if len(b))
-    tree = KDTree(mesh.points[surface])
-    pairs = tree.query_pairs(_COINCIDENT * shortest, output_type="ndarray")
-    pairs = np.sort(surface[pairs], axis=1) if len(pairs) else np.empty((0, 2), dtype=np.int64)
-    return pairs if mesh.dependents is None else pairs[~mesh.dependents.among(pairs)]
-
-
-def gap(mesh: Mesh, nodes: Array, others: Array) -> float:
-    """Return the least distance, m, between two sets of nodes, each of shape (k,), int64."""
-    tree = KDTree(mesh.points[nodes])
-    return float(tree.query(mesh.points[others])[0].min())
-
 
 # Pairs of bodies with unmerged nodes in the warnings; the message counts the others.
 _MAX_REPORTED = 5
@@ -285,8 +31,6 @@ _USUAL = {
 }
 # Largest lever over the mesh's diagonal: longer ones are probably millimetres read as metres.
 _LONGEST_LEVER = 3.0
-
-
 # Main nodes of a secondary node that show a coarse side: 30 for cells of one size, 64 to 80 for
 # half the size.
 _FINER = 60
@@ -294,6 +38,13 @@ _FINER = 60
 _WIDE = 3.0
 # Part of the distance, a hundredth of an edge: the difference of two meshes of a round surface.
 _CLOSED = 0.1
+# Strain of a preload: bolts of steel and titanium yield at 0.01 at most, those of nylon at 0.05.
+_STRAINED = 0.1
+# rad: 5 % of the force pulls across; straight facets of a round shank show 1 degree.
+_OBLIQUE = np.radians(3.0)
+_SIDEWAYS = 0.1
+"""Largest area of free facets across a shank's direction, over that of the middle direction: above
+it they show no direction. A cone of 20 degrees has 0.06."""
 
 
 def warnings_of(component: ComponentModel) -> list[BundleProblem]:
@@ -301,30 +52,25 @@ def warnings_of(component: ComponentModel) -> list[BundleProblem]:
     mesh = component.uncut_mesh
     bodies, pairs = bodies_of(mesh), coincident_nodes(mesh)
     shape = [BundleProblem("mesh", message) for message in quality_warnings(quality(mesh))]
-    problems = shape + coincidence_warnings(mesh, bodies, pairs) + set_up_warnings(component)
-    return problems + stack_problems(component)
+    unmerged = coincidence_warnings(mesh, bodies, pairs)
+    return [*shape, *unmerged, *set_up_warnings(component), *stack_problems(component)]
 
 
-def set_up_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return warnings about sections, supports and units of the component."""
-    problems = section_warnings(component) + support_warnings(component) + unit_warnings(component)
-    problems += tie_warnings(component) + bolt_warnings(component)
-    for number, material in enumerate(component.bundle.materials if component.bundle else ()):
+def set_up_warnings(component: ComponentModel) -> Iterator[BundleProblem]:
+    """Yield warnings about sections, supports, units, ties and bolts of the component."""
+    yield from section_warnings(component)
+    yield from support_warnings(component)
+    yield from unit_warnings(component)
+    yield from tie_warnings(component)
+    yield from bolt_warnings(component)
+    for number, material in enumerate(component.bundle.materials):
         if material.thermal_expansion is not None and component.temperature is None:
             message = "has no effect without [inputs.temperature]; add it, or leave this key out"
-            problems.append(BundleProblem(f"material[{number}].thermal_expansion", message))
-    return problems
+            yield BundleProblem(f"material[{number}].thermal_expansion", message)
 
 
-# Strain of a preload: bolts of steel and titanium yield at 0.01 at most, those of nylon at 0.05.
-_STRAINED = 0.1
-# rad: 5 % of the force pulls across; straight facets of a round shank show 1 degree.
-_OBLIQUE = np.radians(3.0)
-
-
-def bolt_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return warnings on preloads that are too large for the shank, and on oblique axes."""
-    problems = []
+def bolt_warnings(component: ComponentModel) -> Iterator[BundleProblem]:
+    """Yield warnings on preloads that are too large for the shank, and on oblique axes."""
     for bolt in component.bolts:
         strength = strength_at(component, bolt)
         stiffest = max(material.youngs_modulus for material in component.materials)
@@ -333,14 +79,14 @@ def bolt_warnings(component: ComponentModel) -> list[BundleProblem]:
                 f"is a strain of {strain:.2g} or more in the shank, which no bolt can carry; write "
                 "a smaller force, or correct a unit: force is in N, lengths are in the mesh's unit"
             )
-            problems.append(BundleProblem(f"{bolt.key}.force", message))
+            yield BundleProblem(f"{bolt.key}.force", message)
         if strength is not None and bolt.bolt.force > strength * bolt.area:
             message = (
                 f"is a mean stress of {bolt.bolt.force / bolt.area:.4g} Pa in the shank, above its "
                 f"yield strength of {strength:.4g} Pa; yielding is not modelled, so write a "
                 "smaller force"
             )
-            problems.append(BundleProblem(f"{bolt.key}.force", message))
+            yield BundleProblem(f"{bolt.key}.force", message)
         angle, direction = shank_direction(component, bolt)
         if angle > _OBLIQUE:
             axis = (np.round(direction, 4) + 0.0).tolist()
@@ -349,13 +95,7 @@ def bolt_warnings(component: ComponentModel) -> list[BundleProblem]:
                 f"{100 * np.sin(angle):.2g} % of the force pulls it sideways; write axis = {axis}, "
                 "or move point to where the shank is straight"
             )
-            problems.append(BundleProblem(f"{bolt.key}.axis", message))
-    return problems
-
-
-_SIDEWAYS = 0.1
-"""Largest area of free facets across a shank's direction, over that of the middle direction: above
-it they show no direction. A cone of 20 degrees has 0.06."""
+            yield BundleProblem(f"{bolt.key}.axis", message)
 
 
 def shank_direction(component: ComponentModel, bolt: BoltCut) -> tuple[float, Array]:
@@ -404,17 +144,16 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
     return [BundleProblem("analysis.integration", message)]
 
 
-def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
-    """Return a warning for the unmerged nodes of each two bodies, and of slits within a body.
+def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> Iterator[BundleProblem]:
+    """Yield a warning for the unmerged nodes of each two bodies, and of slits within a body.
 
     mesh, bodies: a mesh, and its connected bodies.
-    pairs: shape (k, 2), int64: indices of coincident nodes (`fea.inspection.coincident_nodes`).
+    pairs: shape (k, 2), int64: indices of coincident nodes (`fea.mesh.bodies.coincident_nodes`).
     """
     owner = np.zeros(len(mesh.points), dtype=np.int64)
     for number, nodes in enumerate(bodies.nodes):
         owner[nodes] = number
     between = np.sort(owner[pairs], axis=1)
-    problems = []
     for first, second in np.unique(between, axis=0)[:_MAX_REPORTED].tolist():
         here = pairs[(between == [first, second]).all(axis=1)]
         where = point_text(mesh.points[here[0, 0]])
@@ -427,15 +166,13 @@ def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> list[Bundl
             "are not joined; if the material is joined there, merge them in the mesher (gmsh: "
             "removeDuplicateNodes)"
         )
-        problems.append(BundleProblem("mesh", message))
-    return problems
+        yield BundleProblem("mesh", message)
 
 
-def section_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return warnings about the positions of the section and the supports."""
+def section_warnings(component: ComponentModel) -> Iterator[BundleProblem]:
+    """Yield warnings about the positions of the section and the supports."""
     mesh, constrained = component.mesh, component.fixed_nodes
     surface = outer_surface(mesh.blocks).node_ids
-    problems = []
     for interface in component.interfaces:
         section = interface.section
         key = f"{interface.key}.section"
@@ -444,7 +181,7 @@ def section_warnings(component: ComponentModel) -> list[BundleProblem]:
                 "is a set of nodes that bounds no face, so all nodes have equal weights; for area "
                 "weights name a facet group, or all nodes of the face"
             )
-            problems.append(BundleProblem(key, message))
+            yield BundleProblem(key, message)
         inside = np.setdiff1d(section.node_ids, surface)
         if inside.size:
             message = (
@@ -452,8 +189,9 @@ def section_warnings(component: ComponentModel) -> list[BundleProblem]:
                 f"{point_text(mesh.points[inside[0]])} m, are inside the body; name nodes of its "
                 "surface"
             )
-            problems.append(BundleProblem(key, message))
+            yield BundleProblem(key, message)
         constrained = np.union1d(constrained, section.node_ids)
+
     rigid_cells = [
         block.nodes[np.isin(block.nodes, constrained).all(axis=1), 0] for block in mesh.blocks
     ]
@@ -464,32 +202,27 @@ def section_warnings(component: ComponentModel) -> list[BundleProblem]:
             f"{point_text(mesh.points[corners[0]])} m, because all their nodes are fixed or in the "
             "section; mesh more cells between section and supports"
         )
-        problems.append(BundleProblem("mesh", message))
-    return problems
+        yield BundleProblem("mesh", message)
 
 
-def support_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return a warning if the supports hold single nodes only.
-
-    The answer then depends on the mesh size.
-    """
+def support_warnings(component: ComponentModel) -> Iterator[BundleProblem]:
+    """Yield a warning if supports hold single nodes only: the answer depends on the mesh size."""
     surface = outer_surface(component.mesh.blocks)
     nodes = component.supported_nodes
     if not nodes.size:  # a held interface replaces the supports
-        return []
+        return
     if facets_within(surface, nodes).blocks:
-        return []
+        return
     message = (
         f"has no complete face (nodes: {len(nodes)}); an elastic body has no finite displacement "
         "at a point load, so the answer depends on the mesh size. Fix the nodes of a face"
     )
     only_fixed = len(nodes) == len(component.fixed_nodes)
-    return [BundleProblem("supports.fixed" if only_fixed else "supports", message)]
+    yield BundleProblem("supports.fixed" if only_fixed else "supports", message)
 
 
-def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return warnings about untied nodes, gaps that a tie closes, and a coarse side."""
-    problems = []
+def tie_warnings(component: ComponentModel) -> Iterator[BundleProblem]:
+    """Yield warnings about untied nodes, gaps that a tie closes, and a coarse side."""
     dependents = component.mesh.dependents
     for i, tie in enumerate(component.ties):
         texts = []
@@ -512,29 +245,28 @@ def tie_warnings(component: ComponentModel) -> list[BundleProblem]:
         if dependents is not None and dependents.map[tie.nodes].nnz > _FINER * len(tie.nodes):
             swap = "swap the two groups, which is faster and more exact"
             texts.append(f"the secondary surface is coarser than the main surface: {swap}")
-        problems += [BundleProblem(f"tie[{i}]", text) for text in texts]
-    return problems
+        yield from (BundleProblem(f"tie[{i}]", text) for text in texts)
 
 
-def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
-    """Return warnings about numbers that are probably in another unit than SI."""
-    problems = []
+def unit_warnings(component: ComponentModel) -> Iterator[BundleProblem]:
+    """Yield warnings about numbers that are probably in another unit than SI."""
     for number, material in enumerate(component.materials):
         for key, (low, high, si, kind, unit) in _USUAL.items():
             if (value := getattr(material, key)) is not None and not low <= value <= high:
                 text = f"is {value:.4g} {si}, {kind}; if it is in {unit}, convert it to {si}"
-                problems.append(BundleProblem(f"material[{number}].{key}", text))
+                yield BundleProblem(f"material[{number}].{key}", text)
+
     points = component.mesh.points
     low_corner, high_corner = points.min(axis=0), points.max(axis=0)
     size = float(np.linalg.norm(high_corner - low_corner))
-    source = component.bundle.mesh if component.bundle else None
-    geometry = source.geometry if source else None
+    source = component.bundle.mesh
+    geometry = source and source.geometry
     if geometry is not None and geometry.size > size:
         message = (
             f"is {geometry.size:.4g} m, more than the part's size of {size:.4g} m; if the number "
             "is in mm, convert it to m"
         )
-        problems.append(BundleProblem("mesh.size", message))
+        yield BundleProblem("mesh.size", message)
     for interface in component.interfaces:
         away = interface.point - np.clip(interface.point, low_corner, high_corner)
         lever = float(np.linalg.norm(away))
@@ -544,5 +276,4 @@ def unit_warnings(component: ComponentModel) -> list[BundleProblem]:
             f"is {lever:.4g} m away from a mesh that is {size:.4g} m large; if the number is in "
             "the mesh's unit, convert it to m"
         )
-        problems.append(BundleProblem(f"{interface.key}.point", message))
-    return problems
+        yield BundleProblem(f"{interface.key}.point", message)

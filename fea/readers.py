@@ -25,10 +25,7 @@ from wrenchbook.fea.spec.schema import Deck
 
 
 class OutputError(ValueError):
-    """The interface's motion is not in the output.
-
-    The message has the missing item and its place.
-    """
+    """The interface's motion is not in the output; the message names what is missing, and where."""
 
 
 @dataclass(frozen=True)
@@ -158,10 +155,7 @@ class CalculixDat:
         return Reading((*translation, *rotation), int(counts[-1]) if counts else 0)
 
     def complaint(self, run: DeckRun) -> Complaint | None:
-        """Return the messages of ccx after ``*ERROR``.
-
-        Ccx may end with exit code 0 in spite of them.
-        """
+        """Return the messages of ccx after ``*ERROR``, which may end with exit code 0."""
         errors = list(_errors(_text(run.printed)))
         if not errors:
             return None

@@ -76,8 +76,6 @@ def checked_wrench(
 
     wrench: shape (6 i + f,); or a mapping from an interface's name to six numbers (an interface
     without a load may be missing) and from each further input's name to a number.
-    names: the names of the i interfaces.
-    further: the names of the f inputs after the loads.
 
     Raises ValueError if there are not six finite numbers for each interface and one for each
     further input, an interface is unknown, or a further input is missing.

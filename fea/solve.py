@@ -11,49 +11,34 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_array
 
-from wrenchbook.fea.assembly.blocks import filled_cells
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import ROUNDOFF, System
 from wrenchbook.fea.component import ComponentModel, build
-from wrenchbook.fea.coupling import CoupledState, Coupling, Distributed, Rigid
-from wrenchbook.fea.coupling.coupling import SectionCoupling, from_origin
+from wrenchbook.fea.coupling import CoupledState
+from wrenchbook.fea.coupling.coupling import from_origin
 from wrenchbook.fea.deck.solving import solve_deck
-from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.element.pressure_projection import pressure_notes
+from wrenchbook.fea.equations import material_of_parts, system_of
 from wrenchbook.fea.export.failure_record import keep
 from wrenchbook.fea.failure import SolveFailed, rotation_too_large
-from wrenchbook.fea.inspection import bodies_of, coincidence_warnings, coincident_nodes, warnings_of
-from wrenchbook.fea.mesh.mesh import CellBlock
-from wrenchbook.fea.mesh.reference_cell import reference_element
+from wrenchbook.fea.inspection import coincidence_warnings, warnings_of
+from wrenchbook.fea.mesh.bodies import bodies_of, coincident_nodes
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
-from wrenchbook.fea.recovery.stress import (
-    body_force_of,
-    material_of_parts,
-    most_used,
-    small_stress,
-    stress_of,
-    yielding,
-)
+from wrenchbook.fea.recovery.stress import most_used, small_stress, stress_of, yielding
 from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
+from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
 from wrenchbook.fea.solver.load_steps import LoadPath, at_rest, hang
 from wrenchbook.fea.solver.newton import Equilibrium
+from wrenchbook.fea.solver.reduction import CraigBampton, craig_bampton
 from wrenchbook.fea.solver.third_derivatives import (
     MAX_CURVATURE_INPUTS,
     packed,
     second_derivatives_at_rest,
     third_derivatives,
 )
-from wrenchbook.fea.solver.vibration import (
-    CraigBampton,
-    Riding,
-    Vibration,
-    buckling_factors,
-    consistent_mass,
-    craig_bampton,
-    first_vibration,
-)
+from wrenchbook.fea.solver.vibration import Riding, Vibration, consistent_mass, first_vibration
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 
 __all__ = ["MAX_DEGREES", "Solver", "solve"]
@@ -121,8 +106,7 @@ class Solver:
 
     def __init__(self, bundle: Bundle | ComponentModel) -> None:
         self.component = bundle if isinstance(bundle, ComponentModel) else build(bundle)
-        self._active = self.component.active
-        self._system = system_of(self.component, self._active)
+        self._system = system_of(self.component)
         self._hangs = bool(self.component.analysis.gravity or self.component.bolts)
 
     def inputs(self, wrench: Loads) -> Array:
@@ -147,7 +131,7 @@ class Solver:
     def volumes(self) -> list[tuple[Array, Array]]:
         """For each block of cells their materials' indices and volumes, (cells,) each, m^3."""
         volumes = [part.gradients.weights.sum(axis=1) for part in self.body.parts]
-        return list(zip(material_of_parts(self.component, self.body), volumes, strict=True))
+        return list(zip(material_of_parts(self.component), volumes, strict=True))
 
     @cached_property
     def linear(self) -> LinearResponse:
@@ -167,7 +151,7 @@ class Solver:
         bodies = bodies_of(mesh)
         if failure.kind != "mechanism" or bodies.count == 1:
             return failure
-        touching = coincidence_warnings(mesh, bodies, coincident_nodes(mesh))
+        touching = [*coincidence_warnings(mesh, bodies, coincident_nodes(mesh))]
         if not touching:
             return failure
         remedy = (
@@ -197,10 +181,7 @@ class Solver:
 
     @cached_property
     def tightened(self) -> LinearResponse | None:
-        """The linear response while bolts are tightened.
-
-        Its `sag` is by the preload. None without bolts.
-        """
+        """The linear response while bolts are tightened, its `sag` by the preload; None without."""
         if self._system.preload is None:
             return None
         try:
@@ -297,7 +278,7 @@ class Solver:
 
         The first frame is the held interface's, or else that of the supports, with the mesh's axes.
 
-        Raises the errors of `fea.solver.vibration.craig_bampton`.
+        Raises the errors of `fea.solver.reduction.craig_bampton`.
         """
         held = [("base", np.zeros(3), np.eye(3))]
         frames = []
@@ -332,7 +313,7 @@ class Solver:
     def buckling(self, wrench: Loads) -> tuple[float, float]:
         """Return the multiples of a wrench, and of its opposite, at which the part buckles.
 
-        The method is linear buckling (`fea.solver.vibration`). A factor is infinite if no multiple
+        The method is linear buckling (`fea.solver.buckling`). A factor is infinite if no multiple
         buckles the part. The wrench is as of `solve`.
 
         Raises ValueError and SolveFailed as `solve` and `linear` do.
@@ -376,8 +357,8 @@ class Solver:
         inputs = self.inputs(wrench)
         # Loads on locked freedoms have no effect; further inputs act relative to their references.
         acting = inputs - self.component.at_rest
-        loads = self._system.coupling.freedoms
-        acting[np.setdiff1d(np.arange(loads), self._active)] = 0.0
+        loads = np.arange(self._system.coupling.freedoms)
+        acting[np.setdiff1d(loads, self.component.active)] = 0.0
         analysis = self.component.analysis
         if not analysis.nonlinear or not (acting.any() or self._hangs):
             solution = self._solve_linear(inputs, acting)
@@ -403,10 +384,7 @@ class Solver:
         return most_used(self.component, self.body, self.linear.fields)
 
     def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
-        """Return the linear answer.
-
-        `acting` (k,): the inputs with an effect, `wrench`: all inputs.
-        """
+        """Return the linear answer of all inputs, (k,); `acting` are those with an effect."""
         linear, tight = self.linear, self.tightened
         displacement, nodes = linear.compliance @ acting, linear.fields @ acting
         after = nodes + linear.sag  # the state after bolts are tightened, with the self-weight
@@ -414,6 +392,7 @@ class Solver:
         energy = 0.5 * inputs @ linear.energies @ inputs
         work = acting[: len(displacement)] @ (displacement + linear.sag_displacement)
         work += np.vdot(self._system.dead_forces(acting), after)
+
         if tight is not None:
             # The mutual energy with the tightened state is the work of the preload on later
             # displacements.
@@ -424,6 +403,7 @@ class Solver:
             if warming := self._system.temperature(acting):
                 rates, _ = self.body.thermal_rates(np.zeros_like(after))
                 energy += warming * np.vdot(rates, tight.sag)
+
         at_rest, nodes_at_rest = self.at_rest
         displacement, nodes = displacement + at_rest, nodes + nodes_at_rest
         _require_small_rotation(displacement)
@@ -445,10 +425,7 @@ class Solver:
     def _solve_nonlinear(
         self, wrench: Array, acting: Array, progress: Progress | None, start: CoupledState | None
     ) -> Solution:
-        """Return the nonlinear answer.
-
-        `acting` (k,): the inputs with an effect, `wrench`: all inputs.
-        """
+        """Return the nonlinear answer of all inputs, (k,); `acting` are those with an effect."""
         unloaded = self.unloaded if self._hangs else None
         tight = self._tight
         if start is not None and tight is not None:
@@ -510,10 +487,7 @@ class Solver:
         )
 
     def _curvature(self, balance: Balance, tangent: Linearisation) -> Array | None:
-        """Return the packed third derivatives at a state.
-
-        None if linear, or if there are too many inputs.
-        """
+        """Return the packed third derivatives at a state; None if linear, or of too many inputs."""
         if not self.component.analysis.nonlinear or self._system.inputs > MAX_CURVATURE_INPUTS:
             return None
         return packed(third_derivatives(self._system, balance, tangent, self._origin))
@@ -544,88 +518,3 @@ def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> No
     if largest > MAX_DEGREES:
         number = f" {degrees.argmax() + 1} of component.toml" if len(degrees) > 1 else ""
         raise rotation_too_large(largest, MAX_DEGREES, load_factor, f"Interface{number}")
-
-
-def system_of(component: ComponentModel, active: Array) -> System:
-    """Set up the equations in the first interface's frame, with its point as the origin.
-
-    active: shape (k,): indices of the freedoms that are not locked.
-    """
-    mesh = component.mesh
-    mesh = replace(mesh, points=(mesh.points - component.interfaces[0].point) @ component.axes.T)
-    coupling = _coupling_of(component, active)
-    # The cells, their free nodes, and the tension of bolts on the slips of their cuts.
-    free = np.ones(len(mesh.points), dtype=bool)
-    free[component.fixed_nodes] = False
-    free[coupling.constrained] = False
-    pulled = np.zeros_like(mesh.points)
-    for bolt in component.bolts:
-        free[bolt.slip] = bolt.bolt.keeps == "force"
-        pulled[bolt.slip] = -bolt.bolt.force * (component.axes @ bolt.axis)
-    integration, rise = component.analysis.integration, component.temperature_rise
-    materials, numbers = component.materials, component.material_of_cells
-    frame = component.axes, component.interfaces[0].point
-    filled = filled_cells(mesh, materials, numbers, integration, *frame)
-    if rise is not None:
-        filled = [(block, _warmed(block, part, rise, integration)) for block, part in filled]
-    nodes, held = component.guided
-    body = ElasticBody(mesh, filled, free, (nodes, component.axes @ held @ component.axes.T))
-    # Self-weight is constant; the acceleration is an input.
-    gravity = component.analysis.gravity
-    weight = None
-    body_force = None
-    if gravity is not None:
-        weight = body_force_of(component, body) @ np.array(gravity)
-    if component.accelerated:
-        body_force = body_force_of(component, body)
-    preload = pulled if component.bolts else None
-    return System(body, coupling, component.mesh.points, weight, body_force, preload)
-
-
-def _coupling_of(component: ComponentModel, active: Array) -> Coupling:
-    """Return the coupling of a component's interfaces and frames, which springs hold.
-
-    active: shape (k,): indices of the freedoms that are not locked.
-    """
-    # Each interface's coupling, its nodes, and its axes in the body's if they differ.
-    sections: list[tuple[SectionCoupling, Array, Array | None]] = []
-    for attached in (*component.interfaces, *component.frames):
-        nodes = attached.section.node_ids
-        points = ((component.mesh.points - attached.point) @ attached.axes.T)[nodes]
-        if attached.coupling == "rigid":
-            section = Rigid(points)
-        else:
-            section = Distributed(points, attached.section.weights)
-        same = np.array_equal(attached.axes, component.axes)
-        sections.append((section, nodes, None if same else attached.axes @ component.axes.T))
-    first, n_frames = len(component.interfaces), len(component.frames)
-    springs = [
-        (tuple(first + frame for frame in ends), stiffness) for ends, stiffness in component.springs
-    ]
-    size = len(component.mesh.points)
-    return Coupling(size, sections, active, _anchors(component), n_frames, springs)
-
-
-def _warmed(block: CellBlock, cells: CellStiffness, rise: Array, integration: str) -> CellStiffness:
-    """Return cells with a thermal expansion times the rise at each node, (nodes,), a part of 1."""
-    values = reference_element(block.kind, integration).values
-    assert cells.expansion is not None
-    part = rise[block.nodes] @ values.T
-    return replace(cells, expansion=part[:, :, None, None] * cells.expansion)
-
-
-def _anchors(component: ComponentModel) -> Array:
-    """Return three distant nodes of each section whose mean may be the only support of the part."""
-    anchors = [np.empty(0, dtype=np.int64)]
-    held = [interface for interface in component.interfaces if interface.locked == FREEDOMS]
-    held = [] if component.fixed_nodes.size else held
-    for attached in (*held, *component.frames):
-        if attached.coupling == "distributed":
-            nodes = np.setdiff1d(attached.section.node_ids, component.sliding[0])
-            arms = component.mesh.points[nodes] - component.mesh.points[nodes].mean(axis=0)
-            first = int(np.linalg.norm(arms, axis=1).argmax())
-            away = arms - arms[first]
-            second = int(np.linalg.norm(away, axis=1).argmax())
-            third = int(np.linalg.norm(np.cross(away, away[second]), axis=1).argmax())
-            anchors.append(nodes[[first, second, third]])
-    return np.concatenate(anchors)

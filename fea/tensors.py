@@ -48,10 +48,7 @@ def rotation(vector: Array) -> Array:
 
 
 def rotation_less_identity(vector: Array) -> Array:
-    """Return exp([r]x) - I without the roundoff of a subtraction.
-
-    Shapes (3,), rad, to (3, 3), dimensionless.
-    """
+    """Return exp([r]x) - I, (3, 3), of (3,), rad, without the roundoff of a subtraction."""
     X = skew(vector)
     a, b, _ = _coefficients(vector)
     return a * X + b * (X @ X)
@@ -133,6 +130,12 @@ def _series(square: complex, start: int) -> complex:
         term = -term * square / ((2 * k + start - 1) * (2 * k + start))
         total = total + term
     return total
+
+
+def deviator(tensor: Array) -> Array:
+    """Return tensors less a third of their trace times I, shape (..., 3, 3), in their unit."""
+    mean = np.trace(tensor, axis1=-2, axis2=-1) / 3.0
+    return tensor - mean[..., None, None] * np.eye(3)
 
 
 def von_mises(stress: Array) -> Array:

@@ -28,7 +28,7 @@ OTHERS = frozenset(
     | {"KILLS", "SOAK", "SOAK_KILLS", "SOAK_SEEDS", "BENCH_ROUNDS", "BENCH_UNKNOWNS"}
 )
 _SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")  # schemes by which Dask connects to other machines
-_DONE, _FAILED = "folders of done attempts are kept", "folders of failed and cancelled ones"
+_DONE, _FAILED = "folders of done attempts", "folders of failed and cancelled ones"
 Count = Annotated[int, Ge(0)]
 Days = Annotated[float, Ge(0)]
 LogLevel = Literal["debug", "info", "warning", "error"]
@@ -43,8 +43,8 @@ class Settings:
         default_factory=usable_cores
     )
     host: Annotated[str, "address to listen on"] = "127.0.0.1"
-    port: Annotated[int, Ge(0), Le(65535), "0 takes a free one"] = 8000
-    processes: Annotated[int, Ge(1), Le(64), "that answer requests; one more builds tables"] = 1
+    port: Annotated[int, Ge(0), Le(65535), "port to listen on; 0: a free one"] = 8000
+    processes: Annotated[int, Ge(1), Le(64), "processes that answer; one more builds tables"] = 1
     engine: Annotated[str, "where solves run: local or dask"] = "local"
     scheduler: Annotated[str | None, "with --engine dask: tcp://HOST:8786, or tls://"] = None
     allow_decks: Annotated[bool, "take uploaded decks, whose command solvers run"] = False
@@ -56,10 +56,10 @@ class Settings:
     actor_jobs: Annotated[int | None, Ge(0), "open jobs of an actor; by default any number"] = None
     actor_seconds: Annotated[float | None, Ge(0), "solver seconds of an actor in 24 h"] = None
     table_memory: Annotated[Count, "MB of rows and numpy tables that stay in memory"] = 700
-    keep_days: Annotated[Days, f"days that {_DONE}"] = 30.0
-    keep_count: Annotated[Count, f"most {_DONE}, 27 kB each"] = 2000
+    keep_days: Annotated[Days, f"days that {_DONE} are kept"] = 30.0
+    keep_count: Annotated[Count, f"{_DONE} that are kept, at most; 27 kB each"] = 2000
     keep_failed_days: Annotated[Days, f"days that {_FAILED} are kept"] = 180.0
-    keep_failed_count: Annotated[Count, f"most {_FAILED} that are kept"] = 10_000
+    keep_failed_count: Annotated[Count, f"{_FAILED} that are kept, at most"] = 10_000
     log_level: Annotated[LogLevel, "how much is logged"] = "info"
     log_format: Annotated[Literal["text", "json"], "lines for people or JSON for programs"] = "text"
     access_log: Annotated[bool, "a line a request; queries take no fast path then"] = False
@@ -74,11 +74,11 @@ class Settings:
     replicate: Annotated[
         str | None, "ship ledger, tables, bundles and surfaces to file:///FOLDER, s3://, sftp://"
     ] = None
-    replicate_interval: Annotated[float, Ge(0.5), "s of work that a lost machine may cost"] = 5.0
-    public_url: Annotated[str | None, "of this server, for writes that a replica's refuses"] = None
+    replicate_interval: Annotated[float, Ge(0.5), "seconds of work that a lost machine costs"] = 5.0
+    public_url: Annotated[str | None, "this server's URL, which its read-only servers name"] = None
     read_only: Annotated[str | None, "URL of a replica to answer from; no writes, no solves"] = None
     backup_every: Annotated[Days, "hours between backups, each tested; 0: none"] = 0.0
-    backup_folder: Annotated[Path | None, "of these; by default DATA/backups"] = None
+    backup_folder: Annotated[Path | None, "folder of the backups; by default DATA/backups"] = None
     backup_keep: Annotated[int, Ge(1), "newest backups that are kept"] = 7
     first_key: Annotated[bool, "make a key for admin if there is none; printed once"] = False
 

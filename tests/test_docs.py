@@ -2,7 +2,7 @@
 
 A block below the line ``<!-- not run: REASON -->`` or ``<!-- run by TEST -->`` is left out. The
 Python blocks of a page or the cells of a notebook run in one namespace, against a server with
-solvers and an empty data directory.
+solvers and an empty data directory. A text block right below a Python block is what that prints.
 """
 
 from __future__ import annotations
@@ -42,6 +42,19 @@ PAGES = [
 RUN = [
     ROOT / "README.md",
     DOCS / "concepts/coupling.md",
+    *(
+        DOCS / f"how-to/{name}.md"
+        for name in (
+            "batches",
+            "compare",
+            "in-process",
+            "record",
+            "scene",
+            "several-inputs",
+            "simulators",
+            "um-bridge",
+        )
+    ),
     *sorted(DOCS.glob("tutorials/*.md")),
     *sorted(DOCS.glob("notebooks/*.ipynb")),
 ]
@@ -72,6 +85,21 @@ def python_of(page: Path) -> list[tuple[int, str]]:
     if page.suffix == ".ipynb":
         return [*enumerate(cells(page, "code"), 1)]
     return [*blocks(page, "python")]
+
+
+def shown_below(page: Path, line: int) -> str | None:
+    """The text block that follows the Python block of a line, None without one."""
+    below = "".join(page.read_text().splitlines(keepends=True)[line:])
+    block = re.match(r".*?^```\n\n```text\n(.*?)^```", below, re.M | re.S)
+    return block[1] if block and block[0].count("```") == 3 else None
+
+
+def parts(text: str) -> tuple[list[str], list[float]]:
+    """The words of a text and its numbers."""
+    number = r"[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?"
+    return " ".join(re.sub(number, "#", text).split()).split(), [
+        *map(float, re.findall(number, text))
+    ]
 
 
 def anchors(page: Path) -> set[str]:
@@ -151,8 +179,19 @@ def test_every_other_python_block_says_why_it_is_not_run_here():
     assert left == []
 
 
+@pytest.fixture
+def float32_of_jax():
+    """Restore the precision of JAX, which a page sets for the process."""
+    yield
+    if "jax" in sys.modules:
+        sys.modules["jax"].config.update("jax_enable_x64", False)
+
+
+@pytest.mark.usefixtures("float32_of_jax")
 @pytest.mark.parametrize("page", RUN, ids=shown)
-def test_the_python_of_a_tutorial_or_notebook_runs_in_order(page, tmp_path, monkeypatch):
+def test_the_python_of_a_page_runs_in_order_and_prints_what_the_page_shows(
+    page, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     (tmp_path / "data").symlink_to(ROOT / "data")
@@ -161,7 +200,14 @@ def test_the_python_of_a_tutorial_or_notebook_runs_in_order(page, tmp_path, monk
         namespace: dict = {"__name__": "tutorial"}
         for line, text in python_of(page):
             text = "\n" * line + text.replace("http://127.0.0.1:8000", client.url)
+            capsys.readouterr()
             exec(compile(text, shown(page), "exec"), namespace)
+            below = shown_below(page, line) if page.suffix == ".md" else None
+            if below:
+                (words, numbers), (printed, values) = parts(below), parts(capsys.readouterr().out)
+                assert printed == words
+                # The number of threads of a BLAS moves the last of the digits that are shown.
+                assert values == pytest.approx(numbers, rel=0.05)
         for value in namespace.values():
             if isinstance(value, wrenchbook.Client):
                 value.close()

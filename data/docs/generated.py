@@ -29,15 +29,31 @@ FOLDER = Path(__file__).parent
 
 
 def commands() -> list[str]:
-    """Return the commands with their arguments, purposes and options, a table a group."""
-    rows = {}
+    """Return the commands and their options with their purposes, two tables a group."""
+    rows, options = {}, {}
     for name, group in typer.main.get_command(program).commands.items():
         for word, command in getattr(group, "commands", {"": group}).items():
             call = [name, *filter(None, [word]), *_positional(name, command)]
             purpose = (command.help or group.help or "").partition("\n\n")[0]
-            options = " ".join(f"`{option}`" for option in _options(name, command))
-            rows.setdefault(name, []).append((f"`{' '.join(call)}`", purpose, options))
-    return _grouped("command", COMMANDS, rows, ("command", "purpose", "options"))
+            rows.setdefault(name, []).append((f"`{' '.join(call)}`", purpose))
+            for option, meaning in _options(name, command):
+                callers = options.setdefault((option, meaning), [])
+                callers.append(" ".join([name, *filter(None, [word])]))
+
+    def table(group: tuple[str, ...]) -> list[str]:
+        """Return the options of a group's commands; a meaning that several have is there once."""
+        lines = [
+            (f"`{option}`", ", ".join(f"`{call}`" for call in callers), meaning)
+            for (option, meaning), callers in options.items()
+            if callers[0].partition(" ")[0] in group
+        ]
+        return _table(("option", "of", "meaning"), lines)
+
+    return _grouped("command", COMMANDS, rows, ("command", "purpose"), table)
+
+
+COMMON = ("--json", "--server", "--data")
+"""Options that the page describes above its tables."""
 
 
 COMMANDS = {
@@ -53,14 +69,20 @@ COMMANDS = {
 """The commands by their use."""
 
 
-def _grouped(kind: str, groups: dict, rows: dict, head: tuple[str, ...]) -> list[str]:
-    """Return a heading and a table for each group; a name without a group is a mistake."""
+def _grouped(
+    kind: str, groups: dict, rows: dict, head: tuple[str, ...], after: Callable = lambda group: ()
+) -> list[str]:
+    """Return a heading and a table for each group, and the lines that `after` has for its names.
+
+    A name without a group is a mistake.
+    """
     names = [name for group in groups.values() for name in group]
     if set(names) != set(rows):
         raise ValueError(f"not each {kind} is in one group: {set(names) ^ set(rows)}")
     lines = []
     for heading, group in groups.items():
         lines += [f"## {heading}", "", *_table(head, [row for name in group for row in rows[name]])]
+        lines += after(group)
     return lines
 
 
@@ -74,12 +96,18 @@ def _positional(name: str, command: Any) -> list[str]:
     return [word if item.required else f"[{word}]" for item, word in zip(items, shown, strict=True)]
 
 
-def _options(name: str, command: Any) -> list[str]:
-    """Return the options of a command; of those of `PROGRAMS` as their help lists them."""
+def _options(name: str, command: Any) -> list[tuple[str, str]]:
+    """Return a command's own options and their meanings, of `PROGRAMS` from their help."""
     if name in PROGRAMS:
-        return re.findall(r"^  (?:-\w, )?(--(?!help)[\w-]+)", _help_of(name), re.M)
-    shown = [item for item in command.params if not getattr(item, "hidden", False)]
-    return [text for item in shown for text in item.opts if text.startswith("--")]
+        listed = re.findall(
+            r"^  (?:-\w, )?(--[\w-]+)(?: \S+)*?(?:  +|\n +)(.*)", _help_of(name), re.M
+        )
+    else:
+        shown = [item for item in command.params if not getattr(item, "hidden", False)]
+        listed = [
+            (text, item.help or "") for item in shown for text in item.opts if text.startswith("--")
+        ]
+    return [pair for pair in listed if pair[0] not in (*COMMON, "--help")]
 
 
 @cache
@@ -117,7 +145,21 @@ CALLS = {
 def names() -> list[str]:
     """Return the public names, calls and attributes with their purposes, a table a section."""
     rows = {name: _rows_of(name) for name in wrenchbook.__all__ if name != "__version__"}
-    return _grouped("name", SECTIONS, rows, ("name", "purpose"))
+    return _grouped("name", SECTIONS, rows, ("name", "purpose"), _parameters)
+
+
+def _parameters(group: tuple[str, ...]) -> list[str]:
+    """Return the parameters of the main calls of a group of public names, a table a call."""
+    lines = []
+    for call, described in PARAMETERS.items():
+        if call.partition(".")[0] in group:
+            rows = [
+                (", ".join(f"`{name}`" for name in names.split(", ")), kind, text)
+                for names, kind, text in _described(described, "Parameters")
+            ]
+            lines += [f"### Parameters of `{call}`", ""]
+            lines += _table(("parameter", "type", "meaning"), rows)
+    return lines
 
 
 SECTIONS = {
@@ -155,6 +197,20 @@ INTERNAL = (
     *("Scene.component", "Scene.query"),
 )
 """Public members that other modules of the client call, and no program."""
+PARAMETERS = {
+    "Client": wrenchbook.Client,
+    "Client.displacement": wrenchbook.Client.displacement,
+    "Client.fill": wrenchbook.Client.fill,
+    "Client.import_table": wrenchbook.Client.import_table,
+    "Joint": wrenchbook.Joint,
+    "Joint.step": wrenchbook.Joint.step,
+    "MujocoJoint": wrenchbook.MujocoJoint,
+    "Mount": wrenchbook.Mount,
+    "MujocoMount": wrenchbook.MujocoMount,
+    "Scene": wrenchbook.Scene,
+    "Recorder": wrenchbook.Recorder,
+}
+"""The main calls, and where their parameters are described."""
 OF_MODULE = {
     "arrays": ("jax", "torch", "jax_joint"),
     "conventions": (
@@ -194,26 +250,43 @@ def _purpose(value: object) -> str:
     return (value.__doc__ or "").partition("\n")[0].replace("``", "`")
 
 
+def _described(value: object, section: str) -> list[tuple[str, str, str]]:
+    """Return the names, types and texts of a section of a docstring."""
+    text = inspect.cleandoc(value.__doc__ or "").partition(f"\n{section}\n")[2]
+    text = re.split(r"\n\n", text)[0].replace("``", "`")  # the next section follows an empty line
+    entry = r"^(\*{0,2}\w[\w, ]*?)(?: : (.*))?$((?:\n    .*)*)"
+    return re.findall(entry, text, re.M)
+
+
 def _attributes(value: type) -> list[tuple[str, str]]:
-    """Return the attributes that a class' docstring describes, then its other properties."""
-    text = inspect.cleandoc(value.__doc__ or "")
-    section = text.partition("\nAttributes\n")[2]
-    if not section and dataclasses.is_dataclass(value):
-        section = text.partition("\nParameters\n")[2]
-    section = re.split(r"\n\n", section)[0]  # the next section begins after an empty line
-    described = re.findall(r"^(\w[\w, ]*) : .*((?:\n    .*)*)", section, re.M)
-    named = {name for names, _ in described for name in names.split(", ")}
+    """Return the attributes that a class' docstring describes, then its other properties.
+
+    Fields of a reply without such a description have that of the OpenAPI document.
+    """
+    described = _described(value, "Attributes")
+    if not described and dataclasses.is_dataclass(value):
+        described = _described(value, "Parameters")
+    rows = [(names, text) for names, _, text in described]
+    named = {name for names, _, _ in described for name in names.split(", ")}
     properties = inspect.getmembers(value, lambda member: isinstance(member, property))
-    fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
-    others = [field.name for field in fields if field.name not in named]
-    rows = [(names, text.replace("``", "`")) for names, text in described]
-    if others and not described:
-        rows.append((", ".join(others), "Fields of the reply ([HTTP](http.md))."))
+    if not described and dataclasses.is_dataclass(value):
+        fields = dataclasses.fields(value)
+        rows += [(field.name, _field_text(value, field.name)) for field in fields]
     return rows + [
         (name, _purpose(member))
         for name, member in properties
         if name not in named and not name.startswith("_")
     ]
+
+
+def _field_text(value: type, field: str) -> str:
+    """Return the description of a reply's field, by the schema of the class or of its base."""
+    schemas = _openapi()["components"]["schemas"]
+    schema = next(schemas[base.__name__] for base in value.__mro__ if base.__name__ in schemas)
+    text = schema["properties"].get(field, {"description": "name of the component"})["description"]
+    for json_word in ("null", "true", "false"):
+        text = re.sub(rf"\b{json_word}\b", repr(json.loads(json_word)), text)
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def _arguments(call: Callable) -> str:
@@ -291,6 +364,7 @@ def http() -> str:
     return "\n".join(["", "## Calls", "", *calls, "## Schemas", "", *schemas])
 
 
+@cache
 def _openapi() -> dict:
     with tempfile.TemporaryDirectory() as folder:
         return create_app(Settings(Path(folder), solvers=0)).openapi()

@@ -11,17 +11,16 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.spec.problems import BundleProblem
+from wrenchbook.fea.spec.schema import FREEDOMS
 
 Array = np.ndarray
 
 WHERE = "tolerance"
 """Key of these warnings; the newest estimate replaces earlier warnings."""
 
-_OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
 FINE = 0.01
 """Largest effect of straight edges across round surfaces without a warning, as a part of a
-compliance.
-"""
+compliance."""
 
 _WORTH_A_MESH = 30.0
 """Largest ratio by which smaller cells are a remedy: it means 27,000 times as many cells."""
@@ -32,12 +31,10 @@ def over_tolerance(
 ) -> list[BundleProblem]:
     """Return warnings where a solver error is over a tolerance, m and rad.
 
-    No solve lowers this error: if the mesh's error alone is over the tolerance, covered answers are
-    beyond it, each with an error bar that shows it. The error is that at the full range, all loads
-    at once, by the compliance at small loads.
+    No solve lowers this error, so covered answers are beyond the tolerance too, each with an error
+    bar that shows it. It is that at the full range, all loads at once, by the compliance.
 
-    solver_error: of `accuracy_of`: ``loads`` (k,), SI; or None or missing ``mesh`` (6 i, k), m and
-    rad per unit load; ``linearity`` (6 i,), m and rad; ``buckling``, a factor; ``cell_size``, m.
+    solver_error: the result of `fea.accuracy.estimate.accuracy_of`, or None.
     """
     if solver_error is None:
         return []
@@ -96,7 +93,7 @@ def _buckles(solver_error: Mapping[str, Any], _: Array) -> str:
 
 def _range(solver_error: Mapping[str, Any]) -> str:
     """Return the place of the load range: with several interfaces each has its own."""
-    several = len(solver_error["loads"]) >= 2 * len(_OUTPUTS)  # further inputs are four at most
+    several = len(solver_error["loads"]) >= 2 * len(FREEDOMS)  # further inputs are four at most
     return "the range of its [[interface]]" if several else "[range]"
 
 
@@ -113,9 +110,9 @@ def _worst(errors: Array, allowed: Array) -> tuple[float, str]:
     """Return the largest ratio of error (6 i,) to tolerance (6,), and its text."""
     ratios = errors / np.resize(allowed, errors.shape)
     output = int(ratios.argmax())
-    interface, freedom = divmod(output, len(_OUTPUTS))
+    interface, freedom = divmod(output, len(FREEDOMS))
     worst = float(ratios[output])
     unit = "m" if freedom < 3 else "rad"
-    where = f" of interface {interface + 1}" if len(errors) > len(_OUTPUTS) else ""
-    text = f"{errors[output]:.2g} {unit} in {_OUTPUTS[freedom]}{where}"
+    where = f" of interface {interface + 1}" if len(errors) > len(FREEDOMS) else ""
+    text = f"{errors[output]:.2g} {unit} in {FREEDOMS[freedom]}{where}"
     return worst, f"{text}, {float(f'{worst:.2g}'):g} times the tolerance"

@@ -16,9 +16,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.component import build, read_grouped
+from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.refine import halved, refined
+from wrenchbook.fea.mesh.sources import read_grouped
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import Bundle
@@ -42,7 +43,7 @@ def coarser(solver: Solver) -> Solver | None:
     """
     bundle = solver.component.bundle
     for factor in _COARSER:
-        other = None if bundle is None else refined(bundle, factor)
+        other = refined(bundle, factor)
         if other is None:
             return None
         try:
@@ -69,7 +70,7 @@ def finer(solver: Solver, max_unknowns: int | None = None, factor: float = 2.0) 
     component = solver.component
     bundle = component.bundle
     limit = float("inf") if max_unknowns is None else max_unknowns
-    if bundle is None or bundle.mesh is None:
+    if bundle.mesh is None:
         return None
     again = refined(bundle, factor)
     dependents = component.uncut_mesh.dependents
@@ -92,15 +93,11 @@ MAX_UNKNOWNS = 350_000
 _RESPONSES = ("ux/Fx", "uy/Fy", "uz/Fz", "rx/Mx", "ry/My", "rz/Mz")
 
 _STEP = 1.5
-"""Ratio of cell sizes if a generator or a geometry is meshed anew.
-
-Cells of mesh files are halved.
-"""
+"""Ratio of cell sizes if a generator or a geometry is meshed anew; a file's cells are halved."""
 
 MIN_RATIO = 1.1
 """Least ratio of the cell sizes of two meshes: the difference of nearer meshes is their
-irregularity.
-"""
+irregularity."""
 
 
 class Study(NamedTuple):
@@ -170,25 +167,19 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
     mesh cannot be read, lacks a group, or cannot be solved.
     """
     solvers = [Solver(build(bundle))]
+    assert bundle.mesh is not None  # else it cannot be built
     for path in finer_meshes:
-        source = bundle.mesh
-        if source is None:
-            raise ValueError(
-                "the component has no [mesh] to refine; name a component with a [mesh]"
-            )
         try:
-            solvers.append(Solver(build(bundle, read_grouped(path, source))))
+            solvers.append(Solver(build(bundle, read_grouped(path, bundle.mesh))))
         except BundleError as error:
-            named = [
-                replace(problem, where=f"{path.name}: {problem.where}")
-                for problem in error.problems
-            ]
+            named = [replace(each, where=f"{path.name}: {each.where}") for each in error.problems]
             raise BundleError(named) from None
     while not finer_meshes and len(solvers) < 3:
         refined = finer(solvers[-1], MAX_UNKNOWNS if len(solvers) > 1 else None, _STEP)
         if refined is None:
             break
         solvers.append(refined)
+
     volumes = [np.concatenate([cells for _, cells in solver.volumes]) for solver in solvers]
     sizes = [float(np.cbrt(cells.mean())) for cells in volumes]
     for coarse, fine, fine_solver in zip(sizes, sizes[1:], solvers[1:], strict=False):
@@ -199,6 +190,7 @@ def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
                 f"{message} the {1e3 * coarse:.4g} mm of the mesh before; give a mesh with cells "
                 "at most 0.9 times as large"
             )
+
     compliance = np.array([solver.linear.compliance for solver in solvers])
     return Study([len(solver.component.uncut_mesh.points) for solver in solvers], sizes, compliance)
 
@@ -237,14 +229,12 @@ def _or_null(values: Array) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
-def stored(bundle: Bundle | None, shape: tuple[int, ...]) -> tuple[Array, str] | None:
-    """Return the stored error for this setup, of shape `shape`, and its basis.
-
-    None without a study.
+def stored(bundle: Bundle, shape: tuple[int, ...]) -> tuple[Array, str] | None:
+    """Return the stored error for this setup, of this shape, and its basis; None without a study.
 
     Raises ValueError if the file is damaged.
     """
-    if bundle is None or not (bundle.folder / FILE).is_file():
+    if not (bundle.folder / FILE).is_file():
         return None
     try:
         content: dict[str, Any] = json.loads((bundle.folder / FILE).read_text(encoding="utf-8"))

@@ -23,10 +23,11 @@ import numpy as np
 
 from wrenchbook.fea.accuracy.advice import FINE
 from wrenchbook.fea.accuracy.convergence import FINER_UNKNOWNS, MIN_RATIO, coarser, finer, stored
-from wrenchbook.fea.accuracy.mesh_error import recovered_error, roundness
+from wrenchbook.fea.accuracy.mesh_error import recovered_error
+from wrenchbook.fea.accuracy.roundness import roundness
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.mesh.facets import EDGES
+from wrenchbook.fea.mesh.quality import edge_lengths
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, DeclaredRange
@@ -36,35 +37,30 @@ Array = np.ndarray
 _PARTS = (0.125, 1.0)
 """Parts of the largest wrench for nonlinear solves: their remainders give the saturation. From an
 eighth the law holds a part k (u + c u^3) = F at 94 % of loads for any c, at all where the linear
-answer is up to three times the true one. From a quarter these are 90 % and two times.
-"""
+answer is up to three times the true one. From a quarter these are 90 % and two times."""
 
 _BEFORE = 0.98
 """Part of the load at which a solve ended that is solved too: a component softens most just before
-it snaps through. `_SAFETY` covers the last 2 %.
-"""
+it snaps through. `_SAFETY` covers the last 2 %."""
 
 _ALIKE = 0.99
 """Part of the largest rotation from which a corner counts as turning an interface as much."""
 
 _LINEAR = 0.94
 """Upper bound of remainder over load at the smallest part, relative to that at the corner: at 1 the
-remainder grows with the load from the start, and b is infinite.
-"""
+remainder grows with the load from the start, and b is infinite."""
 
 _NEAR = 0.1
 """Largest relative change of a compliance between the coarser mesh and the component's for solves
 on the coarser: the remainder of a part that stiffens grows with its fourth power, and 0.9^4 is 1 /
-`_SAFETY`.
-"""
+`_SAFETY`."""
 
 _STEEP = 1.25
 """Buckling factor below which the corner itself is not solved, but half the buckling load."""
 
 _SAFETY = 1.5
 """Factor on the largest remainder of the corners, for all other wrenches (`make bench
-NAME=linearity`).
-"""
+NAME=linearity`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +72,7 @@ class BeyondLinear:
     remainder: Array
     saturation: Array  # shape (6 i,): b of the module, 0 where the part does not stiffen
     # The part of a corner's wrench at which the component buckles or snaps through, at or below 10;
-    # None beyond that. It is that of linear buckling (`fea.solver.vibration`), or where a nonlinear
+    # None beyond that. It is that of linear buckling (`fea.solver.buckling`), or where a nonlinear
     # solve ended if that is less.
     buckling: float | None
     why: str = ""  # the reason for which a nonlinear solve has no answer; often empty
@@ -95,13 +91,12 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     """
     compliance = solver.linear.compliance
     other = copy(solver)  # shares the equations and the factor of the undeformed part
-    other.component = replace(
-        solver.component, analysis=replace(solver.component.analysis, nonlinear=True)
-    )
+    analysis = replace(solver.component.analysis, nonlinear=True)
+    other.component = replace(solver.component, analysis=analysis)
+
     # The corners that turn, or else move, each interface most, and their opposites. Of corners that
     # turn it alike, the most loaded: a pull along a beam turns nothing, and stiffens its bending.
     corners = loads.corners()
-    zero = solver.component.at_rest
     moved = (corners @ compliance.T).reshape(len(corners), -1, 2, PER_INTERFACE // 2)
     moves, turns = np.moveaxis(np.linalg.norm(moved, axis=3), 2, 0)
     size = np.where(turns.any(axis=0), turns, moves)
@@ -110,7 +105,9 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     loaded = np.abs(corners) @ one_over
     alike = (size >= _ALIKE * size.max(axis=0)) & size.any(axis=0)
     chosen = (alike * loaded[:, None] * size).argmax(axis=0)
+
     scaled = np.full((len(_PARTS), len(compliance)), np.nan)
+    zero = solver.component.at_rest
     why = ""
     lowest = np.inf
     for index in {min(index, len(corners) - 1 - index) for index in chosen.tolist()}:
@@ -123,6 +120,7 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
             scaled = np.fmax(scaled, at_corner)
             lowest = min(lowest, factor, end)
             why = why or reason
+
     # b such that the law has the ratio of its values at the smallest part and at the corner.
     powers = np.array(_PARTS)[:, None] ** (_order(solver) - 1)
     growth = np.divide(scaled[0], scaled[-1], out=np.ones(len(compliance)), where=scaled[-1] > 0)
@@ -144,15 +142,13 @@ def _at_corner(solver: Solver, wrench: Array, buckling: float) -> tuple[Array, f
     The remainders have the shape (parts, 6 i), all of a corner that is not solved in all parts the
     largest. The end is the least part of the wrench at which a solve ended.
     """
-    end = np.inf
-    limit = 1.0
-    why = ""
+    limit, why = 1.0, ""
+    if buckling < _STEEP:
+        limit, why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
+    parts = [limit * part for part in _PARTS]
     second = solver.second_derivatives
     start = None
-    if buckling < _STEEP:
-        limit = 0.5 * buckling
-        why = f"it buckles at {buckling:.3g} of one"
-    parts = [limit * part for part in _PARTS]
+    end = np.inf
     scaled = []
     for part in parts:
         acting = part * wrench
@@ -185,8 +181,7 @@ _TIED = 2.4
 the distance of these edges from the tie's end. The error was up to 2.2 times that of the
 stresses, of either sign. A finer mesh shows it in part: then the two are added. Where main
 facets are larger than the tie, it is multiplied by their diagonal over the tie's size: of 42
-blocks on plates the outputs inside rose from 53 to 96 %, at 2.3 times the error.
-"""
+blocks on plates the outputs inside rose from 53 to 96 %, at 2.3 times the error."""
 
 
 def accuracy_of(solver: Solver) -> dict[str, Any]:
@@ -199,41 +194,33 @@ def accuracy_of(solver: Solver) -> dict[str, Any]:
     (`fea.accuracy.mesh_error.RecoveredError.coarsening`). Beside a coarser mesh the error is the
     mean, entry by entry, of that and of the error of recovered stresses on the first mesh, with a
     margin; of large mesh files it is only the latter. Where a geometry has no second mesh, or none
-    that is coarser where the error is, the error is unknown: ``mesh`` is None.
-    On nineteen STEP parts with holes and fillets this holds 99 % of the errors of single loads; the
-    same mean without the ratio 95 %, and with cells left as they are round small holes 82 %
-    (`make bench NAME=mesh_error`). The finer mesh costs about a second, the coarser mesh and the
-    stresses 0.2 to 1.1 of a linear solve (`make bench NAME=check`); a linear component costs four
-    nonlinear solves an interface besides, on the coarser mesh where it is near enough. The effect
-    of a mesh file's straight edges on round surfaces is added (`roundness`): no refinement and no
-    stress shows it.
+    that is coarser where the error is, the error is unknown: ``mesh`` is None. The effect of a mesh
+    file's straight edges on round surfaces is added (`roundness`): no refinement and no stress
+    shows it. fea/README.md compares the results with refined meshes, and has the costs.
 
-    Returns ``mesh``: shape (6 i, k) for i interfaces and k inputs, as lists, not negative, m/N,
-    m/(N·m), rad/N, rad/(N·m): the error bar at a wrench is this times the size of each input, from
-    ``zero`` (k numbers, where any is not 0). ``mesh_stiffness``: shape (k, 6 i), the inverse units:
-    the mesh's addition to the stiffness, signed. ``mesh_basis``: text. ``rounded``, of a mesh file
-    with straight edges across round surfaces: their part of ``mesh`` (``mesh``), its largest
-    fraction of a compliance (``share``) and ``basis``, text. ``cell_size``: the median length of
-    edges, m. ``loads``: the largest of the range, k numbers, SI, 0 on locked freedoms. Of a linear
-    component also ``linearity`` (6 i numbers, m and rad, at the worst corner of the range, or None)
-    and ``buckling`` (or None): see the module; ``linearity_basis``. Where they are known,
-    ``linearity_saturation`` (6 i,), ``second_derivatives`` (6 i, k, k), and beside these
-    ``linearity_remainder`` (6 i,), m and rad.
+    Returns lists, numbers and texts, for i interfaces and k inputs:
+    ``mesh``, (6 i, k), m and rad per unit of each input, not negative: the error bar at a wrench is
+    this times the size of each input, from ``zero``, (k,), there if any is not 0.
+    ``mesh_stiffness``, (k, 6 i), the inverse units, signed: the mesh's addition to the stiffness.
+    ``mesh_basis``.
+    ``rounded``, of a mesh file with straight edges across round surfaces: ``mesh``, their part of
+    it, ``share``, its largest fraction of a compliance, and ``basis``.
+    ``cell_size``, m: the median length of edges.
+    ``loads``, (k,), SI: the largest of the range, 0 on locked freedoms.
+    Of a linear component ``linearity``, (6 i,), m and rad, at the worst corner of the range, or
+    None, ``buckling``, or None (see the module), and ``linearity_basis``; where they are known
+    ``linearity_saturation``, (6 i,), ``second_derivatives``, (6 i, k, k), and beside these
+    ``linearity_remainder``, (6 i,), m and rad.
+
     Raises SolveFailed if the component cannot be solved for small loads.
     """
     bundle = solver.component.bundle
     second = coarser(solver)
     result = {**_mesh(solver, second), **_largest(bundle)}
-    # The median of the cells' edges, from corner to corner, m.
-    lengths = [
-        np.linalg.norm(
-            np.diff(solver.component.mesh.points[block.nodes[:, pair]], axis=1), axis=2
-        ).ravel()
-        for block in solver.component.mesh.blocks
-        for pair in EDGES[block.kind]
-    ]
+    mesh = solver.component.mesh
+    lengths = [edge_lengths(mesh.points, block).ravel() for block in mesh.blocks]
     result["cell_size"] = float(np.median(np.concatenate(lengths)))
-    if bundle is None or solver.component.analysis.nonlinear:
+    if solver.component.analysis.nonlinear:
         return result
     return result | linearity_of(solver, second or solver, bundle.acting)
 
@@ -295,20 +282,19 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
 
 
 def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
-    """Return the parts of the error by the size of cells, each (6 i, k), and the basis.
-
-    The list is empty where the error is not known.
-    """
+    """Return the error by the size of cells, in parts (6 i, k), none if unknown, and its basis."""
     compliance, bundle = solver.linear.compliance, solver.component.bundle
     study = stored(bundle, compliance.shape)
     if study is not None:
         return [study[0]], study[1]
+
     # Half of the error of recovered stresses: the mean with half of another mesh's change.
     recovered = recovered_error(solver)
-    lacks = 0.5 * _MARGIN * recovered.total[: len(compliance)]
-    cut = any(tie.cut or tie.within for tie in solver.component.ties)
+    by_stresses = 0.5 * _MARGIN * recovered.total[: len(compliance)]
+    is_cut = any(tie.cut or tie.within for tie in solver.component.ties)
     within = max((tie.within for tie in solver.component.ties), default=0.0)
-    more = _TIED * max(1.0, within) if cut else 1.0
+    tied = _TIED * max(1.0, within) if is_cut else 1.0
+
     # A second mesh, finer if it can be solved, and the ratio of cell sizes, of larger to smaller.
     try:
         fine = finer(solver, FINER_UNKNOWNS)
@@ -320,24 +306,25 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
     if second is not None:
         ratio = recovered.coarsening(second.component.mesh) ** (-1 if fine else 1)
     if second is None or ratio.min() < MIN_RATIO:
-        if bundle is None or bundle.mesh is None or bundle.mesh.geometry is None:
+        if bundle.mesh is None or bundle.mesh.geometry is None:
             basis = "stresses recovered at six unit loads; no second mesh can be made"
-            return [2 * more * lacks], basis
+            return [2 * tied * by_stresses], basis
         edges = "a coarser mesh is no coarser where the error is: the part's edges keep it fine"
         why = edges if second else "no second mesh can be made"
         return [], f"{why}; wrenchbook converge compares it with finer ones"
+
     # Ratio of an error of first order, the slowest, to the change between sizes of this ratio.
     scale = np.sqrt((ratio if fine else 1) / (ratio - 1))
-    change = (compliance - second.linear.compliance) * np.outer(scale[: len(lacks)], scale)
+    change = (compliance - second.linear.compliance) * np.outer(scale[: len(compliance)], scale)
     basis = (
         f"a {'finer' if fine else 'coarser'} mesh of {len(second.component.uncut_mesh.points)} "
         f"nodes beside this mesh of {len(solver.component.uncut_mesh.points)}, cells in the ratio "
         f"{np.median(ratio):.2g} where the error is"
     )
-    if fine and not cut:
+    if fine and not is_cut:
         return [-change], f"{basis}, at six unit loads"
     # A finer mesh shows the end of a tie in part, so both are added; else they make the mean.
-    parts = [-change, lacks] if fine else [0.5 * change, more * lacks]
+    parts = [-change, by_stresses] if fine else [0.5 * change, tied * by_stresses]
     return parts, f"{basis}, and recovered stresses, at six unit loads"
 
 
@@ -345,13 +332,11 @@ _MIXED = 0.02
 """Lower bound of an entry's error, as a part of the root of the product of the two responses'
 errors, its upper bound (Cauchy and Schwarz: the error's energy is not negative): the difference
 of two meshes in an entry near zero, such as an entry of symmetry, is chance. For single loads on
-STEP parts it raises the outputs inside from 50 to 76 % to over 90 %.
-"""
+STEP parts it raises the outputs inside from 50 to 76 % to over 90 %."""
 
 _ROUND = 1.1
 """Safety factor on the effect of bending the edges: the bow leaves out the fourth power of the
-angle, 2 % of the change at 30 degrees and 4 % at 40.
-"""
+angle, 2 % of the change at 30 degrees and 4 % at 40."""
 
 
 def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
@@ -398,14 +383,12 @@ def unknown_of_deck(bundle: Bundle) -> dict[str, Any]:
     return {"mesh": None, "mesh_basis": why, **_largest(bundle)}
 
 
-def _largest(bundle: Bundle | None) -> dict[str, list[float]]:
+def _largest(bundle: Bundle) -> dict[str, list[float]]:
     """Return ``loads``, the largest of each input in the range, 0 for loads on locked freedoms.
 
     ``zero`` has the inputs' values without an effect, if any is not 0. An error that grows with the
     square of the largest load must not grow with a load without effect.
     """
-    if bundle is None:
-        return {"loads": [1.0] * len(FREEDOMS)}
     largest = np.maximum(np.abs(bundle.acting.low), np.abs(bundle.acting.high))
     idle = [freedom in interface.locked for interface in bundle.interfaces for freedom in FREEDOMS]
     largest[: len(idle)][idle] = 0.0

@@ -1,11 +1,9 @@
-"""Cells with their materials, in parts of one law each.
-
-Cells with pressure projection are separate parts.
-"""
+"""Cells with their materials, in parts of one law each, with or without pressure projection."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -38,8 +36,6 @@ def filled_cells(
 ) -> list[tuple[CellBlock, CellStiffness]]:
     """Return the cells in parts of one law each, with their stiffness.
 
-    mesh: the cells.
-    materials: all materials of the component.
     numbers: for each block of the mesh, shape (cells,): the index of each cell's material.
     integration: ``"reduced"`` or ``"full"``, for hex20.
     axes: shape (3, 3): row i is the mesh's axis i in the bundle's axes; None if they are the same.
@@ -62,7 +58,7 @@ def filled_cells(
         points = values @ mesh.points[part.nodes] @ frame + start
         if mesh.dependents is not None and mesh.dependents.among(part.nodes).any():
             gradients = gradients.of_outer(mesh.dependents.outer(part.nodes)[1])
-        filled.append((part, _stiffness(law, gradients, cell_materials, modes, (frame, points))))
+        filled.append((part, _stiffness(law, gradients, cell_materials, modes, frame, points)))
     return filled
 
 
@@ -86,11 +82,11 @@ def sorted_cells(
             follows = np.zeros(len(block), dtype=bool)
             if mesh.dependents is not None:
                 follows = mesh.dependents.among(block.nodes)
-            for sort in (~projected, projected):
-                for following in (~follows, follows):
-                    chosen = sort & following & (laws[number] == law)
-                    if chosen.any():
-                        yield block, number, chosen, LAWS[law], sort is projected
+            for is_projected, is_following in product((False, True), repeat=2):
+                chosen = (projected == is_projected) & (follows == is_following)
+                chosen &= laws[number] == law
+                if chosen.any():
+                    yield block, number, chosen, LAWS[law], is_projected
 
 
 def _stiffness(
@@ -98,21 +94,23 @@ def _stiffness(
     gradients: Gradients,
     materials: list[AnyMaterial],
     modes: Array | None,
-    where: tuple[Array, Array],
+    frame: Array,
+    points: Array,
 ) -> CellStiffness:
-    """Return the cells of one law; `where` is as of `_directions`."""
+    """Return the cells of one law; `frame` and `points` are as of `_directions`."""
+    directions = _directions(materials, frame, points)
     # Thermal strains per kelvin, (cells, points or 1, 3, 3), 1/K; None without expansion.
     if any(material.thermal_expansion is None for material in materials):
         expansion = None
     else:
         expansion = _by_cell(
             (cells, (rows.swapaxes(-1, -2) * np.array(material.thermal_expansion)) @ rows)
-            for material, cells, rows in _directions(materials, where)
+            for material, cells, rows in directions
         )
     if law == "orthotropic":
         elasticity = _by_cell(
             (cells, turned_elasticity(material.orthotropic.elasticity, rows))
-            for material, cells, rows in _directions(materials, where)
+            for material, cells, rows in directions
             if material.orthotropic is not None
         )
         return OrthotropicStiffness(gradients, elasticity, expansion=expansion)
@@ -124,14 +122,13 @@ def _stiffness(
 
 
 def _directions(
-    materials: list[AnyMaterial], where: tuple[Array, Array]
+    materials: list[AnyMaterial], frame: Array, points: Array
 ) -> list[tuple[AnyMaterial, Array, Array]]:
     """Return each material, its cells (k,) and its directions there, (k, points or 1, 3, 3).
 
-    `where`: the frame of the result, (3, 3), and the integration points in the bundle's axes,
+    frame: the axes of the result, (3, 3). points: the integration points in the bundle's axes,
     (cells, points, 3), m. Directions that are the same at all points of a cell are stored once.
     """
-    frame, points = where
     groups = []
     for chosen in {id(material): material for material in materials}.values():
         cells = np.array([k for k, material in enumerate(materials) if material is chosen])

@@ -92,7 +92,6 @@ class System:
     def linearise(self, balance: Balance, step: tuple[Array, Array] | None = None) -> Linearisation:
         """Return the tangent at a state.
 
-        balance: the state and its forces.
         step: the last step of Newton's method, two fields of shape (n, 3), m: see
         `ElasticBody.tangent`.
         """
@@ -149,10 +148,7 @@ class System:
 
     @cached_property
     def _per_kelvin(self) -> tuple[float, float]:
-        """`Balance.thermal` of one kelvin: the norm, N, and the energy, J.
-
-        The energy grows with the square of the temperature.
-        """
+        """`Balance.thermal` of one kelvin: norm, N, and energy, J, which grows with the square."""
         forces, energy, _ = self.body.at(1.0, finite=False).forces(np.zeros((self.body.size, 3)))
         return float(np.linalg.norm(forces)), energy
 
@@ -231,7 +227,6 @@ def softest_energy(body: ElasticBody, tangent: Tangent) -> float:
 def unheld(subject: str, energy: float) -> SolveFailed:
     """Return the error of a motion without stiffness after elimination.
 
-    subject: the part that moves.
     energy: relative strain energy of that motion.
     """
     if energy < MECHANISM:

@@ -85,6 +85,7 @@ def read_bundle(folder: str | Path) -> Bundle:
     if len(content) > _MAX_BYTES:
         message = f"is longer than {_MAX_BYTES} bytes; move data into files that it names"
         raise BundleError([BundleProblem(FILE_NAME, message)])
+
     # The parser stores the path to each part of a key: 23 GB for a key of 100,000 parts.
     if long_key := _LONG_KEY.search(content):
         line = content[: long_key.start()].count(b"\n") + 1
@@ -177,56 +178,47 @@ class _Reader:
             return [validated(kind, each, at, self.problems, self.folder) for each, at in pairs]
         return []
 
+    @property
+    def several(self) -> bool:
+        """Whether the interfaces are an array of tables."""
+        return isinstance(self.table.get("interface"), list)
+
     def parts(self) -> dict[str, Any]:
         """Return the parts of a bundle; those with mistakes are None."""
         self.check_keys()
         mesh = self.mesh()
         materials = self.read_each("material", MaterialTable)
-        supports = self.read("supports")
-        ties, bolts, joints = (self.read(name) or () for name in ("tie", "bolt", "spring"))
-        several = isinstance(self.table.get("interface"), list)
-        interfaces = self.interfaces() if several else [self.read("interface", Interface)]
-        interfaces = interfaces if "interface" in self.table else []
         analysis = self.analysis(mesh)
-        loads = self.range(interfaces if several else [])
+        interfaces = self.interfaces()
+        loads = self.range(interfaces)
         inputs = self.read("inputs")
         further: tuple[ScalarInput, ...] = inputs.scalars if inputs is not None else ()
-        deck = self.deck()
+
         self.check_tables()
-        if "deck" in self.table:
-            self.check_deck(analysis, interfaces)
-        if analysis is not None and analysis.gravity is not None:
+        self.check_deck(analysis, interfaces)
+        if analysis.gravity is not None:
             self.check_densities(materials, "[analysis] gravity")
-        if analysis is not None and analysis.zero != "preloaded" and "bolt" not in self.table:
+        if analysis.zero != "preloaded" and "bolt" not in self.table:
             self.wrong("analysis.zero", "has no effect without a [[bolt]]; leave it out")
         self.check_inputs(further, materials, interfaces)
-        # A range with too many corners to examine each.
         if loads is not None:
-            count = len(loads.low) + len(further)
-            if count > ALL_INPUTS:
-                parts = f"{len(interfaces)} interfaces and {len(further)} further inputs"
-                message = f"{parts} are {count} inputs, more than {ALL_INPUTS}; leave some out"
-                self.wrong("interface", message)
-            vary = len(further) + int((loads.low < loads.high).sum())
-            if vary > MAX_INPUTS:
-                zero = f"write 0 in the ranges for {vary - MAX_INPUTS} or more loads"
-                self.wrong("interface", f"{vary} inputs vary, more than {MAX_INPUTS}; {zero}")
+            self.check_count(loads, further, len(interfaces))
         return {
             "name": self.read("name"),
             "title": self.read("title"),
             "mesh": mesh,
             "materials": tuple(materials),
-            "supports": supports,
-            "ties": ties,
-            "bolts": bolts,
-            "joints": joints,
+            "supports": self.read("supports"),
+            "ties": self.read("tie") or (),
+            "bolts": self.read("bolt") or (),
+            "joints": self.read("spring") or (),
             "interface": interfaces[0] if interfaces else None,
             "others": tuple(interfaces[1:]),
             "analysis": analysis,
             "range": loads,
             "further": further,
             "tolerance": self.read("tolerance"),
-            "deck": deck,
+            "deck": self.deck(),
         }
 
     def check_keys(self) -> None:
@@ -275,7 +267,11 @@ class _Reader:
         return mesh
 
     def interfaces(self) -> list[Any]:
-        """Return every ``[[interface]]``; those of a measured part have no section."""
+        """Return ``[interface]`` or every ``[[interface]]``; a measured part's have no section."""
+        if "interface" not in self.table:
+            return []
+        if not self.several:
+            return [self.read("interface", Interface)]
         if len(self.table["interface"]) == 1:
             message = "is a list of one; write [interface] without a name, or add another"
             self.wrong("interface", message)
@@ -294,8 +290,9 @@ class _Reader:
             self.wrong(f"interface[{i}].held", message)
         return interfaces
 
-    def range(self, several: list[Any]) -> DeclaredRange | None:
+    def range(self, interfaces: list[Any]) -> DeclaredRange | None:
         """Return ``[range]``, or the ranges of several interfaces in their order."""
+        several = interfaces if self.several else []
         if "range" in self.table and len(several) > 1:
             message = f"belongs under each [[interface]]; write there range = {RANGE_EXAMPLE}"
             self.wrong("range", message)
@@ -316,7 +313,7 @@ class _Reader:
         low, high = np.concatenate(ends).T
         return DeclaredRange(low, high)
 
-    def analysis(self, mesh: MeshSource | None) -> Analysis | None:
+    def analysis(self, mesh: MeshSource | None) -> Analysis:
         """Return ``[analysis]``; without it a component is nonlinear, the weaker assumption.
 
         The integration of an input deck's 20-node hexahedra is the default of its component.
@@ -336,7 +333,7 @@ class _Reader:
         if len(of_deck) > 1:
             message = 'is missing, but the deck has C3D20 and C3D20R; write "full" or "reduced"'
             self.wrong("analysis.integration", message)
-        elif of_deck and analysis is not None:
+        elif of_deck:
             return replace(analysis, integration=of_deck[0])
         return analysis
 
@@ -376,21 +373,22 @@ class _Reader:
                 self.wrong(name, "needs a [mesh], whose groups it names; add one, or leave it out")
         if "deck" in self.table:
             return
-        interfaces = self.table.get("interface")
-        several = isinstance(interfaces, list)
-        held = several and any(isinstance(i, dict) and i.get("held") for i in interfaces)
+        tables = self.table["interface"] if self.several else []
+        held = any(isinstance(table, dict) and table.get("held") for table in tables)
         for key in _SOLVER_TABLES:
             if "mesh" in self.table:
                 if key not in self.table and not (held and key == "supports"):
                     brackets = "[[material]]" if key == "material" else f"[{key}]"
-                    more = _OR_HELD if key == "supports" and several else ""
+                    more = _OR_HELD if key == "supports" and self.several else ""
                     self.wrong(key, f"is missing; a component with a [mesh] needs {brackets}{more}")
-            elif key in self.table and not (key == "interface" and several):
+            elif key in self.table and not (key == "interface" and self.several):
                 message = "needs a [mesh]; add one, or leave it out of a component without a solver"
                 self.wrong(key, message)
 
-    def check_deck(self, analysis: Analysis | None, interfaces: list[Interface | None]) -> None:
+    def check_deck(self, analysis: Analysis, interfaces: list[Interface | None]) -> None:
         """Note entries of the other tables that have no effect with a deck."""
+        if "deck" not in self.table:
+            return
         if len(interfaces) > 1:
             message = "has several interfaces, but a [deck] may have one only; keep one"
             self.wrong("interface", message)
@@ -401,7 +399,7 @@ class _Reader:
         if interface is not None and interface.locked:
             message = "cannot go with a [deck]; fix these freedoms in the deck instead"
             self.wrong("interface.locked", message)
-        if analysis is not None and analysis.gravity is not None:
+        if analysis.gravity is not None:
             message = "cannot go with a [deck]; write *DLOAD with GRAV in the deck instead"
             self.wrong("analysis.gravity", message)
 
@@ -439,3 +437,17 @@ class _Reader:
             if material is not None and material.density is None:
                 message = f"is missing; {key} needs the density of each material, in kg/m^3"
                 self.wrong(f"material[{i}].density", f"{message}, such as 2700.0")
+
+    def check_count(
+        self, loads: DeclaredRange, further: tuple[ScalarInput, ...], interfaces: int
+    ) -> None:
+        """Note a range with too many inputs, or with too many corners to examine each."""
+        count = len(loads.low) + len(further)
+        if count > ALL_INPUTS:
+            parts = f"{interfaces} interfaces and {len(further)} further inputs"
+            message = f"{parts} are {count} inputs, more than {ALL_INPUTS}; leave some out"
+            self.wrong("interface", message)
+        vary = len(further) + int((loads.low < loads.high).sum())
+        if vary > MAX_INPUTS:
+            zero = f"write 0 in the ranges for {vary - MAX_INPUTS} or more loads"
+            self.wrong("interface", f"{vary} inputs vary, more than {MAX_INPUTS}; {zero}")

@@ -19,7 +19,7 @@ import numpy as np
 
 from wrenchbook.fea.assembly.body import SINGLE_NUMBERS
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.element.pressure_projection import NEARLY_INCOMPRESSIBLE
+from wrenchbook.fea.element.pressure_projection import projects
 from wrenchbook.fea.linalg.nested_dissection import dissect
 
 Array = np.ndarray
@@ -36,8 +36,7 @@ _ENTRY_BYTES = 8  # memory of an entry of a cell's matrix
 
 _SINGLE_PRECISION = 0.5
 """Bytes and time of a linear solve with a factor above `SINGLE_NUMBERS`, over those in double
-precision.
-"""
+precision."""
 _NONLINEAR = 2.5  # ratio to a linear solve's work: 3 to 6 iterations; up to 20 by load and part
 _PROJECTED = 2.0  # further factor if pressure is a separate unknown: more, and larger, matrices
 
@@ -64,12 +63,10 @@ def estimate(component: ComponentModel) -> Cost:
     precision = _SINGLE_PRECISION if numbers > SINGLE_NUMBERS else 1.0
     factors = 2 if component.bolts else 1  # a second factor while bolts are tightened
     linear = factors * (assembly + precision * factorisation)
-    # Whether some cells have the pressure as a separate unknown.
-    projects = bool({"hex20", "hex27"} & set(component.mesh.cell_counts)) and any(
-        material.law != "orthotropic" and np.max(material.poisson_ratio) > NEARLY_INCOMPRESSIBLE
-        for material in component.materials
-    )
-    times = _NONLINEAR * (_PROJECTED if projects else 1.0)
+    poisson = np.array([material.poisson_ratio for material in component.materials])
+    cells = zip(component.mesh.blocks, component.material_of_cells, strict=True)
+    is_projected = any(projects(block, poisson[numbers]).any() for block, numbers in cells)
+    times = _NONLINEAR * (_PROJECTED if is_projected else 1.0)
     nonlinear = times * (factors * (assembly + factorisation))
     if component.analysis.nonlinear:
         precision = 1.0

@@ -18,7 +18,7 @@ from wrenchbook.fea.mesh.deck_content import (
     SolidSection,
     in_si,
 )
-from wrenchbook.fea.mesh.facets import group_nodes
+from wrenchbook.fea.mesh.groups import group_nodes
 from wrenchbook.fea.spec.material import Cylinder, Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS
@@ -76,6 +76,7 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     if deck is None:
         return []
     messages = deck.notes
+    unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
     integration = component.analysis.integration
     messages += [
         f'has {name}; [analysis] says integration = "{integration}" for it'
@@ -83,7 +84,9 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
         if name.startswith("C3D20") and ("R" in name) != (integration == "reduced")
     ]
     messages += [
-        text for section in deck.sections for text in _other_material(component, deck, section)
+        text
+        for section in deck.sections
+        for text in _other_material(component, deck, section, unit)
     ]
     written = {(tie.secondary, tie.main) for tie in component.bundle.ties}
     messages += [
@@ -93,8 +96,8 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
     ]
     cases = [
         [text for support in case.supports for text in _freed(component, support)]
-        + [text for coupled in case.couplings for text in _uncoupled(component, coupled)]
-        + [text for spring in case.springs for text in _unsprung(component, spring)]
+        + [text for coupled in case.couplings for text in _uncoupled(component, coupled, unit)]
+        + [text for spring in case.springs for text in _unsprung(component, spring, unit)]
         for case in deck.cases
     ]
     messages += min(cases, key=len)  # a component is one case of its deck
@@ -102,12 +105,11 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
 
 
 def _other_material(
-    component: ComponentModel, deck: DeckContent, section: SolidSection
+    component: ComponentModel, deck: DeckContent, section: SolidSection, unit: str
 ) -> Iterator[str]:
     """Yield the constants and directions of a section's material that the component lacks."""
     cells = component.mesh.regions.get(section.region, ())
     numbers = [value[c] for value, c in zip(component.material_of_cells, cells, strict=False)]
-    unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
     constants = deck.materials.get(section.material, {})
     for number in np.unique(np.concatenate([np.empty(0, dtype=int), *numbers])).tolist():
         material = component.bundle.materials[number]
@@ -177,7 +179,7 @@ def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
         )
 
 
-def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
+def _uncoupled(component: ComponentModel, group: CoupledGroup, unit: str) -> Iterator[str]:
     """Yield differences of a coupling of the deck from the component's with the same nodes."""
     nodes = group_nodes(component.mesh, "", group.group, [])
     attached = [*component.interfaces, *component.frames]
@@ -193,7 +195,6 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
         yield f'{start} as a "{group.kind}" coupling; {same[0].key} says "{same[0].coupling}"'
     elif group.weighted and same[0].weights != "deck":
         yield f'{start} by weights of its own; {same[0].key} says weights = "{same[0].weights}"'
-    unit = component.bundle.mesh.unit if component.bundle.mesh else "m"
     point = np.array(group.point) * in_si("length", unit)
     size = np.ptp(component.mesh.points, axis=0).max()
     if group.point and np.abs(point - same[0].point).max() > _NEAR * size:
@@ -201,12 +202,12 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup) -> Iterator[str]:
         yield f"{start} at ({here}) m; {same[0].key}.point is ({there}) m"
 
 
-def _unsprung(component: ComponentModel, spring: DeckSpring) -> Iterator[str]:
+def _unsprung(component: ComponentModel, spring: DeckSpring, unit: str) -> Iterator[str]:
     """Yield differences of a spring of the deck, (6, 6), from that of the component's groups."""
     ends = [replace(end, point=spring.ends[0].point) for end in spring.ends]
-    yield from (text for end in ends for text in _uncoupled(component, end))
+    yield from (text for end in ends for text in _uncoupled(component, end, unit))
     groups = {group_nodes(component.mesh, "", end.group, []).tobytes() for end in ends}
-    expected = spring.in_si(component.bundle.mesh.unit if component.bundle.mesh else "m")
+    expected = spring.in_si(unit)
     there = np.zeros((6, 6))
     for numbers, stiffness in component.springs:
         frames = [component.frames[i] for i in numbers]

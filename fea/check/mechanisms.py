@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.component import AttachedInterface, ComponentModel
-from wrenchbook.fea.inspection import Bodies, bodies_of, gap
+from wrenchbook.fea.mesh.bodies import Bodies, bodies_of, gap
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import FREEDOMS
@@ -51,7 +51,7 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
     """Return a problem for each body that supports and coupling do not hold.
 
     bodies: those of the component's mesh before bolts are cut.
-    pairs: shape (k, 2), int64: indices of coincident nodes (`fea.inspection.coincident_nodes`).
+    pairs: shape (k, 2), int64: indices of coincident nodes (`fea.mesh.bodies.coincident_nodes`).
     """
     if bodies.count > _MAX_BODIES:
         message = (
@@ -60,29 +60,17 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
         )
         return [BundleProblem("mesh", message)]
     motions = free_motions(component, bodies)
-    if component.bolts and not any(map(len, motions)):
-        cut_bodies = bodies_of(component.mesh)  # with the bolts' cuts, unlike `bodies`
-        slipping = next((m for m in free_motions(component, cut_bodies) if len(m)), None)
-        if slipping is not None:
-            message = (
-                "only the bolts hold the part together while they are tightened: "
-                f"{_motions_text(component, slipping)}; join the clamped parts outside the shanks, "
-                "or support each of them"
-            )
-            return [BundleProblem("bolt", message)]
     loose = [number for number, motion in enumerate(motions) if len(motion)]
     if not loose:
-        return []
+        return _slipping(component) if component.bolts else []
     if bodies.count == 1:
         mechanism = f"the part is a mechanism, {_motions_text(component, motions[0])}"
         if len(component.sliding[0]) or component.bushings:
-            return [
-                BundleProblem(
-                    "supports", f"{mechanism}; add a support under [supports] that stops this"
-                )
-            ]
+            message = f"{mechanism}; add a support under [supports] that stops this"
+            return [BundleProblem("supports", message)]
         message = f"{mechanism}; fix at least three points that are not on one line"
         return [BundleProblem("supports.fixed", message)]
+
     problems = []
     for n in loose[:_MAX_REPORTED]:
         nodes = component.mesh.points[bodies.nodes[n]]
@@ -97,6 +85,19 @@ def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> 
         message = f"{len(loose) - _MAX_REPORTED} more parts are free; support or join them too"
         problems.append(BundleProblem("mesh", message))
     return problems
+
+
+def _slipping(component: ComponentModel) -> list[BundleProblem]:
+    """Return a problem if a body can move while bolts are tightened, their cuts free to slip."""
+    slipping = next((m for m in free_motions(component, bodies_of(component.mesh)) if len(m)), None)
+    if slipping is None:
+        return []
+    message = (
+        "only the bolts hold the part together while they are tightened: "
+        f"{_motions_text(component, slipping)}; join the clamped parts outside the shanks, or "
+        "support each of them"
+    )
+    return [BundleProblem("bolt", message)]
 
 
 def _motions_text(component: ComponentModel, motions: Array) -> str:
@@ -253,10 +254,7 @@ class _Equations:
                 self._add({number: moves, other: -moves})
 
     def tie_interface(self, attached: AttachedInterface, interface: int) -> None:
-        """Tie an interface, whose motion has the index `interface`, to its section.
-
-        Hold locked freedoms.
-        """
+        """Tie an interface, the motion of this index, to its section; hold locked freedoms."""
         section = attached.section
         owner = self.owner[section.node_ids]
         moves_of = {n: self._moves(section.node_ids[owner == n]) for n in np.unique(owner).tolist()}

@@ -16,7 +16,7 @@ import numpy as np
 
 from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.check.reporting import report
-from wrenchbook.fea.inspection import stacked_singly
+from wrenchbook.fea.mesh.bodies import stacked_singly
 from wrenchbook.fea.mesh.deck_content import (
     Constant,
     CoupledGroup,
@@ -28,8 +28,8 @@ from wrenchbook.fea.mesh.deck_content import (
 from wrenchbook.fea.mesh.element_order import SECOND, second_order
 from wrenchbook.fea.mesh.io.ansys import read_ansys
 from wrenchbook.fea.mesh.io.nastran import read_nastran
-from wrenchbook.fea.mesh.io.raw import Translated
 from wrenchbook.fea.mesh.io.read import read_mesh
+from wrenchbook.fea.mesh.io.translated import Translated
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.deck_text import DeckText, deck_text
 from wrenchbook.fea.spec.mesh_source import UNITS
@@ -45,8 +45,7 @@ _FACES = "`wrenchbook check FOLDER --faces` lists its faces, with lines for [mes
 _CHOOSE = "CHOOSE"  # a group that no mesh has, so that `check` lists the groups of the mesh
 _UNIT_BY_MODULUS = ((1e8, "m"), (2e6, "in"), (-1.0, "mm"))
 """Young's moduli from which a deck's unit is likely: few in Pa are below 1e8, none in MPa is above
-2e6 (diamond 1.2e6), and metals in psi are between (magnesium 6.5e6, aluminium 1e7, steel 3e7).
-"""
+2e6 (diamond 1.2e6), and metals in psi are between (magnesium 6.5e6, aluminium 1e7, steel 3e7)."""
 # Least density in kg/m³, that of foams; t/mm³ and pounds of any kind an inch³ are below 1.
 _IN_KILOGRAMS = 25.0
 # Densities in lbf·s²/in⁴: plastics 1e-4, steel 7e-4; g/mm³ are above, kg/mm³ below.
@@ -324,12 +323,14 @@ def propose(
     except OSError as error:
         message = f"cannot be written ({error.strerror}); name a new folder"
         raise BundleError([BundleProblem(str(folder), message)]) from None
+
     proposal = _Proposal(read_mesh(deck, unit or "m"), unit or "m", case)
     proposal.decide += decide
     if unit is None:
         proposal.unit, why = _guessed_unit(proposal.deck)
         proposal.decide.append(why)
     lines = proposal.lines(_name(file.stem), deck.name)
+
     # Notes name lines of the deck that is written, which may differ from the file.
     prefix = "" if deck.name == file.name else f"{deck.name}, "
     skipped += [*proposal.skipped, *(f"{prefix}{note}" for note in proposal.deck.notes)]

@@ -11,37 +11,36 @@ import numpy as np
 
 from wrenchbook.fea.accuracy.advice import over_tolerance, straight_edges
 from wrenchbook.fea.accuracy.estimate import accuracy_or_why
-from wrenchbook.fea.accuracy.mesh_error import polygon_warnings
+from wrenchbook.fea.accuracy.roundness import polygon_warnings
 from wrenchbook.fea.bundle.read import FILE_NAME, Bundle, BundleError, read_bundle
 from wrenchbook.fea.bundle.tables import ComponentFile
 from wrenchbook.fea.check.cost import estimate
 from wrenchbook.fea.check.deck_differences import contradictions, listing
 from wrenchbook.fea.check.mechanisms import listed_bodies, motion_problems
+from wrenchbook.fea.check.strength import strength
 from wrenchbook.fea.check.trial import (
     deflection_warnings,
     frequency,
     solver_of,
-    strength,
     trial,
     weight_warnings,
 )
-from wrenchbook.fea.component import AttachedInterface, ComponentModel, build, mesh_of, surface_of
+from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.deck.running import deck_report
 from wrenchbook.fea.inspection import (
-    Bodies,
-    bodies_of,
     coincidence_warnings,
-    coincident_nodes,
-    quality,
-    quality_warnings,
     set_up_warnings,
     stack_problems,
     strength_at,
 )
+from wrenchbook.fea.mesh.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.mesh.bolts import BoltCut
 from wrenchbook.fea.mesh.cad.meshing import list_shape
+from wrenchbook.fea.mesh.face_choice import line
 from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.quality import quality, quality_warnings
+from wrenchbook.fea.mesh.sources import mesh_of, surface_of
 from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
@@ -83,11 +82,11 @@ def report(
         mistakes), each a list of ``{"where", "message"}``. If the bundle allows it: ``name``,
         ``fingerprint``, ``has_fea``; ``faces`` and ``bodies`` of a geometry file (``faces`` with
         ``toml`` of any surface); ``unknowns`` (three a node), ``nodes``, ``cells``, ``groups``,
-        ``quality`` (see `fea.inspection`), ``parts``, ``coincident_nodes``; of an input deck
+        ``quality`` (see `fea.mesh.quality`), ``parts``, ``coincident_nodes``; of an input deck
         ``mesh_file`` (see `fea.check.deck_differences`); ``materials``, ``section`` (of several
         interfaces ``sections``, with their names), ``supports``, ``ties``, ``temperature`` and
         ``acceleration`` where there are any; ``estimate`` (`fea.check.cost.Cost`), ``trial``,
-        ``vibration`` and ``strength`` (`Trial`, `Swing` and `LargestStress` of `fea.check.trial`);
+        ``vibration`` (`Trial` and `Swing` of `fea.check.trial`) and ``strength`` (`LargestStress`);
         for meshes that solve in seconds ``solver_error`` (see `fea.accuracy.estimate`). Lengths in
         m. Instead of all from ``faces`` on, ``deck`` (see `fea.deck.running`).
     """
@@ -104,11 +103,7 @@ def report(
             except BundleError as other:
                 raise BundleError([*error.problems, *other.problems]) from None
             raise
-        summary |= {
-            "name": bundle.name,
-            "fingerprint": bundle.fingerprint,
-            "has_fea": bundle.has_fea,
-        }
+        summary |= {key: getattr(bundle, key) for key in ("name", "fingerprint", "has_fea")}
         if bundle.deck is not None:  # a deck answers in place of the embedded solver
             summary["deck"], warnings = deck_report(bundle.deck)
             summary["warnings"] += warnings
@@ -150,7 +145,7 @@ def listed(surface: Surface, face: Face) -> dict[str, Any]:
     """Return a face with the ``toml`` that selects it; lengths in m, areas in m^2."""
     if face.kind == "Cylinder" and face.axis is None:  # a face of a geometry file
         face = surface.cylinder(np.flatnonzero(surface.numbers == face.number), face) or face
-    return asdict(face) | {"toml": surface.line(face)}
+    return asdict(face) | {"toml": line(surface, face)}
 
 
 def _geometry_named_in(folder: Path) -> Path | None:
@@ -288,13 +283,11 @@ def _inspect_component(
     # The ranges of the further inputs, if there are any.
     temperature = component.temperature
     if temperature is not None:
-        summary["temperature"] = {
-            "low": temperature.low,
-            "high": temperature.high,
-            "reference": temperature.reference,
-        }
+        keys = ("low", "high", "reference")
+        summary["temperature"] = {key: getattr(temperature, key) for key in keys}
     if component.accelerated:
         summary["acceleration"] = [scalar.high for scalar in component.further[-3:]]
+
     summary |= _joining(component)
     sections = [_section(interface) for interface in component.interfaces]
     if len(sections) > 1:

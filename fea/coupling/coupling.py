@@ -107,10 +107,7 @@ class SectionCoupling(ABC):
         self.points = points
 
     def node_positions(self, interface: Array) -> Array | None:
-        """Return the displacements (s, 3), m, that an interface at (6,), m and rad, prescribes.
-
-        Or None.
-        """
+        """Return the displacements, (s, 3), m, by an interface at (6,), m and rad; None if free."""
         return None
 
     @abstractmethod
@@ -141,7 +138,6 @@ class SectionCoupling(ABC):
     ) -> ArmMoments:
         """Return N, 3x3, by which the coupling's energy depends on the rotation matrix R: as R : N.
 
-        state: the configuration.
         forces: Shapes (s, 3), N, and (s, 3, k): internal nodal forces, and their change with k
         inputs.
         fields: shape (s, 3, k), m per unit of each: the nodes' change with the inputs.
@@ -227,6 +223,7 @@ class Coupling:
             forced.append(first + more)
             self.border += len(more)
         self._forced = np.concatenate(forced)
+
         # For each spring the indices of its motions among all, and in the border.
         self._springs: list[tuple[Array, Array, Array]] = []
         for numbers, stiffness in springs:
@@ -268,7 +265,6 @@ class Coupling:
     def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
         """Return the state after a correction; rigid sections are placed exactly.
 
-        state: the state before.
         nodes: shape (n, 3), m: the correction of the free nodes.
         border: shape (border,): the correction of the interface freedoms, m and rad, and
         multipliers, N and N/m.
@@ -288,7 +284,6 @@ class Coupling:
     def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
         """Return the forces out of balance.
 
-        state: the configuration.
         forces: shape (n, 3), N: the internal nodal forces.
         wrench: shape (6 i,), N and N·m.
         Returns nodal: shape (n, 3), N. border: shape (border,): N and N·m for interface freedoms, m
@@ -313,7 +308,6 @@ class Coupling:
     def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
         """Return the border of the body's tangent.
 
-        state: the configuration.
         forces: shape (n, 3), N: the internal nodal forces.
         wrench: shape (6 i,), N and N·m.
         """
@@ -366,7 +360,6 @@ class Coupling:
         Displacements are relative to those at an origin, shape (6 i,): the energy depends on
         R = R' R0 alone, so R' : N R0^T is differentiated in place of R : N.
 
-        state: the configuration.
         forces: Shapes (n, 3), N, and (n, 3, k): internal nodal forces less dead ones, and their
         change with the inputs at the nodes that are `constrained`.
         fields, border: Shapes (n, 3, k), m per unit of each input, and (border, k): change with the

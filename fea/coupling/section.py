@@ -187,6 +187,7 @@ class Distributed(SectionCoupling):
         columns[:, :, _FORCE] = self._weights[:, None, None] * np.eye(3)
         columns[:, :, _MOMENT] = -weighted_arms
         block = np.zeros((2 * PER_INTERFACE, 2 * PER_INTERFACE))
+
         # Write the border's derivatives, except those of the spin itself.
         centre = skew(turned.centre) @ turned.spin
         inertia = turned.inertia()

@@ -25,7 +25,9 @@ _SLOPE = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
 
 def relative_motion(motions: Array) -> tuple[Array, Array]:
     """Return q, (6,), m and rad, of one frame's motion, (6,), or two, (12,), and B, (6, k)."""
-    return _motion_and_jacobian(motions, _relative_rotation(motions))
+    first = np.zeros(3) if len(motions) == _PER_FRAME else motions[3:_PER_FRAME]
+    turned = rotation_vector(rotation(first).T @ rotation(motions[-3:]))
+    return _motion_and_jacobian(motions, turned)
 
 
 def energy_hessian(motions: Array, stiffness: Array) -> Array:
@@ -53,13 +55,6 @@ def energy_third_derivatives(motions: Array, stiffness: Array) -> Array:
         slope = sum(hessians) / _STEP
         tensor[turn], tensor[:, turn], tensor[:, :, turn] = slope, slope, slope
     return tensor
-
-
-def _relative_rotation(motions: Array) -> Array:
-    """Return the rotation vector of q, shape (3,), rad."""
-    first = np.zeros(3) if len(motions) == _PER_FRAME else motions[3:_PER_FRAME]
-    last = motions[-3:]
-    return rotation_vector(rotation(first).T @ rotation(last))
 
 
 def _motion_and_jacobian(motions: Array, turned: Array) -> tuple[Array, Array]:

@@ -1,7 +1,4 @@
-"""One run of a deck: insert loads, run a command with a timeout, read the motion.
-
-Named failures.
-"""
+"""One run of a deck: insert loads, run a command with a timeout, read the motion."""
 
 from __future__ import annotations
 
@@ -35,6 +32,7 @@ PRINTED = "printed.txt"
 """File of the program's standard output and errors."""
 
 _PLACEHOLDER = re.compile(rb"\$([FM][XYZ])\b")
+_PACKAGES = {"ccx": "CalculiX: on Debian and Ubuntu, apt-get install calculix-ccx"}
 _MAX_QUOTED = 400  # characters of a solver's output in a message: longer texts are cut
 
 
@@ -68,7 +66,6 @@ def filled(deck: bytes, loads: Sequence[float]) -> bytes:
 def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tuple[Array, int]:
     """Run a deck once, in a folder made for it.
 
-    deck: the deck.
     wrench: shape (6,), N and N·m, with the kind of moment that the deck needs.
     folder: a new folder for its files, which stay.
     progress: called during the run if the reader knows the progress.
@@ -94,35 +91,9 @@ def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tup
 
 
 def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Reading:
-    """Run the command of a deck in its folder and read its output.
-
-    Raises SolveFailed as `run_deck`.
-    """
-    command = [word.replace("{job}", run.job) for word in deck.command]
-    program = command[0]
-
-    def watch() -> None:
-        stage = reader.stage(run)
-        if stage is not None:
-            progress(*stage)
-
-    try:
-        code = run_command(command, run.folder, run.printed, deck.timeout, watch)
-    except OutOfTime:
-        raise SolveFailed(
-            "timed_out",
-            f'"{program}" had not finished after {deck.timeout:g} s and was stopped.',
-            "Write a larger timeout (seconds) under [deck], or make the deck smaller.",
-        ) from None
-    except OSError as error:
-        package = f" ({_PACKAGES[program]})" if program in _PACKAGES else ""
-        raise SolveFailed(
-            "no_solver",
-            f'The program "{program}" of command under [deck] cannot be started: '
-            f"{error.strerror or error}.",
-            f"Install it{package} where solves run, so that it is on the PATH there, or correct "
-            "the command.",
-        ) from None
+    """Run the command of a deck and read its output; raise SolveFailed as `run_deck`."""
+    program = deck.command[0].replace("{job}", run.job)
+    code = _exit_code(deck, run, reader, progress)
     complaint = reader.complaint(run)
     if complaint is not None and complaint.not_converged:
         raise SolveFailed(
@@ -140,6 +111,39 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
         return reader.read(run, deck.output)
     except OutputError as error:
         raise bad_output(str(error), run.folder) from None
+
+
+def _exit_code(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> int:
+    """Run the command of a deck and return its exit code, or minus its signal.
+
+    Raises SolveFailed of kind ``no_solver`` if it cannot be started, ``timed_out`` if it takes too
+    long.
+    """
+    command = [word.replace("{job}", run.job) for word in deck.command]
+    program = command[0]
+
+    def watch() -> None:
+        stage = reader.stage(run)
+        if stage is not None:
+            progress(*stage)
+
+    try:
+        return run_command(command, run.folder, run.printed, deck.timeout, watch)
+    except OutOfTime:
+        raise SolveFailed(
+            "timed_out",
+            f'"{program}" had not finished after {deck.timeout:g} s and was stopped.',
+            "Write a larger timeout (seconds) under [deck], or make the deck smaller.",
+        ) from None
+    except OSError as error:
+        package = f" ({_PACKAGES[program]})" if program in _PACKAGES else ""
+        raise SolveFailed(
+            "no_solver",
+            f'The program "{program}" of command under [deck] cannot be started: '
+            f"{error.strerror or error}.",
+            f"Install it{package} where solves run, so that it is on the PATH there, or correct "
+            "the command.",
+        ) from None
 
 
 def _ending(code: int) -> str:
@@ -180,7 +184,6 @@ def run_command(
     exception the program and all processes in its process group are gone; they also end soon after
     this program is killed.
 
-    command: the program and its arguments.
     printed: file for its standard output and errors.
     timeout: seconds.
     watch: called a few times a second during the run.
@@ -281,6 +284,7 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
     problems += [BundleProblem("deck.file", f"{deck.file.name} {mistake}") for mistake in mistakes]
     if problems:
         raise BundleError(problems)
+
     program = deck.command[0]
     files = [file for file in deck.files if Path(program) == Path(file.name)]
     program = program if files and "/" in program else shutil.which(program)
@@ -299,9 +303,6 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
         "solves run"
     )
     return summary, [BundleProblem("deck.command", message)]
-
-
-_PACKAGES = {"ccx": "CalculiX: on Debian and Ubuntu, apt-get install calculix-ccx"}
 
 
 def solver_failed(program: str, ending: str, quoted: str, folder: Path) -> SolveFailed:

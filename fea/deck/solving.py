@@ -186,6 +186,7 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
     """
     if runs.deck.moment == "spatial":
         return runs.run("wrench", wrench, 0.0, 1.0)
+
     moment = wrench[3:]
     size = float(np.linalg.norm(wrench[3:]))
     acting = moment.copy()
@@ -212,6 +213,7 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
         step = -inverse @ excess
         before = excess
         acting = acting + step
+
     runs.accept(displacement)
     raise SolveFailed(
         "not_converged",

@@ -72,7 +72,6 @@ class CellStiffness(ABC):
     def state(self, part: Which, displacement: Array | None) -> CellState:
         """Return strains and stresses of a few cells.
 
-        part: the cells.
         displacement: of these cells, shape (cells, 3, nodes), m; None for the undeformed state.
         """
 
@@ -81,7 +80,6 @@ class CellStiffness(ABC):
         """Return the stresses of small strains times the weights, N·m.
 
         strain: strains of a few cells, shape (k, cells, points, 3, 3), dimensionless.
-        part: the cells.
         Result: shape (k, cells, points, 3, 3), Pa times m^3.
         """
 

@@ -35,7 +35,7 @@ from wrenchbook.fea.element.cell_state import (
     symmetrised,
 )
 from wrenchbook.fea.element.st_venant_kirchhoff import IsotropicStiffness, projected_gram, weighted
-from wrenchbook.fea.tensors import COLUMNS, ROWS
+from wrenchbook.fea.tensors import COLUMNS, ROWS, deviator
 
 Array = np.ndarray
 
@@ -76,7 +76,7 @@ class _State(DenseState):
         with np.errstate(invalid="ignore", divide="ignore"):
             self.scale = self.weights * self.shear * np.exp(-2.0 / 3.0 * np.log1p(self.growth))
         self.pressure = self._pressure_of(self.growth)
-        self.deviatoric = 2.0 * _times(self.scale, self.inverse @ _deviator(self.E))
+        self.deviatoric = 2.0 * _times(self.scale, self.inverse @ deviator(self.E))
         self.wS = self.deviatoric + _times(self.pressure * self.J, self.inverse)
 
     def extrapolate(self, step: Array) -> None:
@@ -154,10 +154,7 @@ class _State(DenseState):
         return deviatoric + _times(self.pressure * self.J, pressed)
 
     def _deviatoric_change(self, strain: Array, along: Array, inside: Array) -> Array:
-        """Return the change along E of the stress that keeps no volume.
-
-        along, inside: `_along` and `_sandwiched` of E.
-        """
+        """Return the change along E of `deviatoric`, by `_along` and `_sandwiched` of E."""
         trace = np.trace(strain, axis1=-2, axis2=-1)
         deviatoric = _times(self.mean_C, inside) - _times(along / 3.0, np.eye(3))
         deviatoric += _times(self.mean_C * along / 3.0 - trace / 3.0, self.inverse)
@@ -185,16 +182,11 @@ class _State(DenseState):
 
         J^(-2/3) tr C / 3 = det(I + 2 e)^(-1/3), and det(I + 2 e) = 1 - 2 e:e + 8 det e.
         """
-        e = _times(1.0 / self.mean_C, _deviator(self.E))
+        e = _times(1.0 / self.mean_C, deviator(self.E))
         less = 8.0 * np.linalg.det(e) - 2.0 * np.sum(e * e, axis=(-2, -1))
         density = 1.5 * self.shear * np.expm1(-np.log1p(less) / 3.0)
         density = np.where(self.J > 0.0, density, np.nan)
         return float(np.vdot(self.weights, density) + 0.5 * np.vdot(self.pressure, self.growth))
-
-
-def _deviator(strain: Array) -> Array:
-    mean = np.trace(strain, axis1=-2, axis2=-1) / 3.0
-    return strain - _times(mean, np.eye(3))
 
 
 def _times(factor: Array, matrices: Array) -> Array:

@@ -21,7 +21,7 @@ import numpy as np
 
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
-from wrenchbook.fea.mesh.io.raw import rows_of
+from wrenchbook.fea.mesh.io.translated import rows_of
 from wrenchbook.fea.spec.material import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE
@@ -140,6 +140,7 @@ def _springs(component: ComponentModel) -> Iterator[str]:
         yield from rows_of(map(str, frame.section.node_ids + 1))
         yield f"*RIGID BODY, NSET=BUSHING{i}, REF NODE={node}, ROT NODE={node + 1}"
         node += 2
+
     for ends, stiffness in component.springs:
         frame = component.frames[ends[0]]
         at = _numbers(component.axes @ frame.point)
@@ -234,10 +235,7 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
 
 
 def _orientation(number: int, orthotropic: Orthotropic, axes: Array) -> Iterator[str]:
-    """Yield a material's directions by a point on its x-axis and a point on its y-axis.
-
-    Directions about a cylinder's axis are given by two points of the axis.
-    """
+    """Yield directions by a point on x and a point on y, or by two points of a cylinder's axis."""
     if orthotropic.cylinder is not None:
         cylinder = orthotropic.cylinder
         point, axial = np.array([cylinder.point, cylinder.axis]) @ axes.T
@@ -283,6 +281,7 @@ def _step(component: ComponentModel) -> Iterator[str]:
             yield from (f"{node}, {axis}, {axis}" for node, axis in fixed)
     else:
         yield from start
+
     yield from _pulls(component)
     yield "*CLOAD"
     for interface in component.interfaces:

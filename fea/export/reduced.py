@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
-from wrenchbook.fea.solver.vibration import CraigBampton
+from wrenchbook.fea.solver.reduction import CraigBampton
 
 _NAMES = {"stiffness": "K", "mass": "M", "damping": "B"}  # in Nastran's case control
 _RIGID_MOTIONS = 6  # motions of a free part: its lowest modes

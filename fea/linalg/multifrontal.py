@@ -47,10 +47,7 @@ Leaf = Callable[[int], Array]
 """Returns the matrix of a leaf by its index, its unknowns in the order of the substructure's."""
 
 _WIDTH = 256
-"""Approximate number of unknowns in a block column.
-
-Wide enough for BLAS (measured level from 192 to 384).
-"""
+"""Approximate number of unknowns in a block column: from 192 to 384 BLAS is as fast."""
 
 _ONE_COLUMN = 768
 """Number of unknowns below which a boundary is one block column, a square.
@@ -60,10 +57,7 @@ In columns of 256 a flange whose largest boundary has 705 takes 10 % longer, to 
 
 
 class Condensed(NamedTuple):
-    """Minus the condensed stiffness of one boundary, N/m.
-
-    Entries above its diagonal have no meaning.
-    """
+    """Minus the condensed stiffness of one boundary, N/m; not above its diagonal."""
 
     starts: list[int]  # first unknown of each block column, and after the last
     # For each block column from a to b of n unknowns, shape (n - a, b - a), in Fortran's order
@@ -276,11 +270,10 @@ class _CholeskyFront:
         self.pivots = np.diagonal(L) ** 2
         self.L, _ = routines["trttf"](L, uplo="L")
 
-    def products(self, boundary: int) -> Condensed:
+    def products(self) -> Condensed:
         """Return the change of the boundary's stiffness by the elimination."""
-        W = self.W
         syrk = _ROUTINES[self.W.dtype]["syrk"]
-        return products(W, W, partial(syrk, 1.0, trans=1, lower=1))
+        return products(self.W, self.W, partial(syrk, 1.0, trans=1, lower=1))
 
     def forward(self, x: Array, part: Substructure) -> None:
         rows = slice(part.start, part.stop)
@@ -312,7 +305,7 @@ class _LUFront:
         self.B = B
         self.W = _getrs(self.lu, self.swaps, B)[0] if B.size else B
 
-    def products(self, boundary: int) -> Condensed:
+    def products(self) -> Condensed:
         product = products(self.B, self.W, None)
         del self.B  # no longer needed: about a quarter of the front's memory
         return product
@@ -339,10 +332,7 @@ class _LUFront:
 
 
 def _eliminate(dissection: Dissection, leaf: Leaf, kind: type, single: bool = False) -> Any:
-    """Factorise front by front; a condensed stiffness is deleted when its parent has used it.
-
-    Returns the fronts and the diagonal of the matrix.
-    """
+    """Factorise front by front; return the fronts, and the diagonal of the matrix."""
     diagonal = np.zeros(dissection.unknowns)
     dtype = np.float32 if single else np.float64
     fronts: list = []
@@ -369,12 +359,11 @@ class _EmptyFront:
     pivots = np.empty(0)
     negatives = 0
 
-    def products(self, boundary: int) -> Condensed:
-        none = np.empty((0, boundary), order="F")
-        return products(none, none, None)
+    def __init__(self, boundary: int) -> None:
+        self._none = np.empty((0, boundary), order="F")
 
-
-_EMPTY = _EmptyFront()
+    def products(self) -> Condensed:
+        return products(self._none, self._none, None)
 
 
 def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed]:
@@ -382,12 +371,12 @@ def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed
     pivots = slice(0, part.eliminated)
     boundary = slice(part.eliminated, None)
     matrix = matrix.T  # symmetric; columns then are contiguous as in a front
-    front = _EMPTY
+    front = _EmptyFront(part.boundary.size)
     if part.eliminated:
         front = kind(
             matrix[pivots, pivots].copy(order="F"), matrix[pivots, boundary].copy(order="F")
         )
-    handed_on = front.products(part.boundary.size)
+    handed_on = front.products()
     add_leaf(handed_on, matrix[boundary, boundary])
     return front, handed_on
 
@@ -395,16 +384,13 @@ def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed
 def _branch(
     part: Substructure, condensed: dict[int, Condensed], kind: type, dtype: Any
 ) -> tuple[Any, Condensed]:
-    """Return the front of a branch and its condensed stiffness; those of its children are deleted.
-
-    Indices ascend, so lower triangles remain lower.
-    """
+    """Return a branch's front and condensed stiffness; delete those of its children."""
     eliminated, boundary = part.eliminated, part.boundary.size
     ways = [
         route(condensed[child], indices, eliminated, boundary)
         for child, indices in zip(part.children, part.indices, strict=True)
     ]
-    front = _EMPTY
+    front = _EmptyFront(boundary)
     if eliminated:
         A = np.zeros((eliminated, eliminated), order="F", dtype=dtype)
         B = np.zeros((eliminated, boundary), order="F", dtype=dtype)
@@ -412,7 +398,7 @@ def _branch(
             add_to_pivots(A, B, condensed[child], way)
         front = kind(A, B)
         del A, B  # the factor has them
-    handed_on = front.products(boundary)
+    handed_on = front.products()
     for child, way in zip(part.children, ways, strict=True):
         add_to_boundary(handed_on, condensed.pop(child), way, eliminated)
     return front, handed_on

@@ -33,7 +33,6 @@ Smaller leaves make more fronts, whose calls then take longer than their arithme
 flange of tetrahedra at 12); larger ones fill in more (the factor is a fifth larger at 32 hex20).
 """
 
-
 _WINDOW = 0.3
 """Part of the cells, to either side of the middle, among which the cut is chosen."""
 
@@ -114,6 +113,7 @@ class Cutter:
             if pairs.nodes.size
             else pairs.nodes
         )
+
         low = max(int(count * (0.5 - _WINDOW)), 1)
         sizes = np.arange(low, max(count - low, low) + 1)  # sizes of the first half
         dearer = 1.0 + _UNEVEN * (2.0 * sizes / count - 1.0) ** 2
@@ -212,7 +212,6 @@ class Dissection:
 def dissect(cells: list[Array], centres: Array, free: Array) -> Dissection:
     """Cut a mesh into nested substructures.
 
-    cells: the nodes of each cell.
     centres: shape (cells, 3), m: where each cell is.
     free: shape (mesh nodes,), bool: the nodes whose displacement is unknown.
     """
@@ -254,10 +253,7 @@ class _Builder:
     def _add(
         self, cells: Array, children: tuple[int, ...], nodes: Array, uses: Array
     ) -> tuple[int, Array, Array]:
-        """Add a substructure, and eliminate the free nodes whose `uses` are all within it.
-
-        Return its number, its boundary nodes and their uses in it.
-        """
+        """Add a part; eliminate nodes with all `uses` in it. Return number, boundary and uses."""
         nodes, inverse = np.unique(nodes, return_inverse=True)
         uses = np.bincount(inverse, weights=uses, minlength=nodes.size).astype(np.int64)
         is_free = self.free[nodes]

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from wrenchbook.fea.mesh.dependents import Dependents, Entries
-from wrenchbook.fea.mesh.facets import TRIANGLES, faces_of, facets_within, missing, no_facets
+from wrenchbook.fea.mesh.facets import faces_of, facets_within, triangles_of
+from wrenchbook.fea.mesh.groups import missing, no_facets
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.mesh.surface import connected
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import Bolt
 
@@ -110,13 +110,16 @@ def _sides(mesh: Mesh, bolt: Bolt, key: str, problems: list[BundleProblem]) -> _
     heights = mesh.points @ bolt.axis
     shank = _of_region(mesh, bolt, heights) if by_region else _of_group(mesh, bolt, heights)
     above, nodes = _upper_cells(mesh, shank, heights)
-    triangles = _cut_triangles(mesh, above, nodes)
-    message = _why_uncut(mesh, bolt, shank, heights, above, nodes, bool(triangles))
+    pairs = zip(mesh.blocks, above, strict=True)
+    cells = tuple(CellBlock(block.kind, block.nodes[upper]) for block, upper in pairs)
+    faces = tuple(FacetBlock(kind, facets) for kind, facets in faces_of(cells).items())
+    triangles = triangles_of(facets_within(FacetGroup(faces), nodes))
+    message = _why_uncut(mesh, bolt, shank, heights, above, nodes, len(triangles) > 0)
     if message:
         problems.append(BundleProblem(key, message))
         return None
     # The vectors of a face between two upper cells cancel.
-    x = mesh.points[np.concatenate(triangles)]
+    x = mesh.points[triangles]
     vector = 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]).sum(axis=0)
     return _Sides(above, nodes, float(abs(vector @ bolt.axis)))
 
@@ -134,16 +137,6 @@ def _upper_cells(mesh: Mesh, shank: _Shank, heights: Array) -> tuple[list[Array]
         for block, upper in zip(mesh.blocks, above, strict=True)
     ]
     return touching, nodes
-
-
-def _cut_triangles(mesh: Mesh, above: list[Array], nodes: Array) -> list[Array]:
-    """Return the faces of upper cells within the nodes of a cut, (t, 3) for each kind of face."""
-    cells = [CellBlock(b.kind, b.nodes[upper]) for b, upper in zip(mesh.blocks, above, strict=True)]
-    faces = tuple(FacetBlock(kind, facets) for kind, facets in faces_of(tuple(cells)).items())
-    return [
-        facets[:, TRIANGLES[kind]].reshape(-1, 3)
-        for kind, facets in facets_within(FacetGroup(faces), nodes).blocks
-    ]
 
 
 def _why_uncut(
@@ -177,6 +170,7 @@ def _why_uncut(
                 f'"{bolt.group}" does not cut through the shank: cells on both sides share '
                 f"{len(nodes)} of its {len(group)} nodes; name all facets across the shank"
             )
+
     outside = np.intersect1d(nodes, _nodes_of(mesh, [~inside for inside in shank.cells]))
     if outside.size:
         return (
@@ -198,10 +192,7 @@ class _Shank(NamedTuple):
 
 
 def _of_region(mesh: Mesh, bolt: Bolt, heights: Array) -> _Shank:
-    """Return the region's cells, and a plane cut across the axis.
-
-    heights: shape (n,), m: heights of the nodes along the axis.
-    """
+    """Return the region's cells, and a plane cut across the axis, by nodes' heights, (n,), m."""
     chosen = [
         np.isin(np.arange(len(block)), cells)
         for block, cells in zip(mesh.blocks, mesh.regions[bolt.region or ""], strict=True)
@@ -236,8 +227,7 @@ def _pieces(mesh: Mesh, chosen: Sequence[Array], nodes: Array) -> int:
         first += len(block)
     _, ends = np.unique(np.concatenate(pairs, axis=1), return_inverse=True)
     rows, columns = ends.reshape(2, -1)
-    size = int(ends.max()) + 1
-    return connected_components(coo_array((np.ones(len(rows)), (rows, columns)), (size, size)))[0]
+    return int(connected(rows, columns, int(ends.max()) + 1).max()) + 1
 
 
 def _nodes_of(mesh: Mesh, chosen: Sequence[Array]) -> Array:

@@ -22,7 +22,6 @@ _FORCES = {"in": 4.4482216152605, "ft": 4.4482216152605, "um": 1e-6}
 All others go with newtons.
 """
 
-
 _HEX20 = re.compile(r"^\s*\*ELEMENT\s*,[^*]*?\bTYPE\s*=\s*C3D20(\w*)", re.I | re.M)
 
 
@@ -163,10 +162,7 @@ class DeckContent:
 
     @property
     def notes(self) -> list[str]:
-        """The texts of `missing`.
-
-        A note of several keywords, such as thousands of equations, once.
-        """
+        """The texts of `missing`; a note of several keywords, such as of equations, once."""
         lines: dict[tuple[str, str], list[str]] = {}
         for where, note in self.missing.items():
             line, _, word = where.rpartition(": ")

@@ -97,10 +97,6 @@ class Dependents:
         """Return displacement fields (n, 3, ...), m, with those of the dependent nodes set."""
         return (self.map @ fields.reshape(len(fields), -1)).reshape(fields.shape)
 
-    def reduced(self, forces: Array) -> Array:
-        """Return forces (n, ...), N, with those on dependent nodes moved to their masters."""
-        return (self.map.T @ forces.reshape(len(forces), -1)).reshape(forces.shape)
-
     def among(self, cells: Array) -> Array:
         """Return which cells, nodes of shape (m, a), have dependent nodes: (m,), bool."""
         return np.asarray(np.isin(cells, self.nodes).any(axis=1))

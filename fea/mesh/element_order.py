@@ -10,17 +10,22 @@ curved surface is better meshed in second order by the mesher itself.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from wrenchbook.fea.mesh.dependents import Dependents
-from wrenchbook.fea.mesh.facets import EDGES, FaceFinder
-from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.mesh.facets import EDGES, FaceFinder, corners_of_cell
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetGroup, Mesh
 from wrenchbook.fea.spec.problems import BundleProblem
 
 Array = np.ndarray
 
 SECOND = {"hex8": "hex20", "tet4": "tet10", "wedge6": "wedge15", "pyramid5": "pyramid13"}
 """Each kind of first-order cell, and the kind with midside nodes that replaces it."""
+
+FIRST = {second: first for first, second in SECOND.items()} | {"hex27": "hex8"}
+"""Each kind of second-order cell, and the first-order kind with the same corners."""
 
 
 def first_order_problems(mesh: Mesh) -> list[BundleProblem]:
@@ -43,51 +48,58 @@ def second_order(mesh: Mesh) -> Mesh:
     group gets the faces of the new cells, a node group the nodes of edges whose ends are both in
     it.
     """
-    # The edges of the first-order cells as sorted pairs, and their middle nodes or -1.
-    unknown = [np.empty((0, 2), dtype=np.int64)]
-    known = [np.empty((0, 3), dtype=np.int64)]
-    for block in mesh.blocks:
-        edges = block.nodes[:, EDGES[block.kind]]
-        if block.kind in SECOND:
-            unknown.append(np.sort(edges.reshape(-1, 2), axis=1))
-        else:
-            corners = int(np.max(EDGES[block.kind])) + 1
-            middle = block.nodes[:, corners : corners + edges.shape[1], None]
-            ends = np.sort(edges, axis=2)
-            known.append(np.concatenate([ends, middle], axis=2).reshape(-1, 3))
-    pairs = np.unique(np.concatenate(unknown), axis=0)
-    middles = np.full(len(pairs), -1, dtype=np.int64)
-    there = np.concatenate(known)
-    index, is_known = _find(pairs, there[:, :2])
-    middles[index[is_known]] = there[is_known, 2]
+    edges, middles = _first_order_edges(mesh)
     new = middles < 0
-    points = np.concatenate([mesh.points, 0.5 * mesh.points[pairs[new]].sum(axis=1)])
+    points = np.concatenate([mesh.points, 0.5 * mesh.points[edges[new]].sum(axis=1)])
     middles[new] = len(mesh.points) + np.arange(int(new.sum()))
-    raised = list(mesh.blocks)
-    for i, block in enumerate(mesh.blocks):
+
+    blocks = list(mesh.blocks)
+    for i, block in enumerate(blocks):
         if block.kind in SECOND:
-            edges = np.sort(block.nodes[:, EDGES[block.kind]].reshape(-1, 2), axis=1)
-            added = middles[_find(pairs, edges)[0]].reshape(len(block), -1)
-            raised[i] = CellBlock(SECOND[block.kind], np.hstack([block.nodes, added]))
-    blocks = tuple(raised)
-    finder = FaceFinder(blocks)
-    groups = {}
-    for name, group in mesh.facet_groups.items():
-        faces = [face for kind, nodes in group.blocks for face in finder.find(kind, nodes)[0]]
-        groups[name] = FacetGroup(tuple(FacetBlock(kind, nodes) for kind, nodes in faces))
-    return Mesh(
-        points,
-        blocks,
-        mesh.regions,
-        groups,
-        {
-            name: np.unique(np.concatenate([ids, middles[np.isin(pairs, ids).all(axis=1)]]))
-            for name, ids in mesh.node_groups.items()
-        },
-        mesh.deck,
-        mesh.dependents and Dependents.of(len(points), mesh.dependents.entries),
-        mesh.node_weights,
+            ends = np.sort(block.nodes[:, EDGES[block.kind]].reshape(-1, 2), axis=1)
+            added = middles[_find(edges, ends)[0]].reshape(len(block), -1)
+            blocks[i] = CellBlock(SECOND[block.kind], np.hstack([block.nodes, added]))
+
+    finder = FaceFinder(tuple(blocks))
+    facet_groups = {
+        name: FacetGroup(tuple(face for facets in group.blocks for face in finder.find(*facets)[0]))
+        for name, group in mesh.facet_groups.items()
+    }
+    node_groups = {
+        name: np.unique(np.concatenate([ids, middles[np.isin(edges, ids).all(axis=1)]]))
+        for name, ids in mesh.node_groups.items()
+    }
+    return replace(
+        mesh,
+        points=points,
+        blocks=tuple(blocks),
+        facet_groups=facet_groups,
+        node_groups=node_groups,
+        dependents=mesh.dependents and Dependents.of(len(points), mesh.dependents.entries),
     )
+
+
+def _first_order_edges(mesh: Mesh) -> tuple[Array, Array]:
+    """Return the edges of first-order cells, (e, 2), pairs of nodes in order, each once.
+
+    The second result, (e,), has the midside node that a second-order cell gives an edge, or -1.
+    """
+    first_order = [np.empty((0, 2), dtype=np.int64)]
+    with_middles = [np.empty((0, 3), dtype=np.int64)]
+    for block in mesh.blocks:
+        ends = np.sort(block.nodes[:, EDGES[block.kind]], axis=2)
+        if block.kind in SECOND:
+            first_order.append(ends.reshape(-1, 2))
+        else:
+            corners = corners_of_cell(block.kind)
+            middle = block.nodes[:, corners : corners + ends.shape[1], None]
+            with_middles.append(np.concatenate([ends, middle], axis=2).reshape(-1, 3))
+    edges = np.unique(np.concatenate(first_order), axis=0)
+    known = np.concatenate(with_middles)
+    index, is_edge = _find(edges, known[:, :2])
+    middles = np.full(len(edges), -1, dtype=np.int64)
+    middles[index[is_edge]] = known[is_edge, 2]
+    return edges, middles
 
 
 def _find(pairs: Array, queries: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""The faces of each kind of cell, the outer surface of a mesh, and the nodes of its groups."""
+"""The edges and faces of each kind of cell, and the outer surface of a mesh."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh, row_numbers
-from wrenchbook.fea.spec.problems import BundleProblem, suggest
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, row_numbers
 
 Array = np.ndarray
 
@@ -23,7 +22,6 @@ _TET_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
 _TET_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
 _WEDGE_FACES = ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5))
 _WEDGE_EDGES = ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5))
-
 _PYRAMID_FACES = ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4))
 _PYRAMID_EDGES = ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4))
 
@@ -64,7 +62,6 @@ FACES: dict[str, tuple[tuple[int, ...], ...]] = {
     "pyramid13": _with_midsides(_PYRAMID_FACES, _PYRAMID_EDGES, 5),
 }
 """Local nodes of each face of each kind of cell, in VTK facet order, seen from outside."""
-
 
 TRIANGLES: dict[str, tuple[tuple[int, int, int], ...]] = {
     "tri3": ((0, 1, 2),),
@@ -131,8 +128,6 @@ class FaceFinder:
 
     A group may have 4-node or 9-node facets on 20-node hexahedra; they are replaced by faces of the
     cells.
-
-    blocks: the solid cells.
     """
 
     def __init__(self, blocks: tuple[CellBlock, ...]) -> None:
@@ -143,7 +138,6 @@ class FaceFinder:
     def find(self, kind: str, nodes: Array) -> tuple[list[FacetBlock], int]:
         """Return the faces with the corners of the facets `nodes`, and the number without any.
 
-        kind: kind of the facets.
         nodes: shape (f, k): indices of their nodes, corners first.
         """
         count = corners_of(kind)
@@ -161,68 +155,17 @@ class FaceFinder:
         return blocks, missing
 
 
+def triangles_of(group: FacetGroup) -> Array:
+    """Return the facets cut into triangles, seen from outside, (t, 3), int64: nodes."""
+    rows = [nodes[:, TRIANGLES[kind]].reshape(-1, 3) for kind, nodes in group.blocks]
+    return np.concatenate([np.empty((0, 3), dtype=np.int64), *rows])
+
+
 def corners_of(kind: str) -> int:
     """Return the number of corners of a kind of facet."""
     return 3 if kind.startswith("tri") else 4
 
 
-def group_nodes(mesh: Mesh, key: str, name: str, problems: list[BundleProblem]) -> Array:
-    """Return the nodes of a facet group or node group, shape (k,), int64, sorted.
-
-    A missing group is a problem at `key`; then k = 0.
-    """
-    if name in mesh.facet_groups:
-        return mesh.facet_groups[name].node_ids
-    if name in mesh.node_groups:
-        return np.unique(mesh.node_groups[name])
-    problems.append(no_facets(mesh, key, name, or_nodes=True))
-    return np.empty(0, dtype=np.int64)
-
-
-def no_facets(mesh: Mesh, key: str, name: str, *, or_nodes: bool = False) -> BundleProblem:
-    """Return the problem of a name that is no facet group, nor a node group with `or_nodes`."""
-    kind = "facet or node group" if or_nodes else "facet group"
-    groups = [*mesh.facet_groups, *(mesh.node_groups if or_nodes else ())]
-    for members, named in (("cells", mesh.regions), ("nodes", mesh.node_groups)):
-        if name in named:
-            message = f'"{name}" is a group of {members}; name a {kind}{_listed(groups)}'
-            return BundleProblem(key, message)
-    return missing(key, name, kind, groups)
-
-
-def missing(key: str, name: str, kind: str, groups: list[str]) -> BundleProblem:
-    """Return the problem of a missing group, with the nearest name and all names."""
-    listed = _listed(groups, _NO_CELLS if kind == "cell group" else _NO_FACETS)
-    return BundleProblem(key, f'the mesh has no {kind} "{name}"{suggest(name, groups)}{listed}')
-
-
-def near_message(
-    point: tuple[float, float, float], kind: str, nearest: list[int], distance: float, size: float
-) -> str | None:
-    """Return the reason for which a point names no single face or body: too far, or between two."""
-    at = ", ".join(f"{x:g}" for x in point)
-    if distance > size:
-        return f"({at}) m is {distance:.3g} m from the nearest {kind} ({nearest[0]}); correct it"
-    if len(nearest) > 1:
-        named = ", ".join(map(str, nearest))
-        return f"({at}) m lies on the edge between {kind} {named}; move it into one of them"
-    return None
-
-
-_NO_FACETS = (
-    " (it has none at all: choose facets by [mesh.groups.NAME]; "
-    "`wrenchbook check FOLDER --faces` lists the faces with the lines to write)"
-)
-_NO_CELLS = (
-    " (it has none at all: make a cell group in the mesher, or, with a STEP file, "
-    "[mesh.regions.NAME])"
-)
-_MAX_LISTED = 30  # names of groups in a message: about three lines of a terminal
-
-
-def _listed(groups: list[str], if_none: str = _NO_FACETS) -> str:
-    """Return the names of groups in brackets, or the way to make one if there is none."""
-    if not groups:
-        return if_none
-    more = f" and {len(groups) - _MAX_LISTED} more" if len(groups) > _MAX_LISTED else ""
-    return f" (it has {', '.join(groups[:_MAX_LISTED])}{more})"
+def corners_of_cell(kind: str) -> int:
+    """Return the number of corners of a kind of cell."""
+    return int(np.max(EDGES[kind])) + 1

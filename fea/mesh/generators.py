@@ -20,7 +20,6 @@ from wrenchbook.fea.spec.mesh_source import Generator
 
 Array = np.ndarray
 
-
 # Radius of the core over the section's: with it a core of one or two cells has the most exact
 # torsion.
 _LEAST_CORE = 0.6
@@ -51,10 +50,7 @@ class PlaneMesh:
 
     @property
     def edges(self) -> Array:
-        """The edges of the outline: start, end, middle; the inside is on the left.
-
-        Shape (e, 3), indices of nodes.
-        """
+        """Nodes of the outline's edges, (e, 3): start, end, middle; the inside is on the left."""
         each = self.quads[:, [[0, 1, 4], [1, 2, 5], [2, 3, 6], [3, 0, 7]]].reshape(-1, 3)
         _, index, count = np.unique(each[:, 2], return_index=True, return_counts=True)
         return each[index[count == 1]]
@@ -90,7 +86,6 @@ def disc(radius: float, core: int) -> PlaneMesh:
     less stiffness in torsion.
 
     radius: m.
-    core: number of quadrilaterals across the core.
     """
     points, quads = round_corners(radius, core)
     section = quadratic(points, quads)
@@ -231,7 +226,6 @@ def sweep(section: PlaneMesh, layers: int, to_space: PointMap) -> Sweep:
     """Sweep `section` into `layers` layers of cells.
 
     section: Counter-clockwise about the direction of the sweep.
-    layers: number of layers.
     to_space: from section points, shape (k, 2), and the fraction of the way, shape (k,), from 0 to
     1, to points in space, shape (k, 3). Called once, so that any line is possible.
     """

@@ -1,4 +1,4 @@
-"""The isoparametric map of real cells: folded ones, shape gradients, volumes and areas."""
+"""The isoparametric map of real cells: folded ones, shape gradients and areas."""
 
 from __future__ import annotations
 
@@ -28,11 +28,10 @@ def determinants(points: Array, block: CellBlock) -> Array:
 def extreme_determinants(points: Array, block: CellBlock) -> tuple[Array, Array]:
     """Return the extremes of det(dx/dxi) over the nodes and quadrature points of each cell.
 
-    Points have shape (n, 3), m.
-
     A cell can fold over at a corner although every quadrature point has a positive determinant; its
     answers are wrong then (5 % for one of 40 cells with two corners swapped).
 
+    points: shape (n, 3), m.
     Returns least, largest: each of shape (m,), m^3: the least, and the largest in size.
     """
     _, slopes = tabulate(block.kind, node_coordinates(block.kind))
@@ -42,27 +41,20 @@ def extreme_determinants(points: Array, block: CellBlock) -> tuple[Array, Array]
 
 
 def folded_cells(points: Array, block: CellBlock) -> Array:
-    """Return the indices of cells that are inside out or flat at a node or quadrature point.
+    """Return the indices, (k,), of cells that are inside out or flat at a node or quadrature point.
 
-    Points have shape (n, 3), in m or any other unit.
-
-    Result: shape (k,), int64: indices of cells of the block, ascending.
+    points: shape (n, 3), in m or any other unit.
     """
     least, largest = extreme_determinants(points, block)
     return np.flatnonzero(~(least > _FLAT * largest))
 
 
-def volumes(points: Array, block: CellBlock) -> Array:
-    """Return the volume of each cell, shape (m,), m^3."""
-    return determinants(points, block) @ reference_element(block.kind).weights
-
-
 def right_way_round(points: Array, block: CellBlock) -> CellBlock:
     """Return the block, renumbered if all its cells are mirrored.
 
-    Points have shape (n, 3), in m or any other unit.
-
     Only a complete block is renumbered: a few mirrored cells among others are an error of the mesh.
+
+    points: shape (n, 3), in m or any other unit.
     """
     if not len(block) or not (determinants(points, block) < 0.0).all():
         return block
@@ -100,10 +92,7 @@ class Gradients:
     values: Array
 
     def of_outer(self, weights: Array) -> Gradients:
-        """Return the gradients by the nodes on which the cells depend.
-
-        Weights as of `Dependents.outer`.
-        """
+        """Return the gradients by the nodes on which the cells depend; see `Dependents.outer`."""
         return Gradients(self.slopes @ weights[:, None], self.weights, self.values @ weights)
 
 
@@ -111,7 +100,6 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
     """Map the reference gradients of a block to its cells.
 
     points: shape (n, 3), m.
-    block: the cells.
     integration: ``"reduced"`` or ``"full"``, for hex20.
 
     Raises SolveFailed of kind ``inverted_elements`` if the determinant of a cell's map is not
@@ -119,7 +107,6 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
     """
     element = reference_element(block.kind, integration)
     jacobian = points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes  # dX_i/dxi_j
-    volumes_of = determinant(jacobian)
     bad = folded_cells(points, block)
     if bad.size:
         listed = ", ".join(str(cell) for cell in bad[:_MAX_LISTED])
@@ -128,9 +115,9 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
             f"{bad.size} of {len(block)} {block.kind} cells are inverted or flat (cell numbers "
             f"{listed}{', ...' if bad.size > _MAX_LISTED else ''}).",
         )
-    inverse = np.linalg.inv(jacobian)
-    slopes = inverse.transpose(0, 1, 3, 2) @ element.slopes.transpose(0, 2, 1)
-    return Gradients(np.ascontiguousarray(slopes), volumes_of * element.weights, element.values)
+    weights = determinant(jacobian) * element.weights
+    slopes = np.linalg.inv(jacobian).transpose(0, 1, 3, 2) @ element.slopes.transpose(0, 2, 1)
+    return Gradients(np.ascontiguousarray(slopes), weights, element.values)
 
 
 def area_weights(points: Array, group: FacetGroup) -> tuple[Array, Array]:

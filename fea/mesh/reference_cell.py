@@ -17,7 +17,7 @@ from scipy.special import roots_jacobi
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet, RefTri
 
-from wrenchbook.fea.mesh.facets import EDGES
+from wrenchbook.fea.mesh.facets import EDGES, corners_of_cell
 
 Array = np.ndarray
 
@@ -71,7 +71,6 @@ _WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (2, 3)}
 _MASS_SIMPLEX_DEGREES = {**_SIMPLEX_DEGREES, "tet4": 2, "tet10": 4}
 _MASS_WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (4, 3)}
 
-
 _ROUNDOFF = 1e-12  # roundoff of reference coordinates, which are 0, 1/2 and 1
 _TINY = 1e-30  # replaces a height of 0 below a pyramid's apex in a divisor
 
@@ -121,10 +120,7 @@ def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
 
 
 def node_coordinates(kind: str) -> Array:
-    """Return the reference coordinates of the nodes in VTK order.
-
-    Shape (nodes, dimension), dimensionless.
-    """
+    """Return the reference coordinates of the nodes in VTK order, shape (nodes, dimension)."""
     digits = [[int(digit) for digit in node] for node in _COORDINATES[kind].split()]
     coordinates = np.array(digits, dtype=float)
     coordinates[coordinates == 5] = 0.5
@@ -174,7 +170,7 @@ def _products(kind: str, points: Array) -> tuple[Array, Array]:
             others = product[:i] + product[i + 1 :]
             cofactor = np.prod([ones, *(factors[other] for other in others)], axis=0)
             slope += cofactor[:, None] * np.stack(np.broadcast_arrays(*slopes[letter]), axis=1)
-    corners = min(len(products), int(np.max(EDGES[kind])) + 1)
+    corners = min(len(products), corners_of_cell(kind))
     # A midside function is four times its product; corner functions lose half of their neighbours.
     for table in (N, dN):
         table[corners:] *= 4

@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
-from skfem.quadrature import get_quadrature
-from skfem.refdom import RefTri
 
 from wrenchbook.fea.mesh.dependents import CircularError, Dependents, Entries
-from wrenchbook.fea.mesh.facets import TRIANGLES, corners_of, no_facets
+from wrenchbook.fea.mesh.facets import corners_of
+from wrenchbook.fea.mesh.groups import no_facets
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
-from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element, tabulate
+from wrenchbook.fea.mesh.overlaps import overlaps
+from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import Tie
 
@@ -44,13 +44,17 @@ _UNSURE = 0.02  # part of a facet, covered or not: roundoff, and gaps between cu
 # Part of a main facet that counts as all of it: on a round surface its projection is as small, at
 # 25 degrees.
 _WHOLE = 0.9
-_PAIRS = 10_000  # triangles that are cut at a time: about 50 MB
-_MAX_STEPS = 20  # largest number of Newton steps for a point in a facet, which takes three to five
-_EXACT = 1e-12  # relative to the size of a facet: roundoff
 _NEIGHBOURS = 8  # main nodes beside a sliding node, some on its plane of symmetry if the surface is
 _SAME = 1e-9  # part of a projector: axes are written to about as many digits
-_PARALLEL = 1e-9  # rad between sides: roundoff would put their crossing anywhere along both
-_RULE = get_quadrature(RefTri, 6)  # two serendipity functions have together this degree
+
+_OF_TIE = (
+    "{count} secondary nodes, such as the one at {at} m, also belong to {where}, but a node can "
+    "follow one only. Swap secondary and main, or leave cells between the two"
+)
+_OF_DECK = (
+    "{count} nodes of {where}, such as the one at {at} m, follow others by *EQUATION or *MPC of "
+    "the deck; remove them from that constraint, or from {where}"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +86,7 @@ def joined(
 
     held: projectors on the directions in which nodes are held, (n, 3, 3).
     sections: keys of the bundle, and the nodes that depend on the frame of each.
-    problems: gets the mistakes; a tie with a problem is left out.
+    problems: gets the mistakes; a tie without its two groups is left out.
     """
     entries: list[Entries] = []
     done: list[TiedNodes] = []
@@ -91,7 +95,8 @@ def joined(
         entries.append(mesh.dependents.entries)
         follows[mesh.dependents.nodes] = True
         used = [("[supports]", np.flatnonzero(held.any(axis=(1, 2)))), *sections]
-        problems += _constrained(mesh, mesh.dependents.nodes, used)
+        problems += _shared(mesh, mesh.dependents.nodes, used, "mesh", _OF_DECK)
+
     for i, pair in enumerate(ties):
         key = f"tie[{i}]"
         sides = {"secondary": pair.secondary, "main": pair.main}
@@ -99,6 +104,7 @@ def joined(
         if lost:
             problems += [no_facets(mesh, f"{key}.{side}", name) for side, name in lost.items()]
             continue
+
         secondary, main = mesh.facet_groups[pair.secondary], mesh.facet_groups[pair.main]
         bound, gap = _bound_nodes(mesh, pair, held, follows)
         may_follow = np.zeros(len(mesh.points), dtype=bool)
@@ -106,12 +112,13 @@ def joined(
         tied, follow = tied_nodes(mesh.points, secondary, main, pair.distance, may_follow)
         if not tied.nodes.size:
             problems.append(BundleProblem(key, _why_untied(pair, tied, gap, bound)))
-        problems += _shared(mesh, key, tied.nodes, sections)
+        problems += _shared(mesh, tied.nodes, sections, key, _OF_TIE)
         follows[tied.nodes] = True
         entries.append(follow)
         done.append(tied)
     if not done:
         return mesh, ()
+
     try:
         dependents = Dependents.of(len(mesh.points), Entries.joined(entries))
     except CircularError as error:
@@ -152,33 +159,17 @@ def _bound_nodes(
 
 
 def _shared(
-    mesh: Mesh, key: str, tied: Array, sections: Sequence[tuple[str, Array]]
+    mesh: Mesh, nodes: Array, uses: Sequence[tuple[str, Array]], key: str, text: str
 ) -> Iterator[BundleProblem]:
-    """Yield a problem for each section that has nodes of a tie."""
-    for where, attached in sections:
-        shared = np.intersect1d(tied, attached)
-        if shared.size:
-            message = (
-                f"{len(shared)} secondary nodes, such as the one at "
-                f"{point_text(mesh.points[shared[0]])} m, also belong to {where}, but a node "
-                "can follow one only. Swap secondary and main, or leave cells between the two"
-            )
-            yield BundleProblem(key, message)
+    """Yield a problem at `key` for each use, a key and nodes, that has some of `nodes`.
 
-
-def _constrained(
-    mesh: Mesh, followers: Array, used: Sequence[tuple[str, Array]]
-) -> Iterator[BundleProblem]:
-    """Yield a problem for each use, key and nodes, of nodes that depend on others by the deck."""
-    for where, nodes in used:
-        shared = np.intersect1d(nodes, followers)
+    text: the message, with the fields count, at and where.
+    """
+    for where, used in uses:
+        shared = np.intersect1d(nodes, used)
         if shared.size:
-            message = (
-                f"{shared.size} nodes of {where}, such as the one at "
-                f"{point_text(mesh.points[shared[0]])} m, follow others by *EQUATION or *MPC of "
-                f"the deck; remove them from that constraint, or from {where}"
-            )
-            yield BundleProblem("mesh", message)
+            at = point_text(mesh.points[shared[0]])
+            yield BundleProblem(key, text.format(count=shared.size, at=at, where=where))
 
 
 def _why_untied(pair: Tie, tied: TiedNodes, gap: float, bound: Mapping[str, Array]) -> str:
@@ -199,6 +190,7 @@ def _why_untied(pair: Tie, tied: TiedNodes, gap: float, bound: Mapping[str, Arra
             f'no node of "{pair.secondary}" is free to follow "{pair.main}": {", ".join(reasons)}. '
             "Leave the tie out, or name other facets"
         )
+
     is_largest = pair.distance is not None and pair.distance > tied.distance
     remedy = "move the surfaces together in the mesh" if is_largest else "write a larger distance"
     limit = f"{tied.distance:.3g} m"
@@ -238,6 +230,7 @@ def tied_nodes(
     ends = np.full((len(points), 2), -1)  # ends of the edge whose middle a node is
     entries: list[Entries] = []
     gap, cut, beyond = 0.0, 0, 0.0
+
     for block in secondary.blocks:
         kind, nodes = block
         transform = _transform(kind, nodes.shape[1])
@@ -260,6 +253,7 @@ def tied_nodes(
             gap = max(gap, float(part.gaps[is_tied].max(initial=0.0)))
             np.add.at(main_covered[part.block], part.main_facets[is_tied], part.areas[is_tied])
             entries.append(_dual_entries(part, nodes, dual, is_tied))
+
     tied = free & (covered > _MIN_INTEGRAL * complete)
     follow = _followed(entries, tied, covered, ends)
     loose = len(secondary.node_ids) - int(tied.sum())
@@ -312,12 +306,7 @@ class _Integrals(NamedTuple):
 
 
 def _integrals(
-    points: Array,
-    block: FacetBlock,
-    main: FacetGroup,
-    plane: Array,
-    distance: float,
-    edge: float,
+    points: Array, block: FacetBlock, main: FacetGroup, plane: Array, distance: float, edge: float
 ) -> _Integrals:
     """Integrate over the overlaps of a secondary block with the main surface.
 
@@ -329,7 +318,7 @@ def _integrals(
     off = np.zeros(len(block.nodes))
     mixed: list[_Mixed] = []
     for index, main_block in enumerate(main.blocks):
-        for facing in _overlaps(points, block, main_block, plane, edge):
+        for facing in overlaps(points, block, main_block, plane, edge):
             farthest = facing.gaps.max(axis=1)
             near = farthest <= distance
             np.maximum.at(off, facing.first[~near], farthest[~near])
@@ -409,121 +398,3 @@ def _followed(entries: Sequence[Entries], tied: Array, covered: Array, ends: Arr
         np.append(masters, ends[edges]),
         np.append(weights, np.full(2 * len(edges), _ALPHA)),
     )
-
-
-class _Overlaps(NamedTuple):
-    """Triangles in which facets of two surfaces overlap, on the planes of the first."""
-
-    first: Array  # shape (s,), int64: facet of the first surface
-    second: Array  # shape (s,), int64: facet of the second
-    weights: Array  # shape (s, q), m^2: weights of q quadrature points
-    here: Array  # shape (s, q, k): shape functions of the first facet at these points
-    there: Array  # shape (s, q, l): shape functions of the second facet
-    gaps: Array  # shape (s, q), m: distance between both facets
-
-
-def _overlaps(
-    points: Array, first: FacetBlock, second: FacetBlock, plane: Array, distance: float
-) -> Iterator[_Overlaps]:
-    """Yield overlaps of facets of two surfaces within a distance, m, some triangles at a time.
-
-    plane: shape (f, 3, 2): directions in the plane of each of the first facets.
-    """
-    triangles = []
-    for kind, nodes in (first, second):
-        split = np.array(TRIANGLES["tri3" if corners_of(kind) == 3 else "quad4"])
-        corners = points[nodes[:, split]].reshape(-1, 3, 3)
-        centre = corners.mean(axis=1)
-        radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
-        triangles.append((corners, centre, radius, np.arange(len(corners)) // len(split)))
-    (corners, centre, radius, facet), (opposite, middle, size, facet_to) = triangles
-    near = KDTree(middle).query_ball_point(centre, radius + size.max() + distance)
-    all_of = np.repeat(np.arange(len(near)), [len(centres) for centres in near])
-    all_to = np.array([i for centres in near for i in centres], dtype=np.int64)
-    apart = np.linalg.norm(centre[all_of] - middle[all_to], axis=1)
-    chosen = np.flatnonzero(apart <= radius[all_of] + size[all_to] + distance)
-    for start in range(0, len(chosen), _PAIRS):
-        pairs = chosen[start : start + _PAIRS]
-        of, to = all_of[pairs], all_to[pairs]
-        flat = plane[facet[of]]
-        pair, cuts = _intersections(corners[of] @ flat, opposite[to] @ flat)
-        of = facet[of[pair]]
-        to = facet_to[to[pair]]
-        flat = flat[pair]
-        at = np.einsum("cq,sci->sqi", np.array([1 - _RULE[0].sum(axis=0), *_RULE[0]]), cuts)
-        weights = np.abs(np.linalg.det(cuts[:, 1:] - cuts[:, :1]))[:, None] * _RULE[1]
-        there = points[first.nodes[of]], points[second.nodes[to]]
-        here, located = _located(first.kind, there[0] @ flat, at)
-        across, located_too = _located(second.kind, there[1] @ flat, at)
-        far = np.linalg.norm(here @ there[0] - across @ there[1], axis=2)
-        met = located & located_too & (far.max(axis=1) <= distance)
-        yield _Overlaps(of[met], to[met], weights[met], here[met], across[met], far[met])
-
-
-def _located(kind: str, nodes: Array, at: Array) -> tuple[Array, Array]:
-    """Return the shape functions (s, q, k) of flat facets (s, k, 2) at points (s, q, 2).
-
-    By Newton's method; also whether it converges at all points of each facet, (s,), bool.
-    """
-    local = np.broadcast_to(node_coordinates(kind).mean(axis=0), at.shape).copy()
-    size = np.ptp(nodes, axis=1).max(axis=1)[:, None]
-    values = np.empty(0)
-    converged = np.zeros((1, 1), dtype=bool)
-    for _ in range(_MAX_STEPS):
-        values, slopes = tabulate(kind, local.reshape(-1, 2))
-        values = values.reshape(*at.shape[:2], -1)
-        off = at - values @ nodes
-        converged = np.linalg.norm(off, axis=2) <= _EXACT * size
-        if converged.all():
-            break
-        columns = np.einsum("ski,sqkj->jsqi", nodes, slopes.reshape(*values.shape, 2))
-        area = _cross(*columns)
-        step = np.stack([_cross(off, columns[1]), _cross(columns[0], off)], axis=-1)
-        local += np.clip(step / np.where(area == 0, 1.0, area)[..., None], -1.0, 1.0)
-    return values, np.asarray(converged.all(axis=1))
-
-
-def _intersections(*pairs: Array) -> tuple[Array, Array]:
-    """Return the intersections of pairs of triangles, twice (p, 3, 2), cut into triangles.
-
-    Result: the index of each one's pair, (s,), and its corners, (s, 3, 2).
-    """
-    corners = np.stack(pairs)
-    clockwise = _cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]) < 0
-    corners[clockwise] = corners[clockwise][:, ::-1]
-    sides = np.roll(corners, -1, axis=2) - corners
-    least = _EXACT * _cross(sides[:, :, 0], sides[:, :, 1])
-    # Corners inside the other triangle, and crossings of the sides.
-    off = _cross(sides[::-1, :, None], corners[:, :, :, None] - corners[::-1, :, None])
-    inside = np.asarray((off >= -least[::-1, :, None, None]).all(axis=3))
-    first = sides[0][:, :, None]
-    second = sides[1][:, None]
-    between = corners[1][:, None]
-    between = between - corners[0][:, :, None]
-    area = _cross(first, second)
-    lengths = np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
-    area[np.abs(area) < _PARALLEL * lengths] = np.inf
-    along, across = _cross(between, second) / area, _cross(between, first) / area
-    met = (np.minimum(along, across) >= 0) & (np.maximum(along, across) <= 1) & np.isfinite(area)
-    inside = np.concatenate([*inside, met.reshape(-1, 9)], axis=1)
-    crossings = corners[0][:, :, None] + along[..., None] * first
-    points = np.concatenate([*corners, crossings.reshape(-1, 9, 2)], axis=1)
-    pair = np.flatnonzero(inside.sum(axis=1) > 2)
-    points, inside = points[pair], inside[pair]
-    # In order of the angle about their middle; outside points are last and replaced by the first.
-    middle = (points * inside[..., None]).sum(axis=1) / inside.sum(axis=1)[:, None]
-    x, y = np.moveaxis(points - middle[:, None], 2, 0)
-    order = np.argsort(np.where(inside, np.arctan2(y, x), np.inf), axis=1)
-    points = np.take_along_axis(points, order[..., None], axis=1)
-    last = np.take_along_axis(inside, order, axis=1)[..., None]
-    points = np.where(last, points, points[:, :1])
-    middles = np.broadcast_to(middle[:, None], points.shape)
-    cuts = np.stack([middles, points, np.roll(points, -1, axis=1)], axis=2)
-    area = _cross(cuts[:, :, 1] - cuts[:, :, 0], cuts[:, :, 2] - cuts[:, :, 0])
-    row, number = np.nonzero(area > least[0, pair, None])
-    return pair[row], cuts[row, number]
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return the cross products of vectors in a plane, (..., 2) each."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

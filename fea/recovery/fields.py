@@ -8,7 +8,7 @@ import numpy as np
 
 from wrenchbook.fea.assembly.body import ElasticBody
 from wrenchbook.fea.component import ComponentModel
-from wrenchbook.fea.mesh.facets import TRIANGLES, outer_surface
+from wrenchbook.fea.mesh.facets import outer_surface, triangles_of
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.recovery.stress import (
     cauchy_stress,
@@ -22,10 +22,7 @@ from wrenchbook.fea.tensors import von_mises
 Array = np.ndarray
 
 MAX_POINTS = 20_000
-"""Integration points whose stresses are stored, some 1.5 MB a row.
-
-With more only the largest is.
-"""
+"""Integration points whose stresses are stored, some 1.5 MB a row; of more only the largest is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +63,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     points, materials = integration_points(component, body.points)
     shown = slice(None) if len(points) <= MAX_POINTS else slice(0)
     stress, changes = _stresses(component, body, solution, slopes, shown)
+
     regions = tuple(material.region for material in component.materials)
     equivalent = von_mises(stress)
     worst = int(equivalent.argmax())
@@ -126,11 +124,7 @@ def surface_of(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> Surface:
     A simplified surface has fewer vertices, each a node of the mesh in its place, so that its
     displacement is the solver's; triangles whose corners are merged are left out.
     """
-    blocks = outer_surface(mesh.blocks).blocks
-    triangles = np.concatenate(
-        [facets[:, TRIANGLES[kind]].reshape(-1, 3) for kind, facets in blocks]
-    )
-    nodes, flat = np.unique(triangles, return_inverse=True)
+    nodes, flat = np.unique(triangles_of(outer_surface(mesh.blocks)), return_inverse=True)
     triangles = flat.reshape(-1, 3)
     count = len(nodes)
     if count > max_vertices:

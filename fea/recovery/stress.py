@@ -1,4 +1,4 @@
-"""Stresses at the integration points, in the first interface's frame; yielding; body forces."""
+"""Stresses at the integration points, in the first interface's frame, and yielding."""
 
 from __future__ import annotations
 
@@ -60,7 +60,6 @@ def cauchy_stress(
 ) -> tuple[Array, Array]:
     """Return the Cauchy stresses of a displaced body, and their change with the inputs.
 
-    body: the cells.
     displacement: shape (n, 3), m.
     tangents: shape (n, 3, k): its change with the inputs, m per unit of each.
     temperature: K from the reference.
@@ -143,35 +142,3 @@ def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -
         "Yielding is not modelled, so this answer is too stiff. Narrow [range] or strengthen the "
         "part."
     )
-
-
-def material_of_parts(component: ComponentModel, body: ElasticBody) -> list[Array]:
-    """Return for each of the body's parts its cells' material numbers, shape (cells,)."""
-    materials = integration_points(component, body.points)[1]
-    first = 0
-    by_part = []
-    for part in body.parts:
-        weights = part.gradients.weights
-        by_part.append(materials[first : first + weights.size : weights.shape[1]])
-        first += weights.size
-    return by_part
-
-
-def nodal_masses(component: ComponentModel, body: ElasticBody) -> Array:
-    """Return the mass that each node carries, shape (n,), kg; without a density it is zero."""
-    densities = np.array([material.density or 0.0 for material in component.materials])
-    total = np.zeros(body.size)
-    numbers = material_of_parts(component, body)
-    for part, nodes, number in zip(body.parts, body.cells, numbers, strict=True):
-        carried = densities[number][:, None] * part.gradients.weights
-        masses = (carried[:, None] @ part.gradients.values)[:, 0]
-        total = total + np.bincount(nodes.ravel(), masses.ravel(), minlength=body.size)
-    return total
-
-
-def body_force_of(component: ComponentModel, body: ElasticBody) -> Array:
-    """Return the nodal forces per unit of acceleration along the mesh's axes, (n, 3, 3), kg.
-
-    They are in the interface frame, as the body is.
-    """
-    return nodal_masses(component, body)[:, None, None] * component.axes

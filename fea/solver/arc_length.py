@@ -57,7 +57,6 @@ class _Point(NamedTuple):
 class ArcPath:
     """Follows the path of one wrench from an equilibrium on it.
 
-    system: the equations.
     direction: shape (k,): the inputs per unit of the size.
     full: the size of the full load.
     start: a stable equilibrium at the load factor `factor`, with its tangent.
@@ -103,8 +102,7 @@ class ArcPath:
             if abs(course) < _MIN_COSINE and self._length > _LEAST * self._first:
                 self._length *= 0.5
                 continue
-            past_limit = course < 0
-            if past_limit:
+            if course < 0:
                 return Ending("limit", self._limit_before(ahead), self._point.equilibrium)
             if not ahead.equilibrium.tangent.stable:
                 if self._length > _FINE * self._first:

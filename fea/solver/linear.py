@@ -32,7 +32,6 @@ class LinearResponse:
     energies: Array
     # Shape (n, 3, k): nodal displacements per unit of each input, m per N, N·m, K and m/s^2
     fields: Array
-    condition: float  # Estimated condition of the scaled stiffness matrix
     # asymmetry, energy_gap: measured before `compliance` was made symmetric, and its
     # difference from `energies`: both relative to sqrt(C_ii C_jj).
     asymmetry: float
@@ -62,6 +61,7 @@ def linear_response(system: System) -> LinearResponse:
     scale = np.where(scale > 0, scale, 1.0)
     unit = 1.0 / np.outer(scale, scale)
     energies = system.body.strain_energy_products(fields) + system.coupling.spring_energies(border)
+
     asymmetry = float(np.abs((compliance - compliance.T) * unit).max())
     energy_gap = float(np.abs((compliance - energies[:loads, :loads]) * unit).max())
     if not max(asymmetry, energy_gap, condition * ROUNDOFF * correction) < _MAX_ERROR:
@@ -72,6 +72,7 @@ def linear_response(system: System) -> LinearResponse:
             f"last correction was {correction:.1e}, the scaled condition number is about "
             f"{condition:.0e}.",
         )
+
     compliance = 0.5 * (compliance + compliance.T)
     inputs = system.inputs
     if inputs > loads:
@@ -82,13 +83,12 @@ def linear_response(system: System) -> LinearResponse:
         energies[loads] += conjugate
         energies[:, loads] += conjugate
         energies[loads, loads] += 2 * system.body.at(1.0, finite=False).forces(at_rest)[1]
+
     fields = system.body.expanded(fields)
     sag = fields[:, :, inputs:].sum(axis=2)
     moved = displacements[:, inputs:].sum(axis=1)
     fields = fields[:, :, :inputs]
-    return LinearResponse(
-        compliance, energies, fields, condition, asymmetry, energy_gap, sag, moved
-    )
+    return LinearResponse(compliance, energies, fields, asymmetry, energy_gap, sag, moved)
 
 
 def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]:
@@ -104,6 +104,7 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
         weight = system.weight[:, :, None]
         acting = np.concatenate([acting, system.body.movable.released(weight)], axis=2)
         loads = np.hstack([loads, contract(border.constraint, weight)])
+
     nodes, moved = start.solve(acting, loads)
     size = 0.0
     first = system.coupling.freedoms

@@ -60,7 +60,6 @@ class LoadPath:
     no step is short enough the path is followed by its length (`fea.solver.arc_length`), to the
     full load or to the load at which the part gives way.
 
-    system: the equations.
     wrench: shape (k,): the inputs, as of `Balance.wrench`; not zero.
     progress: called with the fraction done and a message.
     unloaded: the equilibrium at no wrench, under self-weight (`hang`); None without self-weight.

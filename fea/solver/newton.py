@@ -114,7 +114,6 @@ def find_equilibrium(
     tangent: a linearisation at, or near, that state; its factor is released after the first
     correction.
     report: called after each iteration.
-    max_iterations: limit of the number of iterations.
 
     Raises Stuck if the iteration does not converge.
     """
@@ -132,6 +131,7 @@ def find_equilibrium(
             raise Stuck(f"iteration {iteration} rotated the interface by {degrees}")
         if consistent and step.converged:
             return Equilibrium(balance, tangent_after(system, step, tangent), iteration)
+
         corrections.append((step.size, step.energy))
         recent = np.array(corrections[-_MAX_IDLE:])
         # Before the last iterations one norm may stay while the other shrinks: that is no roundoff.
@@ -141,6 +141,7 @@ def find_equilibrium(
             needed = f"{CONVERGED:.0e} and {CONVERGED_ENERGY:.0e}"
             message = f"roundoff keeps the corrections at {reached}, above {needed}"
             raise Stuck(message, at_roundoff=True)
+
         consistent = step.nearly
         balance = _settled(system, step, tangent) if consistent else balance
         if iteration == 1:
@@ -158,7 +159,6 @@ def correct(
     """Apply a correction and measure it.
 
     balance: the state before, under the wrench of the new state.
-    tangent: the tangent of the correction.
     nodes, border: Shapes (n, 3), m, and (border,): the correction of the free nodes and of the
     border.
 

@@ -21,10 +21,7 @@ from wrenchbook.fea.tensors import skew, spin_per_vector, spin_slope
 Array = np.ndarray
 
 MAX_CURVATURE_INPUTS = 8
-"""Largest number of inputs whose third derivatives are stored: 120 numbers a row.
-
-For twelve inputs 364.
-"""
+"""Largest number of inputs whose third derivatives are stored: 120 numbers a row (of 12: 364)."""
 
 _WARMER = 5.0
 """Step of differences by temperature, K.
@@ -75,7 +72,6 @@ def third_derivatives(
 ) -> Array:
     """Return the third derivatives of the complementary energy by the loads (F, mu).
 
-    system: the equations.
     balance, tangent: a state in balance, and the tangent there.
     origin: shape (6 i,), m and rad: the zero of displacements; None for no displacement. mu works
     on rotation vectors relative to it.
@@ -87,6 +83,7 @@ def third_derivatives(
     tensor = np.zeros((len(inputs),) * 3)
     if not active.size:
         return tensor
+
     origin = np.zeros(coupling.freedoms) if origin is None else origin
     moved, turns = from_origin(state.interface, origin)
     counted = replace(balance, state=replace(state, interface=moved))
@@ -94,31 +91,39 @@ def third_derivatives(
     per_load = np.linalg.inv(rates)
     fields = tangent.nodal_response[:, :, active] @ per_load
     border = tangent.border_response[:, active] @ per_load
+
     body = system.body.at(system.temperature(inputs))
     changes = tangent.tangent.times(fields, coupling.constrained)
     changes[:, :, coupling.active.size :] -= tangent.further
     body_part = body.derivatives(CellState.third, state.nodes, fields)
     body_part += coupling.third(state, (balance.forces, changes), fields, border, origin)
     if body.expands:
-        # The strain energy's derivatives by the temperature, the input behind the loads.
-        nodes = balance.state.nodes
-        temperature = system.temperature(balance.wrench)
-        steps = _WARMER * np.arange(-2, 3)
-        near = [system.body.at(temperature + step).forces(nodes) for step in steps]
-        forces, energies, _ = zip(*near, strict=True)
-        warmer = system.body.at(temperature + 1j * _COMPLEX_STEP)
-        ahead = warmer.derivatives(CellState.second, nodes, fields)
-        once = np.zeros((fields.shape[2],) * 3)
-        twice = np.zeros_like(once)
-        once[:, :, coupling.active.size] = np.imag(ahead) / _COMPLEX_STEP
-        bend = np.tensordot(_BEND / _WARMER**2, forces, 1)
-        twice[coupling.active.size, coupling.active.size] = contract(bend[:, :, None], fields)[0]
-        thermal = symmetrised(once + twice)
-        thermal[coupling.active.size, coupling.active.size, coupling.active.size] += (
-            _JERK @ energies / _WARMER**3
-        )
-        body_part += thermal
+        body_part += _thermal_part(system, balance, fields)
     tensor[np.ix_(active, active, active)] = -body_part
+    return tensor
+
+
+def _thermal_part(system: System, balance: Balance, fields: Array) -> Array:
+    """Return the strain energy's third derivatives by the temperature and fields, (k, k, k), J.
+
+    fields: shape (n, 3, k), m over the units of the k active inputs; the temperature is that behind
+    the loads.
+    """
+    nodes = balance.state.nodes
+    temperature = system.temperature(balance.wrench)
+    warm = system.coupling.active.size  # index of the temperature
+    steps = _WARMER * np.arange(-2, 3)
+    near = [system.body.at(temperature + step).forces(nodes) for step in steps]
+    forces, energies, _ = zip(*near, strict=True)
+    warmer = system.body.at(temperature + 1j * _COMPLEX_STEP)
+    ahead = warmer.derivatives(CellState.second, nodes, fields)
+
+    tensor = np.zeros((fields.shape[2],) * 3)
+    tensor[:, :, warm] = np.imag(ahead) / _COMPLEX_STEP
+    bend = np.tensordot(_BEND / _WARMER**2, forces, 1)
+    tensor[warm, warm] += contract(bend[:, :, None], fields)[0]
+    tensor = symmetrised(tensor)
+    tensor[warm, warm, warm] += _JERK @ energies / _WARMER**3
     return tensor
 
 

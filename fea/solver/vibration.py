@@ -1,20 +1,4 @@
-"""Eigenproblems of a component: first frequency, reduction to frames and modes, and buckling.
-
-A rigid mass may ride on the interface. The frames of the reduced part (Craig and Bampton 1968) are
-the base, which the supports or the held interface stand on, and the other interfaces; each has six
-freedoms, a translation and a rotation vector in the mesh's axes. Unit motions of a frame while the
-others stand still are the static shapes; to them come the lowest modes of the part with all frames
-held, of unit mass each. The base's shapes are rigid motions of the part less what these move
-of the interfaces, so that rigid motions cost no energy.
-
-Linear buckling asks at how many times a load the straight part has a second equilibrium:
-K x = -f G x with the stiffness K of the undeformed part and its stiffness G under the stresses of
-that load, G_ia,kb = delta_ik integral of dN_a . sigma dN_b (Zienkiewicz and Taylor, volume 2,
-section 11.6). The largest eigenvalues of K^-1 (-G) are 1/f; the same modes with the opposite sign
-are those of the opposite load. They come of a subspace iteration (Bathe 1996, section 11.6), K^-1
-by the factor that solves are made with. A rigid link's second-order motion is left out: exact
-for an interface point in its section, not for a point on a long lever.
-"""
+"""The first natural frequency of a component; a rigid mass may ride on the interface."""
 
 from __future__ import annotations
 
@@ -22,11 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag, eigh
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
-from wrenchbook.fea.assembly.body import ElasticBody, gather
 from wrenchbook.fea.assembly.linearisation import contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
@@ -150,7 +132,11 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     inertia = Inertia(system, mass, interface_mass)
     cells = 1.0 - system.body.slips
     mass_of_part = float(cells @ (mass @ cells))
-    x = _lowest_mode(inertia) if mass.nnz else _lowest_mode_of_massless(inertia)
+    if mass.nnz:
+        start = np.random.default_rng(_SEED).standard_normal(inertia.size)
+        x = lowest_modes(inertia, inertia.solved, start, 1)[1][:, 0]
+    else:
+        x = _lowest_mode_of_massless(inertia)
 
     # Rayleigh's quotient, with the strain energy from the strains.
     fields, interface = inertia.fields(x)
@@ -165,13 +151,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     return Vibration(mass_of_part, frequency, interface, condensed_mass(without_riding))
 
 
-def _lowest_mode(inertia: Inertia) -> Array:
-    """Return the mode of the lowest frequency by Lanczos' method, shape (size,)."""
-    start = np.random.default_rng(_SEED).standard_normal(inertia.size)
-    return _lowest_modes(inertia, inertia.solved, start, 1)[1][:, 0]
-
-
-def _lowest_modes(
+def lowest_modes(
     inertia: Inertia, inverse: Callable[[Array], Array], start: Array, count: int
 ) -> tuple[Array, Array]:
     """Return squares of frequencies (count,), (rad/s)^2, and modes (size, count), in any order.
@@ -339,190 +319,3 @@ def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
         follow = mesh.dependents.map
         total = follow.T @ total @ follow
     return csr_array(total)
-
-
-_HELD_SEED = 19680701  # seed of the held modes' start vector: the same bundle gives the same digits
-
-
-@dataclass(frozen=True, eq=False)
-class CraigBampton:
-    """Stiffness and mass of f frames and n modes."""
-
-    names: tuple[str, ...]  # names of the frames; that of supports is "base"
-    origins: Array  # shape (f, 3), m: origins of the undeformed frames, in the mesh's axes
-    rotations: Array  # shape (f, 3, 3): the columns are a frame's axes in the mesh's
-    # stiffness, mass: shape (6 f + n, 6 f + n): of six freedoms a frame along the mesh's axes, then
-    # the modes; N/m, N, N·m and kg, kg·m, kg·m^2 for frames, (rad/s)^2 and 1 for modes, kg^0.5 and
-    # kg^0.5·m between both.
-    stiffness: Array
-    mass: Array
-    # held, free: Natural frequencies, Hz, ascending: with all frames held, shape (n,); and with
-    # only the base held, by these matrices, shape (6 f - 6 + n,).
-    held: Array
-    free: Array
-
-
-def craig_bampton(
-    system: System,
-    mass: csr_array,
-    points: Array,
-    body: Array,
-    frames: Sequence[tuple[str, Array, Array]],
-    modes: int,
-) -> CraigBampton:
-    """Return the part's matrices with a number of modes of the part with all frames held.
-
-    mass: shape (n, n), kg: `consistent_mass`.
-    points, body: shape (n, 3), m: the nodes in the mesh's axes; and (3, 3): the axes of the
-    equations' fields in the mesh's, in rows.
-    frames: name, point (3,), m, and axes of the base, and then of each interface that moves.
-
-    Raises ValueError if freedoms are locked, nothing has a mass, or the part has fewer modes.
-    Raises SolveFailed of kind ``mechanism`` or ``ill_conditioned`` if the equations are singular.
-    """
-    count = system.coupling.freedoms
-    inertia = Inertia(system, mass, np.zeros((count, count)))
-    (_, origin, _), *moving = frames
-    freedoms = inertia.active.size
-    if freedoms != PER_INTERFACE * len(moving):
-        locked = f"{PER_INTERFACE * len(moving) - freedoms} freedoms are locked"
-        raise ValueError(f"{locked}, but a condensed mass needs all six; leave locked out")
-    if not mass.nnz:
-        raise ValueError("no material has a density; write density, in kg/m^3, in [[material]]")
-    if not 0 < modes < inertia.size - freedoms:
-        raise ValueError(f"the modes must be 1 to {inertia.size - freedoms - 1}, not {modes}")
-    shapes, compliance = static_shapes(inertia)
-    squares, motions = _held_modes(inertia, shapes, modes)
-    # Rigid motions of the interfaces by unit motions of the base, (6 i, 6), and the rotation from
-    # the mesh's axes to those of the interfaces, (6 i, 6 i).
-    rigid = np.concatenate(
-        [np.vstack([_rigid((point - origin)[None])[0], np.eye(6)[3:]]) for _, point, _ in moving]
-    )
-    turn = np.asarray(block_diag(*(axes for _, _, axes in moving for _ in range(2))))
-
-    # Fields of the base, the interfaces and the modes, each (n, 3, k).
-    static = _nodal(inertia, shapes) @ turn
-    rigid_fields = _rigid(points - origin) * ~system.body.slips[:, None, None]
-    base = np.einsum("ij,njk->nik", body, rigid_fields) - static @ rigid
-    fields = np.concatenate([base, static, _nodal(inertia, motions)], axis=2)
-    products = sum(fields[:, axis].T @ (mass @ fields[:, axis]) for axis in range(3))
-    reduced_mass = 0.5 * np.asarray(products + np.transpose(products))
-
-    elastic = turn @ np.hstack([-rigid, np.eye(len(compliance))])  # relative to the base
-    stiffness = _reduced_stiffness(compliance, elastic, squares)
-    eigenvalues = eigh(stiffness[6:, 6:], reduced_mass[6:, 6:], eigvals_only=True)
-    held, free = (np.sqrt(squared) / (2 * np.pi) for squared in (squares, eigenvalues))
-    names, origins, axes = zip(*frames, strict=True)
-    rotations = np.array(axes).swapaxes(1, 2)
-    return CraigBampton(names, np.array(origins), rotations, stiffness, reduced_mass, held, free)
-
-
-def _reduced_stiffness(compliance: Array, elastic: Array, squares: Array) -> Array:
-    """Return the stiffness of f frames and n modes, shape (6 f + n, 6 f + n).
-
-    compliance, elastic: of the interfaces, in their axes: shape (6 i, 6 i), and their motions
-    relative to the base by unit motions of the frames, shape (6 i, 6 f).
-    squares: shape (n,), (rad/s)^2: squares of the modes' frequencies.
-    """
-    frames = elastic.shape[1]
-    stiffness = np.zeros((frames + len(squares),) * 2)
-    stiffness[:frames, :frames] = elastic.T @ np.linalg.inv(compliance) @ elastic
-    stiffness[frames:, frames:] = np.diag(squares)
-    return 0.5 * (stiffness + stiffness.T)
-
-
-def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Array]:
-    """Return squares of frequencies (count,), (rad/s)^2, and motions of unit mass, (size, count).
-
-    By Lanczos' method with the inverse of the stiffness while the interfaces are held: a solve,
-    less the static shapes times the motions of the interfaces in it.
-    """
-    interface_rows = slice(inertia.first, inertia.first + inertia.active.size)
-
-    def held(loads: Array) -> Array:
-        moved = inertia.solved(loads)
-        return moved - shapes @ moved[interface_rows]
-
-    start = held(np.random.default_rng(_HELD_SEED).standard_normal(inertia.size))
-    squares, motions = _lowest_modes(inertia, held, start, count)
-    order = np.argsort(squares)
-    return squares[order], motions[:, order]
-
-
-def _nodal(inertia: Inertia, motions: Array) -> Array:
-    """Return all nodes' motions, shape (n, 3, k), of unknowns (size, k)."""
-    return np.stack([inertia.fields(motion)[0] for motion in motions.T], axis=2)
-
-
-def _rigid(arms: Array) -> Array:
-    """Return the motion of points at arms (n, 3), m, by a frame's unit motions: shape (n, 3, 6)."""
-    translations = np.broadcast_to(np.eye(3), (len(arms), 3, 3))
-    return np.concatenate([translations, -skew(arms)], axis=2)
-
-
-# Number of modes of a subspace iteration, of both signs. The two extreme ones converge at the ratio
-# of the ninth eigenvalue to theirs.
-_MODES = 8
-_ITERATIONS = 12  # largest number of iterations: a ratio of 0.5 leaves 2e-4 of the vectors' error
-_CONVERGED = 1e-4  # relative change: two digits of a buckling factor are significant
-# Part of the largest eigenvalue: motions that depend on the others but for roundoff.
-_DEPENDENT = 1e-12
-_BUCKLING_SEED = 20170726  # seed of the start vectors: the same bundle gives the same digits
-
-
-def buckling_factors(
-    system: System, fields: Array, temperature: float = 0.0
-) -> tuple[float, float]:
-    """Return the multiples of a load, and of its opposite, at which the part buckles.
-
-    system: the equations, in the interface frame.
-    fields: shape (n, 3), m: the small displacements under the load.
-    temperature: K from the reference: a part of the load.
-    Result: both positive; infinite if no multiple of the load buckles the part.
-    """
-    matrix = geometric_stiffness(system.body.at(temperature, finite=False), fields)
-    if not matrix.count_nonzero():
-        return np.inf, np.inf
-    stressed = Inertia(system, -matrix, np.zeros((system.coupling.freedoms,) * 2))
-    # Eigenvalues of K^-1 (-G), those of largest size among them.
-    modes = min(_MODES, stressed.size)
-    motions = np.random.default_rng(_BUCKLING_SEED).standard_normal((modes, stressed.size))
-    before = np.zeros(2)
-    values = np.zeros(modes)
-    for _ in range(_ITERATIONS):
-        loads = np.stack([stressed.times(motion) for motion in motions])
-        moved = stressed.solved(loads)
-        stiffness = moved @ loads.T
-        geometric = moved @ np.stack([stressed.times(motion) for motion in moved]).T
-        # The best eigenvalues in a space of motions, and those of K-length one.
-        size, vectors_of = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
-        significant = size > _DEPENDENT * size.max(initial=0.0)
-        basis = vectors_of[:, significant] / np.sqrt(size[significant])
-        values, vectors = np.linalg.eigh(basis.T @ (0.5 * (geometric + geometric.T)) @ basis)
-        motions = (basis @ vectors).T @ moved
-        ends = np.array([values.min(), values.max()])
-        if (np.abs(ends - before) <= _CONVERGED * np.abs(ends).max()).all():
-            break
-        before = ends
-    return _factor(values.max()), _factor(-values.min())
-
-
-def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
-    """Return G for the stresses of a small displacement field (n, 3), m; shape (n, n), N/m."""
-    rows, columns, entries = [], [], []
-    for part, nodes in zip(body.parts, body.cells, strict=True):
-        stress = part.small_stresses(gather(fields, nodes)[None])[0]
-        slopes, weights = part.gradients.slopes, part.gradients.weights
-        pulled = (weights[:, :, None, None] * stress) @ slopes
-        cells, points, _, count = slopes.shape
-        gradients = slopes.reshape(cells, 3 * points, count).swapaxes(1, 2)
-        entries.append((gradients @ pulled.reshape(cells, 3 * points, count)).ravel())
-        rows.append(np.repeat(nodes, count, axis=1).ravel())
-        columns.append(np.tile(nodes, (1, count)).ravel())
-    indices = np.concatenate(rows), np.concatenate(columns)
-    return csr_array(coo_array((np.concatenate(entries), indices), (body.size, body.size)))
-
-
-def _factor(value: float) -> float:
-    """Return the buckling factor of an eigenvalue of K^-1 (-G); infinite if it is negative."""
-    return 1.0 / float(value) if value > 0 else np.inf

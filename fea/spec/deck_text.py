@@ -84,10 +84,7 @@ class _Joining:
         self.line += part.count("\n")
 
     def add_file(self, file: Path, text: str, stack: tuple[Path, ...]) -> None:
-        """Add a file with its included files.
-
-        `stack`: the files that include it, and itself last.
-        """
+        """Add a file with its included files; `stack`: the files that include it, itself last."""
         name = "" if len(stack) == 1 else file.relative_to(self.folder).as_posix()
         end, line = 0, 1  # index after the added text, and the line there
         self.characters += len(text)
@@ -145,10 +142,7 @@ def _file_name(match: re.Match[str], text: str) -> str | None:
 
 
 def _inside(folder: Path, here: Path, name: str, beside: str) -> Path:
-    """Return the resolved path of a file in a deck's folder.
-
-    Raises ValueError if there is no such file.
-    """
+    """Return the resolved path of a file in a deck's folder; raise ValueError without one."""
     paths = dict.fromkeys((root / name).resolve() for root in (folder, here))
     inside = [path for path in paths if path.is_relative_to(folder)]
     # Whether such a file exists must stay unknown to the sender.

@@ -86,6 +86,7 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
         "analysis": {"nonlinear": analysis.nonlinear, "integration": analysis.integration},
         "deck": _deck(parts["deck"]),
     }
+
     if parts["others"]:
         content["interface"] = [
             {"name": interface.name, "is": _interface(interface)}
@@ -94,6 +95,7 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
     densities = sorted(
         (material.region, material.density or 0.0) for material in parts["materials"]
     )
+
     if analysis.gravity is not None:
         content["weight"] = {"gravity": analysis.gravity, "densities": densities}
     if analysis.nonlinear and parts["mesh"] is not None and parts["deck"] is None:
@@ -104,13 +106,16 @@ def fingerprint(parts: Mapping[str, Any]) -> str:
             content["inputs"]["field"] = _file_hash(field)
     if ACCELERATIONS[0] in further:
         content["acceleration"] = densities
+
     for name in filter(parts.get, ("ties", "bolts", "joints")):
         texts = [json.dumps(vars(each), default=np.ndarray.tolist) for each in parts[name]]
         content[name] = texts if name == "ties" else sorted(texts)  # the first tie takes a node
     if "bolts" in content:
         content["zero"] = analysis.zero
+
     if _names_nodes_of_cases(parts["mesh"], [content["supports"], content["interface"]]):
         content["case"] = CASE
+
     # json writes floats by repr, so equal numbers give equal text and different ones do not.
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
@@ -176,10 +181,7 @@ def _names_nodes_of_cases(source: MeshSource | None, groups: object) -> bool:
 
 
 def _material(material: AnyMaterial, heated: bool) -> list[object]:
-    """Return a material's law; no yield strength, which changes no displacement, and no density.
-
-    Densities are hashed apart, where gravity or an acceleration acts.
-    """
+    """Return a material's law, without yield strength, and densities, hashed where they act."""
     content: list[object] = [material.region, material.youngs_modulus, material.poisson_ratio]
     if material.law != "isotropic":
         content.append(material.law)

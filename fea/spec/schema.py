@@ -51,10 +51,8 @@ ALL_INPUTS = 24  # all inputs: the loads of four interfaces, the most that a joi
 # 1e154, is too near, since sums of such squares must be finite too.
 LARGEST_LOAD = 1e100
 
-
 Coupling = Literal["rigid", "distributed"]
 Weights = Literal["area", "equal", "deck"]
-
 
 TEMPERATURE = "temperature"
 ACCELERATIONS = ("ax", "ay", "az")

@@ -19,10 +19,7 @@ COMPLETION_S = 2.0  # s for which a shell waits at each tab
 
 
 def component_names(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the components with this beginning, of --data or of the server.
-
-    None on any failure.
-    """
+    """Return the components, of --data or of the server, with this beginning; [] on failure."""
     try:
         if data := ctx.params.get("data"):
             known = {path.parent.name for path in Path(data).glob(f"components/*/{FILE_NAME}")}
@@ -57,6 +54,9 @@ FurtherInput = Annotated[
         "--input", help="a further input in its own unit; repeatable", metavar="NAME=NUMBER"
     ),
 ]
+
+Three = tuple[float, float, float]
+ZERO: Three = (0.0, 0.0, 0.0)
 
 
 @contextmanager
@@ -108,10 +108,7 @@ def in_folder(file: Path | None) -> Path | None:
 
 
 def number(option: str, text: str) -> float:
-    """Return the number of an option.
-
-    Raises InvalidArgument if it is none.
-    """
+    """Return the number of an option; raises InvalidArgument if it is none."""
     try:
         return float(text)
     except ValueError:

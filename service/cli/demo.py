@@ -110,6 +110,7 @@ def _refine(out: Console, client: Client) -> str | None:
         cells = re.compile(r"^(cells|rings|corner_cells) = (\d+)", re.MULTILINE)
         file.write_text(cells.sub(lambda key: f"{key[1]} = {FINER * int(key[2])}", text))
         finer = client.add_component(bundle)["name"]
+
     job = client.solve(finer, force, moment).job
     assert job is not None
     (job,) = progress.follow(out, client, [job])
@@ -147,10 +148,12 @@ def _compare(out: Console, client: Client) -> str | None:
         out.print(f"{failed} of {CHECKED} solves failed by name; they are left out below.")
     if len(compared) < CHECKED // 2:
         return f"only {len(compared)} of {CHECKED} wrenches could be compared"
+
     out.print(_error_table(compared))
     times = np.array([answer.elapsed_us for answer in answers], dtype=float)
     seconds = np.array([job.seconds for job in jobs if job.status == "done"], dtype=float)
     out.print(_time_table(times, seconds))
+
     within = sum(answer.within_tolerance is True for answer in answers)
     bars = [answer.error_vector[2] for answer in answers if answer.error_vector is not None]
     solved = np.array([row.job.raw["translation"][2] for row in compared])

@@ -50,7 +50,9 @@ def jobs(
 
 def audit(
     component: Annotated[str | None, typer.Option(help="only of this component")] = None,
-    actor: Annotated[str | None, typer.Option(help="only by it: a key, or user:NAME")] = None,
+    actor: Annotated[
+        str | None, typer.Option(help="only of this actor: a key, or user:NAME")
+    ] = None,
     action: Annotated[str | None, typer.Option(help="only this: row.withdraw, or job.*")] = None,
     since: Annotated[str | None, typer.Option(help="from this time on, ISO 8601")] = None,
     until: Annotated[str | None, typer.Option(help="before this time")] = None,
@@ -74,19 +76,11 @@ def audit(
 
 
 def follow_jobs(
-    out: Console,
-    client: Client,
-    component: str | None,
-    timeout_s: float | None = None,
-    *,
-    as_json: bool = False,
+    out: Console, client: Client, component: str | None, *, as_json: bool = False
 ) -> None:
-    """Print the open jobs, then a line for each event, until Ctrl-C; as JSON only the events.
-
-    It ends after `timeout_s` seconds without an event.
-    """
+    """Print the open jobs, then a line for each event, until Ctrl-C; as JSON only the events."""
     shown = False
-    for event in client.events(component, timeout_s=timeout_s):
+    for event in client.events(component):
         if as_json:
             print(json.dumps({"event": event.kind, **event.body}), flush=True)
             continue

@@ -11,11 +11,13 @@ import typer
 
 from wrenchbook.service.cli.connect import (
     DEFAULT_SERVER,
+    ZERO,
     AsJson,
     Data,
     FurtherInput,
     Name,
     Server,
+    Three,
     connected,
     further_inputs,
     in_folder,
@@ -25,14 +27,12 @@ from wrenchbook.service.cli.render import matrix_table, print_json, show, stiffn
 from wrenchbook.service.client.joint import LinearPart
 from wrenchbook.service.client.joint.joint import FREEDOMS
 
-Three = tuple[float, float, float]
 _Force = Annotated[
     Three, typer.Option(help="force about which the part is linear, N", metavar="FX FY FZ")
 ]
 _Moment = Annotated[
     Three, typer.Option(help="moment about which the part is linear, N·m", metavar="MX MY MZ")
 ]
-ZERO: Three = (0.0, 0.0, 0.0)
 DAMPING = 0.02  # the default of `MujocoJoint`
 
 
@@ -76,26 +76,24 @@ def joint(
 
     with connected(server, data) as client:
         facts = client.component(name)
-        springs = None
-        if linear:
-            table = client.download(name)
-            wrench = (*force, *moment)
-            springs = LinearPart.of(table, wrench, further_inputs(further))
+        table = client.download(name) if linear else None
     part, mass = _moving(name, facts, interface)
-    locked = part.get("locked", ())
     if massless:
         mass = None
-    if springs is None:
+    if table is None:
+        locked = part.get("locked", ())
         text = scene_with_joint(scene, base, tip, locked=locked, site=site, mass=mass)
     else:
+        springs = LinearPart.of(table, (*force, *moment), further_inputs(further))
         text = scene_with_springs(scene, base, tip, springs, damping=damping, site=site, mass=mass)
         sys.stderr.write(f"{springs.error}\n")
     if not massless:
         sys.stderr.write(_mass_note(name, facts, mass, tip) + "\n")
+
     if out is not None:
         out.write_text(text, encoding="utf-8")
         if ' file="' in text and out.resolve().parent != scene.resolve().parent:
-            sys.stderr.write(f"its file names refer to the folder {scene.parent}; move it there\n")
+            sys.stderr.write(f"{out} has file names relative to {scene.parent}; move it there\n")
     if as_json:
         print_json({"component": name, "tip_mass": mass, "file": out, "mjcf": text})
     elif out is None:
@@ -103,9 +101,9 @@ def joint(
 
 
 def _mass_note(name: str, facts: dict[str, Any], mass: list[list[float]] | None, tip: str) -> str:
-    """Return how much of a part's mass moves with the tip; `mass` as of `_moving`."""
+    """Return a text on the mass that moves with the tip; `mass` as of `_moving`."""
     if mass is None:
-        return f"{name} has no known mass; give its materials a density"
+        return f"{name} has no known mass, so {tip!r} has none of it; give its materials a density"
     total = facts["vibration"]["mass"]
     moving = sum(mass[k][k] for k in range(3)) / 3
     return (
@@ -147,7 +145,9 @@ def stiffness(
     further: FurtherInput = None,
     between: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="LOW HIGH", help="instead: of measured rows between two loads"),
+        typer.Option(
+            metavar="LOW HIGH", help="two loads: fit the measured rows between them instead"
+        ),
     ] = None,
     axis: Annotated[str | None, typer.Option(help="of --between: load, such as fz")] = None,
     of: Annotated[str | None, typer.Option(help="of --between: output, such as uz")] = None,

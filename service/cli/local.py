@@ -44,10 +44,11 @@ _KEYLESS = "anybody on this machine may call it. Make one with: wrenchbook keys 
 
 def serve(
     config: Annotated[
-        Path | None, typer.Option(help="settings; otherwise wrenchbook.toml in the data directory")
+        Path | None,
+        typer.Option(help="file of settings; by default wrenchbook.toml in the data directory"),
     ] = None,
     show_settings: Annotated[
-        bool, typer.Option("--show-settings", help="print all settings, and where from, and end")
+        bool, typer.Option("--show-settings", help="print all settings with their sources, and end")
     ] = False,
     as_json: AsJson = False,
     **options: Any,
@@ -60,8 +61,12 @@ def serve(
     try:
         settings, origins = read_settings(chosen, config)
         if show_settings and as_json:
-            values = {name: getattr(settings, name) for name in origins}
-            print_json({n: {"value": values[n], "origin": origins[n]} for n in origins})
+            print_json(
+                {
+                    name: {"value": getattr(settings, name), "origin": origin}
+                    for name, origin in origins.items()
+                }
+            )
             return
         if show_settings:
             typer.echo(as_file(settings, origins), nl=False)
@@ -89,6 +94,7 @@ def _with_settings() -> inspect.Signature:
     parameters = list(inspect.signature(serve).parameters.values())[:-1]
     parameters = [part.replace(annotation=hints[part.name]) for part in parameters]
     defaults = {field.name: field.default for field in fields(Settings)}
+
     for name, hint in get_type_hints(Settings, include_extras=True).items():
         kind, *notes = get_args(hint)
         bounds = {type(note): note for note in notes if not isinstance(note, str)}
@@ -206,7 +212,7 @@ def backup(
 def restore(
     file: Annotated[str, typer.Argument(help="the backup, or the URL of a replica")],
     at: Annotated[
-        datetime | None, typer.Option(help="of a replica: its newest state until then, UTC")
+        datetime | None, typer.Option(help="UTC; of a replica, its newest state until this time")
     ] = None,
     data: Folder = DEFAULT_DATA,
     overwrite: Annotated[
@@ -218,16 +224,17 @@ def restore(
     from wrenchbook.service.ops.restore import restore as restored
 
     source = file if "://" in file else Path(file)
-    if isinstance(source, Path) and source.is_dir():
-        raise typer.BadParameter(f"{file} is a folder, not a file; name a backup's .zip")
-    if isinstance(source, Path) and not source.is_file():
-        raise typer.BadParameter(
-            f"the file {file} does not exist; give the path of a backup, or the URL of a replica"
-        )
-    if isinstance(source, Path) and at:
-        raise typer.BadParameter(
-            f"--at chooses a time of a replica, but {file} is a backup; leave --at out"
-        )
+    mistake = ""
+    if isinstance(source, Path):
+        if source.is_dir():
+            mistake = f"{file} is a folder, not a file; name a backup's .zip"
+        elif not source.is_file():
+            mistake = f"the file {file} does not exist; give a backup's path, or a replica's URL"
+        elif at:
+            mistake = f"--at chooses a time of a replica, but {file} is a backup; leave --at out"
+    if mistake:
+        raise typer.BadParameter(mistake)
+
     until = at.replace(tzinfo=UTC).timestamp() if at else float("inf")
     manifest, former = restored(source, data, overwrite=overwrite, until=until)
     has_keys = (data / KEYS).exists()
@@ -281,6 +288,7 @@ def doctor(
     from wrenchbook.service.ops.doctor import examine
 
     findings = examine(data, repair=repair)
+    faults = sum(finding.kind == "fault" for finding in findings)
     if as_json:
         print_json({"findings": [vars(finding) for finding in findings]})
     else:
@@ -289,8 +297,6 @@ def doctor(
             if finding.remedy:
                 remedy = finding.remedy.replace(COMMAND, COMMAND + _data_option(data))
                 plain(Screen(), f"  {remedy}")
-    faults = sum(finding.kind == "fault" for finding in findings)
-    if not as_json:
         noun = "fault" if faults == 1 else "faults"
         plain(Screen(), f"{faults} {noun}." if faults else f"{data} is in order.")
     raise typer.Exit(1 if faults else 0)
@@ -338,7 +344,9 @@ def add(
 @keys.command("rotate")
 def rotate(
     name: KeyName,
-    hours: Annotated[float, typer.Option(help="that the old secret is valid")] = OVERLAP_HOURS,
+    hours: Annotated[
+        float, typer.Option(help="hours that the old secret remains valid")
+    ] = OVERLAP_HOURS,
     as_json: AsJson = False,
     data: Folder = DEFAULT_DATA,
 ) -> None:

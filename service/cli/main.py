@@ -15,12 +15,14 @@ import wrenchbook
 from wrenchbook.service.cli import progress, render
 from wrenchbook.service.cli.connect import (
     DEFAULT_SERVER,
+    ZERO,
     AsJson,
     BeyondRange,
     Data,
     FurtherInput,
     Name,
     Server,
+    Three,
     by_name,
     connected,
     further_inputs,
@@ -95,9 +97,7 @@ for command in (joint, stiffness):
     app.command(cls=NumbersCommand)(command)
 app.add_typer(keys, name="keys")
 
-Three = tuple[float, float, float]
 Six = tuple[float, float, float, float, float, float]
-ZERO: Three = (0.0, 0.0, 0.0)
 Force = Annotated[Three | None, typer.Option(help="force F_x F_y F_z, N", metavar="FX FY FZ")]
 Moment = Annotated[
     Three | None,

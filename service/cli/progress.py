@@ -10,7 +10,7 @@ from typing import Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeElapsedColumn
 
 from wrenchbook.service.cli.render import Screen, job_state, plain
 from wrenchbook.service.client import Client, Job, ProblemError, ServerTimeout, ServerUnreachable
@@ -66,6 +66,12 @@ def cancelled_on_interrupt(client: Client, jobs: Sequence[Job]) -> Iterator[None
         raise typer.Exit(INTERRUPTED) from None
 
 
+def _bar(out: Console, *columns: ProgressColumn) -> Progress:
+    """Return a progress bar with its description before it, and `columns` and its note after it."""
+    front = TextColumn("{task.description}"), BarColumn()
+    return Progress(*front, *columns, TextColumn("{task.fields[note]}"), console=out)
+
+
 def follow(
     out: Console,
     client: Client,
@@ -81,12 +87,8 @@ def follow(
     """
     deadline = time.monotonic() + seconds
     done: dict[int, Job] = {}
-    columns = TextColumn("{task.description}"), BarColumn()
-    columns = *columns, TextColumn("{task.completed:.0f}/{task.total}"), TimeElapsedColumn()
-    with (
-        cancelled_on_interrupt(client, jobs),
-        Progress(*columns, TextColumn("{task.fields[note]}"), console=out) as progress,
-    ):
+    columns = TextColumn("{task.completed:.0f}/{task.total}"), TimeElapsedColumn()
+    with cancelled_on_interrupt(client, jobs), _bar(out, *columns) as progress:
         task = progress.add_task("solving", total=len(jobs), note="")
         while len(done) < len(jobs):
             for job in jobs:
@@ -110,12 +112,8 @@ def follow(
 
 
 def follow_report(out: Console, client: Client, name: str) -> None:
-    """Show a bar until a report is made.
-
-    Raises RuntimeError if it cannot be made.
-    """
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, TextColumn("{task.fields[note]}"), console=out) as progress:
+    """Show a bar until a report is made; raises RuntimeError if it cannot be made."""
+    with _bar(out, TimeElapsedColumn()) as progress:
         task = progress.add_task("reporting", total=1.0, note="")
         while True:
             state = client.report_state(name)
@@ -156,6 +154,7 @@ def fill(
             if not order.jobs:
                 break
             ended = follow(out, client, order.jobs, pace=pace)
+
         pace.ended = spent = spent + len(ended)
         now = client.component(name)
         parts = f"{spent} solves", pace.note(), f"{now['rows']} rows"
@@ -169,6 +168,7 @@ def fill(
                 f"all {len(failed)} solves of this round failed; their causes are above. To list "
                 f"the jobs: wrenchbook jobs --component {name} --status failed"
             )
+
     now = client.component(name)
     out.print(f"{spent} solves; {name} has {now['rows']} rows.")
     for warning in now.get("warnings", ()):
@@ -176,5 +176,11 @@ def fill(
         if warning["where"] == "tolerance":
             plain(out, f"warning: {warning['message']}", style="yellow")
     assert order is not None  # a budget is positive
-    last = {"component": name, "stage": order.stage, "reason": order.reason}
-    return {**last, "spent": spent, "failed": failures, "rows": now["rows"]}
+    return {
+        "component": name,
+        "stage": order.stage,
+        "reason": order.reason,
+        "spent": spent,
+        "failed": failures,
+        "rows": now["rows"],
+    }

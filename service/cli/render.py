@@ -18,7 +18,7 @@ from rich.text import Text
 
 from wrenchbook.service.client import ComponentPlan, Displacement, Job
 from wrenchbook.service.client.wrenches import wrench_of
-from wrenchbook.service.contract import LOADS, OUTPUTS
+from wrenchbook.service.contract import OUTPUTS
 
 # Control characters except tab and line end: a note or a log with them could move the cursor,
 # rename the window or type into some terminals.
@@ -126,6 +126,7 @@ def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
         return
     if not reference["bars_are_complete"]:
         yield "The reference's bars are not known, since the solver's own error is not."
+
     table = Table()
     columns = "import", "", "factor", "± 95 %", "from reference", "mean residual", "rms"
     for heading in (*columns, "beyond bars"):
@@ -135,6 +136,7 @@ def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
         for name, output in part["outputs"].items():
             if not output["compared"]:
                 continue
+
             value, half = output["factor"], output["half_width"]
             is_known = value is not None and (half is None or half < abs(value))
             factor = f"{value:.5g}" if is_known else "uncertain"
@@ -151,9 +153,8 @@ def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
 
 def compliance_tables(body: dict[str, Any]) -> list[Table]:
     """Return tables of the compliance at zero load, and of the mean over the load range."""
-    # Servers before 0.3 have no names of columns and rows.
-    inputs = [name.split(" ")[0] for name in body.get("columns", LOADS)]
-    outputs = [name.split(" ")[0] for name in body.get("rows", OUTPUTS)]
+    inputs = [name.split(" ")[0] for name in body["columns"]]
+    outputs = [name.split(" ")[0] for name in body["rows"]]
     known = [load in body["known_loads"] for load in inputs]
     mean = [
         [value if is_known else None for value, is_known in zip(line, known, strict=True)]
@@ -194,7 +195,7 @@ def stiffness_lines(body: dict[str, Any]) -> Iterator[Table | str]:
         if line is not None:
             table.add_row(name, str(line["rows"]), *(f"{line[key]:.6g}" for key in names))
     span = f"{body['axis']} from {low:g} to {high:g} N (N·m)"
-    yield table if table.row_count else f"Fewer than three measured rows have {span}."
+    yield table if table.row_count else f"Fewer than three measured rows have {span}; import more."
     for name, play in body["play"].items():
         unit = body["unit"].rpartition("/")[2]
         yield f"Play at no load, of {name}: {play['value']:.4g} +- {play['half_width']:.2g} {unit}"
@@ -207,17 +208,17 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
     """Return a table of the library."""
     table = Table("name", "title", "rows", "analysis", "largest force, N", "largest moment, N·m")
     for component in components:
-        kind = "linear" if component["linear"] else "nonlinear"
+        kind = "table only"
+        if component["has_fea"]:
+            kind = "linear" if component["linear"] else "nonlinear"
         spans = component["range"].get("loads") or {"": component["range"]}
         force = "; ".join(_largest(name, span["force"]) for name, span in spans.items())
         moment = "; ".join(_largest(name, span["moment"]) for name, span in spans.items())
         rows = str(component["rows"])
-        others = component.get("another_setup", {}).get("rows")
-        if others:
+        if others := component["another_setup"]["rows"]:
             rows += f" (and {others} of another setup)"
-        if pending := component.get("pending_rows"):  # servers before 0.3 have none
+        if pending := component["pending_rows"]:
             rows += f" ({pending} more are being built)"
-        kind = kind if component["has_fea"] else "table only"
         table.add_row(component["name"], escape(component["title"]), rows, kind, force, moment)
     return table
 

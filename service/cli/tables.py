@@ -30,6 +30,15 @@ from wrenchbook.service.files.durable import write_atomically
 COMPILED = (".fmu", ".zip")  # made by this command from a packed table, not by the server
 WAIT_S = 10.0  # s, the server's default
 MAX_ROWS_SHOWN = 10  # rows of a finding: a line of a terminal
+_RIG_METHODS = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}
+_NOT_LOADED = {  # texts by the state of an import's rows
+    "refused": "have mistakes",
+    "tare": "are the tare",
+    "unmatched": "have no load",
+    "skipped": "are of skipped cycles",
+    "branch": "are off the branch",
+    "averaged": "are in the mean of others",
+}
 _Unit = Annotated[str | None, typer.Option(help="unit in a CSV or XLSX file; SI by default")]
 _Point = Annotated[
     str | None, typer.Option(metavar="X,Y,Z", help="of the readings, from the interface's point, m")
@@ -136,30 +145,34 @@ def import_table(
 ) -> None:
     """Load a table from a file: all of its rows, or none and every mistake."""
     check_readable(file)  # before a server is called or started
-    options: dict[str, Any] = {
-        "missing_loads": "zero" if missing_loads_zero else None,
-        "sheet": sheet,
-        "note": note,
-        "wait_s": None if wait_s == WAIT_S else wait_s,
-        "time_offset_s": lag,
-        "displacements": displacements,
-        "load_cell": load_cell,
-        "mapping": _mapping(column or (), unit or ()),
-        "ignore": ignore or (),
-        "partial": partial or None,
-        "ignore_extra": ignore_extra or None,
-        "tare": tare,
-        "frame": frame,
-        "load_point": load_point,
-        "displacement_point": displacement_point,
-        "rig": rig,
-        "skip_cycles": skip_cycles,
-        "branch": branch,
-        "thin": thin,
-        "mean_cycles": mean_cycles or None,
-    }
+    mapping = _mapping(column or (), unit or ())
     with connected(server, data) as client:
-        reply = client.import_table(name, file, dry_run=dry_run, decimal=decimal, **options)
+        reply = client.import_table(
+            name,
+            file,
+            dry_run=dry_run,
+            decimal=decimal,
+            displacements=displacements,
+            mapping=mapping,
+            ignore=ignore or (),
+            ignore_extra=ignore_extra or None,
+            missing_loads="zero" if missing_loads_zero else None,
+            partial=partial or None,
+            tare=tare,
+            sheet=sheet,
+            frame=frame,
+            load_point=load_point,
+            displacement_point=displacement_point,
+            load_cell=load_cell,
+            rig=rig,
+            skip_cycles=skip_cycles,
+            branch=branch,
+            thin=thin,
+            mean_cycles=mean_cycles or None,
+            time_offset_s=lag,
+            note=note,
+            wait_s=None if wait_s == WAIT_S else wait_s,
+        )
     print_json(reply) if as_json else _print_import(name, reply)
     raise typer.Exit(1 if reply["errors"] and not partial else 0)
 
@@ -237,7 +250,9 @@ def export_table(
     ending = file.suffix.lower()
     if ending != ".fmu":
         refuse_alone("a file that ends in .fmu", {"--method": method, "--platforms": platforms})
-    format_ = _format_of(file)
+    format_ = "csv"
+    if not to_stdout:
+        format_ = "packed" if ending in COMPILED else table_format(file)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     units = {quantity: unit for quantity, unit in units.items() if unit is not None}
     curves = {}
@@ -254,6 +269,7 @@ def export_table(
         from wrenchbook.service.fmu.export import platforms_of
 
         targets = platforms_of(platforms)
+
     with connected(server, data) as client:
         content = client.export_table(name, format_, units, table_version, **curves)
     if to_stdout:
@@ -265,13 +281,6 @@ def export_table(
         content, message = _compiled(file, name, content, method, targets)
     write_atomically(file, content)
     show({"file": file, "bytes": len(content), "message": message}, as_json, message)
-
-
-def _format_of(file: Path) -> str:
-    """Return the format in which the server sends a table for a file; - is CSV."""
-    if str(file) == "-":
-        return "csv"
-    return "packed" if file.suffix.lower() in COMPILED else table_format(file)
 
 
 def _check_bushing(file: Path, format_: str, units: dict[str, str], version: int | None) -> None:
@@ -387,9 +396,10 @@ def rig(
             f"the rig's name {name!r} must begin with a letter or digit, and have at most 64 "
             "letters, digits, '.', '_' and '-'"
         )
+
     content = None if file is None else file.read_bytes()
     with connected(server, data) as client:
-        reply = client.call(RIG_METHODS[action], path, content, kind="application/toml")
+        reply = client.call(_RIG_METHODS[action], path, content, kind="application/toml")
     text = reply.content.decode()
     body: Any = {"name": name, "profile": text} if action == "show" else reply.json()
     if action in ("add", "remove"):
@@ -397,31 +407,15 @@ def rig(
     if name:
         show(body, as_json, text.rstrip())
         return
+
     table = Table("name", "origin", "title")
     for profile in body["rigs"]:
         table.add_row(profile["name"], profile["origin"], escape(profile["title"]))
     show(body, as_json, lambda: [table])
 
 
-RIG_METHODS = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}
-NOT_LOADED = {  # texts by the state of an import's rows
-    "refused": "have mistakes",
-    "tare": "are the tare",
-    "unmatched": "have no load",
-    "skipped": "are of skipped cycles",
-    "branch": "are off the branch",
-    "averaged": "are in the mean of others",
-}
-TABLE_COMMANDS = {
-    "import": import_table,
-    "export": export_table,
-    "withdraw": withdraw,
-    "compare": compare,
-    "rig": rig,
-}
-
-
 def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> None:
+    """Print a finding of the import `number`, and how to withdraw its rows."""
     plain(Screen(), f"{finding['cause']}: {finding['message']}", style="yellow")
     if number is not None:
         command = f"wrenchbook withdraw {name} {number} --finding {finding['cause']}"
@@ -430,9 +424,7 @@ def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> No
 
 
 def _print_import(name: str, reply: dict[str, Any]) -> None:
-    # Servers before 0.3 leave these out.
-    absent = {"causes": reply["errors"], "above": [], "rig": None, "findings": [], "clock": None}
-    reply = {**absent, "import": None, "sheets": [], "restored": 0, **reply}
+    """Print the mistakes, rows and findings of an import."""
     for line in _import_lines(reply):
         plain(Screen(), line)
     for finding in reply["findings"]:
@@ -441,12 +433,14 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
             shown = ", ".join(map(str, finding["rows"][:MAX_ROWS_SHOWN]))
             more = " and others" if finding["count"] > MAX_ROWS_SHOWN else ""
             plain(Screen(), f"  rows {shown}{more} of the file")
+
     if (clock := reply["clock"]) and clock["lag_s"] is not None:
         lag = f"{clock['lag_s']:.4g} +- {clock['uncertainty_s']:.1g}"
         applied = f"{clock['applied_s']:.4g} s is applied"
         plain(Screen(), f"Lag of the displacements: {lag} s; {applied}.")
+
     rows = reply["rows"]
-    parts = [f"{rows[state]} {text}" for state, text in NOT_LOADED.items() if rows.get(state)]
+    parts = [f"{rows[state]} {text}" for state, text in _NOT_LOADED.items() if rows.get(state)]
     if parts:
         plain(Screen(), f"Of {rows['read']} rows read {', '.join(parts)}.")
     if not (reply["dry_run"] or reply["errors"] or reply["in_use"]):
@@ -474,3 +468,12 @@ def _import_lines(reply: dict[str, Any]) -> list[str]:
         cell = f", load cell {rig['load_cell']}" if rig.get("load_cell") else ""
         lines.append(f"Readings were taken to the interface from rig {rig['name']}, {axes}{cell}.")
     return lines
+
+
+TABLE_COMMANDS = {
+    "import": import_table,
+    "export": export_table,
+    "withdraw": withdraw,
+    "compare": compare,
+    "rig": rig,
+}

@@ -72,13 +72,9 @@ class Host:
         return slopes.reshape(*shape, *slopes.shape[1:])
 
     def inverse(self, moved: Array, start: Array) -> tuple[Floats, Floats]:
-        """Return wrenches (..., n), SI, and the stiffness there (..., n, m).
-
-        NaN where there is none.
-        """
+        """Return wrenches (..., n), SI, and the stiffness there (..., n, m); NaN without one."""
         shape = moved.shape[:-1]
-        n = self.packed.inputs
-        m = self.packed.outputs
+        n, m = self.packed.inputs, self.packed.outputs
         targets = np.asarray(moved, dtype=float).reshape(-1, m)
         starts = np.broadcast_to(np.asarray(start, dtype=float), (*shape, n)).reshape(-1, n)
         wrenches = np.full((len(targets), n), np.nan)
@@ -92,10 +88,7 @@ class Host:
         return wrenches.reshape(*shape, n), stiffness.reshape(*shape, n, m)
 
     def _rows(self, wrenches: Array) -> tuple[Floats, NDArray[np.intp], tuple[int, ...]]:
-        """Return wrenches (..., n) as rows (k, n), indices of those not finite, and (...).
-
-        Rows that are not finite are set to zero.
-        """
+        """Return wrenches as rows (k, n), zero if not finite, the indices of these, and (...)."""
         array = np.asarray(wrenches, dtype=float)
         rows = array.reshape(-1, self.packed.inputs) + 0.0  # no negative zeros; a copy
         not_finite = np.flatnonzero(~np.isfinite(rows).all(axis=1))
@@ -264,6 +257,7 @@ class JointAnswers(NamedTuple):
 
 
 REPLIED = "wrench", "displacement", "wrench_error", "force", "rate", "coverage"
+ENTERED = "memory", "poses", "velocities", "inverse_masses"
 
 
 def jax_joint(
@@ -292,19 +286,20 @@ def jax_joint(
     turned = None if axes is None else floats_of("axes", axes, square)
     if not 0.0 < dt < np.inf:
         raise InvalidArgument(f"dt must be a finite number above 0 s, not {dt}")
+
     size = first.memory.shape[1]
-    shapes = {n: first.replies[n].shape[1:] for n in REPLIED}
-    buffers = first.memory, first.poses, first.velocities, first.inverse_masses
-    entered = [place.shape[1:] for place in buffers]
+    shapes = {name: first.replies[name].shape[1:] for name in REPLIED}
+    entered = [getattr(first, name).shape[1:] for name in ENTERED]
 
     def on_host(*arrays: Array) -> list[Array]:
         """Run a step of the kernel on numpy arrays."""
         lead = arrays[0].shape[:-1]
         steps = joint.new_steps(int(np.prod(lead)), turned)
-        buffers = steps.memory, steps.poses, steps.velocities, steps.inverse_masses
-        for buffer, array in zip(buffers, arrays, strict=True):
+        for name, array in zip(ENTERED, arrays, strict=True):
+            buffer = getattr(steps, name)
             buffer[:] = np.asarray(array).reshape(buffer.shape)
         steps.step(dt, damping, os.cpu_count() or 1)
+
         codes = status_of(joint, steps)
         coverage = steps.replies["coverage"]
         floats = [steps.replies[name] for name in REPLIED[:-1]]
@@ -321,6 +316,7 @@ def jax_joint(
                 f"memory, poses, velocities and inverse_masses must have the shapes {expected}, "
                 f"in this order, not {[array.shape for array in arrays]}"
             )
+
         results = [((*lead, *shapes[name]), kind) for name in REPLIED[:-1]]
         results += [((*lead, *shapes["coverage"]), np.int32), (lead, np.int32)]
         results += [((*lead, size), kind)]

@@ -25,44 +25,14 @@ from .wrenches import Load, Tolerance, loads_body, many_wrenches, options, singl
 
 # Wrenches from which a batch is sent as float64 by default: twenty times faster than JSON.
 BINARY_FROM = 1000
-FORMATS = {".glb": "gltf", ".vtu": "vtu", ".json": "json"}
-"""Format of a deformed surface by the file's ending."""
+FORMATS = {".glb": "gltf", ".vtu": "vtu", ".json": "json"}  # of a surface's file by its ending
 SILENCE_S = 45.0  # three heartbeats: a connection without one in this time is dead
 # Pause between attempts while the server is away, s: doubled from the first to the second.
 AGAIN_S = (0.2, 5.0)
 
 
 class DisplacementCalls(Connection):
-    """Displacements under one wrench, under many, and from a finite-element solve.
-
-    What the calls have in common:
-
-    name : str
-        The component.
-    force, moment : array_like
-        Shape (3,), N, and shape (3,), N·m, acting ON the component about its interface point where
-        it is now, in axes fixed to the undeformed interface frame; or the whole wrench as the force
-        alone, shape (6,).
-    loads : mapping, optional
-        Instead of force and moment, of a component with several interfaces: the wrench at each by
-        its name, shape (6,) or a mapping of ``force`` and ``moment``; zero where it is left out.
-    inputs : mapping, optional
-        The component's further inputs by name, such as ``temperature``, SI.
-    on_thin : {"queue", "wait", "estimate", "reject"}
-        Where the table is too thin: queue a solve and answer with the best estimate; wait for
-        that solve; only estimate; refuse.
-    wait_s : float, optional
-        With ``wait``: seconds to wait for the solve; the server's default is 30.
-    tolerance : mapping or pair, optional
-        ``{"translation": m, "rotation": rad}``; the component's own otherwise.
-    method : str, optional
-        How the table shall answer, such as ``griddata``; the component's own choice otherwise.
-    derivatives : bool
-        Whether the answer shall have du/dw, 6 x 6 a wrench: ``derivative``, ``derivatives``.
-    beyond_range : bool
-        Whether a wrench outside the component's load range may be solved. If not, ``queue`` answers
-        it flagged and without a job, and ``wait`` and `solve` refuse it.
-    """
+    """Displacements under one wrench, under many, and from a finite-element solve."""
 
     def displacement(
         self,
@@ -82,7 +52,37 @@ class DisplacementCalls(Connection):
     ) -> Displacement:
         """Return the displacement of a component's interface under one wrench, N and N·m.
 
-        Parameters are those of `DisplacementCalls`; `detail`: ``raw["axes"]`` has each axis' rows.
+        Parameters
+        ----------
+        name : str
+            The component.
+        force, moment : array_like
+            Shape (3,), N, and shape (3,), N·m, acting ON the component about its interface point
+            where it is now, in axes fixed to the undeformed interface frame; or the whole wrench as
+            the force alone, shape (6,).
+        loads : mapping, optional
+            Instead of force and moment, of a component with several interfaces: the wrench at each
+            by its name, shape (6,) or a mapping of ``force`` and ``moment``; zero where it is left
+            out.
+        inputs : mapping, optional
+            The component's further inputs by name, such as ``temperature``, SI.
+        on_thin : {"queue", "wait", "estimate", "reject"}
+            Where the table does not cover the wrench: queue a solve and answer with an estimate;
+            wait for that solve; only estimate; refuse.
+        wait_s : float, optional
+            With ``wait``: seconds to wait for the solve; the server's default is 30.
+        tolerance : mapping or pair, optional
+            ``{"translation": m, "rotation": rad}``; the component's own otherwise.
+        method : str, optional
+            How the table shall answer, such as ``griddata``; the component's own choice otherwise.
+        detail : bool
+            Whether ``raw`` shall have ``error_parts``, the parts of the error bar, and ``axes``,
+            the displacement by the loads of each axis.
+        derivatives : bool
+            Whether the answer shall have du/dw, 6 x 6 a wrench: ``derivative``.
+        beyond_range : bool
+            Whether a wrench outside the component's load range may be solved. If not, ``queue``
+            answers it flagged and without a job, and ``wait`` and `solve` refuse it.
 
         Returns
         -------
@@ -124,8 +124,8 @@ class DisplacementCalls(Connection):
     ) -> Displacements:
         """Return the displacements under many wrenches, shape (n, inputs), SI, in one call.
 
-        Parameters are those of `DisplacementCalls`, errors those of `displacement`; with
-        ``wait`` one `wait_s` is for all.
+        Other parameters and errors are those of `displacement`; with ``wait`` one `wait_s` is for
+        all wrenches.
 
         Parameters
         ----------
@@ -166,7 +166,7 @@ class DisplacementCalls(Connection):
     ) -> Displacement:
         """Solve one wrench, N and N·m, with finite elements, whatever the table says.
 
-        Parameters are those of `DisplacementCalls`.
+        Other parameters are those of `displacement`.
 
         Parameters
         ----------
@@ -198,20 +198,14 @@ class DisplacementCalls(Connection):
 
 
 def _server_wait(chosen: Document) -> float:
-    """Return the longest time, s, that the server may wait before it answers.
-
-    With ``on_thin="wait"`` it is `wait_s`, 30 s by default; `solve` states it itself.
-    """
+    """Return the seconds for which the server may wait: `wait_s`, by default 30 with ``wait``."""
     if "on_thin" not in chosen:
         return chosen.get("wait_s", 0.0)
     return chosen.get("wait_s", 30.0) if chosen["on_thin"] == "wait" else 0.0
 
 
 def deformed_format(file: str | Path) -> str:
-    """Return the format of a surface's file by its ending.
-
-    Raises InvalidArgument if the ending is unknown.
-    """
+    """Return the format of a surface's file by its ending; raises InvalidArgument."""
     return format_of(file, "surface", FORMATS)
 
 
@@ -221,16 +215,9 @@ class SurfaceCalls(Connection):
     def deformed(
         self, name: str, force: ArrayLike, moment: ArrayLike | None = None
     ) -> DeformedShape:
-        """Return a component's deformed surface under one wrench.
+        """Return a component's deformed surface under one wrench, N and N·m.
 
-        Parameters
-        ----------
-        name : str
-            The component.
-        force, moment : array_like
-            Shape (3,), N, and shape (3,), N·m, acting ON the component about its interface point
-            where it is now, in axes fixed to the undeformed interface frame; or the whole wrench as
-            the force alone, shape (6,).
+        Parameters are those of `DisplacementCalls`.
 
         Raises
         ------
@@ -326,6 +313,7 @@ class EventCalls(Connection):
         while True:
             if (remaining := newest + limit - time.monotonic()) <= 0:
                 return
+
             headers = {"Accept": "text/event-stream", **({"Last-Event-ID": last} if last else {})}
             try:
                 query = {"component": component}
@@ -349,6 +337,7 @@ class EventCalls(Connection):
             except (ServerUnreachable, http.client.HTTPException, EOFError, OSError) as error:
                 if first and not isinstance(error, TimeoutError):
                     raise
+
             first = False
             time.sleep(max(min(wait, newest + limit - time.monotonic()), 0.0))
             wait = min(2 * wait, AGAIN_S[1])

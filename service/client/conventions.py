@@ -25,13 +25,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import InvalidArgument
-from .rotation import sinc
+from .rotation import SINGLE_PRECISION, sinc
 from .wrenches import Vector, single_wrench
 
 Message: TypeAlias = Any  # an object of another program
 Side = Literal["parent", "child"]
-# Largest error of rotation matrices of other programs, which often are float32.
-SINGLE_PRECISION = 1e-6
 
 
 def moved(
@@ -232,10 +230,7 @@ def _field(message: Message, name: str) -> Message:
 
 
 def _number(message: Message, name: str, axis: str) -> float:
-    """Return a component of a message's force or torque.
-
-    Raises InvalidArgument if it is no number.
-    """
+    """Return a component of a message's force or torque; raises InvalidArgument if it is none."""
     vector = _field(message, name)
     member = None if vector is None else _field(vector, axis)
     if member is None:

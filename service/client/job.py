@@ -16,8 +16,7 @@ from .wrenches import Tolerance, Vector, options
 
 ENDED = ("done", "failed", "cancelled")
 LONGEST_POLL_S = 20.0  # proxies end calls that take longer
-# s: limits polls to 20 a second if a server answers at once instead of waiting.
-SHORTEST_POLL_S = 0.05
+SHORTEST_POLL_S = 0.05  # limits polls to 20 a second if a server answers at once
 ROUND = 24  # default number of solves in a round of `fill_until`
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from .errors import Document, InvalidArgument, Json, ProblemError, ServerTimeout, ServerUnreachable
 from .transport import BINARY, Connection, component_path
+from .wrenches import require_one_of
 
 _FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "packed", "bushing")
 _TEXTS = ("csv", "json", "bushing")
@@ -36,18 +37,12 @@ _IMPORT_S = 300.0  # s: a million rows take a minute, and an earlier import in t
 
 
 def table_format(file: str | Path) -> str:
-    """Return the format of a table file to be written, by its ending.
-
-    Raises InvalidArgument if the ending is unknown.
-    """
+    """Return the format of a table file to be written; raises InvalidArgument by its ending."""
     return format_of(file, "table", _ENDINGS, ", or use wrenchbook export for .fmu and .zip")
 
 
 def format_of(file: str | Path, kind: str, formats: Mapping[str, str], more: str = "") -> str:
-    """Return the format of a file's ending.
-
-    Raises InvalidArgument if the ending is not in `formats`.
-    """
+    """Return the format of a file's ending; raises InvalidArgument if it is not in `formats`."""
     suffix = Path(file).suffix
     if suffix.lower() not in formats:
         named = f"the ending {suffix}" if suffix else "no ending"
@@ -58,10 +53,7 @@ def format_of(file: str | Path, kind: str, formats: Mapping[str, str], more: str
 
 
 def check_readable(file: str | Path) -> None:
-    """Check that a file's ending is not that of another kind of file.
-
-    Raises InvalidArgument if it is.
-    """
+    """Raise InvalidArgument if a file's ending is that of a file other than a table."""
     suffix = Path(file).suffix.lower()
     if suffix in _NOT_READ:
         raise InvalidArgument(
@@ -200,6 +192,8 @@ class LibraryCalls(Connection):
         ValueError, ProblemError
             If the file cannot be read; if rows have mistakes (422), which ``errors`` names.
         """
+        if format is not None:
+            require_one_of("format", format, _FORMATS)
         if isinstance(table, str) and not _JSON.match(table) and len(table.splitlines()) <= 1:
             table = Path(table)
         if isinstance(table, Path):
@@ -211,13 +205,14 @@ class LibraryCalls(Connection):
         if displacements is not None:
             logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
             kind, content = _form(logs)
+
         mapping, ignore, rig = (columns.pop(name, None) for name in ("mapping", "ignore", "rig"))
         for part in ("frame", "load_point", "displacement_point"):
             value = columns.get(part)
             if value is not None and not isinstance(value, str):
                 columns[part] = ",".join(map(repr, np.ravel(value).astype(float).tolist()))
         query = {
-            "format": None if format is None else _known(format),
+            "format": format,
             "dry_run": dry_run or None,
             "decimal": decimal,
             "mapping": json.dumps(dict(mapping)) if mapping else None,
@@ -330,10 +325,10 @@ class LibraryCalls(Connection):
         str or bytes
             What `import_table` loads again, but packed and bushing: they are derived from the rows.
         """
-        chosen = _known(format)
-        query = {"format": chosen, "table_version": table_version, **(units or {}), **curves}
+        require_one_of("format", format, _FORMATS)
+        query = {"format": format, "table_version": table_version, **(units or {}), **curves}
         content = self.call("GET", component_path(name, "table"), query=query).content
-        return content.decode() if chosen in _TEXTS else content
+        return content.decode() if format in _TEXTS else content
 
     def invalidate_row(self, name: str, row: int) -> None:
         """Take a row out of a component's table; it stays in the ledger, see `restore_row`.
@@ -493,12 +488,6 @@ def _profile(rig: str | Path) -> str:
     if isinstance(rig, str) and RIG_NAME.fullmatch(rig) and not Path(rig).is_file():
         return rig
     return Path(rig).read_text("utf-8-sig", "replace")
-
-
-def _known(format_: str) -> str:
-    if format_ not in _FORMATS:
-        raise InvalidArgument(f"format must be one of {', '.join(_FORMATS)}, not {format_!r}")
-    return format_
 
 
 def _form(files: Mapping[str, tuple[str, bytes]]) -> tuple[str, bytes]:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from html import escape
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
-
-from .errors import required
 
 Floats = NDArray[np.float64]
 
@@ -35,14 +32,6 @@ def html_table(caption: str, names: Sequence[str], rows: Iterable[Sequence[objec
 def named_columns(names: Sequence[str], block: Floats) -> dict[str, Floats]:
     """Return the columns of a block, shape (n, 6), by names with units."""
     return dict(zip(names, block.T, strict=True))
-
-
-def require_pandas() -> ModuleType:
-    """Return the module pandas.
-
-    Raises MissingPackage if pandas is not installed.
-    """
-    return required("pandas", "to_pandas", "pandas")
 
 
 def _text(cell: object) -> str:

@@ -37,9 +37,9 @@ from ..contract import COVERAGE, LOADS, OUTPUTS
 from ..messages import DeformedShape
 from .errors import InvalidArgument, required
 from .notebook import DISPLACEMENT_COLUMNS, WRENCH_COLUMNS
-from .replies import Displacements, Vector
+from .replies import Displacements
 from .table import Table
-from .wrenches import single_wrench
+from .wrenches import Vector, require_one_of, single_wrench
 
 if TYPE_CHECKING:
     from . import Client
@@ -180,8 +180,7 @@ def _pyplot() -> ModuleType:
 
 
 def _index(argument: str, name: str, names: tuple[str, ...]) -> int:
-    if name not in names:
-        raise InvalidArgument(f"{argument} must be one of {', '.join(names)}, not {name!r}")
+    require_one_of(argument, name, names)
     return names.index(name)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..contract import LOADS, MAX_BLOCK
 from .errors import Document, InvalidArgument, ProblemError, ServerTimeout, WrenchbookError
 from .recording import KINDS, Kind, Started
-from .wrenches import many_wrenches, single_wrench
+from .wrenches import many_wrenches, require_one_of, single_wrench
 
 if TYPE_CHECKING:
     from . import Client
@@ -48,6 +48,7 @@ class Recorder:
     client : Client
         A client of the server that records.
     component : str
+        Name of the component.
     kind : {"recording", "envelope"}
         LM_direct: every wrench is saved; LM_max: the extremes are.
     block : int
@@ -84,8 +85,7 @@ class Recorder:
         block: int = BLOCK,
         inputs: int = len(LOADS),
     ) -> None:
-        if kind not in KINDS:
-            raise InvalidArgument(f"kind must be one of {', '.join(KINDS)}, not {kind!r}")
+        require_one_of("kind", kind, KINDS)
         if not 1 <= block <= MAX_BLOCK:
             raise InvalidArgument(f"block must be 1 to {MAX_BLOCK} wrenches, not {block}")
         self.component = component
@@ -153,6 +153,7 @@ class Recorder:
             )
         checked = single_wrench(wrench) if default else many_wrenches(np.stack([wrench]), None)
         packed = checked.astype("<f8").tobytes()
+
         with self._changed:
             if self._closing:
                 raise RecorderError("the Recorder is closed; create a new Recorder")
@@ -260,6 +261,7 @@ class Recorder:
                     if not self._blocks and time.monotonic() - self._opened_at >= FLUSH_S:
                         self._seal()
                 block = self._blocks[0]
+
             try:
                 reply = self._client.send_block(
                     self.component, self.kind, block, self._key, self._sequence
@@ -282,10 +284,11 @@ class Recorder:
                 wait = min(2 * wait, longest)
             else:
                 wait = BACKOFF_S[0]
+                count = len(block) // self._width
                 with self._changed:
                     self._blocks.popleft()
-                    self._count -= len(block) // self._width
-                    self.recorded += len(block) // self._width
+                    self._count -= count
+                    self.recorded += count
                     self._sequence += 1
                     self.reply = reply
                     self._trouble = None

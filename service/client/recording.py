@@ -125,24 +125,29 @@ class RecordingCalls(Connection):
         return Started.read(reply, jobs=Job.read_all(reply, name))
 
     def send_block(
-        self, name: str, kind: Kind, wrenches: bytes, client: str, sequence: int
+        self,
+        name: str,
+        kind: Kind,
+        wrenches: bytes,
+        client: str,
+        sequence: int,
+        *,
+        retry: bool = False,
     ) -> Document:
         """Send a block of packed wrenches, little-endian float64 (n, inputs), under its key.
 
-        A block that is sent several times counts once. A refused connection is not tried again.
+        A block that is sent several times counts once. `retry` as of `Connection.call`.
         """
         query = {"client": client, "sequence": sequence}
         path = component_path(name, kind)
-        return self.call("POST", path, wrenches, kind=BINARY, query=query, retry=False).json()
+        return self.call("POST", path, wrenches, kind=BINARY, query=query, retry=retry).json()
 
     def _send_blocks(self, name: str, kind: Kind, wrenches: ArrayLike) -> Document:
         """Send wrenches, shape (n, inputs), N and N·m, in as many blocks as needed."""
         block = many_wrenches(wrenches, None)
         key = secrets.token_hex(16)
         reply = {}
-        path = component_path(name, kind)
         for sequence, start in enumerate(range(0, max(len(block), 1), MAX_BLOCK)):
             part = np.ascontiguousarray(block[start : start + MAX_BLOCK], dtype="<f8").tobytes()
-            query = {"client": key, "sequence": sequence}
-            reply = self.call("POST", path, part, kind=BINARY, query=query).json()
+            reply = self.send_block(name, kind, part, key, sequence, retry=True)
         return reply | {"recorded": len(block)}

@@ -13,7 +13,7 @@ from wrenchbook.surrogate.answer import bars_within
 
 from .. import messages
 from ..contract import COVERAGE
-from .errors import Document, InvalidArgument, Json
+from .errors import Document, InvalidArgument, Json, required
 from .job import Job, joined
 from .notebook import (
     DISPLACEMENT_COLUMNS,
@@ -22,13 +22,10 @@ from .notebook import (
     WRENCH_COLUMNS,
     html_table,
     named_columns,
-    require_pandas,
 )
 from .rotation import checked_pose, rotation_matrix
 from .transport import Response
-from .wrenches import wrench_of
-
-Vector = NDArray[np.float64]
+from .wrenches import Vector, wrench_of
 
 EXACT = "One row of the table has exactly this wrench."
 ROUNDED = "One row of the table has this wrench, rounded to 1e-6 of the load range."
@@ -280,6 +277,7 @@ class Displacements(messages.Displacements):
         width = 2 * m + 1
         block = numbers[: width * count].reshape(count, width)
         slopes = numbers[width * count :]
+
         version, elapsed, jobs = (
             reply.headers.get(f"Wrenchbook-{name}")
             for name in ("Table-Version", "Elapsed-Us", "Jobs")
@@ -288,6 +286,7 @@ class Displacements(messages.Displacements):
         if (limits := reply.headers.get("Wrenchbook-Tolerance")) is not None:  # m, rad
             allowed = np.repeat([float(limit) for limit in limits.split(",")], 3)
             within = bars_within(block[:, :m], block[:, m:-1], np.resize(allowed, m))
+
         return super().read(
             {"jobs_queued": int(jobs or 0)},
             component=component,
@@ -317,7 +316,7 @@ class Displacements(messages.Displacements):
         MissingPackage
             If pandas is not installed.
         """
-        return require_pandas().DataFrame(self._columns())
+        return required("pandas", "to_pandas", "pandas").DataFrame(self._columns())
 
     def _columns(self) -> Document:
         return {
@@ -351,10 +350,7 @@ def _stacked(answers: Sequence[Json], shape: tuple[int, ...]) -> Vector:
 
 
 def _named(names: Sequence[str], block: Vector, word: str) -> Document:
-    """Return a block's columns by name.
-
-    If their number is not that of `names`, by `word` and index.
-    """
+    """Return a block's columns by name; by `word` and index if there are more or fewer."""
     if block.shape[1] != len(names):
         names = [f"{word} {place}" for place in range(block.shape[1])]
     return named_columns(names, block)

@@ -32,31 +32,27 @@ def rotation_matrix(rotation: ArrayLike) -> Vector:
     )
 
 
-_SINGLE_PRECISION = 1e-6  # largest error of a pose; the displacement is exact to its square
+# Largest error of another program's rotation matrix, which often is float32; the displacement is
+# exact to its square.
+SINGLE_PRECISION = 1e-6
 
 
 def checked_rotation(name: str, matrix: ArrayLike) -> Vector:
-    """Return a rotation matrix (3, 3), dimensionless.
-
-    Raises InvalidArgument if it is no rotation matrix.
-    """
+    """Return a rotation matrix (3, 3), dimensionless; raises InvalidArgument if it is none."""
     axes = floats_of(name, matrix, (3, 3))
     skew = float(np.abs(axes.T @ axes - np.eye(3)).max())
     determinant = np.linalg.det(axes)
-    if skew > _SINGLE_PRECISION or determinant < 0.0:
+    if skew > SINGLE_PRECISION or determinant < 0.0:
         raise InvalidArgument(
             f"{name} must be a right-handed rotation matrix with the frame's axes as columns, but "
             f"{name}^T {name} differs from the identity by {skew:.3g} (at most "
-            f"{_SINGLE_PRECISION:g}), and the determinant is {determinant:.3g}"
+            f"{SINGLE_PRECISION:g}), and the determinant is {determinant:.3g}"
         )
     return axes
 
 
 def checked_pose(R0: ArrayLike, p0: ArrayLike) -> tuple[Vector, Vector]:
-    """Return a pose, axes as columns (3, 3) and point (3,), m.
-
-    Raises InvalidArgument if it is no pose.
-    """
+    """Return a pose, axes (3, 3) and point (3,), m; raises InvalidArgument if it is none."""
     return checked_rotation("R0", R0), floats_of("p0", p0, (3,))
 
 

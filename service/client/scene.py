@@ -183,10 +183,7 @@ def _checked(name: str, need: Json) -> Document:
 
 
 def _refuse_unknown(where: str, keys: Iterable[object], known: Sequence[str]) -> None:
-    """Check that the keys at a place of the scene are among the known ones.
-
-    Raises SceneError if some are not.
-    """
+    """Raise SceneError if a key at a place of the scene is not among the known ones."""
     unknown = [str(key) for key in keys if key not in known]
     if unknown:
         place = f"{where}: " if where else ""

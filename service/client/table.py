@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import threading
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,6 +17,7 @@ from wrenchbook.surrogate.kernel.binding import PackedTable, kernel
 from wrenchbook.surrogate.kernel.format import write_file
 
 from ..contract import COVERAGE, LOADS, Coverage
+from ..messages import Part
 from .errors import InvalidArgument, TableError, required
 from .notebook import html_table, named_columns
 from .replies import EXACT, ROUNDED, Displacement, Displacements
@@ -201,12 +201,9 @@ class Table:
         slope: Floats | None,
         interfaces: Mapping[str, Displacement] | None = None,
     ) -> Displacement:
-        """Return an answer with a reply's six outputs from index `first` on.
-
-        Without outputs if None.
-        """
-        moved, error = (None, None) if first is None else (reply.outputs, reply.error)
-        start = first or 0
+        """Return an answer with a reply's six outputs from index `first` on, if it is given."""
+        moved = {} if first is None else _parts(reply.outputs, first)
+        error = None if first is None else _parts(reply.error, first)
         source = "table" if reply.outputs else None
         reason = reply.reason
         if reply.row is not None:
@@ -215,14 +212,9 @@ class Table:
         return Displacement(
             component=self.name,
             wrench=wrench,
-            translation=_frozen(moved[start : start + 3]) if moved else None,
-            rotation=_frozen(moved[start + 3 : start + 6]) if moved else None,
-            error={
-                "translation": _frozen(error[start : start + 3]),
-                "rotation": _frozen(error[start + 3 : start + 6]),
-            }
-            if error
-            else None,
+            translation=moved.get("translation"),
+            rotation=moved.get("rotation"),
+            error=error or None,
             coverage=cast(Coverage, reply.coverage),
             source=source,
             method=reply.method,
@@ -307,6 +299,7 @@ class Table:
             slopes = packed.derivatives(loads, limit, method) if derivatives else None
         except ValueError as error:
             raise InvalidArgument(str(error)) from error
+
         # Errors without the solver's part cannot be compared with a tolerance.
         complete = packed.bars_are_complete
         allowed = (limit or self.allowed_errors(self.tolerance)) if complete else None
@@ -436,9 +429,9 @@ class Table:
     def __repr__(self) -> str:
         low, high = self.packed.load_range
         spans = [
-            f"{load.name} {a:g} to {b:g}"
-            for load, a, b in zip(self.space.inputs, low, high, strict=True)
-            if a or b
+            f"{load.name} {least:g} to {largest:g}"
+            for load, least, largest in zip(self.space.inputs, low, high, strict=True)
+            if least or largest
         ]
         units = ["N", "N·m", *dict.fromkeys(load.unit for load in self.space.scalars)]
         rows = self.packed.meta["provenance"]["rows"]
@@ -471,9 +464,7 @@ class Table:
         pandas = required("pandas", "to_pandas", "pandas")
         frames = []
         arrays, space = self.packed.arrays, self.space
-        for group in itertools.count():
-            if f"g{group}/row/wrench" not in arrays:
-                break
+        for group in range(len(self.packed.meta["groups"])):
             columns = named_columns(_columns(space.inputs), arrays[f"g{group}/row/wrench"])
             columns |= named_columns(_columns(space.outputs), arrays[f"g{group}/row/moved"])
             frames.append(pandas.DataFrame({"group": group, **columns}))
@@ -526,11 +517,13 @@ class DownloadCalls(Connection):
         return Table(packed, name, self, etag, scene)
 
 
-def _frozen(values: Sequence[float | None]) -> Vector:
-    """Return floats, NaN for None, as a read-only array."""
-    array = np.array(values, dtype=float)
-    array.flags.writeable = False
-    return array
+def _parts(outputs: Sequence[float | None] | None, first: int) -> dict[Part, Vector]:
+    """Return translation and rotation from an index on, read-only, NaN for None; empty if none."""
+    if not outputs:
+        return {}
+    six = np.array(outputs[first : first + _PER_INTERFACE], dtype=float)
+    six.flags.writeable = False
+    return {"translation": six[:3], "rotation": six[3:]}
 
 
 def _columns(quantities: Iterable[Input | Output]) -> list[str]:

@@ -31,20 +31,16 @@ from .errors import (
 JSON = "application/json"
 BINARY = "application/octet-stream"
 RETRY_S = 10.0  # a restart takes 2.5 s with 20 tables of 20,000 rows
-# 11 days: a socket waits 2^31 ms at most, and a call's own wait is added.
-MAX_TIMEOUT_S = 1e6
+MAX_TIMEOUT_S = 1e6  # 11 days: a socket waits 2^31 ms at most, and a call's own wait is added
 # Between attempts, doubled each time: a restart of 2.5 s is noticed within 1 s.
 FIRST_BACKOFF_S = 0.1
 MAX_BACKOFF_S = 1.0
-# Of a body that is copied behind its head, for one packet and one waking of the server: all but
-# large batches.
+# Of a body that is sent with its head in one packet, which wakes the server once: all but large
+# batches.
 _MAX_JOINED_BYTES = 65_536
-# Of the first read: all but large batches come in one piece.
-_FIRST_READ_BYTES = 65_536
-# Of a further read: a socket has no more at once.
-_MAX_READ_BYTES = 1 << 20
-# Of an answer that is no JSON: enough for the text of a proxy's error page.
-_MAX_SHOWN_BYTES = 200
+_FIRST_READ_BYTES = 65_536  # of the first read: all but large batches come in one piece
+_MAX_READ_BYTES = 1 << 20  # of a further read: a socket has no more at once
+_MAX_SHOWN_BYTES = 200  # of an answer that is no JSON: enough for a proxy's error page
 # What a call raises when the other side has closed an idle connection.
 _CLOSED = (http.client.RemoteDisconnected, ConnectionError, http.client.BadStatusLine)
 _BLANK_LINE = b"\r\n\r\n"
@@ -110,10 +106,12 @@ class Connection:
         if not (isinstance(timeout, Real) and 0.0 < timeout <= MAX_TIMEOUT_S):
             limits = f"above 0 s and at most {MAX_TIMEOUT_S:,.0f} s"
             raise InvalidArgument(f"timeout must be {limits}, such as 10.0, not {timeout!r}")
+
         self._path = parts.path.rstrip("/")
         self.url = f"{parts.scheme}://{parts.netloc}{self._path}"
         self.timeout = timeout
         self.retry_s = RETRY_S
+
         origin = "the variable WRENCHBOOK_KEY" if key is None else "key="
         key = (os.environ.get("WRENCHBOOK_KEY") if key is None else key) or ""
         self._key = key.strip()
@@ -122,6 +120,7 @@ class Connection:
                 f"the key in {origin} contains blanks or characters other than ASCII, which no "
                 "key has; copy the key again"
             )
+
         https = parts.scheme == "https"
         self._kind = http.client.HTTPSConnection if https else http.client.HTTPConnection
         default = 443 if https else 80
@@ -281,6 +280,7 @@ class Connection:
         except BaseException:
             connection.close()
             raise
+
         if response.will_close or idle is not self._idle:
             connection.close()
         else:
@@ -422,6 +422,7 @@ def receive(sock: socket.socket, method: str) -> Response:
     content = received[end + len(_BLANK_LINE) :]
     _, _, after = head.partition(_LENGTH_FIELD)
     length = after.partition(b"\r\n")[0].strip()
+
     if (
         received.startswith(_SUCCESS)
         and length.isdigit()
@@ -438,6 +439,7 @@ def receive(sock: socket.socket, method: str) -> Response:
             pieces.append(piece)
             missing -= len(piece)
         return Response(int(head[9:12]), b"".join(pieces), received[:end])
+
     replay = _Replay(received, sock)
     unusual = http.client.HTTPResponse(replay, method=method)  # pyright: ignore
     try:

@@ -112,6 +112,7 @@ def loads_body(
             "the call has no load; give force=[Fx, Fy, Fz] in N, moment=[Mx, My, Mz] in N·m, or "
             "loads={INTERFACE: [Fx, Fy, Fz, Mx, My, Mz]}"
         )
+
     for name, value in _mapping("inputs", inputs or {}).items():
         number = _numbers(value, f"inputs[{name!r}]")
         if number.shape or not np.isfinite(number):
@@ -155,8 +156,8 @@ def options(
     *, on_thin: str | None = None, tolerance: Tolerance | None = None, **others: Json
 ) -> Document:
     """Return the options of a call that are not None, after a check of frequent mistakes."""
-    if on_thin is not None and on_thin not in ON_THIN:
-        raise InvalidArgument(f"on_thin must be one of {', '.join(ON_THIN)}, not {on_thin!r}")
+    if on_thin is not None:
+        require_one_of("on_thin", on_thin, ON_THIN)
     limit = None if tolerance is None else tolerance_body(tolerance)
     chosen = {"on_thin": on_thin, "tolerance": limit, **others}
     return {name: value for name, value in chosen.items() if value is not None}
@@ -209,11 +210,14 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
     return block.astype(float)
 
 
-def floats_of(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Vector:
-    """Return a copy of an argument as finite floats of a shape.
+def require_one_of(name: str, value: str, known: Sequence[str]) -> None:
+    """Raise InvalidArgument if the value of an argument is not among the known ones."""
+    if value not in known:
+        raise InvalidArgument(f"{name} must be one of {', '.join(known)}, not {value!r}")
 
-    Raises InvalidArgument if it is not of that form.
-    """
+
+def floats_of(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Vector:
+    """Return a copy of an argument as finite floats of a shape; raises InvalidArgument."""
     try:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError):

@@ -6,16 +6,17 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wrenchbook.fea.tensors import von_mises
+from wrenchbook.service.fields.blend import ARRAYS, Blend
 from wrenchbook.service.fields.record import DamagedFieldsError, RowFields, SurfaceGeometry
 from wrenchbook.service.fields.shape import (
     Deformed,
+    Floats,
     error_parts,
     largest_stress,
     rounding,
@@ -24,19 +25,15 @@ from wrenchbook.service.fields.shape import (
 )
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.library.component import Component
-from wrenchbook.surrogate.calibration import LEVEL, conformal_factor
 from wrenchbook.surrogate.field_weights import FieldWeights, nearest_rows
 from wrenchbook.surrogate.kriging import Hyperparameters, SingularCovarianceError
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import NEAR, Rows, why_beyond
 
-Floats = NDArray[np.float64]
-
 # Rows of one interpolation: with their slopes as accurate as all rows; its factorisation takes 0.02
 # s.
 MAX_ROWS = 60
 BLEND_BYTES = 128 << 20  # memory of one component's interpolation; larger surfaces use fewer rows
-MIN_LEFT_OUT = 4  # rows with a surface: fewer do not show the size of the error
 MIN_ROWS = 8  # rows of an interpolation, for any size of their fields
 MAX_BLENDS = 2  # components whose interpolation is in memory at once
 THREADS = 2  # surfaces computed at once: each may use a processor
@@ -45,7 +42,6 @@ FARTHEST = 2.0
 # Part of the largest displacement of any row: the allowed error bar of a vertex without a
 # tolerance.
 WITHOUT_TOLERANCE = 0.01
-_ARRAYS = 7  # arrays of a row: its fields, and their slopes by each of six loads
 _FLOAT_BYTES = 8
 
 
@@ -123,6 +119,7 @@ class DeformedSurfaces:
             load = int(too_far.argmax())
             ends = f"{component.space.input_names[load]} {low[load]:.6g} to {high[load]:.6g}"
             raise TooFarError(f"{beyond}, too far away for a surface; give a load within {ends}")
+
         if component.linear:
             shape = self._linear(component, rows, acting)
         else:
@@ -157,6 +154,7 @@ class DeformedSurfaces:
             moved += row.displacement - row.displacement_slopes @ solved
             if len(stresses):
                 stresses += row.stress - row.stress_slopes @ solved
+
         stress = largest_stress(component, geometry, stresses, 0.0)
         # All rows of a linear component have the same compliance; NaN if no row has one.
         compliances = rows.compliance[rows.fingerprint == component.fingerprint]
@@ -183,6 +181,7 @@ class DeformedSurfaces:
                     geometry = self._geometry(component, row)
                 except DamagedFieldsError:
                     return None
+
                 # The row's fields, extrapolated by their slopes from its wrench to this one.
                 step = wrench - np.array(row.meta["wrench"])
                 moved = row.displacement_slopes @ step
@@ -228,6 +227,7 @@ class DeformedSurfaces:
         cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
         chosen = solved[having][np.sort(first)]
+
         with self._lock:  # one at a time: a new interpolation takes a processor and its memory
             blend = self._blend(component, rows.take(chosen), wrench, hyperparameters)
         fields = blend.at(wrench)
@@ -235,6 +235,7 @@ class DeformedSurfaces:
         if error is not None:
             error = np.maximum(error, rounding(fields.displacement))
         reason = _inaccuracy(component, blend, error)
+
         stress = None
         if fields.stress is not None:
             stress = largest_stress(component, blend.geometry, fields.stress, fields.stress_error)
@@ -264,9 +265,10 @@ class DeformedSurfaces:
         first = next(self._readable(component, rows.wrench), None)
         if first is None:
             raise NoFieldsError(component, "all are damaged", rows=rows.seq.tolist())
-        row_bytes = _ARRAYS * _FLOAT_BYTES * (first.displacement.size + first.stress.size)
+        row_bytes = ARRAYS * _FLOAT_BYTES * (first.displacement.size + first.stress.size)
         limit = min(MAX_ROWS, max(MIN_ROWS, BLEND_BYTES // max(row_bytes, 1)))
         near = rows.take(nearest_rows(rows.wrench, wrench, component.load_range, limit))
+
         lengths = None if hyperparameters is None else hyperparameters.logarithms.tobytes()
         key = component.fingerprint, near.seq.tobytes(), lengths
         cached = self._blends.get(component.name)
@@ -274,6 +276,7 @@ class DeformedSurfaces:
             self._blends.move_to_end(component.name)
             return cached[1]
         self._blends.pop(component.name, None)  # freed before the next takes as much memory
+
         read: list[tuple[int, RowFields]] = []
         for place, row_wrench in enumerate(near.wrench):
             read += [(place, row) for row in self._readable(component, row_wrench[None])]
@@ -283,6 +286,7 @@ class DeformedSurfaces:
         digest = read[-1][1].meta["geometry"]  # another version of a mesher makes another mesh
         same_mesh = [(place, row) for place, row in read if row.meta["geometry"] == digest]
         used = near.take([place for place, _ in same_mesh])
+
         try:
             geometry = self._geometry(component, same_mesh[0][1])
             weights = FieldWeights.of(used.wrench, component.load_range, hyperparameters)
@@ -304,96 +308,6 @@ class DeformedSurfaces:
 
     def _geometry(self, component: Component, row: RowFields) -> SurfaceGeometry:
         return self._store.geometry(component.name, component.fingerprint, row.meta["geometry"])
-
-
-class BlendedFields(NamedTuple):
-    """Interpolated fields at one wrench."""
-
-    displacement: Floats  # (v, 3), m
-    error: Floats | None  # (v,), m; None with too few rows
-    stress: Floats | None  # (p, 6), Pa
-    stress_error: float | None  # Pa, error of the largest von Mises stress
-
-
-@dataclass(frozen=True, eq=False)
-class Blend:
-    """An interpolation of the fields of k rows, linear in them.
-
-    `values`, shape (k, 7, d): of each row its fields, then their slopes by each of six loads. The d
-    columns are the displacements, 3 of each vertex, then the stresses, 6 of each point.
-    """
-
-    geometry: SurfaceGeometry
-    weights: FieldWeights
-    values: Floats
-    rows: tuple[int, ...]  # numbers (`seq`) of the rows
-    largest: float  # m: largest displacement in any row
-    spread: Floats | None  # (v,), m: ratio of a vertex's error to sigma; None with too few rows
-    factor: float  # factor on sigma times spread
-    stress_factor: float | None  # Pa: error bar of the largest von Mises stress over sigma
-
-    @classmethod
-    def of(
-        cls,
-        geometry: SurfaceGeometry,
-        weights: FieldWeights,
-        rows: Sequence[RowFields],
-        numbers: tuple[int, ...],
-    ) -> Blend:
-        """Return the interpolation of rows that share a geometry."""
-        values = np.stack([_stacked_fields(row) for row in rows])
-        moved = 3 * len(geometry.vertices)
-        largest = float(np.abs(values[:, 0, :moved]).max(initial=0.0))
-        blank = cls(geometry, weights, values, numbers, largest, None, 0.0, None)
-        if len(rows) < MIN_LEFT_OUT:
-            return blank
-        errors, sigmas = weights.left_out(values)
-        lengths = np.linalg.norm(errors[:, :moved].reshape(len(rows), -1, 3), axis=2)
-        ratios = lengths / sigmas[:, None]
-        spread = np.sqrt((ratios**2).mean(axis=0))
-        relative = ratios / np.where(spread > 0, spread, 1.0)
-        factor = float(conformal_factor(np.quantile(relative, LEVEL, axis=1)[:, None])[0])
-        stress_factor = None
-        if values.shape[2] > moved:
-            # The predicted largest stress of each left-out row is compared with its true one.
-            predicted = values[:, 0, moved:] - errors[:, moved:]
-            predicted = von_mises(predicted.reshape(len(rows), -1, 6)).max(axis=1)
-            true = np.array([row.meta["largest"] for row in rows])
-            stress_factor = float(conformal_factor((np.abs(predicted - true) / sigmas)[:, None])[0])
-        return cls(geometry, weights, values, numbers, largest, spread, factor, stress_factor)
-
-    def at(self, wrench: Floats) -> BlendedFields:
-        """Return the fields at a wrench (6,), N and N·m."""
-        weights, sigma = self.weights.at(wrench)
-        fields = np.tensordot(weights, self.values, axes=2)
-        moved = 3 * len(self.geometry.vertices)
-        displacement = fields[:moved].reshape(-1, 3)
-        error = None if self.spread is None else self.factor * sigma * self.spread
-        stress = fields[moved:].reshape(-1, 6) if len(fields) > moved else None
-        factor = self.stress_factor
-        stress_error = None if factor is None else factor * sigma
-        return BlendedFields(displacement, error, stress, stress_error)
-
-    def nearest(self, wrench: Floats) -> tuple[int, Floats]:
-        """Return the number of the row nearest to a wrench (6,), N and N·m, and its slopes.
-
-        The slopes are the change of its vertices with the wrench: shape (v, 3, 6), m/N and m/(N·m).
-        """
-        apart = (self.weights.wrenches - wrench) / self.weights.load_range.scale
-        place = int(np.linalg.norm(apart, axis=1).argmin())
-        moved = self.values[place, 1:, : 3 * len(self.geometry.vertices)]
-        return self.rows[place], np.moveaxis(moved.reshape(6, -1, 3), 0, -1)
-
-
-def _stacked_fields(row: RowFields) -> Floats:
-    """Return a row's fields and their slopes, shape (7, d), as in `Blend.values`."""
-
-    def stacked(field: Floats, slopes: Floats) -> Floats:
-        with_slopes = np.concatenate((field[..., None], slopes), axis=-1)
-        return np.moveaxis(with_slopes, -1, 0).reshape(_ARRAYS, -1)
-
-    displacements = stacked(row.displacement, row.displacement_slopes)
-    return np.hstack((displacements, stacked(row.stress, row.stress_slopes)))
 
 
 def _inaccuracy(component: Component, blend: Blend, error: Floats | None) -> str:

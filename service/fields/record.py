@@ -7,13 +7,8 @@ complete answer and rounded to 2^-44.
 
 A file is `MAGIC`, the length of a JSON header (four bytes, little-endian), the header and the
 compressed columns one after the other. The header has each column's shape and steps and a digest
-of all, so that a file that was cut off or damaged is not taken for numbers.
-
-A column is rounded to multiples of a step, 2^-bits of its largest number or finer, by the last
-index of the array; the multiples are stored as differences from one entry to the next, byte by
-byte: neighbouring nodes of a mesh move alike, so the high bytes are zero and compress well. h5py's
-filters (float32, shuffle, gzip) make files 1.26 times as large in twice the time, npz 1.45 times in
-three times the time.
+of all, so that a file that was cut off or damaged is not taken for numbers. The README has the
+rounding and the packing of a column.
 """
 
 from __future__ import annotations
@@ -54,10 +49,7 @@ class Column(NamedTuple):
 
 
 def pack(meta: Mapping[str, Any], columns: Mapping[str, Column]) -> bytes:
-    """Return the file of arrays and of JSON values.
-
-    Raises ValueError unless all numbers are finite.
-    """
+    """Return the file of arrays and JSON values; raises ValueError unless numbers are finite."""
     entries, payloads = zip(*(_packed(*item) for item in columns.items()), strict=True)
     body = b"".join(payloads)
     header: dict[str, Any] = {"meta": dict(meta), "columns": entries}
@@ -72,10 +64,7 @@ def read_meta(content: bytes) -> dict[str, Any]:
 
 
 def unpack(content: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return the header's JSON values, and each array, shape (n, ...), by its name.
-
-    Raises DamagedFieldsError if the file differs from what was written.
-    """
+    """Return the header's JSON values and the arrays by name; raises DamagedFieldsError."""
     header, start = _header(content)
     body = content[start:]
     digest = header.pop("digest", None)
@@ -94,10 +83,7 @@ def unpack(content: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
 
 
 def _header(content: bytes) -> tuple[dict[str, Any], int]:
-    """Return a file's header, and the offset of its columns.
-
-    Raises DamagedFieldsError if the file has none.
-    """
+    """Return a file's header and the offset of its columns; raises DamagedFieldsError."""
     start = len(MAGIC) + 4
     if content[: len(MAGIC)] != MAGIC:
         begins = f"begins with {content[:20]!r}" if content else "is empty"
@@ -235,10 +221,7 @@ def digest_of(geometry: bytes) -> str:
 
 
 def read_geometry(content: bytes) -> SurfaceGeometry:
-    """Return the geometry of a file.
-
-    Raises DamagedFieldsError if the file differs from what was written.
-    """
+    """Return the geometry of a file; raises DamagedFieldsError if it is damaged."""
     meta, columns = unpack(content)
     vertices, regions = int(meta["whole_vertices"]), tuple(meta["regions"])
     return SurfaceGeometry(
@@ -247,9 +230,6 @@ def read_geometry(content: bytes) -> SurfaceGeometry:
 
 
 def read_row(content: bytes) -> RowFields:
-    """Return the fields of a row's file.
-
-    Raises DamagedFieldsError if the file differs from what was written.
-    """
+    """Return the fields of a row's file; raises DamagedFieldsError if it is damaged."""
     meta, columns = unpack(content)
     return RowFields(**columns, meta=meta)

@@ -1,14 +1,4 @@
-"""A deformed surface, its largest stress, and the parts of its error bars.
-
-The solver's part follows from its error at the interface (`surrogate.solver_error`). A mesh that is
-too stiff moves the interface too little, and the rest of the body follows the interface: for a
-small motion q of the interface, six numbers, a vertex moves by F q. A solve gives F: the change of
-the vertex with the wrench, times the inverse of the interface's own change with the wrench (Guyan's
-modes, 1965). The error of a vertex is therefore |F| times the error at the interface: t + r x (x -
-p) where the body is rigid, 0 at a support. A fraction of the vertex's own displacement, as energies
-suggest, covered 46 to 92 % of vertices: a vertex that hardly moves between two that do has an error
-unrelated to its motion.
-"""
+"""A deformed surface, its largest stress, and the parts of its error bars (see the README)."""
 
 from __future__ import annotations
 

@@ -50,12 +50,9 @@ class FieldStore:
     def take(
         self, attempt: Path, component: str, fingerprint: str, wrench: Sequence[float]
     ) -> bool:
-        """Move a solver's files from an attempt's folder into the store.
+        """Move a solver's files from an attempt's folder into the store; return whether it did.
 
-        Return whether it succeeded.
-
-        It raises no error: without files, on a full disk or beyond `most_bytes` the row has no
-        fields.
+        Without files, on a full disk or beyond `most_bytes` the row has no fields, without error.
         """
         row, geometry = attempt / ROW, attempt / GEOMETRY
         try:
@@ -90,13 +87,10 @@ class FieldStore:
             names = {path.name for path in self._place(component, fingerprint).iterdir()}
         except FileNotFoundError:
             return []
-        return [i for i, wrench in enumerate(wrenches) if f"{key_of(wrench)}.fields" in names]
+        return [at for at, wrench in enumerate(wrenches) if f"{key_of(wrench)}.fields" in names]
 
     def row(self, component: str, fingerprint: str, wrench: Sequence[float]) -> RowFields:
-        """Return the fields of one row.
-
-        Raises DamagedFieldsError if the file is damaged, missing, or of another wrench.
-        """
+        """Return the fields of one row; raises DamagedFieldsError without a file of its wrench."""
         key = key_of(wrench)
         row = self._read(self._place(component, fingerprint) / f"{key}.fields")
         if key_of(row.meta["wrench"]) != key:
@@ -107,18 +101,12 @@ class FieldStore:
         return row
 
     def linear(self, component: str, fingerprint: str) -> RowFields | None:
-        """Return the six unit fields of a linear component; None before its first solve.
-
-        Raises DamagedFieldsError if the file differs from what was written.
-        """
+        """Return a linear component's unit fields; None if unsolved. Raises DamagedFieldsError."""
         path = self._place(component, fingerprint) / f"{_LINEAR}.fields"
         return self._read(path) if path.exists() else None
 
     def geometry(self, component: str, fingerprint: str, digest: str) -> SurfaceGeometry:
-        """Return the geometry of a row's fields.
-
-        Raises DamagedFieldsError if it is missing or damaged.
-        """
+        """Return the geometry of a row's fields; raises DamagedFieldsError without such a file."""
         path = self._place(component, fingerprint) / f"{digest}.geometry"
         geometry = read_geometry(_content(path))
         if geometry.digest != digest:
@@ -151,10 +139,7 @@ def key_of(wrench: Sequence[float]) -> str:
 
 
 def _content(path: Path) -> bytes:
-    """Return a file's bytes.
-
-    Raises DamagedFieldsError if it cannot be read.
-    """
+    """Return a file's bytes; raises DamagedFieldsError if it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:

@@ -71,6 +71,7 @@ def write_gltf(shape: Deformed) -> bytes:
     moved = {"POSITION": arrays.add(shape.displacement, _VERTICES)}
     if shape.error is not None:
         attributes["_ERROR"] = arrays.add(shape.error, _VERTICES)
+
     extras = {
         "targetNames": ["displacement"],
         "wrench": list(shape.wrench),
@@ -92,6 +93,7 @@ def write_gltf(shape: Deformed) -> bytes:
         "bufferViews": arrays.views,
         "buffers": [{"byteLength": len(arrays.content)}],
     }
+
     text = json.dumps(document, allow_nan=False).encode()
     chunks = _chunk(b"JSON", text, b" ") + _chunk(b"BIN\x00", bytes(arrays.content), b"\x00")
     length = 12 + len(chunks)

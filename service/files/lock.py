@@ -9,8 +9,7 @@ import os
 import time
 from pathlib import Path
 
-# Time for which `take` waits for the short shared lock of `is_locked`, s.
-_PATIENCE_SECONDS = 0.5
+_PATIENCE_SECONDS = 0.5  # for which `take` waits for the short shared lock of `is_locked`
 
 
 def take(path: Path, patience_s: float = _PATIENCE_SECONDS) -> int | None:

@@ -39,10 +39,7 @@ _ROOT = Path(__file__).resolve().parents[2]
 
 
 def solver_version() -> str:
-    """Return version and code digest of the solver, such as ``0.2.0+1f3a5b7c9d0e``.
-
-    The version is ``unknown`` in a checkout that is not installed.
-    """
+    """Return version (or ``unknown``) and code digest of the solver: ``0.2.0+1f3a5b7c9d0e``."""
     try:
         number = version("wrenchbook")
     except PackageNotFoundError:
@@ -52,10 +49,7 @@ def solver_version() -> str:
 
 @cache
 def code_digest(*folders: str) -> str:
-    """Return a digest, 16 hexadecimal digits, of the Python files below some folders.
-
-    `folders`: such as ``surrogate`` or ``service/jobs``.
-    """
+    """Return a digest, 16 hexadecimal digits, of all Python files of folders: ``service/jobs``."""
     digest = hashlib.sha256()
     for folder in folders:
         for path in sorted((_ROOT / folder).rglob("*.py")):

@@ -94,12 +94,14 @@ def describe(component: str, guid: str, tool: str, summary: str, space: Space = 
         files = ElementTree.SubElement(interface, "SourceFiles")
         for name in SOURCES:
             ElementTree.SubElement(files, "File", name=name)
+
     definitions = ElementTree.SubElement(root, "UnitDefinitions")
     for name in dict.fromkeys(
         ("N", "N.m", "m", "rad", *(_unit(load.unit) for load in space.inputs))
     ):
         unit = ElementTree.SubElement(definitions, "Unit", name=name)
         ElementTree.SubElement(unit, "BaseUnit", _UNITS.get(name, {}))
+
     categories = ElementTree.SubElement(root, "LogCategories")
     for name in ("logStatusWarning", "logStatusError"):
         ElementTree.SubElement(categories, "Category", name=name)
@@ -290,7 +292,7 @@ def make_fmu(
     # GUID.
     header = f"{component}\0{method_index}\0".encode()
     digest = hashlib.blake2b(header + table.content, digest_size=16).hexdigest()
-    guid = "{" + "-".join(digest[a:b] for a, b in pairwise(_GUID_ENDS)) + "}"
+    guid = "{" + "-".join(digest[start:end] for start, end in pairwise(_GUID_ENDS)) + "}"
     try:
         tool = f"wrenchbook {version('wrenchbook')}"
     except PackageNotFoundError:  # a checkout that is not installed

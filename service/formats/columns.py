@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import (
+from wrenchbook.service.formats.units import (
     FORCE,
     MOMENT,
     ROTATION,
@@ -39,9 +39,8 @@ TIME_COLUMN = "time"
 MAX_COLUMNS = 256  # an unknown name is compared with all known ones: 0.3 ms each
 MAX_LABEL = 200  # characters; a longer label is a title, and takes seconds to read
 ORIGIN = ("row", "when", "who")  # columns of an export that an import ignores
-
+# From a standard uncertainty to an interval of 95 %: k = 2 (JCGM 100:2008, G.6.6).
 COVERAGE_FACTOR = 2.0
-"""From a standard uncertainty to an interval of 95 %: k = 2 (JCGM 100:2008, G.6.6)."""
 
 _LETTERS = {"f": FORCE, "m": MOMENT, "u": TRANSLATION, "r": ROTATION}
 # The synonyms of column names; a direction follows.
@@ -101,7 +100,7 @@ class Columns:
     half width in `uncertainty` and over each input a tangent in `compliance`. `curvature` has third
     derivatives of the complementary energy e in the order of `Rows.curvature`, always in SI:
     ``d3e/dfx/dfx/dmz [J/(N*N*N*m)]``, where m stands for mu. `numbers` are all but these; a file
-    has at most `most` columns.
+    has `max_count` columns at most.
     """
 
     def __init__(self, space: Space) -> None:
@@ -119,7 +118,7 @@ class Columns:
         triples = combinations_with_replacement(self.wrench, 3)
         self._curvatures = {"/d".join(("d3e", *inputs)): inputs for inputs in triples}
         self.curvature = tuple(self._curvatures)
-        self.most = max(MAX_COLUMNS, 2 * len(self.numbers) + len(self.curvature))
+        self.max_count = max(MAX_COLUMNS, 2 * len(self.numbers) + len(self.curvature))
         # The columns that have one spelling.
         single = *TEXTS, *self.compliance, *self.curvature, *scalars
         self._exact = {name.lower(): name for name in single}
@@ -167,10 +166,9 @@ class Columns:
         column = next((column for column in columns if column != TIME_COLUMN), "")
         if not column:
             return ""
-        which = f"names an unknown interface {interface!r}" if interface else "names no interface"
-        there = self.space.interfaces
-        example = f"{there[0]}.{column}"
-        return f"{which}; choose one of {', '.join(there)}, for example {example}"
+        problem = f"names an unknown interface {interface!r}" if interface else "names no interface"
+        known = self.space.interfaces
+        return f"{problem}; choose one of {', '.join(known)}, for example {known[0]}.{column}"
 
     def factor(self, name: str, unit: str) -> float:
         """Return the factor from a unit of the column `name` to that of the table; UnitError."""
@@ -292,7 +290,8 @@ class NumberColumn:
     def digits(self, rows: WritableRows) -> list[str]:
         """Return the column in its unit as digits, empty where unknown."""
         factor = self.factor
-        return ["" if v != v else in_unit(v, factor) for v in self.values(rows).tolist()]
+        numbers = self.values(rows).tolist()
+        return ["" if number != number else in_unit(number, factor) for number in numbers]
 
 
 @dataclass(frozen=True)

@@ -21,17 +21,11 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import ContentError, guard_formula, number_text
+from wrenchbook.service.formats.cells import MAX_TEXT, ContentError, guard_formula, number_text
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN, Layout, WritableRows
-from wrenchbook.service.formats.header import (
-    Header,
-    Preamble,
-    Record,
-    delimiter_in,
-    is_row,
-    read_head,
-)
+from wrenchbook.service.formats.header import Header, Record, delimiter_in, is_row, read_head
 from wrenchbook.service.formats.options import Mistakes, Options, ParsedTable, ReadReport
+from wrenchbook.service.formats.preamble import Preamble
 from wrenchbook.service.formats.text import (
     BrokenLineError,
     CellFormat,
@@ -46,7 +40,6 @@ from wrenchbook.service.formats.text import (
 MAX_LINE = 1 << 20  # characters of a line; 54 numbers and three texts are some thousands
 MAX_RECORD = 4 * MAX_LINE  # characters of a record: a quoted text may have many lines
 MAX_BLANK = 1 << 20  # consecutive blank lines: a spreadsheet has no more lines at all
-MAX_TEXT = csv.field_size_limit()  # characters of a cell: 131,072
 _BLOCK = 1 << 22  # bytes: 25,000 rows
 _MAX_HEAD = 200  # lines in which the header must be
 _LONG_ZERO = b"0" * 290  # a number with so many zeros may be too small for a float
@@ -74,7 +67,8 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         with path.open("rb") as content:
             delimiter = _delimiter(lines_of(content, encoding), options)
         with path.open("rb") as content:
-            width = _blank_width(content, encoding) if delimiter == " " else 0
+            rows = filter(is_row, map(str.split, lines_of(content, encoding)))
+            width = len(next(rows, ())) if delimiter == " " else 0  # cells between blanks
     except BrokenLineError as error:
         report.mistakes.ruin(error.line, "line", str(error))
         return
@@ -83,13 +77,13 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         return
 
     def records(content: BinaryIO) -> Iterator[Record]:
-        every = records_of(lines_of(content, encoding), 1, delimiter, width)
-        for line, cells in islice(every, 1):  # spreadsheets write a line sep=; first
+        all_records = records_of(lines_of(content, encoding), 1, delimiter, width)
+        for line, cells in islice(all_records, 1):  # spreadsheets write a line sep=; first
             is_whole = _SEPARATOR_LINE.fullmatch(delimiter.join(cells))
             is_split = cells[0].lower() in ("sep=", '"sep=') and cells[1:] and not any(cells[1:])
             if not (is_whole or is_split):
                 yield line, cells
-        yield from every
+        yield from all_records
 
     cell_format = CellFormat(options.decimal == ",", declared=options.decimal is not None)
     if options.decimal is None and delimiter != ",":
@@ -105,15 +99,6 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         body = _Body(content, encoding, delimiter, header, mark, inputs, report.mistakes)
         pieces = body.pieces(first[0]) if first else iter(())
         yield from read_pieces(header, pieces, options, report, cell_format)
-
-
-def _blank_width(content: BinaryIO, encoding: str) -> int:
-    """Return the number of cells of the first row of a text with blanks between cells, or 0."""
-    for line in lines_of(content, encoding):
-        row = line.split()
-        if is_row(row):
-            return len(row)
-    return 0
 
 
 class _ArrowColumns(NamedTuple):
@@ -207,10 +192,11 @@ class _Body:
         """Return the columns of numbers and of texts; a time without a unit is a clock time."""
         columns = self.header.columns.values()
         texts = [column.index for column in columns if not column.unit]
-        texts += [c.index for c in (self.header.status, self.header.sequence) if c]
+        logged = (self.header.status, self.header.sequence)
+        texts += [column.index for column in logged if column]
         texts += self.header.unnamed
         loads = [column.index for column in columns if column.name in self.inputs]
-        more = [c.index for c in columns if c.index not in (*texts, *loads)]
+        more = [column.index for column in columns if column.index not in (*texts, *loads)]
         return _ArrowColumns(loads + more, texts, len(loads))
 
     def _arrow_table(self, block: bytes, columns: _ArrowColumns) -> Any:
@@ -291,10 +277,7 @@ class _Lines(list[str]):
 
 
 def encoding_of(path: Path) -> str:
-    """Return the encoding of a file: utf-8-sig, utf-16 (with a mark) or cp1252.
-
-    Raises ContentError if it is none of these.
-    """
+    """Return a file's encoding: utf-8-sig, utf-16 (with a mark) or cp1252; raises ContentError."""
     with path.open("rb") as content:
         head = content.read(4)
         if head.startswith(b"PK\x03\x04"):
@@ -320,10 +303,7 @@ def encoding_of(path: Path) -> str:
 
 
 def lines_of(content: BinaryIO, encoding: str, number: int = 1) -> Iterator[str]:
-    """Yield the lines with their ends (LF, CR or both); `number` is that of the first line.
-
-    Raises BrokenLineError if a line cannot be read.
-    """
+    """Yield lines with their ends (LF, CR or both) from `number` on; raises BrokenLineError."""
     with io.TextIOWrapper(content, encoding=encoding, newline="") as text:
         while line := text.readline(MAX_LINE):
             if len(line) >= MAX_LINE:
@@ -447,7 +427,8 @@ def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
     if not broken:
         return ""
     # A text of several lines has the numbers of the row in at most one of them.
-    numeric = [c.index for name, c in header.columns.items() if name not in (*TEXTS, TIME_COLUMN)]
+    columns = header.columns.values()
+    numeric = [column.index for column in columns if column.name not in (*TEXTS, TIME_COLUMN)]
     rows = 0
     for line in _LINE_END.split(delimiter.join(cells)):
         parts = [part.strip().replace(",", ".") for part in line.split(delimiter)]

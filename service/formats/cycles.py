@@ -9,15 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from wrenchbook.service.formats.options import (
-    FEA,
-    LOAD_LIMIT,
-    Array,
-    Options,
-    ParsedTable,
-    ReadReport,
-    largest_loads,
-)
+from wrenchbook.service.formats.limits import LOAD_LIMIT, largest_loads
+from wrenchbook.service.formats.options import FEA, Array, Options, ParsedTable, ReadReport
 from wrenchbook.surrogate.findings.cycles import TURN, Passes, passes_of
 from wrenchbook.surrogate.table.rows import joined
 from wrenchbook.surrogate.table.space import Space
@@ -71,22 +64,23 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
     """Return the rows that the cycle options select; `report` counts the others."""
     solved = (rows.source == FEA) | (rows.fingerprint != "")
     if any(rows.compliance.strides) or solved.any():
-        problem = "has tangents"
-        if solved.any():
-            problem = f"has solves, the first in row {rows.seq[solved][0]}"
-        names = "skip_cycles, branch, thin and mean_cycles"
-        message = f"{problem}, but {names} need measured rows; leave these options out"
+        first = f"solves, the first in row {rows.seq[solved][0]}" if solved.any() else "tangents"
+        message = (
+            f"has {first}, but skip_cycles, branch, thin and mean_cycles need measured rows; leave "
+            "these options out"
+        )
         raise _CycleError("file", message)
+
     loads = len(options.columns.loads)
     span = options.load_range
     size = np.abs(rows.wrench).max(axis=0) if span is None else largest_loads(span) / LOAD_LIMIT
-    size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
+    size = np.where(np.isfinite(size) & (size > 0), size, 1.0)  # of each input
     main = int(np.argmax(np.ptp(rows.wrench[:, :loads], axis=0) / size[:loads]))
     name = options.columns.wrench[main]
     load = rows.wrench[:, main]
     passes = passes_of(load)
-    omitted = report.omitted
 
+    omitted = report.omitted
     retained = _after_first_cycles(load, passes, options.skip_cycles, name)
     omitted["skipped"] = int((~retained).sum())
     if options.branch:
@@ -103,8 +97,8 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
     if options.mean_cycles:
         count = int(passes.number[-1] - passes.number[0]) // 2 + 1
         if count < 2:
-            left = f" after skip_cycles={options.skip_cycles}" if options.skip_cycles else ""
-            message = f"needs two or more cycles of {name}, but there is only one{left}"
+            after = f" after skip_cycles={options.skip_cycles}" if options.skip_cycles else ""
+            message = f"needs two or more cycles of {name}, but there is only one{after}"
             raise _CycleError("mean_cycles", f"{message}; leave mean_cycles out")
         branches = [_branch_mean(rows, passes, loading, main, size) for loading in (True, False)]
         measured = [branch for branch in branches if len(branch)]
@@ -164,6 +158,7 @@ def _branch_mean(
     if not by_pass:
         return rows.take(chosen[:0])
     widest = max(by_pass, key=lambda indices: np.ptp(rows.wrench[indices, main]))
+
     columns = np.hstack((rows.wrench, rows.displacement))
     # (passes, rows of the widest, inputs and outputs)
     values = np.stack([_interpolated(columns[at], columns[widest], main) for at in by_pass])
@@ -171,16 +166,19 @@ def _branch_mean(
     counts = np.isfinite(values).sum(axis=0)
     mean = np.nansum(values, axis=0) / np.where(counts > 0, counts, np.nan)
     _require_same_loads(values[:, :, :inputs], size, rows.space)
+
+    # The half width of Student's t distribution.
     freedom = np.maximum(counts - 1, 0).sum(axis=0)[inputs:]
     squares = np.nansum((values - mean) ** 2, axis=(0, 1))[inputs:]
     scatter = np.sqrt(squares / np.where(freedom > 0, freedom, np.nan))
     half_width = stdtrit(np.maximum(freedom, 1), 0.975) * scatter
     half_width = half_width / np.sqrt(np.maximum(counts[:, inputs:], 1))
-    wrench = mean[:, :inputs]
-    displacement = mean[:, inputs:]
-    stated = np.fmax(half_width, rows.uncertainty[widest])
-    rows = rows.take(widest)
-    return replace(rows, wrench=wrench, displacement=displacement, uncertainty=stated)
+    return replace(
+        rows.take(widest),
+        wrench=mean[:, :inputs],
+        displacement=mean[:, inputs:],
+        uncertainty=np.fmax(half_width, rows.uncertainty[widest]),
+    )
 
 
 def _interpolated(columns: Array, at: Array, main: int) -> Array:
@@ -196,10 +194,7 @@ def _interpolated(columns: Array, at: Array, main: int) -> Array:
 
 
 def _require_same_loads(wrenches: Array, size: Array, space: Space) -> None:
-    """Check that the passes, (passes, n, inputs), differ in no load besides the main one.
-
-    Raises an error with the load that differs.
-    """
+    """Raise _CycleError if passes (passes, n, inputs) differ in a load besides the main one."""
     spread = np.nanmax(wrenches, axis=0) - np.nanmin(wrenches, axis=0)
     differing = (spread > _REPEATED * size).mean(axis=0)
     if (differing > _FEW).any():

@@ -31,8 +31,7 @@ from wrenchbook.service.formats.options import (
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_pieces, read_records
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
-MAX_BYTES = 112 * 1024 * 1024
-"""Decoded rows take seven times their text: 450,000 rows are 800 MB."""
+MAX_BYTES = 112 * 1024 * 1024  # rows take seven times their text: 450,000 rows are 800 MB
 
 _SPACE_KEYS = ("inputs", "outputs")
 _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")
@@ -183,14 +182,10 @@ def _read_table(table: Any, options: Options, report: ReadReport) -> Iterator[Pa
             mistakes.ruin(0, key, problem)
             return
 
-    pieces = _pieces(table["rows"], columns, mistakes)
+    rows = table["rows"]
+    starts = range(0, len(rows), PIECE)
+    pieces = (_piece(rows[start : start + PIECE], start, columns, mistakes) for start in starts)
     yield from read_pieces(array_header(columns), pieces, options, report, CellFormat())
-
-
-def _pieces(rows: list[Any], columns: Columns, mistakes: Mistakes) -> Iterator[Piece]:
-    """Yield the good rows, of `PIECE` rows of the file at a time."""
-    for start in range(0, len(rows), PIECE):
-        yield _piece(rows[start : start + PIECE], start, columns, mistakes)
 
 
 def _piece(rows: list[Any], start: int, columns: Columns, mistakes: Mistakes) -> Piece:
@@ -248,6 +243,7 @@ def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, s
     message = f"is an unknown key; write one of {', '.join(_ROW_KEYS)}"
     cells: list[Any] = []
     problems = [(key, message) for key in unknown]
+
     for key in ARRAYS:
         names = getattr(columns, key)
         values = row.get(key)
@@ -265,6 +261,7 @@ def _row_cells(row: Any, columns: Columns) -> tuple[list[Any], list[tuple[str, s
             if {*map(type, line)} != {float}:
                 label = f"{key}[{at}]" if key == "compliance" else key
                 cells[-width:] = _number_cells(label, line, problems)
+
     for key in TEXTS:
         text = row.get(key)
         if not (text is None or type(text) is str):

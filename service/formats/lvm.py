@@ -59,16 +59,13 @@ def read_lvm(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 def _rows(
     records: Iterator[Record], has_x: bool, columns: Columns, mistakes: Mistakes
 ) -> Iterator[Record]:
-    """Yield the labels, then the rows of all segments.
-
-    Raises ValueError if the segments' channels differ.
-    """
+    """Yield the labels, then the rows of all segments; raises ValueError if channels differ."""
     tags: dict[str, list[str]] = {}
-    more_x: set[int] = set()
-    first = None
-    place = "tags"
-    clock = None
-    count = 0
+    more_x: set[int] = set()  # indices of the X columns of further channels
+    first = None  # the labels of the first segment
+    place = "tags"  # then "labels", then "rows"
+    clock = None  # X0 and Delta_X, if they stand for a column
+    count = 0  # rows of the segment
     for line, cells in records:
         key = cells[0].strip()
         if place != "tags" and key in _TAGS:
@@ -85,8 +82,10 @@ def _rows(
             if first is None:
                 yield line, labels
             elif labels != first:
-                message = f"has {', '.join(labels)}, but the first has {', '.join(first)}"
-                raise ValueError(f"the segment of line {line} {message}; save each in its own file")
+                raise ValueError(
+                    f"the segment of line {line} has {', '.join(labels)}, but the first has "
+                    f"{', '.join(first)}; save each in its own file"
+                )
             first = labels
         elif values := {cells[at].strip() for at in more_x if at < len(cells)} - {"", key}:
             message = f"the channels have different times, {key} is {', '.join(sorted(values))}"
@@ -108,6 +107,7 @@ def _segment(
     names = [" ".join(cell.split()) for cell in cells]
     while names and not names[-1]:
         names.pop()
+    # Indices of the names that are channels.
     channels = {at for at, name in enumerate(names) if name not in ("", _X, _COMMENT)}
 
     def values(tag: str) -> dict[int, str]:
@@ -123,17 +123,18 @@ def _segment(
         return texts
 
     units = values("Y_Unit_Label")
-    kind = set(values("X_Dimension").values())
     labels = [with_unit(name, units.get(at, ""), columns) for at, name in enumerate(names)]
     labels = [label if label != _X else "" for label in labels]  # further X columns have no name
-    if names[0] != _X or not kind <= {"Time"}:
+    if names[0] != _X or not set(values("X_Dimension").values()) <= {"Time"}:
         return [names[0], *labels[1:]], None
+
     labels[0] = f"{_X} [{next(iter(values('X_Unit_Label').values()), 's')}]"
     clocks = set(zip(values("X0").values(), values("Delta_X").values(), strict=False))
     if len(clocks) > 1:
         pairs = " and ".join(f"{x0}, {step}" for x0, step in sorted(clocks)[:2])
-        problem = f"X0 and Delta_X differ between its channels: {pairs}"
-        raise ValueError(f"{problem}; resample them to one time")
+        raise ValueError(
+            f"X0 and Delta_X differ between its channels: {pairs}; resample them to one time"
+        )
     if not (clocks or has_x):
         raise ValueError("it has no X column, nor X0 and Delta_X; export it with an X column")
     if has_x:
@@ -142,5 +143,6 @@ def _segment(
     try:
         return labels, (float(x0.replace(",", ".")), float(delta_x.replace(",", ".")))
     except ValueError:
-        problem = f"X0 is {x0!r} and Delta_X is {delta_x!r}, but both must be numbers"
-        raise ValueError(f"{problem}; correct them") from None
+        raise ValueError(
+            f"X0 is {x0!r} and Delta_X is {delta_x!r}, but both must be numbers; correct them"
+        ) from None

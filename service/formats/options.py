@@ -1,17 +1,10 @@
-"""Arguments and results of a reader: options, rows within limits, and the report with all mistakes.
-
-A row beyond the limits has a wrong unit. Rows of different setups are never mixed: a solve with
-another fingerprint, or with none, would be a solve of another mesh. The sender can change the
-source.
-"""
+"""Arguments and results of a reader: options, and the report with all mistakes."""
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
@@ -19,27 +12,11 @@ from numpy.typing import ArrayLike
 
 from wrenchbook.service.formats.columns import Columns, columns_of
 from wrenchbook.surrogate.findings.response import RigFinding
-from wrenchbook.surrogate.table.rows import (
-    LONGEST,
-    ROTATION_LIMIT,
-    TRANSLATION_LIMIT,
-    LoadRange,
-    Rows,
-    rotation_angles,
-    unknown_column,
-)
-from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, unknown_column
+from wrenchbook.surrogate.table.space import DEFAULT, Space
 
 Array = np.ndarray
-Problem = tuple[int, str, str]
-"""The index of a row in the arrays, its column, and the remedy."""
-
-LOAD_LIMIT = 10.0
-"""Largest load over the component's range: tests reach a few times the service load.
-
-KN read as N, or a shifted column, is larger.
-"""
-
+Problem = tuple[int, str, str]  # the index of a row in the arrays, its column, and the remedy
 
 FEA = "fea"  # the source of solves
 MEASURED = "measured"  # the source of rows without a source
@@ -48,19 +25,13 @@ Role = Literal["table", "loads", "displacements"]
 
 MAX_ROWS = 5_000_000  # rows of a file: 0.6 GB as arrays without tangents
 MAX_ZERO_ROWS = 10_000  # rows of the zero offset, all in the first piece of a file
-MAX_LISTED = 1000
-"""Largest number of listed mistakes; a further line then counts the others."""
-
+MAX_LISTED = 1000  # listed mistakes; a further line then counts the others
+# Mistakes after which reading stops: 8.8 KB of gzip may have six million, 78 s of processor time.
 MAX_MISTAKES = 100 * MAX_LISTED
-"""Mistakes after which reading stops: 8.8 KB of gzip can contain six million, 78 s of processor
-time.
-"""
-
 _MAX_FIELD = 200  # characters of a field in a message: a key of a row can have a million
-_MAX_CAUSES = 100
+_MAX_CAUSES = 100  # causes in a report: more would hide the frequent ones
 _MAX_SHOWN = 10  # rows and columns of a cause in a message
-# Parts that differ between two mistakes of one cause.
-_VALUE = re.compile(r"'[^']*'|[-+\d][\w.+-]*")
+_VALUE = re.compile(r"'[^']*'|[-+\d][\w.+-]*")  # what differs in mistakes of one cause
 _MAX_FIRST = 20 * MAX_LISTED  # mistakes before they are sorted at the end of a piece
 
 
@@ -325,127 +296,3 @@ def picked(columns: Mapping[str, Any], which: Array) -> dict[str, Any]:
 def is_corrected(options: Options) -> bool:
     """Return whether readings are joined or corrected: then limits are for the interface's rows."""
     return bool(options.zero_rows or options.rig or options.role != "table")
-
-
-def within_limits(piece: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
-    """Return the rows within all limits; the others become mistakes."""
-    good = is_within_limits(vars(piece), options, report)
-    report.mistakes.trim()
-    return piece.take(good)
-
-
-def is_within_limits(columns: Mapping[str, Any], options: Options, report: ReadReport) -> Array:
-    """Return which rows of the columns of a `ParsedTable` are within all limits, (n,)."""
-    good = np.ones(len(columns["seq"]), dtype=bool)
-    problems = chain(
-        _excess_displacements(columns["displacement"], options.columns),
-        _excess_uncertainties(columns["uncertainty"], options.columns),
-        _excess_loads(columns["wrench"], options.load_range),
-    )
-    for at, name, message in problems:
-        good[at] = False
-        label = report.labels.get(name or "", name or "")
-        report.mistakes.add(int(columns["seq"][at]), label, message)
-    return good
-
-
-def largest_loads(load_range: LoadRange) -> Array:
-    """Return the largest size of each input that a table may have, shape (n,), N and N·m.
-
-    A load without a range of its own (0 to 0) has the largest of its kind: the cross-loads of a rig
-    are a part of its main load. If all of a kind have none there is no limit.
-    """
-    kinds = np.array([load.kind for load in load_range.space.inputs])
-    size = np.maximum(np.abs(load_range.low), np.abs(load_range.high))
-    for kind in ("force", "moment"):
-        size[(kinds == kind) & (size == 0.0)] = size[kinds == kind].max()
-    return np.where(size > 0.0, LOAD_LIMIT * size, np.inf)
-
-
-def _excess_displacements(displacement: Array, columns: Columns) -> Iterator[Problem]:
-    """Yield the displacements (n, outputs), m and rad, beyond a limit."""
-    is_rotation = columns.space.is_rotation
-    for first in range(0, len(columns.displacement), PER_INTERFACE):
-        moved = displacement[:, first : first + PER_INTERFACE]
-        angle = rotation_angles(moved)
-        for at in np.flatnonzero(angle > LONGEST).tolist():
-            name = columns.displacement[first + 3 + int(np.nanargmax(np.abs(moved[at, 3:])))]
-            message = (
-                f"the rotation is {math.degrees(angle[at]):.4g} degrees, but a table ends at "
-                f"{math.degrees(ROTATION_LIMIT):g}; check the unit (rad or deg)"
-            )
-            yield at, name, message
-    for at, axis in np.argwhere((np.abs(displacement) > TRANSLATION_LIMIT) & ~is_rotation).tolist():
-        message = (
-            f"the translation is {displacement[at, axis]:.4g} m, but a table ends at "
-            f"{TRANSLATION_LIMIT:g} m; check the unit (m or mm)"
-        )
-        yield at, columns.displacement[axis], message
-
-
-def _excess_uncertainties(uncertainty: Array, columns: Columns) -> Iterator[Problem]:
-    """Yield the uncertainties (n, outputs), m and rad, beyond a limit."""
-    is_rotation = columns.space.is_rotation
-    limit = np.where(is_rotation, LONGEST, TRANSLATION_LIMIT)
-    known = any(uncertainty.strides)  # infinite uncertainties are other mistakes
-    beyond = np.isfinite(uncertainty) & (uncertainty > limit) if known else np.zeros((0, 0))
-    for at, output in np.argwhere(beyond).tolist():
-        unit, end = ("rad", ROTATION_LIMIT) if is_rotation[output] else ("m", TRANSLATION_LIMIT)
-        message = (
-            f"the uncertainty is {uncertainty[at, output]:.4g} {unit}, but no displacement of a "
-            f"table exceeds {end:.4g} {unit}; check the unit, or leave it out if unknown"
-        )
-        yield at, columns.uncertainty[output], message
-
-
-def _excess_loads(wrench: Array, load_range: LoadRange | None) -> Iterator[Problem]:
-    """Yield the loads (n, inputs) beyond a limit."""
-    if load_range is None:
-        return
-    limit = largest_loads(load_range)
-    for at, load in np.argwhere(np.abs(wrench) > limit).tolist():
-        column = load_range.space.inputs[load]
-        unit = column.unit.replace("·", "*")
-        kind = "input" if column.kind == "scalar" else "load"
-        message = (
-            f"the {kind} is {wrench[at, load]:.6g} {unit}, but the component's range is "
-            f"{load_range.low[load]:g} to {load_range.high[load]:g} {unit} and its table ends at "
-            f"{limit[load]:g}; check the unit and the column"
-        )
-        yield at, column.name, message
-
-
-def of_current_setup(
-    pieces: Iterator[ParsedTable], options: Options, report: ReadReport
-) -> Iterator[ParsedTable]:
-    """Yield the rows that a table of the setup `options.fingerprint` may hold."""
-    setup = options.fingerprint
-    for piece in pieces:
-        if setup is None or not ((piece.fingerprint != "") | (piece.source == FEA)).any():
-            yield piece
-            continue
-        good = np.ones(len(piece), dtype=bool)
-        for at, name, message in _foreign_rows(piece, setup):
-            good[at] = False
-            report.mistakes.add(int(piece.seq[at]), name, message)
-        yield piece.take(good)
-        if report.is_beyond_limits():
-            return
-
-
-def _foreign_rows(piece: ParsedTable, setup: str) -> Iterator[Problem]:
-    """Yield the rows that are solves of another setup, or incomplete solves."""
-    pairs = zip(piece.fingerprint.tolist(), piece.source.tolist(), strict=True)
-    for at, (fingerprint, source) in enumerate(pairs):
-        if fingerprint != setup and (fingerprint or source == FEA):
-            solved = f"the setup {fingerprint}" if fingerprint else "a setup without a name"
-            message = (
-                f"is a solve of {solved}, but this component has the setup {setup}. Leave the row "
-                "out, or load it as a measured row, with an empty fingerprint and a source other "
-                "than fea"
-            )
-            yield at, "fingerprint", message
-        elif source == FEA and np.isnan(piece.displacement[at]).any():
-            count = piece.displacement.shape[1]
-            message = f"a solve must have all {count} outputs; write them, or change source"
-            yield at, "source", message

@@ -18,13 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import FORCE, ContentError, si_factor
-from wrenchbook.service.formats.columnar import read_hdf5, read_mat, read_parquet, read_tdms
+from wrenchbook.service.formats.cells import ContentError
+from wrenchbook.service.formats.columnar import read_hdf5, read_parquet
 from wrenchbook.service.formats.csv import read_csv
 from wrenchbook.service.formats.cycles import with_cycles
 from wrenchbook.service.formats.header import POSITION
 from wrenchbook.service.formats.json import read_json
+from wrenchbook.service.formats.limits import of_current_setup, within_limits
+from wrenchbook.service.formats.logs import joined_loads, with_loads
 from wrenchbook.service.formats.lvm import MAGIC, read_lvm
+from wrenchbook.service.formats.mat import read_mat
 from wrenchbook.service.formats.options import (
     MEASURED,
     Format,
@@ -32,16 +35,10 @@ from wrenchbook.service.formats.options import (
     ParsedTable,
     ReadReport,
     is_corrected,
-    of_current_setup,
-    within_limits,
 )
-from wrenchbook.service.formats.rig import (
-    joined_loads,
-    rigged,
-    with_known_point,
-    with_loads,
-    zeroed,
-)
+from wrenchbook.service.formats.rig import rigged, with_known_point, zeroed
+from wrenchbook.service.formats.tdms import read_tdms
+from wrenchbook.service.formats.units import FORCE, si_factor
 from wrenchbook.service.formats.xlsx import read_xls, read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
 from wrenchbook.surrogate.findings.find import MAX_ROWS, find
@@ -51,12 +48,10 @@ from wrenchbook.surrogate.table.space import DEFAULT, Space
 
 MAX_PREVIEW = 100
 MAX_BLOCK = 1_000  # rows that are appended at once: read in hundredths of a second
+# Of a file, packed or not: two million rows of 12 numbers, or a million with 17 digits each.
 MAX_BYTES = 512 * 1024 * 1024
-"""Of a file, packed or not: two million rows of 12 numbers, or a million with 17 digits each."""
-
+# A million rows of 17 digits take 20 s and 300 MB.
 _LIMITS = Limits(memory=1024 << 20, seconds=60.0, output=1024 << 20)
-"""A million rows of 17 digits take 20 s and 300 MB."""
-
 _NUMBERS = ("seq", "wrench", "displacement", "uncertainty", "compliance", "curvature")
 _READERS: dict[str, Callable[[Path, Options, ReadReport], Iterator[ParsedTable]]] = {
     "csv": read_csv,
@@ -165,6 +160,7 @@ def table_parts(
         pieces = read_table_file(file, read_options, report)
     else:
         pieces = read_logs(file, Path(second), read_options, report)
+
     sample = FindingsSample()
     for piece in pieces:
         if report.mistakes.of_file:
@@ -181,6 +177,7 @@ def table_parts(
         good += len(piece)
         if len(piece):
             yield _part(piece)
+
     findings = [] if report.mistakes.of_file else sample.findings(read_options, report.findings)
     yield Part({**report.as_json(good, shown), "findings": findings})
 
@@ -282,6 +279,7 @@ def _uncorrected_rows(path: Path, options: Options, report: ReadReport) -> Itera
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
         return
+
     needed = options.sheet and not options.optional_sheet and options.role == "table"
     if needed and report.format not in ("xlsx", "xls", "tdms"):
         message = (
@@ -293,6 +291,7 @@ def _uncorrected_rows(path: Path, options: Options, report: ReadReport) -> Itera
         message = f"must be a log with times, not {report.format}; send CSV, XLSX, Parquet or TDMS"
         report.mistakes.ruin(0, "file", message)
         return
+
     try:
         yield from _READERS[report.format](path, options, report)
     except ModuleNotFoundError:
@@ -306,15 +305,16 @@ def _is_gzip(path: Path) -> bool:
         return file.read(2) == b"\x1f\x8b"
 
 
-def unpack(path: Path, target: Path, most: int = MAX_BYTES) -> None:
-    """Unpack a gzipped file; ContentError if it is damaged, gzipped twice or above `most` bytes."""
+def unpack(path: Path, target: Path, max_bytes: int = MAX_BYTES) -> None:
+    """Unpack a gzipped file; ContentError if it is damaged, gzipped twice or too large."""
     written = 0
     try:
         with gzip.open(path) as content, target.open("wb") as unpacked:
             while block := content.read(_BLOCK):
                 written += len(block)
-                if written > most:
-                    raise ContentError(f"unpacks to more than {most >> 20} MiB; send it in parts")
+                if written > max_bytes:
+                    limit = f"{max_bytes >> 20} MiB"
+                    raise ContentError(f"unpacks to more than {limit}; send it in parts")
                 unpacked.write(block)
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:  # a full disk is no damage
         raise ContentError(f"is a damaged gzip file ({error}); send it again") from error
@@ -336,6 +336,7 @@ def _format_of(path: Path) -> Format:
     for magic, description in _OTHER_FORMATS.items():
         if head.startswith(magic):
             raise ContentError(f"is {description}")
+
     utf16 = head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     # A header in Latin letters has a zero in every second byte, or in three of four.
     start = head[: len(head) // 4 * 4]
@@ -349,6 +350,7 @@ def _format_of(path: Path) -> Format:
             "is not a table, because it contains zero bytes. Send CSV, XLSX, XLS, Parquet, JSON, "
             "HDF5, MAT, LVM or TDMS, each gzipped if you like"
         )
+
     text = head.removeprefix(codecs.BOM_UTF8).lstrip()
     if text[:1] == b"<":
         raise ContentError("is a web page or XML, not a table; export the table as CSV or XLSX")

@@ -1,4 +1,4 @@
-"""From readings of a test rig to rows of the interface: zero offset, join of two logs, frame.
+"""From readings of a test rig to rows of the interface: zero offset, frame, reference points.
 
 Forces and translations are polar vectors. Moments and rotations are axial vectors: left-handed axes
 change their sign. Points are in the interface's frame, from the interface's point.
@@ -10,33 +10,27 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wrenchbook.fea.spec.problems import suggest
 from wrenchbook.service.formats.cells import text_problem
+from wrenchbook.service.formats.limits import LOAD_LIMIT, largest_loads
 from wrenchbook.service.formats.options import (
     FEA,
-    LOAD_LIMIT,
     MEASURED,
     Array,
     Options,
     ParsedTable,
     Problem,
     ReadReport,
-    largest_loads,
     picked,
 )
-from wrenchbook.surrogate.findings.clock import Logs, clock_findings, estimate_lag, repeated
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
-# Ratio to the median interval of the loads: in a longer interval samples were lost.
-GAP_FACTOR = 5.0
-_CLOCK = 1e6  # s: clock times count from 1900 or 1970, elapsed ones from the beginning of a test
 MAX_RIG = 8000  # characters of a TOML: it is sent in a URL, whose head has 64 KiB at most
 _MAX_NAME = 100  # characters of a rig's name
 # Largest deviation of axes: those written as 0.707 are perpendicular unit vectors to 2e-4.
@@ -45,12 +39,11 @@ _ROUNDOFF = 1e-12  # error of the nearest rotation by a singular value decomposi
 _FARTHEST = 100.0  # m: a point given in mm is refused
 _KEYS = ("name", "frame", "load_point", "displacement_point", "load_cell")
 _OWN = "import"  # the table of one import's options, which replace those of the profile
+# Keys of a profile beside those of the frame, with the names of the import's own options.
 OPTIONS = (
     *("columns", "ignore", "ignore_extra", "decimal", "missing_loads", "tare", "lag", "sheet"),
     *("skip_cycles", "branch", "thin", "mean_cycles"),
 )
-"""Keys of a profile beside those of the frame, with the names of the import's own options."""
-
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")  # name of a stored or shipped profile
 _LOAD_CELLS = ("moving", "fixed")
 _SMALL_SHIFT = 0.01  # part of the moment's range: the default tolerance of an output
@@ -104,11 +97,9 @@ class Rig:
 
     @classmethod
     def read(cls, text: str) -> Rig:
-        """Return the rig of a TOML text.
+        """Return the rig of a TOML text; raises RigError if a key or a value is wrong.
 
         Values of its table ``import`` replace those of the top level.
-
-        Raises RigError if a key or a value is wrong.
         """
         try:
             values = tomllib.loads(text)
@@ -117,6 +108,7 @@ class Rig:
         table = values.pop(_OWN, {})
         values |= table if isinstance(table, dict) else {_OWN: table}
         known = *_KEYS, *OPTIONS
+
         if unknown := [key for key in values if key not in known]:
             near = suggest(unknown[0][:100], known)
             named = f"the rig has no key {unknown[0][:100]!r}{near}"
@@ -133,6 +125,7 @@ class Rig:
         cell = values.get("load_cell", "")
         if cell not in ("", *_LOAD_CELLS):
             raise RigError(f"load_cell: must be moving or fixed, not {str(cell)[:100]!r}")
+
         loads, moved = (_numbers(key, values.get(key, [0, 0, 0]), 3) for key in _KEYS[2:4])
         options = {key: values[key] for key in OPTIONS if key in values}
         axes = _axes(values.get("frame", "x=x,y=y,z=z"))
@@ -199,12 +192,14 @@ def rigged(
     if not at_interface and not options.space.is_default:
         report.mistakes.ruin(0, "rig", _ONE_INTERFACE)
         return
+
     for piece in pieces:
         loads, moved, uncertainty = piece.wrench, piece.displacement, piece.uncertainty
         if not at_interface:
             loads, moved = rig.loads(loads), rig.displacements(moved)
             stated = any(uncertainty.strides)
             uncertainty = rig.uncertainties(uncertainty) if stated else uncertainty
+
         shift = np.zeros(loads.shape)
         if rig.load_cell == "fixed":
             shift = _shift(loads, moved)
@@ -212,6 +207,7 @@ def rigged(
             # The point moves with the section: its lever rotates by the measured rotation.
             lever = _swing(np.nan_to_num(moved[:, 3:]), rig.load_point)
             shift[:, 3:] = -np.cross(lever, loads[:, :3])
+
         good = np.ones(len(piece), dtype=bool)
         for at, name, message in _problems(piece, rig, moved, shift, names):
             good[at] = False
@@ -232,35 +228,37 @@ def with_known_point(
     with a source (an export's) or slopes are about the displaced interface point, and so is a
     moment without a column, which no cell has measured.
     """
-    span, solved = options.load_range, options.solved
-    if span is None or not span.space.is_default or Rig.read(options.rig).load_cell:
+    load_range, solved = options.load_range, options.solved
+    if load_range is None or not load_range.space.is_default or Rig.read(options.rig).load_cell:
         yield from pieces
         return
-    size = largest_loads(span) / LOAD_LIMIT
-    count = np.zeros(len(size) + 1)
+    size = largest_loads(load_range) / LOAD_LIMIT
+    count = np.zeros(len(size) + 1)  # rows beyond each input's limit, and beyond their uncertainty
     rows = 0
+    worst = 0.0  # the largest shift over the moment's range; its row and size, N·m, are:
     row = 0
     value = 0.0
-    worst = 0.0
     for piece in pieces:
         yield piece
-        asked = np.ones(len(piece), dtype=bool)
+        is_checked = np.ones(len(piece), dtype=bool)
         names = {name for _, name, _ in report.columns}
         if not options.rig:
-            asked = ~(_of_interface(piece) | (piece.source != ""))
+            is_checked = ~(_of_interface(piece) | (piece.source != ""))
             size[[bool(names) and name not in names for name in options.columns.wrench]] = np.inf
-        shift = np.nan_to_num(_shift(piece.wrench, piece.displacement))[asked]
+
+        shift = np.nan_to_num(_shift(piece.wrench, piece.displacement))[is_checked]
         share = np.abs(shift) / size
         rows = rows + len(shift)
         count[:-1] += (share > _SMALL_SHIFT).sum(axis=0)
         if solved is not None and any(piece.uncertainty.strides):
             effect = np.abs(shift @ np.transpose(solved))
-            count[-1] += (effect > piece.uncertainty[asked]).any(axis=1).sum()
+            count[-1] += (effect > piece.uncertainty[is_checked]).any(axis=1).sum()
         if share.max(initial=0.0) > worst:
             at, load = np.unravel_index(share.argmax(), share.shape)
             worst = float(share[at, load])
             value = float(np.abs(shift[at, load]))
-            row = int(piece.seq[asked][at])
+            row = int(piece.seq[is_checked][at])
+
     if (count > _FEW_ROWS * rows).any():
         more = " or the row's stated uncertainty" if count[-1] > _FEW_ROWS * rows else ""
         numbers = {"count": int(count.max()), "rows": rows, "row": row, "value": value}
@@ -296,16 +294,17 @@ def _problems(
 ) -> Iterator[Problem]:
     """Yield the rows that are the interface's already, and those that cannot be moved to it."""
     missing = np.isnan(piece.displacement)
-    done = _of_interface(piece)
-    loose = np.asarray(missing[:, 3:].any(axis=1) & ~missing[:, :3].all(axis=1))
-    loose &= rig.displacement_point.any()
-    lost = np.asarray(np.isnan(moved).all(axis=1))
-    for at in np.flatnonzero(done | loose | lost | np.isnan(shift).any(axis=1)).tolist():
-        if done[at]:
+    is_interface = _of_interface(piece)
+    lacks_rotation = np.asarray(missing[:, 3:].any(axis=1) & ~missing[:, :3].all(axis=1))
+    lacks_rotation &= rig.displacement_point.any()
+    lacks_translation = np.asarray(np.isnan(moved).all(axis=1))
+    wrong = is_interface | lacks_rotation | lacks_translation | np.isnan(shift).any(axis=1)
+    for at in np.flatnonzero(wrong).tolist():
+        if is_interface[at]:
             yield at, "source", _DONE
-        elif loose[at]:
+        elif lacks_rotation[at]:
             yield at, names[3 + int(missing[at, 3:].argmax())], _ROTATIONS_MISSING
-        elif lost[at]:
+        elif lacks_translation[at]:
             yield at, names[int(missing[at].argmax())], _TRANSLATIONS_MISSING
         else:
             first = int(np.isnan(shift[at]).argmax()) // PER_INTERFACE * PER_INTERFACE
@@ -337,6 +336,7 @@ def _axes(value: Any) -> Array:
         axes = np.stack([signed[axis] for axis in "xyz"])
     else:
         axes = _numbers("frame", value, 9).reshape(3, 3)
+
     left, _, right = np.linalg.svd(axes)
     nearest = left @ right
     if (skew := np.abs(axes - nearest).max()) > _SKEW:
@@ -351,10 +351,7 @@ def _axes(value: Any) -> Array:
 
 
 def _numbers(name: str, value: Any, count: int) -> Array:
-    """Return the `count` numbers of the profile's entry `name`, a list or a text.
-
-    Raises RigError if there are not as many finite numbers, or one is too large.
-    """
+    """Return `count` numbers of the profile's entry `name`, a list or a text; raises RigError."""
     try:
         values = re.split(r"[,;\s]+", value.strip()) if isinstance(value, str) else value
         numbers = np.array(values, dtype=float).ravel()
@@ -397,123 +394,3 @@ def zeroed(
             piece = piece.take(np.arange(len(piece)) >= count)
         wrench, displacement = piece.wrench - offset[0], piece.displacement - offset[1]
         yield replace(piece, wrench=wrench, displacement=displacement)
-
-
-def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Array, Array] | None:
-    """Return times (n,), s, and wrenches of a log of loads; None if it has a mistake."""
-    parts = list(pieces)
-    mistakes = report.mistakes
-    if mistakes:
-        mistakes.of_file = True
-        return None
-    time = np.concatenate([np.empty(0), *(part.time for part in parts if part.time is not None)])
-    steps = np.diff(time)
-    if not len(steps) or (steps <= 0.0).any():
-        rows = [row for part in parts for row in part.seq.tolist()]
-        at = int(np.argmax(steps <= 0.0)) + 1 if len(steps) else 0
-        message = "the log of the loads needs two or more samples; send a longer one"
-        if at:
-            message = (
-                f"{time[at]:.10g} s is not after the sample before, {time[at - 1]:.10g} s; sort "
-                "the loads by time, remove repeated times, and write dates if the log passes "
-                "midnight"
-            )
-        mistakes.ruin(rows[at] if rows else 0, "time", message)
-        return None
-    return time, np.concatenate([part.wrench for part in parts])
-
-
-def _applied_lag(
-    pieces: Sequence[ParsedTable], time: Array, wrench: Array, options: Options, report: ReadReport
-) -> float | None:
-    """Return the seconds to add to the displacements' times; None after a mistake."""
-    if report.mistakes.of_file:
-        return None
-    auto = options.time_offset_s == "auto"
-    applied = 0.0 if options.time_offset_s == "auto" else options.time_offset_s
-    when = np.concatenate(
-        [np.empty(0), *(piece.time for piece in pieces if piece.time is not None)]
-    )
-    lag = None
-    if len(when) and options.space.is_default:
-        moved = np.concatenate([piece.displacement for piece in pieces])
-        lag = estimate_lag(Logs(time, wrench, when, moved), applied)
-    if auto and (lag is None or lag.others):
-        message = (
-            "lag=auto cannot find the difference of the "
-            f"clocks{f' ({repeated(lag)})' if lag else ''}; give as lag the seconds to add to the "
-            "displacements' times"
-        )
-        report.mistakes.ruin(0, "time", message)
-        return None
-    applied = lag.seconds if auto and lag else applied
-    report.clock = {
-        "applied_s": applied,
-        "lag_s": lag and lag.seconds,
-        "uncertainty_s": lag and lag.error,
-    }
-    report.findings += clock_findings(lag, applied)
-    return applied
-
-
-def loads_between(time: Array, wrench: Array, when: Array, after: NDArray[np.intp]) -> Array:
-    """Return the loads (k, n) at times `when` (k,) before the samples `after` (k,), from two on.
-
-    A straight line between two samples cuts off the peak of an oscillating load, always towards
-    zero load. The curve has modified Akima slopes, which do not overshoot where a load steps (Akima
-    1970). Beside either end of the log it is straight.
-    """
-    length = (time[after] - time[after - 1])[:, None]
-    part = (when - time[after - 1])[:, None] / length
-    line = (1.0 - part) * wrench[after - 1] + part * wrench[after]
-    inner = np.flatnonzero((after >= 3) & (after < len(time) - 2))
-    at = after[inner] + np.arange(-3, 3)[:, None]  # three samples on either side
-    slopes = np.diff(wrench[at], axis=0) / np.diff(time[at], axis=0)[:, :, None]
-    turns = np.abs(np.diff(slopes, axis=0)) + np.abs(slopes[1:] + slopes[:-1]) / 2
-    weight = turns[2:] + turns[:2]
-    at_samples = turns[2:] * slopes[1:3] + turns[:2] * slopes[2:4]
-    at_samples = np.divide(at_samples, weight, out=np.zeros_like(weight), where=weight > 0)
-    bend = at_samples - slopes[2]
-    part = part[inner]
-    line[inner] += length[inner] * part * (1 - part) * ((1 - part) * bend[0] - part * bend[1])
-    return line
-
-
-def with_loads(
-    pieces: Sequence[ParsedTable], time: Array, wrench: Array, options: Options, report: ReadReport
-) -> Iterator[ParsedTable]:
-    """Yield the displacements between two loads, with the interpolated wrench."""
-    longest = options.max_gap_s or GAP_FACTOR * float(np.median(np.diff(time)))
-    lag = _applied_lag(pieces, time, wrench, options, report)
-    in_gaps = 0  # rows between two loads that are further apart than `longest`
-    for piece in () if lag is None else pieces:
-        assert piece.time is not None
-        if len(piece) and (abs(piece.time[0]) > _CLOCK) != (abs(time[0]) > _CLOCK):
-            message = (
-                f"this log begins at {piece.time[0]:.10g} s, the loads' at {time[0]:.10g} s: one "
-                "has clock times, the other seconds from its start; convert one of them"
-            )
-            report.mistakes.ruin(int(piece.seq[0]), "time", message)
-            return
-        when = piece.time + lag
-        after = np.clip(np.searchsorted(time, when, side="right"), 1, len(time) - 1)
-        start = time[after - 1]
-        end = time[after]
-        on_a_sample = (when == start) | (when == end)
-        within = (when >= start) & (when <= end)
-        good = within & ((end - start <= longest) | on_a_sample)
-        in_gaps += int((within & ~good).sum())
-        report.unmatched += int((~good).sum())
-        loads = loads_between(time, wrench, when[good], after[good])
-        yield replace(piece.take(good), wrench=loads, time=None)
-    if report.read and report.unmatched == report.read and not report.mistakes:
-        seconds = np.concatenate([piece.time for piece in pieces if piece.time is not None])
-        message = (
-            f"no displacement lies within the times of the loads, {time[0]:g} to {time[-1]:g} s; "
-            f"the displacements' are {seconds.min():g} to {seconds.max():g} s. If the clocks "
-            "differ, give --lag SECONDS (lag), which is added to the displacements' times"
-        )
-        if in_gaps:
-            message = f"no displacement has a load near it: {in_gaps} lie between two loads more "
-            message += f"than {longest:g} s apart; send a denser log, or set max_gap_s"
-        report.mistakes.ruin(0, "time", message)

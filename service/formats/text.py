@@ -22,7 +22,6 @@ from wrenchbook.service.formats.cells import (
     number_problem,
     number_text,
     quoted,
-    scaled,
     text_problem,
     time_seconds,
     unguard_formula,
@@ -30,6 +29,7 @@ from wrenchbook.service.formats.cells import (
 )
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN
 from wrenchbook.service.formats.header import Header, HeaderColumn, Record, read_head
+from wrenchbook.service.formats.limits import is_within_limits
 from wrenchbook.service.formats.options import (
     Array,
     Mistakes,
@@ -37,9 +37,9 @@ from wrenchbook.service.formats.options import (
     ParsedTable,
     ReadReport,
     is_corrected,
-    is_within_limits,
     picked,
 )
+from wrenchbook.service.formats.units import scaled
 from wrenchbook.surrogate.table.rows import unknown_column
 
 PIECE = 20_000  # rows as text at once: 30 MB of Python objects
@@ -50,11 +50,10 @@ _UNNAMED = (
     "has a value in column {}, which has no name in the header; name the column, or skip it with "
     "ignore_extra (--ignore-extra)"
 )
+# Returns the mistake in the cells of a record; an empty text if there is none.
 RecordCheck = Callable[[list[str], Header], str]
-"""Returns the mistake in the cells of a record; an empty text if there is none."""
-
+# A column of a piece: float64, NaN where empty, or the text of each cell.
 Cells = Array | Sequence[str]
-"""A column of a piece: float64, NaN where empty, or the text of each cell."""
 
 
 class BrokenLineError(ValueError):
@@ -122,7 +121,7 @@ def read_columns(
     pieces = ((labels, list(map(_cells, labels, columns))) for labels, columns in typed)
     labels, first = next(pieces, ((), ()))
     columns = [column for column in first if len(column)]
-    row = [Digits(c[0]) if isinstance(c, np.ndarray) else c[0] for c in columns]
+    row = [Digits(cells[0]) if isinstance(cells, np.ndarray) else cells[0] for cells in columns]
     records: list[Record] = [(0, list(labels)), (1, row)]
     header, rest = read_head(iter(records if row else records[:1]), options)
     skipped = int(bool(row) and next(rest, None) is None)  # a row of units
@@ -133,7 +132,8 @@ def read_columns(
             start = end
             end = end + len(next(iter(columns), ()))
             skip = max(skipped - start, 0)
-            yield Piece(range(start + skip + 1, end + 1), [c[skip:] for c in columns], end - start)
+            cells = [column[skip:] for column in columns]
+            yield Piece(range(start + skip + 1, end + 1), cells, end - start)
 
     yield from read_pieces(header, numbered() if row else iter(()), options, report)
 
@@ -316,14 +316,13 @@ class _Conversion:
         time = self._times() if options.role != "table" else None
         if options.role == "loads":
             displacement = np.zeros(displacement.shape)  # those of the other log count
+
         self._check_status()
         if options.role != "loads":
             self._check_measured(displacement)
         self._check_complete(compliance, names.compliance, "tangents")
         self._check_complete(curvature, names.curvature, "third derivatives")
-        source = self._texts("source")
-        note = self._texts("note")
-        fingerprint = self._texts("fingerprint")
+
         shape = len(self._row), len(names.displacement), len(names.wrench)
         piece = {
             "seq": self._row,
@@ -332,10 +331,10 @@ class _Conversion:
             "compliance": compliance.reshape(shape),
             "curvature": curvature if any(curvature.strides) else np.empty((len(self._row), 0)),
             "uncertainty": uncertainty,
-            "source": source,
-            "fingerprint": fingerprint,
+            "source": self._texts("source"),
+            "fingerprint": self._texts("fingerprint"),
             "space": options.space,
-            "note": note.tolist(),
+            "note": self._texts("note").tolist(),
             "time": time,
         }
         if not is_corrected(options):
@@ -450,6 +449,7 @@ class _Conversion:
             return np.full(len(self._row), np.nan)
         elif column.unit:
             factor = column.factor
+
         cells = self._columns[column.index]
         if isinstance(cells, np.ndarray):
             values = cells * (column.factor if factor is None else factor)
@@ -460,6 +460,7 @@ class _Conversion:
                 for cell in cells
             ]
             values = np.array(seconds)
+
         for at in np.flatnonzero(~np.isfinite(values)).tolist():
             needed = "is not a number; correct it or leave the row out"
             if factor is None:
@@ -508,10 +509,7 @@ class _Conversion:
 
 
 def _floats(cells: Sequence[str], comma: bool) -> Array | None:
-    """Return a column, shape (n,), NaN where a cell is empty.
-
-    None if a cell is no finite number.
-    """
+    """Return a column, (n,), NaN where a cell is empty; None if a cell is no finite number."""
     joined = "".join(cells)
     if "_" in joined or not joined.isascii() or (comma and "." in joined):
         return None

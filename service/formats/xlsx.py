@@ -27,10 +27,10 @@ from wrenchbook.service.formats.text import read_records
 
 MAX_UNPACKED = 1024 * 1024 * 1024  # bytes: a million rows of 12 numbers are 500 MB of XML
 MAX_IN_MEMORY = 64 * 1024 * 1024  # bytes of a member that is no sheet: texts, styles
-MAX_MEMBERS = 1000
+MAX_MEMBERS = 1000  # files in a workbook: sheets, styles and pictures are some dozens
 MAX_SHEET_ROWS = 1_048_575  # rows of a sheet below the header (ECMA-376)
 ABOUT_SHEET = "about"  # sheet of an export's metadata; it has no rows
-_BLOCK = 1 << 20
+_BLOCK = 1 << 20  # bytes of a member in memory at once
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _SAVE_AGAIN = "save it again from a spreadsheet program"
 _ENCRYPTED = 1  # the flag of an encrypted member (APPNOTE.TXT, 4.4.4)
@@ -48,20 +48,25 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     try:
         for entry, size in entry_sizes(path, MAX_UNPACKED).items():
             if size > MAX_IN_MEMORY and not entry.startswith("xl/worksheets/"):
-                most = f"over the limit of {MAX_IN_MEMORY >> 20} MiB"
-                raise ContentError(f"has {size >> 20} MiB in {entry}, {most}; send it in parts")
+                raise ContentError(
+                    f"has {size >> 20} MiB in {entry}, over the limit of {MAX_IN_MEMORY >> 20} "
+                    "MiB; send it in parts"
+                )
         # Opened here, because openpyxl checks the ending of a name.
         with path.open("rb") as values, path.open("rb") as formulas, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # warnings about styles and extensions
             sheets = _sheets(values, values=True)
-            most = options.columns.most
 
             def is_filled(name: str) -> bool:
                 rows = sheets[name].iter_rows(values_only=True)
                 return any(any(row) for row in islice(rows, MAX_TITLES))
 
             name = chosen_sheet(list(sheets), options.sheet, is_filled, report)
-            records = _records(sheets[name], lambda: _sheets(formulas, values=False)[name], most)
+            records = _records(
+                sheets[name],
+                lambda: _sheets(formulas, values=False)[name],
+                options.columns.max_count,
+            )
             yield from read_records(records, options, report)
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
@@ -72,10 +77,7 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
 def write_xlsx(
     path: Path, pieces: Iterable[WritableRows], layout: Layout, metadata: Mapping[str, str]
 ) -> None:
-    """Write pieces of a table to one sheet, and `metadata` to another.
-
-    Raises SheetFullError if a sheet is too small, OSError if the file cannot be written.
-    """
+    """Write pieces of a table to a sheet, `metadata` to another; raises SheetFullError."""
     from openpyxl import Workbook
 
     book = Workbook(write_only=True)
@@ -152,7 +154,7 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         name = chosen_sheet(book.sheet_names, options.sheet, is_filled, report)
         sheet = book.get_sheet_by_name(name)
         empty = [""] * (sheet.start or (0, 0))[1]  # columns on the left
-        cells = enumerate((empty + [_text(v) for v in row] for row in sheet.iter_rows()), start=1)
+        cells = enumerate(([*empty, *map(_text, row)] for row in sheet.iter_rows()), start=1)
         yield from read_records(filter(lambda row: any(row[1]), cells), options, report)
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
@@ -165,10 +167,7 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 def chosen_sheet(
     names: Sequence[str], wanted: str | None, is_filled: Callable[[str], bool], report: ReadReport
 ) -> str:
-    """Return the sheet with a name, or the first with rows, and store it in the report.
-
-    Raises ContentError if there is no such sheet.
-    """
+    """Return the sheet with a name, or the first with rows, and report it; raises ContentError."""
     report.sheets = list(names)
     fitting = [name for name in names if wanted is None or name == wanted]
     if not fitting:
@@ -194,25 +193,27 @@ def _sheets(file: BinaryIO, *, values: bool) -> dict[str, Any]:
     return {sheet.title: sheet for sheet in book.worksheets}
 
 
-def _records(sheet: Any, formulas: Callable[[], Any], most: int) -> Iterator[Record]:
+def _records(sheet: Any, formulas: Callable[[], Any], max_count: int) -> Iterator[Record]:
     """Yield number and cells of each row with text; for a formula without a value its place."""
-    below = None
+    formula_rows = None
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > MAX_SHEET_ROWS + 1:
             raise ContentError(
                 f"the sheet {sheet.title} has over {MAX_SHEET_ROWS + 1:,} rows; send it in parts"
             )
+
         width = max((at for at, value in enumerate(row, start=1) if value is not None), default=0)
-        if width > most:
+        if width > max_count:
             place = f"row {number} of the sheet {sheet.title}"
-            raise ContentError(f"{place} has {width} columns, over {most}; remove some")
-        cells = [_text(value) for value in row[:most]]
+            raise ContentError(f"{place} has {width} columns, over {max_count}; remove some")
+        cells = [_text(value) for value in row[:max_count]]
         if not any(cells):
             continue
-        if None in row[:most]:
-            below = below or enumerate(formulas().iter_rows(), start=1)
-            _, computed = next(pair for pair in below if pair[0] == number)
-            for at, cell in enumerate(computed[: len(cells)]):
+
+        if None in row[:max_count]:
+            formula_rows = formula_rows or enumerate(formulas().iter_rows(), start=1)
+            _, formula_row = next(pair for pair in formula_rows if pair[0] == number)
+            for at, cell in enumerate(formula_row[: len(cells)]):
                 if not cells[at] and cell.value is not None:
                     cells[at] = f"{NO_VALUE}{sheet.title}!{cell.coordinate}"
         yield number, cells
@@ -242,10 +243,7 @@ def unescape(text: str) -> str:
 
 
 def _check_entries(entries: Sequence[zipfile.ZipInfo]) -> None:
-    """Check that a zip file is a workbook of a spreadsheet program.
-
-    Raises ContentError if it is not.
-    """
+    """Raise ContentError unless a zip file is a workbook of a spreadsheet program."""
     if len(entries) > MAX_MEMBERS:
         raise ContentError(
             f"holds {len(entries):,} files, more than the {MAX_MEMBERS:,} of a workbook; "
@@ -263,22 +261,19 @@ def _check_entries(entries: Sequence[zipfile.ZipInfo]) -> None:
             raise ContentError(f"packs {name} by the unknown method {method}; {_SAVE_AGAIN}")
 
 
-def entry_sizes(path: Path, most: int) -> dict[str, int]:
-    """Return the bytes of each member after unpacking once, since directories may lie.
-
-    Raises ContentError if they are too many.
-    """
-    too_large = f"unpacks to more than {most >> 20} MiB; send the table in parts"
+def entry_sizes(path: Path, max_bytes: int) -> dict[str, int]:
+    """Return the unpacked bytes of each member, since directories may lie; raises ContentError."""
+    too_large = f"unpacks to more than {max_bytes >> 20} MiB; send the table in parts"
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
             _check_entries(entries)
-            if sum(entry.file_size for entry in entries) > most:
+            if sum(entry.file_size for entry in entries) > max_bytes:
                 raise ContentError(too_large)
             sizes: dict[str, int] = {}
             for entry in entries:
                 size = 0
-                remaining = most - sum(sizes.values())
+                remaining = max_bytes - sum(sizes.values())
                 with archive.open(entry) as content:
                     while size <= remaining and (block := content.read(_BLOCK)):
                         size += len(block)

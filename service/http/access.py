@@ -2,38 +2,30 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import time
 import weakref
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from math import ceil
-from pathlib import Path
 from secrets import compare_digest
-from struct import Struct
 from typing import Any, Final
 
-from starlette.types import Message, Receive, Send
+from starlette.types import Receive, Send
 from starlette.types import Scope as HttpScope
 
-from wrenchbook.service.actors import ANONYMOUS, ANY, CALLER, LOCAL, USER, Caller
+from wrenchbook.service.actors import ANY, CALLER, LOCAL, USER, Caller
 from wrenchbook.service.events import Listener
 from wrenchbook.service.http.body import counted, too_large
+from wrenchbook.service.http.headers import send_preflight, with_security_headers
+from wrenchbook.service.http.permission import OPEN, PERMISSION, Permission, Rates, permission_of
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.proxy import PEER, PEER_FIELD, ProxyTrust
 from wrenchbook.service.keys import MAX_KEYS, OWN_KEY, Key, Keyring, Scope, digest_of, is_loopback
 from wrenchbook.service.tables.rows import iso_time
 
-LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
-PERMISSION: Final = "wrenchbook.permission"  # key of the permission in a request's scope
-PLAIN: Final = b"x-content-type-options: nosniff\r\n"
-"""Header fields of a reply of the fast path: JSON that no browser requests by itself."""
-
+_LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 _READING: Final = ("GET", "HEAD", "OPTIONS")
-# Open to every site and without a key: these files have no content of tables.
-_PUBLIC_FOLDERS: Final = ("/page/",)
+# Open to every site and without a key, as are the files of the page: none has content of tables.
 _PUBLIC: Final = frozenset({"/", "/docs", "/openapi.json", "/favicon.ico", "/health/live"})
 _ADMIN: Final = ("/v1/keys", "/v1/audit")
 # Calls whose replies only concern the components that the caller may use. A key limited to some
@@ -49,53 +41,7 @@ _RIGS: Final = "/v1/rigs/"  # TOML by PUT, which pages of another site send only
 _ANY_TYPE: Final = ("/table", "/v1/components")
 _UMBRIDGE: Final = "/umbridge/"  # clients send the content type of their library
 _NO_LIMIT: Final = 1e6  # requests a second and MiB that mean no limit
-_BURST_S: Final = 2.0  # s: a burst is the requests that this time allows
-# Part of a second's requests that a process takes from the common bucket at a time: a lock costs 2
-# µs, an answer 50. Unused requests of a process are at most half a percent of a burst.
-_TAKEN: Final = 0.01
-_USED_S: Final = 60.0  # s between two notes of a key's use
-# Beginning of a key's digest; monotonic time at which the bucket is full.
-_BUCKET: Final = Struct("=8sd")
-# Attempts for the lock, 1 ms; after them its holder must have been stopped while it had it.
-_TRIES: Final = 1000
-
-Fields = tuple[tuple[bytes, bytes], ...]
-
-_TWICE: Final = (
-    "The request has the header {} more than once; nothing was changed. Let the proxy replace the "
-    "caller's header, not add its own."
-)
-
 _DATA: Final = "--data FOLDER (the server's data directory)"
-_NOTHING: Final = b"default-src 'none'; frame-ancestors 'none'; sandbox"
-# The page's scripts and styles are files of this server; plotly sets styles and makes pictures.
-_PAGE: Final = (
-    b"default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
-    b"img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; worker-src 'self' "
-    b"blob:; manifest-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
-)
-# A report contains its own script, and runs as a page of no site: it cannot call the server.
-_REPORT: Final = (
-    b"default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    b"img-src data: blob:; frame-ancestors 'none'; sandbox allow-scripts allow-downloads"
-)
-_ALWAYS: Final[Fields] = (
-    (b"x-content-type-options", b"nosniff"),
-    (b"x-frame-options", b"DENY"),
-    (b"referrer-policy", b"no-referrer"),
-    (b"cross-origin-opener-policy", b"same-origin"),
-)
-_MAIN: Final = "/displacement"
-_SAME_ORIGIN: Final[Fields] = ((b"cross-origin-resource-policy", b"same-origin"),)
-_PREFLIGHT: Final[Fields] = (
-    (b"access-control-allow-methods", b"GET, POST, DELETE"),
-    (
-        b"access-control-allow-headers",
-        b"authorization, content-type, if-none-match, accept, x-request-id",
-    ),
-    (b"access-control-max-age", b"600"),
-    (b"content-length", b"0"),
-)
 
 
 @dataclass(frozen=True)
@@ -127,129 +73,18 @@ def security_settings(
         return frozenset(part.strip().lower() for part in (text or "").split(",") if part.strip())
 
     local, names = is_loopback(host), listed(hosts)
-    allowed = LOOPBACK_NAMES | {host} | names if local or names else None
+    allowed = _LOOPBACK_NAMES | {host} | names if local or names else None
     sites = frozenset(site.rstrip("/") for site in listed(origins))
     return SecuritySettings(not local, allowed, sites, os.environ.get(OWN_KEY), proxy)
 
 
-class Rates:
-    """The number of requests that each key may send now, shared by all processes of a server.
-
-    The generic cell rate algorithm (ITU-T I.371): a bucket is the time at which it is full again,
-    and a bucket whose time has passed is not stored. The others are in the small file `path` under
-    a lock. Without a path, or on a full disk, each process counts for itself.
-    """
-
-    def __init__(self, path: Path | None = None) -> None:
-        self._known: dict[bytes, float] = {}  # the last written content of this process
-        self._file: int | None = None
-        if path is not None:
-            self.share(path)
-
-    def share(self, path: Path) -> None:
-        """Share the counts with the other processes that use the file, from now on."""
-        with suppress(OSError):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-            weakref.finalize(self, os.close, self._file)
-
-    def take(self, key: Key) -> tuple[int, float]:
-        """Take some requests of a key; return their number, and the seconds until the next one."""
-        name = bytes.fromhex(key.digest[:16])
-        rate = key.rate
-        file = self._file
-        burst_s = max(_BURST_S, 1.0 / rate)  # duration of a full bucket, s
-        content = b""
-        now = time.monotonic()  # the same clock in all processes
-        if file is not None:
-            for _ in range(_TRIES):
-                with suppress(BlockingIOError):
-                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    break
-            with suppress(OSError):
-                content = os.pread(file, MAX_KEYS * _BUCKET.size, 0)
-        size = len(content) - len(content) % _BUCKET.size
-        buckets = {
-            key_name: full for key_name, full in _BUCKET.iter_unpack(content[:size]) if full > now
-        }
-        full = max(buckets.get(name, now), self._known.get(name, now))
-        if full > now + 2.0 * burst_s:  # written before the machine was restarted
-            full = now
-        # 1e-6: rounding does not withhold a request that is due.
-        due = int((now + burst_s - full) * rate + 1e-6)
-        count = min(due, max(1, int(_TAKEN * rate)))
-        if count:
-            buckets[name] = self._known[name] = full + count / rate
-        if file is not None:
-            written = b"".join(map(_BUCKET.pack, buckets, buckets.values())) if count else content
-            with suppress(OSError):
-                if written != content:
-                    os.pwrite(file, written, 0)
-                if len(written) < len(content):
-                    os.ftruncate(file, len(written))
-            fcntl.flock(file, fcntl.LOCK_UN)
-        return count, full + 1.0 / rate - burst_s - now
-
-
-class Permission:
-    """The rights of a key, with the `rates` it shares.
-
-    Without a key all rights, and nothing is counted.
-    """
-
-    __slots__ = ("_keyring", "_note_at", "_rates", "_remaining", "caller", "key")
-
-    def __init__(
-        self, key: Key | None = None, rates: Rates | None = None, keyring: Keyring | None = None
-    ) -> None:
-        self.key = key
-        self._rates = rates
-        self._remaining = 0
-        self._keyring = keyring
-        self._note_at = 0.0  # when the use of a stored key is noted next
-        self.caller = Caller(ANONYMOUS)
-        if key is not None:
-            self.caller = Caller(key.name, key.components, key.allows("admin"))
-
-    def allows(self, scope: Scope) -> bool:
-        """Return whether the key has a scope."""
-        return self.key is None or self.key.allows(scope)
-
-    def wait(self) -> float:
-        """Count one request; return 0, or the seconds until the next request is allowed."""
-        if self.key is None or self._rates is None:
-            return 0.0
-        if self._keyring is not None and time.time() >= self._note_at:
-            self._note_at = time.time() + _USED_S
-            self._keyring.note_use(self.key, _USED_S)
-        if not self._remaining:
-            self._remaining, seconds = self._rates.take(self.key)
-            if not self._remaining:
-                return seconds
-        self._remaining -= 1
-        return 0.0
-
-
-OPEN: Final = Permission()
-
-
-def permission_of(scope: Any) -> Permission:
-    """Return the permission of a request."""
-    return scope.get(PERMISSION, OPEN)
-
-
 class AccessControl:
-    """Authentication, rate limits and origin checks of every request.
+    """Authentication, rate limits and origin checks of every request."""
 
-    `rates` is shared by the web workers of a server.
-    """
-
-    def __init__(
-        self, keyring: Keyring, security: SecuritySettings, rates: Rates | None = None
-    ) -> None:
+    def __init__(self, keyring: Keyring, security: SecuritySettings) -> None:
         self.security = security
         self.keyring = keyring
-        self._rates = rates or Rates()
+        self.rates = Rates()
         digest = digest_of(security.server_key or "")
         self._server_key = Key(LOCAL, "admin", digest, 0.0, _NO_LIMIT, int(_NO_LIMIT))
         self._permissions: dict[str, Permission] = {}
@@ -294,35 +129,29 @@ class AccessControl:
     ) -> tuple[Receive, Send] | None:
         """Return a permitted request's `receive` and `send`; answer all others, and return None."""
         head = dict(scope["headers"])
-        origin = head.get(b"origin")
-        listed = None
-        if origin is not None and origin.decode("latin-1").lower() in self.security.origins:
-            listed = origin
-        send = sending(send, scope["path"], listed)
-        if listed and scope["method"] == "OPTIONS" and b"access-control-request-method" in head:
-            fields = [*_of_listed(listed), *_PREFLIGHT]
-            await send({"type": "http.response.start", "status": 204, "headers": fields})
-            await send({"type": "http.response.body", "body": b""})
+        origin = head.get(b"origin", b"")
+        is_listed = origin.decode("latin-1").lower() in self.security.origins
+        send = with_security_headers(send, scope["path"], origin if is_listed else None)
+        if is_listed and scope["method"] == "OPTIONS" and b"access-control-request-method" in head:
+            await send_preflight(send, origin)
             return None
+
         try:
             if PERMISSION not in scope:  # the fast path has admitted and counted it already
-                proxy = self.security.proxy
-                names = [name for name, _ in scope["headers"]]
-                for name in (proxy.user, proxy.groups) if proxy else ():
-                    if names.count(name) > 1:
-                        title = "A proxy header is there twice"
-                        why = _TWICE.format(name.decode())
-                        raise HttpProblemError(400, "users", title, why)
+                if self.security.proxy is not None:
+                    self.security.proxy.refuse_repeated(scope["headers"])
                 peer = scope.get(PEER) or (scope.get("client") or ("",))[0]
                 head[PEER_FIELD] = peer.encode()
                 scope[PERMISSION] = self.check(scope["method"], scope["path"], head)
         except HttpProblemError as refused:
             await refused.response()(scope, receive, send)
             return None
-        CALLER.set(permission_of(scope).caller)
-        key = permission_of(scope).key
-        if key is not None and b"transfer-encoding" in head:
-            receive = counted(receive, key.megabytes << 20, _beyond_key(key))
+
+        permission = permission_of(scope)
+        CALLER.set(permission.caller)
+        if permission.key is not None and b"transfer-encoding" in head:
+            max_bytes = permission.key.megabytes << 20
+            receive = counted(receive, max_bytes, _beyond_key(permission.key))
         return receive, send
 
     def check(
@@ -334,10 +163,11 @@ class AccessControl:
         permitted; its body was not read then.
         """
         self._check_host(head)
-        if method in ("GET", "HEAD") and (path in _PUBLIC or path.startswith(_PUBLIC_FOLDERS)):
+        if method in ("GET", "HEAD") and (path in _PUBLIC or path.startswith("/page/")):
             return OPEN
         self._check_origin(head)
         permission = self._permission(head)
+
         # Whether a displacement queues anything depends on its body, which is read later.
         is_query = path.startswith("/v1/components/") and path.endswith(_QUERIES)
         reads = method in _READING or (method == "POST" and is_query)
@@ -347,17 +177,18 @@ class AccessControl:
         if not permission.allows(needed):
             raise beyond_scope(permission, needed)
         _check_components(permission.caller, method, path)
-        if counts and (seconds := permission.wait()) > 0.0:
-            assert permission.key is not None
+
+        key = permission.key
+        if key is not None and counts and (seconds := permission.wait()) > 0.0:
             why = (
-                f"The key {permission.key.name!r} allows {permission.key.rate:g} requests a "
-                f"second; nothing was changed. Repeat the request in {ceil(seconds)} s, or send "
-                "many wrenches at once with POST .../displacements."
+                f"The key {key.name!r} allows {key.rate:g} requests a second; nothing was changed. "
+                f"Repeat the request in {ceil(seconds)} s, or send many wrenches at once with POST "
+                ".../displacements."
             )
             retry = {"Retry-After": str(ceil(seconds))}
             raise HttpProblemError(429, "rate", "The key has too many requests", why, headers=retry)
+
         length = head.get(b"content-length", b"0")
-        key = permission.key
         if key is not None and length.isdigit() and int(length[:20]) > key.megabytes << 20:
             raise _beyond_key(key)
         if method not in _READING and (length != b"0" or b"transfer-encoding" in head):
@@ -409,7 +240,7 @@ class AccessControl:
         if user is not None:
             if len(self._users) >= MAX_KEYS:
                 self._users.clear()
-            return self._users.setdefault((user.name, user.scope), Permission(user, self._rates))
+            return self._users.setdefault((user.name, user.scope), Permission(user, self.rates))
         sent = head.get(b"authorization", b"").decode("latin-1")
         word, _, secret = sent.partition(" ")
         secret = secret.strip()
@@ -429,14 +260,11 @@ class AccessControl:
                 end = iso_time(key.expires or 0.0)
                 raise _no_key(f"The key {key.name!r} expired at {end}.", "The key has expired")
             stored = None if is_server_key else self.keyring
-            permission = self._permissions[secret] = Permission(key, self._rates, stored)
+            permission = self._permissions[secret] = Permission(key, self.rates, stored)
         return permission
 
     def refresh(self) -> None:
-        """End the streams of changed keys and empty the cache of permissions.
-
-        Call it in the loop.
-        """
+        """End the streams of changed keys and empty the permissions' cache; call it in the loop."""
         if self.keyring.refresh() == self._version:
             return
         self._version = self.keyring.version
@@ -530,46 +358,3 @@ def _no_key(why: str, title: str = "A key is needed") -> HttpProblemError:
     )
     headers = {"WWW-Authenticate": 'Bearer realm="wrenchbook"'}
     return HttpProblemError(401, "key", title, why, headers=headers)
-
-
-def sending(send: Send, path: str, origin: bytes | None) -> Send:
-    """Return a `send` that adds security headers to replies of `path` that do not set them.
-
-    `origin` is a listed site, whose pages may read the reply.
-    """
-    main = path.endswith(_MAIN)
-
-    async def put(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            fields = list(message.get("headers", ()))
-            present = {name.lower() for name, _ in fields}
-            # The main call's reply is the same on both paths.
-            more: list[tuple[bytes, bytes]] = list(_ALWAYS[:1] if main and not origin else _ALWAYS)
-            if not main and path.startswith("/v1/"):
-                kind = next(
-                    (value for name, value in fields if name.lower() == b"content-type"), b""
-                )
-                policy = _REPORT if kind.startswith(b"text/html") else _NOTHING
-                # Other users of the same machine must not read the tables of a key from a cache.
-                more += [(b"content-security-policy", policy), (b"cache-control", b"no-store")]
-            elif not main:
-                more += [(b"content-security-policy", _PAGE)]
-            if origin is not None:
-                more += _of_listed(origin)
-            elif not main:
-                more += _SAME_ORIGIN
-            fields += [header for header in more if header[0] not in present]
-            message = {**message, "headers": fields}
-        await send(message)
-
-    return put
-
-
-def _of_listed(origin: bytes) -> Fields:
-    """Return headers that permit a page of a listed site to read the reply."""
-    return (
-        (b"access-control-allow-origin", origin),
-        (b"access-control-expose-headers", b"location, link, etag, retry-after, x-request-id"),
-        (b"cross-origin-resource-policy", b"cross-origin"),
-        (b"vary", b"Origin"),
-    )

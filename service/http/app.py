@@ -20,8 +20,9 @@ from wrenchbook.service.actors import CALLER, Caller
 from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.events import Events
 from wrenchbook.service.http import openapi, problems
-from wrenchbook.service.http.access import AccessControl, Rates, SecuritySettings, sending
+from wrenchbook.service.http.access import AccessControl, SecuritySettings
 from wrenchbook.service.http.batch import AT_ONCE
+from wrenchbook.service.http.headers import with_security_headers
 from wrenchbook.service.http.problems import CLIENT_GONE, HttpProblemError
 from wrenchbook.service.http.protocol import HEADER, FastPath, id_of
 from wrenchbook.service.http.routes import (
@@ -68,10 +69,11 @@ _PARTS = (
 access_log = logging.getLogger("wrenchbook.access")
 # Route name of a request that is no call of the API, or was refused before the router.
 NO_ROUTE: Final = "none"
-# The caller until the access control has identified it.
-_REFUSED: Final = Caller("-", (), admin=False)
 _METHODS: Final = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
+# Calls that a replica answers although they are sent by POST; such queries refuse to add jobs.
 _QUERIES: Final = ("/displacement", "/displacements", "/scenes/plan")
+# The caller until the access control has identified it.
+_UNKNOWN: Final = Caller("-", (), admin=False)
 _STOPPING: Final = HttpProblemError(
     503,
     "stopping",
@@ -100,20 +102,20 @@ class Application(FastAPI):
         if scope["type"] != "http":
             await super().__call__(scope, receive, send)
             return
+
         started = perf_counter()
         status = CLIENT_GONE
         sent_id = id_of(scope["headers"])
         request_id = sent_id or secrets.token_hex(8).encode()
         REQUEST_ID.set(request_id.decode())  # each request runs in a context of its own
-        CALLER.set(_REFUSED)
+        CALLER.set(_UNKNOWN)
 
         async def send_with_id(message: Message) -> None:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
                 is_displacement = status == 200 and scope["path"].endswith("/displacement")
-                is_fast_reply = is_displacement and sent_id == b""
-                if not is_fast_reply:
+                if not (is_displacement and sent_id == b""):  # else as on the fast path
                     fields = [*message.get("headers", ()), (HEADER, request_id)]
                     message = {**message, "headers": fields}
             await send(message)
@@ -127,7 +129,7 @@ class Application(FastAPI):
                 await super().__call__(scope, *permitted)
         except asyncio.CancelledError:  # see `Server.shutdown`
             if status == CLIENT_GONE:
-                answer = sending(send_with_id, scope["path"], None)
+                answer = with_security_headers(send_with_id, scope["path"], None)
                 await _STOPPING.response()(scope, receive, answer)
         finally:
             self._count(scope, status, perf_counter() - started)
@@ -157,51 +159,54 @@ def _reads(scope: Scope) -> bool:
     return scope["path"].endswith(_QUERIES) or scope["path"].startswith("/umbridge/")
 
 
+@asynccontextmanager
+async def _opened(app: FastAPI) -> AsyncIterator[None]:
+    """Open the workspace of an application while its server runs."""
+    state = app.state
+    settings: Settings = state.settings
+    access: AccessControl = state.access
+    workspace = state.workspace = await run_in_threadpool(Workspace, settings)
+    events = state.events = Events(workspace)
+    metrics = state.metrics = Metrics(workspace, state.counts, lambda: events.feed.listeners)
+    state.recording_store = RecordingStore(workspace)
+    access.rates.share(settings.data / SHARED / "rates")
+    loop = asyncio.get_running_loop()
+    try:
+        for wake, stamp in (
+            (workspace.polls.notify, None),
+            (events.wake, None),
+            (access.refresh, access.keyring.refresh),
+        ):
+            listener = partial(loop.call_soon_threadsafe, wake)
+            workspace.watcher.on_change(listener, stamp)
+        await run_in_threadpool(workspace.start)
+        yield
+    finally:
+        await events.stop()
+        await run_in_threadpool(metrics.stop)
+        await run_in_threadpool(workspace.close)
+
+
 def create_app(settings: Settings, security: SecuritySettings | None = None) -> Application:
     """Return the application; its workspace is open while the server runs.
 
     Without `security` there are no keys unless some are stored, and any host name is allowed.
     """
-    counts, rates = Counts(), Rates()
-
-    @asynccontextmanager
-    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        workspace = await run_in_threadpool(Workspace, settings)
-        app.state.workspace = workspace
-        app.state.recording_store = RecordingStore(workspace)
-        app.state.events = events = Events(workspace)
-        app.state.metrics = metered = Metrics(workspace, counts, lambda: events.feed.listeners)
-        loop = asyncio.get_running_loop()
-        access: AccessControl = app.state.access
-        rates.share(settings.data / SHARED / "rates")
-        try:
-            for wake, stamp in (
-                (workspace.polls.notify, None),
-                (events.wake, None),
-                (access.refresh, access.keyring.refresh),
-            ):
-                listener = partial(loop.call_soon_threadsafe, wake)
-                workspace.watcher.on_change(listener, stamp)
-            await run_in_threadpool(workspace.start)
-            yield
-        finally:
-            await events.stop()
-            await run_in_threadpool(metered.stop)
-            await run_in_threadpool(workspace.close)
-
     app = Application(
         title="wrenchbook",
         version=version("wrenchbook"),
         summary=_SUMMARY,
         description=f"The wrench contract:\n\n{CONTRACT_TEXT}",
-        lifespan=lifespan,
+        lifespan=_opened,
         redirect_slashes=False,
         strict_content_type=False,  # programs may leave it out, see `access`
         **openapi.OPTIONS,
     )
-    app.state.counts = counts
+    app.state.settings = settings
+    app.state.counts = Counts()
     app.state.large_batches = asyncio.Semaphore(AT_ONCE)
-    app.state.access = AccessControl(Keyring(settings.data), security or SecuritySettings(), rates)
+    app.state.access = AccessControl(Keyring(settings.data), security or SecuritySettings())
+
     problems.install(app)
     app.include_router(umbridge.router)  # a protocol with its own form of errors
     app.include_router(health.router, responses=openapi.refused(403, 500))
@@ -209,8 +214,9 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         app.include_router(part.router, responses=openapi.refused(403, 500, 503, 507))
     app.include_router(page.router)
     openapi.install(app)
-    app.logged = settings.access_log
+
     app.read_only = bool(settings.read_only)
+    app.logged = settings.access_log
     if app.logged:
         access_log.setLevel(logging.INFO)
     else:

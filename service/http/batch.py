@@ -88,9 +88,7 @@ def batch_parts(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np
     if lists > MAX_BATCH + MAX_OTHER_LISTS:
         raise too_many_wrenches(lists - 1, MAX_BATCH)
     if objects > MAX_OBJECTS:
-        message = (
-            f"has {objects} JSON objects; send one with the list wrenches, of lists of numbers"
-        )
+        message = f"has {objects} JSON objects; send one with wrenches, a list of lists of numbers"
         raise bad_body([{"loc": "body", "msg": message}])
     wrenches, full = with_wrenches(BatchBody, parsed_json(body), inputs, LARGEST_LOAD, MAX_BATCH)
     return full, wrenches
@@ -109,10 +107,9 @@ def parsed(path: Path, inputs: int) -> Iterator[Part]:
 
 
 def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.ndarray] | None:
-    """As `batch_parts`, from a body of which the parser sees a megabyte at a time.
+    """Return the parts of a plain body, which the parser sees by the megabyte; None for any other.
 
-    It takes nine times the text's memory at once. None if the body is not plain; `batch_parts` then
-    finds what it is.
+    Parsed at once, a text takes nine times its memory.
     """
     # The list of wrenches is body[start : end + 1], the options are all around it.
     key = body.find(_WRENCHES)
@@ -123,6 +120,7 @@ def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.n
     options = body[:start] + b"[]" + body[end + 1 :]
     if len(options) > PIECE or options.count(_WRENCHES) != 1:
         return None
+
     blocks = []
     place = start + 1
     while place < end:
@@ -140,6 +138,7 @@ def in_pieces(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.n
             return None
         blocks.append(block)
         place = cut
+
     wrenches = np.concatenate(blocks)
     if len(wrenches) > MAX_BATCH:
         raise too_many_wrenches(len(wrenches), MAX_BATCH)
@@ -279,10 +278,10 @@ def _pieces(reply: Displacements, count: int) -> Iterator[bytes]:
             yield orjson.dumps(value)
             continue
         for start in range(0, max(count, 1), WRITTEN):
-            some = value[start : start + WRITTEN]
+            entries = value[start : start + WRITTEN]
             if name == "derivatives":
-                some = [known_slopes(matrix) for matrix in some]
-            yield (b"," if start else b"[") + orjson.dumps(some, option=option)[1:-1]
+                entries = [known_slopes(matrix) for matrix in entries]
+            yield (b"," if start else b"[") + orjson.dumps(entries, option=option)[1:-1]
         yield b"]"
     yield b"}"
 

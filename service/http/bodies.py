@@ -119,10 +119,7 @@ class WrenchBody(Body):
 
 
 class LoadsBody(WrenchBody):
-    """The loads of a component: one wrench, or a wrench for each interface by name.
-
-    Further inputs.
-    """
+    """The loads of a component: one wrench, or one for each interface; and further inputs."""
 
     loads: dict[str, WrenchBody] = {}
     inputs: dict[str, Load] = {}
@@ -269,10 +266,7 @@ class MeasuredInputs(Body):
 
 
 class TableOnlyComponent(Body):
-    """A component without finite elements: its table is loaded from outside.
-
-    It has the range of its only interface, or several interfaces with one each.
-    """
+    """A component without finite elements: one load range, or several interfaces with one each."""
 
     name: str
     title: str

@@ -5,9 +5,10 @@ A mistake is a `HttpProblemError` with the place of each mistake and what to sen
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager
 from itertools import chain, compress
 from pathlib import Path
@@ -27,7 +28,7 @@ from starlette.types import Message, Receive
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.http.bodies import BatchBody, BlockBody, Body, DisplacementBody, LoadsBody
-from wrenchbook.service.http.problems import HttpProblemError, bad_body, plain_errors
+from wrenchbook.service.http.problems import MAX_PLACE, HttpProblemError, bad_body, plain_errors
 from wrenchbook.service.query import Query, plain_query
 from wrenchbook.surrogate.table.rows import Tolerance
 from wrenchbook.surrogate.table.space import DEFAULT, Space, SpaceError
@@ -42,13 +43,13 @@ PIECE: Final = MIB  # bytes in memory: parsed in a hundredth of a second; more g
 
 
 def too_large(
-    most: int, limit: str = "the limit of this call", remedy: str = ""
+    max_bytes: int, limit: str = "the limit of this call", remedy: str = ""
 ) -> HttpProblemError:
-    """Return the refusal of a body of more than `most` bytes, which are a `limit`."""
-    size = f"{most:,} bytes"
+    """Return the refusal of a body of more than `max_bytes`, which are a `limit`."""
+    size = f"{max_bytes:,} bytes"
     usual = "Leave out what the call does not need, or send parts."
-    if most >= MIB:
-        size = f"{most >> 20} MiB"
+    if max_bytes >= MIB:
+        size = f"{max_bytes >> 20} MiB"
         usual = "Send it in parts."
     detail = f"The body has more than {size}, {limit}; nothing was changed. {remedy or usual}"
     return HttpProblemError(413, "too-large", "The body is too large", detail)
@@ -66,8 +67,8 @@ def content_type(request: Request) -> str:
     return kind[:100]  # registered types are shorter, and a refusal quotes it
 
 
-def counted(receive: Receive, most: int, refusal: HttpProblemError | None = None) -> Receive:
-    """Return a `receive` that raises `refusal`, 413, once more than `most` bytes have arrived.
+def counted(receive: Receive, max_bytes: int, refusal: HttpProblemError | None = None) -> Receive:
+    """Return a `receive` that raises `refusal`, 413, once more than `max_bytes` have arrived.
 
     Starlette's own limit refuses a call that reads no body only after it has acted.
     """
@@ -77,16 +78,16 @@ def counted(receive: Receive, most: int, refusal: HttpProblemError | None = None
         nonlocal total
         message = await receive()
         total += len(message.get("body", b""))
-        if total > most:
-            raise refusal or too_large(most)
+        if total > max_bytes:
+            raise refusal or too_large(max_bytes)
         return message
 
     return count
 
 
-async def read_limited(receive: Receive, most: int = MAX_QUERY_BYTES) -> bytes:
-    """Return a request's body; 413 beyond `most` bytes, ClientDisconnect if the caller has left."""
-    return await Request({"type": "http"}, counted(receive, most)).body()
+async def read_limited(receive: Receive, max_bytes: int = MAX_QUERY_BYTES) -> bytes:
+    """Return a request's body; 413 beyond `max_bytes`, ClientDisconnect if the caller has left."""
+    return await Request({"type": "http"}, counted(receive, max_bytes)).body()
 
 
 class JsonRequest(Request):
@@ -138,17 +139,17 @@ class Spooled:
 
 
 @asynccontextmanager
-async def spooled(receive: Receive, most: int) -> AsyncIterator[Spooled]:
+async def spooled(receive: Receive, max_bytes: int) -> AsyncIterator[Spooled]:
     """Give a request's body, and delete its file at the end.
 
-    It raises 413 as soon as more than `most` bytes have arrived, 503 while bodies in files are too
+    It raises 413 as soon as more than `max_bytes` have arrived, 503 while bodies in files are too
     large together, and ClientDisconnect if the caller has left.
     """
     body = Spooled()
     buffer = bytearray()
     size = 0
     try:
-        async for piece in Request({"type": "http"}, counted(receive, most)).stream():
+        async for piece in Request({"type": "http"}, counted(receive, max_bytes)).stream():
             buffer += piece
             if len(buffer) > PIECE or (body.path is not None and not piece):
                 Spooled.stored += len(buffer)
@@ -167,17 +168,19 @@ async def spooled(receive: Receive, most: int) -> AsyncIterator[Spooled]:
 
 @asynccontextmanager
 async def form_of(
-    request: Request, most: int, most_files: int, remedy: str = ""
+    request: Request, max_bytes: int, max_files: int, remedy: str = ""
 ) -> AsyncIterator[FormData]:
-    """Read a form of at most `most` bytes, its files into files; else 413 with `remedy`, or 422."""
-    request = Request(request.scope, counted(request.receive, most, too_large(most, remedy=remedy)))
+    """Read a form of at most `max_bytes`, its files into files; else 413 with `remedy`, or 422."""
+    request = Request(
+        request.scope, counted(request.receive, max_bytes, too_large(max_bytes, remedy=remedy))
+    )
     try:
-        form = await request.form(max_files=most_files, max_fields=8)
+        form = await request.form(max_files=max_files, max_fields=8)
     except (HTTPException, MultiPartException) as error:
         if isinstance(error, HttpProblemError):
             raise
         why = f"cannot be read as a form ({getattr(error, 'detail', error)})"
-        remedy = f"send multipart/form-data with at most {most_files} file(s) (curl: -F)"
+        remedy = f"send multipart/form-data with at most {max_files} file(s) (curl: -F)"
         raise bad_body([{"loc": "body", "msg": f"{why}; {remedy}"}]) from None
     try:
         yield form
@@ -222,21 +225,21 @@ def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
         raise bad_body([{"loc": place, "msg": text} for place, text in error.mistakes]) from None
 
 
-def too_many_wrenches(count: int, most: int) -> HttpProblemError:
-    """Return the refusal of a body of more than `most` wrenches."""
-    message = f"has {count} wrenches, but a request may have at most {most}; send parts"
+def too_many_wrenches(count: int, max_count: int) -> HttpProblemError:
+    """Return the refusal of a body of more than `max_count` wrenches."""
+    message = f"has {count} wrenches, but a request may have at most {max_count}; send parts"
     return bad_body([{"loc": "wrenches", "msg": message}])
 
 
 def with_wrenches(
-    kind: type[BlockBody | BatchBody], fields: Any, inputs: int, largest: float, most: int
+    kind: type[BlockBody | BatchBody], fields: Any, inputs: int, largest: float, max_count: int
 ) -> tuple[np.ndarray, Any]:
     """Return the wrenches of a JSON body, (n, inputs), SI, and the body, checked without them."""
     wrenches = fields.get("wrenches") if isinstance(fields, dict) else None
     plain = plain_rows(wrenches, inputs, largest)
     if plain is not None:
-        if len(plain) > most:
-            raise too_many_wrenches(len(plain), most)
+        if len(plain) > max_count:
+            raise too_many_wrenches(len(plain), max_count)
         return plain + 0.0, checked(kind, {**fields, "wrenches": []})
     body = checked(kind, fields)
     uneven = [place for place, wrench in enumerate(body.wrenches) if len(wrench) != inputs]
@@ -253,16 +256,47 @@ def read_body(kind: type[Body], body: bytes) -> Any:
 
 
 def parsed_json(body: bytes) -> Any:
-    """Return the values of JSON; 422, or MemoryError if it is too large for the parser."""
+    """Return the values of JSON.
+
+    Raises HttpProblemError (422) if it is invalid or an object repeats a key, and MemoryError if it
+    is too large for the parser.
+    """
     try:
-        return orjson.loads(body)
-    except orjson.JSONDecodeError as error:
+        fields = orjson.loads(body)
+        repeated: list[str] = []
+        if body.count(b":") > _key_count(fields):  # each key has a colon: equal counts repeat none
+            # An integer of thousands of digits is an error of int().
+            pairs = json.loads(body, object_pairs_hook=tuple, parse_int=float)
+            repeated = [*_repeated_keys(pairs)]
+    except (orjson.JSONDecodeError, RecursionError) as error:
         if "memory" in str(error).lower():
             raise MemoryError from None
         has_nan = b"NaN" in body or b"Infinity" in body
         remedy = "JSON has no NaN and no Infinity: leave them out" if has_nan else "correct it"
         message = f"is not valid JSON ({error}); {remedy}"
         raise bad_body([{"loc": "body", "msg": message}]) from None
+    if repeated:
+        message = "is there more than once; send one"
+        raise bad_body([{"loc": place[:MAX_PLACE], "msg": message} for place in repeated])
+    return fields
+
+
+def _key_count(value: Any) -> int:
+    """Return the number of keys of an object and of the objects in it, without those in lists."""
+    return len(value) + sum(map(_key_count, value.values())) if isinstance(value, dict) else 0
+
+
+def _repeated_keys(value: Any, front: str = "") -> Iterator[str]:
+    """Yield the dotted places of repeated keys in JSON values whose objects are tuples of pairs."""
+    if not isinstance(value, list | tuple):
+        return
+    keys: set[Any] = set()
+    for key, entry in enumerate(value) if isinstance(value, list) else value:
+        place = f"{front}{key}"
+        if key in keys:
+            yield place
+        keys.add(key)
+        yield from _repeated_keys(entry, f"{place}.")
 
 
 def checked(kind: type[Body], fields: Any) -> Any:

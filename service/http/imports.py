@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import fields
 from typing import Annotated, Any, Literal
 
@@ -128,10 +129,7 @@ class ImportQuery(Body):
 
 
 def profile_of(text: str) -> ImportQuery:
-    """Return the options of a rig's profile as a query.
-
-    Raises RigError or ValidationError if the profile is wrong.
-    """
+    """Return a rig's profile as a query; raises RigError or ValidationError if it is wrong."""
     values = Rig.read(text).options
     if "columns" in values:
         values["mapping"] = orjson.dumps(values.pop("columns"), default=str).decode()
@@ -141,18 +139,22 @@ def profile_of(text: str) -> ImportQuery:
 def _pairs(text: str) -> dict[str, str]:
     """Return the pairs of a JSON object of texts."""
     try:
-        pairs = orjson.loads(text)
-    except orjson.JSONDecodeError as error:
+        pairs = json.loads(text, object_pairs_hook=tuple)
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"is not JSON ({error}); write {_MAPPING_FORM}") from None
-    if not isinstance(pairs, dict):
+    if not isinstance(pairs, tuple):
         raise ValueError(f"must be a JSON object of the form {_MAPPING_FORM}")
-    for column, name in pairs.items():
+    mapping: dict[str, str] = {}
+    for column, name in pairs:
         if not isinstance(name, str):
             why = f"maps the column {column[:100]!r} to {name!r:.100}, which is not a string"
             raise ValueError(why + f"; write {_MAPPING_FORM}")
-    if len(pairs) > _MAX_COLUMNS:
-        raise ValueError(f"names {len(pairs)} columns, more than {_MAX_COLUMNS}; leave some out")
-    return pairs
+        if column in mapping:
+            raise ValueError(f"the column {column[:100]!r} is there more than once; send one")
+        mapping[column] = name
+    if len(mapping) > _MAX_COLUMNS:
+        raise ValueError(f"names {len(mapping)} columns, more than {_MAX_COLUMNS}; leave some out")
+    return mapping
 
 
 # A dataclass cannot have a field named `import`.

@@ -106,11 +106,11 @@ def install(app: FastAPI) -> None:
         return _document(app, app.state.access.keys_needed, "")
 
     def serve(request: Request) -> Response:
-        which = app.state.access.keys_needed, request.scope.get("root_path", "")
-        if which not in documents:
-            content = orjson.dumps(_document(app, *which))
-            documents[which] = content, f'"{hashlib.blake2b(content, digest_size=12).hexdigest()}"'
-        content, tag = documents[which]
+        form = app.state.access.keys_needed, request.scope.get("root_path", "")
+        if form not in documents:
+            content = orjson.dumps(_document(app, *form))
+            documents[form] = content, f'"{hashlib.blake2b(content, digest_size=12).hexdigest()}"'
+        content, tag = documents[form]
         if holds(request.headers.get("if-none-match"), tag):
             return Response(None, 304, naming(tag))
         return Response(content, 200, naming(tag), JSON)
@@ -138,11 +138,10 @@ def _document(app: FastAPI, keys: bool, below: str) -> dict[str, Any]:
         document["security"] = [{"key": []}]
     for path, operations in document["paths"].items():
         for operation in operations.values() if not path.startswith(_OWN_ERRORS) else ():
-            more = (
-                *(_WITH_KEYS if keys else ()),
-                *(_WITH_BODY if "requestBody" in operation else ()),
+            statuses = (_WITH_KEYS if keys else ()) + (
+                _WITH_BODY if "requestBody" in operation else ()
             )
-            refusals = {str(status): text for status, text in refused(*more).items()}
+            refusals = {str(status): text for status, text in refused(*statuses).items()}
             operation["responses"] = refusals | operation["responses"]
     for item, key, *tables in places(document):
         text = next((TEXTS[name][key] for name in tables if key in TEXTS.get(name, ())), None)

@@ -22,8 +22,8 @@ from wrenchbook.service.actors import NotPermittedError
 from wrenchbook.service.events import FIRST_POLL_S, TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
 from wrenchbook.service.files.redact import redact_values
-from wrenchbook.service.formats.cells import UnitError
 from wrenchbook.service.formats.rig import RigError
+from wrenchbook.service.formats.units import UnitError
 from wrenchbook.service.formats.xlsx import SheetFullError
 from wrenchbook.service.jobs.waiting import TooManyPollsError
 from wrenchbook.service.library import component
@@ -130,18 +130,15 @@ class HttpProblemError(HTTPException):
         return Response(orjson.dumps(redact_values(body)), self.status, self.headers, MEDIA_TYPE)
 
 
-def bad_body(errors: Sequence[dict[str, Any]], detail: str | None = None) -> HttpProblemError:
-    """Describe a body that is not of the call's form; ``errors`` are ``{loc, msg}``.
-
-    At most MAX_ERRORS of them are listed.
-    """
+def bad_body(errors: Sequence[dict[str, Any]]) -> HttpProblemError:
+    """Describe a request that has not the call's form, by at most MAX_ERRORS ``{loc, msg}``."""
     first = f"{errors[0]['loc']}: {errors[0]['msg']}" if errors else "see the documentation"
     mistakes = f"{len(errors)} mistake{'s' * (len(errors) > 1)}"
     return HttpProblemError(
         422,
         "bad-request-body",
         "The request does not have the form of this call",
-        detail or f"Nothing was changed. {mistakes}; the first is {first}.",
+        f"Nothing was changed. {mistakes}; the first is {first}.",
         errors=list(errors[:MAX_ERRORS]),
     )
 

@@ -25,7 +25,8 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
-from wrenchbook.service.http.access import PERMISSION, PLAIN, Permission
+from wrenchbook.service.http.headers import PLAIN
+from wrenchbook.service.http.permission import PERMISSION, Permission
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.proxy import PEER
 from wrenchbook.service.query import answered_at_once, fields_of, plain_query
@@ -133,10 +134,7 @@ class FastPath:
         self._heads: dict[bytes, Head] = state.access.heads
 
     def head(self, data: bytes) -> Head | None:
-        """Return the head at the beginning of `data`.
-
-        None if it is not that of a permitted query.
-        """
+        """Return the head of a permitted query at the beginning of `data`; None for any other."""
         start = data[: data.find(_BLANK_LINE) + 4]
         head = self._heads.get(start)
         if head is None:
@@ -157,7 +155,9 @@ class FastPath:
             return {}
         known: dict[str, Any] = {PERMISSION: permission}
         try:
-            query = plain_query(orjson.loads(body))
+            fields = orjson.loads(body)
+            # With more colons than keys, a key is repeated or anything else is unusual.
+            query = plain_query(fields) if len(fields) == body.count(b":") else None
             if query is not None:
                 outcome, is_complete = answered_at_once(state.workspace, head.component, query)
                 known[ANSWERED] = query, outcome
@@ -437,10 +437,7 @@ class FastPathProtocol(HttpToolsProtocol):
         self._since = self.loop.time()
 
     def _count(self, size: int) -> None:
-        """Count bytes of a head.
-
-        Raises ValueError if the head is too long.
-        """
+        """Count bytes of a head; raises ValueError if the head is too long."""
         self._head_bytes += size
         if self._head_bytes > MAX_HEAD_BYTES:
             raise ValueError(f"the head has more than {MAX_HEAD_BYTES} bytes; send fewer headers")

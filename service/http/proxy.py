@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from ipaddress import IPv4Network, IPv6Network, ip_address, ip_network
 from typing import Final
@@ -55,6 +55,17 @@ class ProxyTrust:
         scope = max(allowed, key=SCOPES.index)
         return Key(name, scope, digest_of(name), 0.0)
 
+    def refuse_repeated(self, fields: Iterable[tuple[bytes, bytes]]) -> None:
+        """Refuse (400) a request with several headers of a proxy: the caller may have sent one."""
+        names = [name for name, _ in fields]
+        for name in (self.user, self.groups):
+            if names.count(name) > 1:
+                why = (
+                    f"The request has the header {name.decode()} more than once; nothing was "
+                    "changed. Let the proxy replace the caller's header, not add its own."
+                )
+                raise HttpProblemError(400, "users", "A proxy header is there twice", why)
+
     def trusts(self, peer: str) -> bool:
         """Return whether an address is that of a trusted proxy."""
         try:
@@ -66,10 +77,7 @@ class ProxyTrust:
 
 
 def proxy_trust(settings: Settings) -> ProxyTrust | None:
-    """Return the settings of trusted proxies; None without any.
-
-    Raises SettingsError if they are not valid.
-    """
+    """Return the settings of trusted proxies, None without any; raises SettingsError."""
     user, groups = settings.trust_proxy_user, settings.trust_proxy_groups
     if user is None:
         if settings.trust_proxy_from or groups:
@@ -99,10 +107,7 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
 
 
 def _check_header(option: str, header: str | None) -> None:
-    """Check the name of a proxy's header.
-
-    Raises SettingsError if callers send this header, or the name is not valid.
-    """
+    """Raise SettingsError if callers send the header of a proxy, or its name is not valid."""
     remedy = f"write the header that the proxy sets, such as X-Forwarded-{option.capitalize()}"
     if header and header.lower() in _OF_CALLERS:
         raise SettingsError(f"--trust-proxy-{option}: {header!r} comes from callers; {remedy}")

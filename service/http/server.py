@@ -100,8 +100,8 @@ class Server(uvicorn.Server):
 
 def raise_open_files() -> None:
     """Allow this process as many connections as the machine allows, more than the usual 1024."""
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     # macOS refuses more than this even if there is no limit.
-    limit = OPEN_FILES if most == resource.RLIM_INFINITY else min(most, OPEN_FILES)
+    limit = OPEN_FILES if hard == resource.RLIM_INFINITY else min(hard, OPEN_FILES)
     with contextlib.suppress(ValueError, OSError):
-        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, most))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))

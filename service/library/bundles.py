@@ -95,8 +95,10 @@ def check_mesh(folder: Path) -> dict[str, Any]:
         report = json.loads(part.fields["report"])
         if report["ok"]:
             return report
-        problems = report["problems"][:MAX_PROBLEMS]
-        problems = [BundleProblem(each["where"], each["message"]) for each in problems]
+        problems = [
+            BundleProblem(problem["where"], problem["message"])
+            for problem in report["problems"][:MAX_PROBLEMS]
+        ]
     except SandboxError as error:
         if error.kind == "memory" or "bad_alloc" in str(error):
             limit = CHECK.memory >> 20
@@ -195,8 +197,8 @@ def unpacked(archive: Path, target: str, complete: bool) -> Iterator[Part]:
                 raise problem_at("bundle", message)
         has_deck = complete and read_bundle(folder).deck is not None
     except BundleError as error:
-        problems = [[each.where, each.message] for each in error.problems[:MAX_PROBLEMS]]
-        yield Part({"problems": problems})
+        problems = error.problems[:MAX_PROBLEMS]
+        yield Part({"problems": [[problem.where, problem.message] for problem in problems]})
     else:
         inside = folder.relative_to(target).as_posix()
         yield Part({"problems": [], "folder": inside, "deck": has_deck})
@@ -216,13 +218,13 @@ def checked(folder: Path) -> Iterator[Part]:
 
 def surface(folder: Path) -> Iterator[Part]:
     """Yield the outer surface of a bundle's mesh: ``vertices`` (v, 3), ``triangles`` (t, 3)."""
-    component = importlib.import_module("wrenchbook.fea.component")
+    sources = importlib.import_module("wrenchbook.fea.mesh.sources")
     recovery = importlib.import_module("wrenchbook.fea.recovery.fields")
     reader = importlib.import_module("wrenchbook.fea.mesh.io.read")
     bundle = read_bundle(folder)
     source, deck = bundle.mesh, bundle.deck
     unit = deck and deck.unit
-    mesh = component.mesh_of(source) if source else reader.read_mesh(deck and deck.file, unit)
+    mesh = sources.mesh_of(source) if source else reader.read_mesh(deck and deck.file, unit)
     outside = recovery.surface_of(mesh, PICTURE_VERTICES)
     points = np.round(mesh.points[outside.nodes], 6)  # µm: short JSON
     yield Part({}, {"vertices": points, "triangles": outside.triangles})
@@ -236,9 +238,12 @@ def faces(folder: Path) -> Iterator[Part]:
     surface = reporting.surface_in(folder, problems)
     if surface is None:
         if not problems:  # mistakes of the TOML text itself
-            problems = [BundleProblem(**each) for each in reporting.report(folder)["problems"]]
-            problems = [each for each in problems if each.where.startswith(("component", "line"))]
-        texts = [f"{each.where}: {each.message}" for each in problems]
+            problems = [
+                BundleProblem(**problem)
+                for problem in reporting.report(folder)["problems"]
+                if problem["where"].startswith(("component", "line"))
+            ]
+        texts = [f"{problem.where}: {problem.message}" for problem in problems]
         raise ValueError("; ".join(texts) or "has no [mesh] and no .inp deck with solids; add one")
     if (count := len(surface.triangles)) > MAX_FACE_TRIANGLES:
         raise ValueError(

@@ -44,10 +44,7 @@ class Catalogue:
         return self._cards.get(name, CatalogueCard())
 
     def change(self, name: str, **fields: Any) -> CatalogueCard:
-        """Change a component's entry durably.
-
-        Raises LedgerUnavailableError if the ledger cannot be written.
-        """
+        """Change an entry durably; raises LedgerUnavailableError if it cannot be written."""
         with self._ledger.writing() as db:
             row = db.execute("SELECT * FROM catalogue WHERE component = ?", (name,)).fetchone()
             before = _card(row) if row else CatalogueCard()

@@ -117,15 +117,13 @@ class UnknownComponentError(KeyError):
 
     def __str__(self) -> str:
         name = self.name[:MAX_QUOTED]
-        some = self.known
-        if len(some) > MAX_NAMES:
-            some = get_close_matches(name, some, MAX_NAMES, 0.0)
-        known = ", ".join(some) or "none yet"
-        more = len(self.known) - len(some)
-        return (
-            f"There is no component {name!r}. The library has: {known}"
-            f"{f' and {more} more (GET /v1/components)' if more else ''}."
-        )
+        listed = self.known
+        if len(listed) > MAX_NAMES:
+            listed = get_close_matches(name, listed, MAX_NAMES, 0.0)
+        known = ", ".join(listed) or "none yet"
+        if more := len(self.known) - len(listed):
+            known += f" and {more} more (GET /v1/components)"
+        return f"There is no component {name!r}. The library has: {known}."
 
 
 class ComponentExistsError(ValueError):
@@ -149,20 +147,14 @@ class BrokenComponentError(UnknownComponentError):
 class OneWrenchError(ValueError):
     """The call is for components whose only input is one wrench."""
 
-    def __init__(self, name: str, space: Space) -> None:
-        super().__init__(
+
+def require_single_wrench(name: str, space: Space) -> None:
+    """Raise OneWrenchError unless a component has one interface and no further inputs."""
+    if not space.is_default:
+        raise OneWrenchError(
             f"{name!r} has the inputs {', '.join(space.input_names)}, but this call accepts one "
             f"wrench only. Use POST /v1/components/{name}/displacement or .../displacements."
         )
-
-
-def require_single_wrench(name: str, space: Space) -> None:
-    """Check that a component has one interface and no further inputs.
-
-    Raises OneWrenchError if it has others.
-    """
-    if not space.is_default:
-        raise OneWrenchError(name, space)
 
 
 class LibraryUnavailableError(OSError):
@@ -176,9 +168,11 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
     named += [entry.field for entry in further]
     named += [bundle.deck.file, *bundle.deck.files] if bundle.deck else []
     files = (bundle.folder / FILE_NAME, *(path for path in named if path))
+
     mesh: Literal["mesh", "deck"] | None = "mesh" if bundle.mesh else None
     if mesh is None and bundle.deck is not None and bundle.deck.file.suffix.lower() == ".inp":
         mesh = "deck"
+
     scalars = [Input(entry.name, entry.unit, "scalar", zero=entry.reference) for entry in further]
     space = space_of([interface.name for interface in bundle.interfaces] or [""], scalars)
     low = np.append(bundle.range.low, [entry.low for entry in further])

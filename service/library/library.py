@@ -139,10 +139,7 @@ class Library:
         return component
 
     def as_read(self, name: str) -> Component:
-        """Return a component in the state of its last reading: no file is read now.
-
-        Raises UnknownComponentError if there is none.
-        """
+        """Return a component as last read; no file is read now. Raises UnknownComponentError."""
         component = self._components.get(name)
         return self[name] if component is None else component
 
@@ -187,10 +184,7 @@ class Library:
         return component
 
     def faces_of_zip(self, archive: BinaryIO) -> bytes:
-        """Return `bundles.faces_of` for a zip that needs no more than [mesh].
-
-        Raises the errors of `add_zip`.
-        """
+        """Return `bundles.faces_of` of a zip that may have [mesh] alone; raises as `add_zip`."""
         with self._incoming() as incoming:
             return bundles.faces_of(bundles.unpack(archive, incoming, complete=False)[0])
 

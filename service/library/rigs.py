@@ -49,10 +49,7 @@ def rig_of(ledger: Ledger, rig: str) -> str:
 
 
 def store_rig(ledger: Ledger, name: str, profile: str) -> None:
-    """Store a profile, or replace it.
-
-    Raises RigError if there are MAX_RIGS already.
-    """
+    """Store a profile, or replace it; raises RigError if there are MAX_RIGS already."""
     with ledger.writing() as db:
         others = db.execute("SELECT count(*) FROM rigs WHERE name != ?", (name,)).fetchone()[0]
         if others >= MAX_RIGS:
@@ -64,10 +61,7 @@ def store_rig(ledger: Ledger, name: str, profile: str) -> None:
 
 
 def remove_rig(ledger: Ledger, name: str) -> None:
-    """Remove a stored profile.
-
-    Raises UnknownRigError if there is none, and ShippedRigError if it is part of the program.
-    """
+    """Remove a stored profile; raises UnknownRigError, or ShippedRigError for a shipped one."""
     with ledger.writing() as db:
         before = _stored(db, name)
         if before is None:

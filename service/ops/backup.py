@@ -15,7 +15,7 @@ import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from hashlib import blake2b
 from importlib.metadata import version
 from pathlib import Path
@@ -87,6 +87,7 @@ def back_up(folder: Path, target: Path) -> Manifest:
         raise BackupError(f"{problem}. Name a file outside of {folder}. No backup was made")
     if target.exists() and not target.is_file():
         raise BackupError(f"{target} is no regular file; name a file. No backup was made")
+
     target = real  # the file that a symbolic link names
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
@@ -96,9 +97,9 @@ def back_up(folder: Path, target: Path) -> Manifest:
             # Without compression: tables are digits that hardly shrink.
             zipfile.ZipFile(content, "w", zipfile.ZIP_STORED, allowZip64=True) as archive,
         ):
-            manifest = Manifest(time.time(), VERSION)
+            created = time.time()
             files = _files(folder, Path(scratch) / LEDGER, {draft, target})
-            manifest = replace(manifest, files=_archived(files, archive))
+            manifest = Manifest(created, VERSION, _archived(files, archive))
             archive.writestr(MANIFEST, json.dumps(asdict(manifest)))
         manifest = verify(draft)
         sync(draft)
@@ -106,10 +107,9 @@ def back_up(folder: Path, target: Path) -> Manifest:
         sync(target.parent)
     except OSError as error:
         path = Path(str(error.filename))
-        problem = f"{target} cannot be written"
-        problem = f"{problem}: {with_remedy(error)}"
+        problem = f"{target} cannot be written: {with_remedy(error)}"
         if path.is_relative_to(folder) and HELD.fullmatch(path.relative_to(folder).as_posix()):
-            problem = f"{path} cannot be read: {error.strerror}"
+            problem = f"{path} cannot be read: {error.strerror}; let this user read it"
         raise BackupError(f"{problem}. No backup was made") from error
     except LedgerError as error:
         raise BackupError(f"no backup was made: {error}") from error
@@ -136,10 +136,7 @@ def _archived(
 
 
 def verify(source: Path) -> Manifest:
-    """Read a backup and compare all files with their digests.
-
-    Raises BackupError if they differ.
-    """
+    """Read a backup and compare all files with their digests; raises BackupError."""
     return unpack(source, lambda _: Path(os.devnull).open("wb"))
 
 
@@ -180,10 +177,7 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
 
 
 def _opened(source: Path) -> tuple[zipfile.ZipFile, os.stat_result]:
-    """Open a backup; return it and its file's status.
-
-    Raises BackupError if the file is missing, unreadable or incomplete.
-    """
+    """Open a backup; return it and its file's status; raises BackupError if it is unreadable."""
     try:
         status = source.stat()
         return zipfile.ZipFile(source), status
@@ -211,10 +205,7 @@ def reason_of(error: Exception) -> str:
 
 
 def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
-    """Return the manifest of the archive `source`.
-
-    Raises BackupError if it is not a backup, damaged or newer than this program.
-    """
+    """Return the manifest of the archive `source`; raises BackupError if it cannot be used."""
     try:
         fields: dict[str, Any] = json.loads(archive.read(MANIFEST))
         kind = fields["format"]
@@ -230,12 +221,14 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
             f"{source} was written by a newer wrenchbook ({fields.get('program')}, form {schema}; "
             f"this one reads up to {SCHEMA}). Install that version to restore it"
         )
+
     try:
         files = {str(name): (int(n), str(digest)) for name, (n, digest) in fields["files"].items()}
         created, ledger_schema = float(fields["created"]), int(fields["ledger_schema"])
     except _UNREADABLE as error:
         problem = f"in its {MANIFEST} {reason_of(error)}"
         raise BackupError(f"{source} is damaged: {problem}; use another backup") from error
+
     held = {name: digest for name, digest in files.items() if HELD.fullmatch(name)}
     skipped = tuple(files.keys() - held.keys())
     outside = [name for name in skipped if name.startswith("/") or ".." in name.split("/")]

@@ -58,6 +58,7 @@ def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
     findings += of_ledger
     if ledger is None:
         return findings
+
     try:
         library = Library(folder / "components")
         findings += [
@@ -101,6 +102,7 @@ def _opened(folder: Path, *, repair: bool) -> tuple[Ledger | None, list[DataFind
             remedy = f"put it back or restore a backup; tables/ has rows, but no jobs; {REPAIR}"
             return None, [*findings, DataFinding("fault", text, remedy)]
         findings.append(DataFinding("repaired", text, "a new one was made; see the tables below"))
+
     try:
         return Ledger(path), findings
     except LedgerDamagedError as error:
@@ -144,12 +146,12 @@ def _rebuilt(folder: Path, problem: str) -> list[DataFinding]:
                 move_aside(old)
         new.rename(path)
         sync(folder)
-    jobs = salvaged.read["jobs"]
-    rows = salvaged.read["rows"]
-    highest = salvaged.highest_job
+
+    jobs, rows, highest = salvaged.read["jobs"], salvaged.read["rows"], salvaged.highest_job
     text = f"a new one was created: {jobs} jobs of {highest} and {rows} rows could be read, others "
     text += "come from the tables' files"
-    text += f"; jobs that were lost: {highest - jobs}" if highest > jobs else ""
+    if highest > jobs:
+        text += f"; jobs that were lost: {highest - jobs}"
     if salvaged.reopened:
         text += f"; {salvaged.reopened} jobs wait again, their rows being lost"
     text += ". The damaged one was moved aside; a backup may have more"
@@ -182,10 +184,7 @@ def _gone(subject: str, count: int) -> list[DataFinding]:
 def _read_all(
     folder: Path, *, repair: bool, count: Callable[[str], int] = lambda _: 0
 ) -> tuple[Tables, list[DataFinding]]:
-    """Return the tables of all readable files, and findings on the others.
-
-    `count` returns the number of a component's rows in the ledger.
-    """
+    """Return the tables of readable files, and findings; `count`: rows of a component's ledger."""
     tables: Tables = {}
     findings = []
     for path in sorted(folder.glob("*.h5")):
@@ -239,7 +238,7 @@ def _check_component(
 ) -> Iterator[DataFinding]:
     """Compare a component's table file with the ledger, and report its rows of another setup."""
     name = component.name
-    count = ledger.count_rows(component.name)
+    count = ledger.count_rows(name)
     text = ""
     known = tables.get(name)
     if known is None:
@@ -259,6 +258,7 @@ def _check_component(
         yield DataFinding(
             "fault" if known else "note", text, f"a server's start writes it; or {REPAIR}"
         )
+
     others = ledger.of_other_setups(name, component.fingerprint)
     if not others:
         return

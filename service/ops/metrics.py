@@ -80,6 +80,7 @@ class Metrics(Collector):
         yield HistogramMetricFamily(
             "wrenchbook_query_seconds", text, counts.histogram(), counts.seconds
         )
+
         requests = {}
         of_route = dict[str, list[float]]()
         for (route, method, status), numbers in counts.of("request"):
@@ -96,6 +97,7 @@ class Metrics(Collector):
             times.add_metric((route,), cumulative(REQUEST_EDGES, numbers[:-1]), numbers[-1])
         yield times
         yield _gauge("event_listeners", "open connections to GET /v1/events", listening)
+
         builder = CoordinatorState(self._workspace.settings.data / SHARED).read().pid
         processes: dict[str, Metric] = {}
         for name, pid in (pids | ({"builder": builder} if builder else {})).items():
@@ -109,6 +111,7 @@ class Metrics(Collector):
         yield from self._of_workspace()
 
     def _of_ledger(self) -> Iterator[Metric]:
+        """Yield the metrics of jobs, solves and the ledger's files; one without a usable ledger."""
         ledger = self._workspace.ledger
         usable = False
         with self._lock, contextlib.suppress(LedgerUnavailableError):
@@ -136,16 +139,17 @@ class Metrics(Collector):
         yield _gauges("ledger_bytes", text, "file", ledger.sizes())
 
     def _of_workspace(self) -> Iterator[Metric]:
+        """Yield the metrics of tables, components, the program and the disk."""
         workspace = self._workspace
         now = time.time()
         names, present = workspace.library.names(), workspace.tables.present()
-        some = names[:MAX_COMPONENTS]
-        known = {name: present[name] for name in some if present.get(name) is not None}
+        listed = names[:MAX_COMPONENTS]
+        known = {name: present[name] for name in listed if present.get(name) is not None}
         versions = {name: table.version for name, table in known.items()}
         yield _gauges("table_version", "version of the table that answers", "component", versions)
         rows = {name: table.row_count for name, table in known.items()}
         yield _gauges("table_rows", "rows of the table that answers", "component", rows)
-        written = {name: workspace.tables.written(name) for name in some}
+        written = {name: workspace.tables.written(name) for name in listed}
         ages = {name: max(0.0, now - at) for name, at in written.items() if at is not None}
         text = "time since the table's file was written"
         yield _gauges("table_file_age_seconds", text, "component", ages)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import IO
@@ -21,7 +20,6 @@ from wrenchbook.service.ops.backup import LEDGER, BackupError, Manifest, unpack,
 from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
 from wrenchbook.service.tables.coordinator_state import LOCK
 
-Place = Callable[[str], IO[bytes]]
 _DRAFT = ".restoring"  # folder of a restore within the data directory, which may be a mount
 # Keys and settings are no part of a backup: those of the directory stay after any restore.
 _STAYS = (_DRAFT, KEYS, f"{KEYS}.lock", USED, "wrenchbook.toml")
@@ -41,39 +39,32 @@ def restore(
     not writable.
     """
     folder = folder.absolute()
-    unpacked = _source(source, until)
+    if isinstance(source, Path):
+        verify(source)
     draft = folder / _DRAFT
     aside = None
     state = "Nothing was changed"
     is_new = not folder.exists()
-
-    def place(name: str):
-        path = draft / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb")
-
     try:
         folder.mkdir(0o700, parents=True, exist_ok=True)
         _check_free(folder, overwrite=overwrite)
-        shutil.rmtree(draft, ignore_errors=True)  # remains of an interrupted restore
-        draft.mkdir(0o700)
-        manifest = unpacked(place)
-        for path in filter(Path.is_dir, draft.rglob("*")):
-            path.chmod(0o700)
-        Ledger(draft / LEDGER).close()  # verifies it and updates its schema
-        sync_tree(draft)
+        manifest = _unpacked(source, until, draft)
+
         present = _check_free(folder, overwrite=overwrite)  # a server may have started meanwhile
         if present:
-            former = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
-            former.mkdir(0o700)
-            aside = former
+            aside = folder / f".before-restore-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
+            aside.mkdir(0o700)
             state = f"The restore is not complete. The former files are in {aside}"
-            _move_aside(present, aside)
+            # The ledger and its log first: no program uses its files without it.
+            for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):
+                if not entry.name.startswith(".before-restore-"):
+                    entry.rename(aside / entry.name)
         else:
             state = "The restore is not complete"
         for entry in sorted(draft.iterdir(), key=lambda entry: entry.name == LEDGER):
             entry.rename(folder / entry.name)
         sync(folder)
+
     except LedgerError as error:
         raise BackupError(
             f"the ledger in {source} cannot be used ({error}); use another backup"
@@ -88,19 +79,23 @@ def restore(
     return manifest, aside
 
 
-def _source(source: Path | str, until: float) -> Callable[[Place], Manifest]:
-    """Return a function that unpacks a verified backup or a replica."""
-    if isinstance(source, str):
-        return lambda place: replica.unpack(source, place, until)
-    verify(source)
-    return lambda place: unpack(source, place)
+def _unpacked(source: Path | str, until: float, draft: Path) -> Manifest:
+    """Unpack a backup or a replica into a new folder that only its owner can read; verify it."""
 
+    def place(name: str) -> IO[bytes]:
+        path = draft / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb")
 
-def _move_aside(present: list[Path], aside: Path) -> None:
-    """Move the files of a directory into `aside`, the ledger and its log first."""
-    for entry in sorted(present, key=lambda entry: not entry.name.startswith(LEDGER)):
-        if not entry.name.startswith(".before-restore-"):
-            entry.rename(aside / entry.name)
+    shutil.rmtree(draft, ignore_errors=True)  # remains of an interrupted restore
+    draft.mkdir(0o700)
+    is_replica = isinstance(source, str)
+    manifest = replica.unpack(source, place, until) if is_replica else unpack(source, place)
+    for path in filter(Path.is_dir, draft.rglob("*")):
+        path.chmod(0o700)
+    Ledger(draft / LEDGER).close()  # verifies it and updates its schema
+    sync_tree(draft)
+    return manifest
 
 
 def in_use(folder: Path) -> bool:
@@ -110,10 +105,7 @@ def in_use(folder: Path) -> bool:
 
 
 def _check_free(folder: Path, *, overwrite: bool) -> list[Path]:
-    """Return the directory's files that a restore replaces.
-
-    Refuse a directory in use, or not empty.
-    """
+    """Return the files that a restore replaces; raises BackupError if it must not."""
     present = sorted(entry for entry in folder.iterdir() if entry.name not in _STAYS)
     if in_use(folder):
         raise BackupError(f"a server or worker uses {folder}; stop it first. Nothing was changed")

@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 from wrenchbook.service.ledger import JobRecord, packed
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.recording.store import RecordingStore
-from wrenchbook.service.recording.thinning import farthest_first, scaled_loads
+from wrenchbook.service.recording.thinning import Floats, farthest_first, scaled_loads
 from wrenchbook.service.submission import NoSetupError
 from wrenchbook.service.tables.rows import unsolved
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.answer import COVERED
-
-Floats = NDArray[np.float64]
 
 _NOTHING = "nothing is recorded yet; run a simulation with a Recorder or a Mount, then start again"
 
@@ -58,10 +56,7 @@ def start_recording(
 def start_envelope(
     workspace: Workspace, name: str, store: RecordingStore, *, beyond_range: bool
 ) -> StartedSolves:
-    """Queue the solves of the wrenches at an envelope's extremes, covered or not.
-
-    Raises the errors of `start_recording`.
-    """
+    """Queue the solves of the wrenches at an envelope's extremes; errors of `start_recording`."""
     component = _solvable(workspace, name)
     envelope = store.envelope(name)
     wrenches = np.concatenate([envelope.lowest, envelope.highest])
@@ -86,10 +81,7 @@ def start_resolving(
 
 
 def _solvable(workspace: Workspace, name: str) -> Component:
-    """Return a component whose wrenches can be solved.
-
-    Raises NoSetupError if they cannot.
-    """
+    """Return a component whose wrenches can be solved; raises NoSetupError if they cannot."""
     component = workspace.library[name]
     if not component.has_fea:
         raise NoSetupError(
@@ -110,12 +102,13 @@ def _start(
     beyond_range: bool,
 ) -> StartedSolves:
     """Accept the jobs of wrenches, (n, inputs); a wrench that is queued costs no budget."""
-    name, load_range, ledger = component.name, component.load_range, workspace.ledger
     holds = np.ones(len(wrenches), dtype=bool)
     if len(wrenches) and not beyond_range:
-        holds = load_range.holds(wrenches)
+        holds = component.load_range.holds(wrenches)
     if component.linear:
         return _start_linear(workspace, component, holds)
+
+    name = component.name
     # Queued wrenches are read before the rows: a job that ends in between is then in both.
     pending = workspace.submission.pending_wrenches(name)
     table = workspace.tables.caught_up(name, CATCH_UP_S)
@@ -126,17 +119,19 @@ def _start(
     covered = np.zeros(len(inside), dtype=bool)
     if len(inside) and purpose == "recording":
         covered = table.packed.batch(inside).coverage == COVERED
+
     unknown = inside[~covered]
     keys = packed(unknown)
-    jobs = ledger.jobs_for(name, component.fingerprint, keys)
+    jobs = workspace.ledger.jobs_for(name, component.fingerprint, keys)
     status = [jobs[key].status if key in jobs else "" for key in keys]
     fresh = unknown[[state in ("", "cancelled", "done") for state in status]]
     known = np.concatenate([table.rows.wrench, pending])
-    scale = load_range.scale
+    scale = component.load_range.scale
     order = farthest_first(scaled_loads(fresh, scale), scaled_loads(known, scale), budget)
     accepted = workspace.submission.fill(name, fresh[order], asked_by=purpose)
-    present = [jobs[key] for key in keys if key in jobs]
-    queued = [job for job in present if job.status in ("waiting", "running")]
+    queued = [jobs[key] for key in keys if key in jobs and not jobs[key].is_final]
+    queued += [job for job in accepted if not job.is_final]
+
     failed = status.count("failed")
     over_budget = len(fresh) - len(order)
     reason = _unqueued(over_budget, failed, beyond)
@@ -144,7 +139,7 @@ def _start(
         any_known = solved.any() or covered.any()
         reason = "the table covers all of them" if any_known else _NOTHING
     return StartedSolves(
-        queued + [job for job in accepted if not job.is_final],
+        queued,
         solved=int(solved.sum()),
         covered=int(covered.sum()),
         failed=failed,

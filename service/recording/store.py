@@ -9,26 +9,20 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, replace
-from itertools import product
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.contract import COVERAGE
 from wrenchbook.service.ledger import BlockKeyError, packed, unpacked
 from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.packing import content_key
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.recording.thinning import MAX_OUTSIDE, Subset, scaled_loads, take
-from wrenchbook.service.tables.mapped import ServedTable
+from wrenchbook.service.recording.thinning import MAX_OUTSIDE, Floats, Subset, scaled_loads, take
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.answer import COVERED, OUTSIDE
-from wrenchbook.surrogate.table.rows import NEAR, Tolerance
-from wrenchbook.surrogate.table.space import Space
+from wrenchbook.surrogate.table.rows import NEAR
 
-Floats = NDArray[np.float64]
 Kind = Literal["recording", "envelope"]
 BlockKey = tuple[str, int]  # the client's name, and its number of the block
 
@@ -36,16 +30,6 @@ BlockKey = tuple[str, int]  # the client's name, and its number of the block
 BLOCKS_OF_A_CLIENT = 256
 BLOCKS = 100_000  # stored keys in all, 10 MB: the newest
 MAX_SUBSETS = 32  # recordings whose subsets are in memory, some 2 MB each: those written last
-
-EXACT: Final = (
-    "bound: of a linear table, |u(0)| plus the largest |C w| of the box, at the corner that the "
-    "signs of C choose for each output, plus the largest error bar"
-)
-ESTIMATE: Final = (
-    "estimate: the largest |answer| + error bar of the table at {} corners of the box, its "
-    "centre, zero load and the wrenches that reached the extremes"
-)
-MAX_CORNERS = 4096  # corners of a box: all of 12 inputs; of more inputs a random choice
 
 
 @dataclass(frozen=True)
@@ -141,12 +125,14 @@ class RecordingStore:
         scale = component.load_range.scale
         points = scaled_loads(acting, scale)
         keys = packed(acting)
-        inside = component.load_range.holds(acting) if len(keys) else np.ones(0, dtype=bool)
+        inside = component.load_range.holds(acting) if keys else np.ones(0, dtype=bool)
         outside = int((~inside).sum())
+
         with self._ledger.writing() as db:
             before = _tally(db, name, "recording")
             if block is not None and not _claim_block(db, name, "recording", block, wrenches):
                 return BlockResult(before, known=True, outside=outside)
+
             subset_within, subset_beyond = self._subsets_of(component, before, db)
             within = take(subset_within, *_chosen(points, keys, inside))
             beyond = take(subset_beyond, *_chosen(points, keys, ~inside))
@@ -162,10 +148,12 @@ class RecordingStore:
                 within_outside=beyond.subset.within,
                 scale=_packed_scale(scale),
             )
-            first_place = {key: place for place, key in reversed(list(enumerate(keys)))}
-            added = sorted(within.added + beyond.added, key=first_place.__getitem__)
+
+            first_index = {key: index for index, key in reversed(list(enumerate(keys)))}
+            added = sorted(within.added + beyond.added, key=first_index.__getitem__)
             _replace_recorded(db, name, within.dropped + beyond.dropped, added)
             _save(db, name, "recording", after)
+
         # The block is on the disk from now on.
         self._remember(component, after.revision, (within.subset, beyond.subset))
         return BlockResult(after, known=False, outside=outside)
@@ -194,10 +182,7 @@ class RecordingStore:
         return BlockResult(after, known=False, outside=outside)
 
     def recording(self, name: str) -> RecordingState:
-        """Return a component's recording.
-
-        Raises UnknownComponentError if there is no such component.
-        """
+        """Return a component's recording; raises UnknownComponentError if there is none."""
         count = len(self._library[name].load_range.low)
         with self._ledger.reading() as db:
             tally = _tally(db, name, "recording")
@@ -205,10 +190,7 @@ class RecordingStore:
         return RecordingState(tally, unpacked(keys, count))
 
     def envelope(self, name: str) -> EnvelopeState:
-        """Return a component's envelope.
-
-        Raises UnknownComponentError if there is no such component.
-        """
+        """Return a component's envelope; raises UnknownComponentError if there is none."""
         count = len(self._library[name].load_range.low)
         with self._ledger.reading() as db:
             tally = _tally(db, name, "envelope")
@@ -248,6 +230,7 @@ class RecordingStore:
         if tally.scale is not None and len(tally.scale) == scale.nbytes and not same:
             # The load range was edited since: distances have another scale.
             stretched = max(1.0, float((unpacked([tally.scale], len(scale))[0] / scale).max()))
+
         keys = _recorded(db, component.name, len(scale))
         wrenches = unpacked(keys, len(scale))
         points = scaled_loads(wrenches, scale)
@@ -308,10 +291,7 @@ def _save(db: Connection, component: str, kind: Kind, tally: Tally) -> None:
 def _claim_block(
     db: Connection, component: str, kind: Kind, block: BlockKey, wrenches: Floats
 ) -> bool:
-    """Write the key of a new block and delete old keys; return False if it was recorded before.
-
-    Raises BlockKeyError if the key was used for other wrenches, or is too old to be known.
-    """
+    """Write a block's key, delete old ones; return False if it is known. Raises BlockKeyError."""
     client, sequence = block
     digest = content_key(b"".join(packed(wrenches)))
     key = "component = ? AND kind = ? AND client = ?"
@@ -326,14 +306,15 @@ def _claim_block(
                 "give each block its own number, or use another client name"
             )
         return False
+
     last = db.execute(f"SELECT max(sequence) FROM blocks WHERE {key}", of_client).fetchone()[0]
     if last is not None and sequence <= last - BLOCKS_OF_A_CLIENT:
         raise BlockKeyError(
             f"block {sequence} of client {client!r} is {last - sequence} before its newest, "
             f"{last}; only the last {BLOCKS_OF_A_CLIENT} are remembered, so it is unknown whether "
-            "it was recorded. Send blocks in order, or "
-            "use another client name to record it now"
+            "it was recorded. Send blocks in order, or use another client name to record it now"
         )
+
     added = db.execute(
         "INSERT INTO blocks (component, kind, client, sequence, digest) VALUES (?, ?, ?, ?, ?)",
         (*of_client, sequence, digest),
@@ -383,86 +364,3 @@ def _of_width(keys: Iterable[bytes], inputs: int) -> list[bytes]:
 
 def _packed_scale(scale: Floats) -> bytes:
     return packed(scale[None])[0]
-
-
-@dataclass(frozen=True)
-class Bound:
-    """The largest displacement over an envelope's box, shape (m,), m and rad; NaN if unknown.
-
-    `kind` is ``bound``, ``estimate`` or ``unknown``, `formula` that of `displacement`, and
-    `coverage` the worst of its answers. `negligible`: whether `displacement` is within the
-    tolerance (None if unknown); `reason`: why that is unknown, or the basis.
-    """
-
-    displacement: Floats
-    kind: str
-    formula: str
-    coverage: str
-    negligible: bool | None
-    reason: str
-
-
-def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance | None) -> Bound:
-    """Return the largest displacement by an envelope's wrenches, according to the table."""
-    low, high = envelope.box
-    space = table.load_range.space
-    if np.isnan(low).any():
-        unknown = np.full(len(space.outputs), np.nan)
-        return Bound(unknown, "unknown", "", "outside", None, "no wrench has come yet")
-    corners = _corners(low, high)
-    with np.errstate(over="ignore"):
-        centre = low / 2 + high / 2
-    # The error bar of a linear table grows with the size of each input and is largest here.
-    outermost = np.where(np.abs(low) > np.abs(high), low, high)
-    more = [centre[None], outermost[None], np.zeros((1, len(low)))]
-    more += [envelope.lowest, envelope.highest]
-    answers = table.packed.batch(np.concatenate([corners, *more]))
-    coverage = int(answers.coverage.max(initial=COVERED))
-    if table.linear and table.fit.complete:
-        largest = _largest_linear(table, low, high) + answers.errors.max(axis=0)
-        at_zero = table.packed.batch(np.zeros((1, len(low)))).outputs[0]
-        largest = largest + np.abs(at_zero)
-        kind = "bound"
-        formula = EXACT
-    else:
-        # NaN stays: with an unknown value at one point the largest is unknown.
-        largest = (np.abs(answers.outputs) + answers.errors).max(axis=0)
-        number = f"the {len(corners)}" if len(corners) == 2 ** len(low) else len(corners)
-        kind = "estimate"
-        formula = ESTIMATE.format(number)
-    if np.isnan(largest).any():
-        kind = "unknown"
-    negligible, reason = _negligible(largest, space, tolerance, kind, coverage)
-    return Bound(largest, kind, formula, COVERAGE[coverage], negligible, reason)
-
-
-def _corners(low: Floats, high: Floats) -> Floats:
-    """Return the corners of a box, or a random choice of `MAX_CORNERS` of them, (n, inputs)."""
-    if 2 ** len(low) <= MAX_CORNERS:
-        return np.array(list(product(*zip(low, high, strict=True))))
-    is_low = np.random.default_rng(0).random((MAX_CORNERS, len(low))) < 0.5
-    return np.where(is_low, low, high)
-
-
-def _largest_linear(table: ServedTable, low: Floats, high: Floats) -> Floats:
-    """Return the largest |C w| of the box of a linear table, shape (outputs,), m and rad."""
-    ends = np.stack([table.fit.matrix * low, table.fit.matrix * high])  # (2, outputs, inputs)
-    largest, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
-    return np.abs([largest, least]).max(axis=0)
-
-
-def _negligible(
-    largest: Floats, space: Space, tolerance: Tolerance | None, kind: str, coverage: int
-) -> tuple[bool | None, str]:
-    """Return whether the largest displacement is within the tolerance, and the reason."""
-    if tolerance is None:
-        return None, "the component has no tolerance; ask with ?translation=...&rotation=..."
-    if (largest > np.where(space.is_rotation, tolerance.rotation, tolerance.translation)).any():
-        return False, ""
-    if kind == "unknown":
-        return None, "the table does not answer over all of the box; start the envelope's solves"
-    if kind == "bound":
-        return True, ""
-    if coverage == OUTSIDE:
-        return None, "part of the box is outside the table, so fill it for an estimate there"
-    return True, "an estimate by the table, see formula"

@@ -80,16 +80,18 @@ def take(subset: Subset, points: Floats, keys: list[bytes]) -> Step:
     all_thinned = 0
     for start in range(0, len(points), CHUNK):
         chunk = points[start : start + CHUNK]
-        apart = np.full(len(chunk), np.inf)
+        distance = np.full(len(chunk), np.inf)
         if subset.keys:
             bound = subset.radius * _EDGE
-            apart = _tree(subset.points).query(chunk, p=np.inf, distance_upper_bound=bound)[0]
-        fresh = np.flatnonzero(np.isinf(apart))
+            distance = _tree(subset.points).query(chunk, p=np.inf, distance_upper_bound=bound)[0]
+
+        fresh = np.flatnonzero(np.isinf(distance))
         chosen = different = fresh[spaced(chunk[fresh], NEAR)]
         if subset.radius > NEAR:
             chosen = different[spaced(chunk[different], subset.radius)]
-        merged = int((apart <= NEAR * _EDGE).sum()) + len(fresh) - len(different)
+        merged = int((distance <= NEAR * _EDGE).sum()) + len(fresh) - len(different)
         thinned = len(chunk) - merged - len(chosen)
+
         subset = Subset(
             np.concatenate([subset.points, chunk[chosen]]),
             subset.keys + [keys[start + place] for place in chosen.tolist()],
@@ -102,6 +104,7 @@ def take(subset: Subset, points: Floats, keys: list[bytes]) -> Step:
             subset = _coarser(subset)
             thinned += count - len(subset.keys)
         all_merged, all_thinned = all_merged + merged, all_thinned + thinned
+
     now, had = set(subset.keys), set(before.keys)
     added = [key for key in subset.keys if key not in had]
     dropped = [key for key in before.keys if key not in now]
@@ -134,15 +137,15 @@ def farthest_first(points: Floats, known: Floats, count: int) -> list[int]:
     """
     if not len(points):
         return []
-    apart = np.full(len(points), np.inf)
+    distance = np.full(len(points), np.inf)
     if len(known):
-        apart = np.asarray(_tree(known).query(points, p=np.inf)[0])
+        distance = np.asarray(_tree(known).query(points, p=np.inf)[0])
     chosen: list[int] = []
     for _ in range(min(count, len(points))):
-        place = int(np.argmax(apart))
+        place = int(np.argmax(distance))
         chosen.append(place)
-        apart = np.minimum(apart, np.abs(points - points[place]).max(axis=1))
-        apart[place] = -1.0
+        distance = np.minimum(distance, np.abs(points - points[place]).max(axis=1))
+        distance[place] = -1.0
     return chosen
 
 

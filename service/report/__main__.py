@@ -53,7 +53,8 @@ def main(folder: Path) -> int:
     except Exception as error:
         traceback.print_exc()
         known = isinstance(error, ValueError | SolveFailed)  # their messages have the remedy
-        message = str(error) if known else f"{type(error).__name__}: {error}; see log.txt there"
+        log = f"reports/{folder.name}/log.txt in the data directory"
+        message = str(error) if known else f"{type(error).__name__}: {error}; see {log}"
         write_json(folder / FAILURE, {"message": message})
         return 1
     return 0

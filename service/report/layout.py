@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import html
 import json
+import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,6 +18,8 @@ _SCRIPTS: Final = (  # the second draws with the functions of the first
 )
 UNKNOWN = "-"  # stands for a number that a table lacks
 CONFIDENCE: Final = 0.95  # of the share of true errors within their bars: the level of the bars
+LEAST_PERCENT: Final = 0.001  # smaller errors are rounding of linear solves
+PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))  # smaller ones are rounding
 STAR = " ★"  # follows the name of an entry that no other beats in both error and run time
 
 
@@ -54,14 +57,16 @@ def advice_of(report: dict[str, Any]) -> str:
         if entry["method"] == report["default"]["method"]
     )
     error = table["largest_interpolation_error"]
+
     sentence = f"the table ({table['name']}) does not answer all outputs"
     if error is not None:
-        sentence = f"the table ({table['name']}) errs by {100 * error:.2g} % of the range"
+        sentence = f"the table ({table['name']}) errs by {_percent(error)} of the range"
     if None not in (mesh, error) and error <= mesh:
         return (
-            f"The mesh decides: {sentence}, its mesh by {100 * mesh:.2g} %, so that more rows "
+            f"The mesh decides: {sentence}, its mesh by {_percent(mesh)}, so that more rows "
             "change nothing; if that is too much, refine the mesh."
         )
+
     p95 = zip(table["lookup_error"]["p95"], report["tolerance"] or (), strict=False)
     for output, (value, limit) in zip(report["outputs"], p95, strict=False):
         if value is None or value > limit:
@@ -69,8 +74,9 @@ def advice_of(report: dict[str, Any]) -> str:
                 f"More rows help: {sentence}, and {output} exceeds the tolerance; "
                 f"wrenchbook fill {report['component']}."
             )
+
     if mesh is not None:
-        sentence += f", its mesh by {100 * mesh:.2g} %"
+        sentence += f", its mesh by {_percent(mesh)}"
     if report["tolerance"]:
         sentence += "; its interpolation error is within the tolerance: it needs no more rows"
     return f"The table decides: {sentence}."
@@ -80,10 +86,11 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
     """Return a report's figures."""
     default = report["default"]
     outputs = tuple(report["outputs"])
-    omitted = tuple((name, f"{error:.2e}") for name, error in default["errors_left_out"].items())
+    omitted = tuple((name, _percent(error)) for name, error in default["errors_left_out"].items())
     failed = "".join(map(_failures_in, report["fea"]))
     unsolved = " Failed solves: see Finite elements." if failed else ""
     of_tables = ("method", "rows", "FEA spent, s", "build, s", "p50, µs", "p99, µs", "MB")
+
     return [
         ReportSection(
             "Which method answers, and why",
@@ -108,7 +115,7 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
         ),
         ReportSection(
             "Absolute errors against the tolerance",
-            "m and rad; a table's against its own mesh, a mesh's against the finest. An output "
+            "A table's against its own mesh, a mesh's against the finest. An output "
             "whose range is below a thousandth of the largest of its kind counts as near zero: its "
             f"relative error is taken over that floor.{unsolved}",
             ("", *outputs),
@@ -134,18 +141,15 @@ def _star(report: dict[str, Any], entry: dict[str, Any]) -> str:
 
 
 def _mesh_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
-    """Return a line for each mesh: name, size, times, relative errors.
-
-    The finest is the reference.
-    """
+    """Return a line for each mesh, the reference last: name, size, times, relative errors."""
     marks = [""] * (len(report["fea"]) - 1) + [" (reference)"]
     return tuple(
         (
             entry["level"] + mark + _star(report, entry),
             f"{entry['unknowns']:,}",
-            f"{entry['setup_s']:.2f}",
-            *_each((entry["seconds_p50"], entry["seconds_p95"]), ".3f"),
-            *_each(entry["error"]["rms_relative"], ".2%"),
+            _digits(entry["setup_s"]),
+            *_each((entry["seconds_p50"], entry["seconds_p95"]), _digits),
+            *_each(entry["error"]["rms_relative"], _percent),
         )
         for entry, mark in zip(report["fea"], marks, strict=True)
     )
@@ -161,12 +165,12 @@ def _table_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
         (
             entry["method"] + _star(report, entry),
             str(entry["rows"]),
-            f"{entry['fea_s']:.0f}",
-            f"{entry['build_s']:.2f}",
-            f"{entry['query_us_p50']:.0f}",
-            f"{entry['query_us_p99']:.0f}",
-            f"{entry['memory_bytes'] / 1e6:.1f}",
-            *_each(entry["lookup_error"]["rms_relative"], ".2%"),
+            _digits(entry["fea_s"]),
+            _digits(entry["build_s"]),
+            _digits(entry["query_us_p50"]),
+            _digits(entry["query_us_p99"]),
+            _digits(entry["memory_bytes"] / 1e6),
+            *_each(entry["lookup_error"]["rms_relative"], _percent),
             f"{entry['covered']:.0%}",
         )
         for entry in sorted(report["tables"], key=by_rows_and_error)
@@ -175,18 +179,20 @@ def _table_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
 
 def _error_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
     """Return the tolerance, if there is one, then three errors of each table and coarser mesh."""
-    lines = [("tolerance", *_each(report["tolerance"], ".2e"))] if report["tolerance"] else []
+    outputs = report["outputs"]
+    lines = [("tolerance", *_lengths(outputs, report["tolerance"]))] if report["tolerance"] else []
     measured = [(entry["name"], entry["lookup_error"]) for entry in _complete_tables(report)]
     measured += [(entry["name"], entry["error"]) for entry in report["fea"][:-1]]
     for name, errors in measured:
         for key, label in (("rms", "RMS"), ("p95", "95 %"), ("max", "largest")):
-            lines.append((f"{name}, {label}", *_each(errors[key], ".2e")))
+            lines.append((f"{name}, {label}", *_lengths(outputs, errors[key])))
     return tuple(lines)
 
 
 def _bar_line(entry: dict[str, Any]) -> tuple[str, ...]:
     """Return a table's name and of each output "95%, 1.3x": see the section Error bars."""
-    inside, ratios = _each(entry["inside_error_bar"], ".0%"), _each(entry["bar_over_error"], ".1f")
+    inside = _each(entry["inside_error_bar"], "{:.0%}".format)
+    ratios = _each(entry["bar_over_error"], _digits)
     cells = [
         share if ratio == UNKNOWN else f"{share}, {ratio}x"
         for share, ratio in zip(inside, ratios, strict=True)
@@ -207,9 +213,37 @@ def _failures_in(level: dict[str, Any]) -> str:
     return f" {failed}: {reasons}." if failures else ""
 
 
-def _each(values: Iterable[float | None], form: str) -> tuple[str, ...]:
-    """Return numbers as texts of a format; `UNKNOWN` for None."""
-    return tuple(UNKNOWN if value is None else format(value, form) for value in values)
+def _each(values: Iterable[float | None], text: Callable[[float], str]) -> tuple[str, ...]:
+    """Return numbers as texts; `UNKNOWN` for None."""
+    return tuple(UNKNOWN if value is None else text(value) for value in values)
+
+
+def _digits(value: float) -> str:
+    """Return a number with three significant digits, without a power of ten."""
+    digits = 2 - math.floor(math.log10(abs(value))) if value else 0
+    return f"{value:.{max(0, digits)}f}"
+
+
+def _percent(fraction: float) -> str:
+    """Return a fraction in percent with two digits."""
+    percent = 100 * fraction
+    if 0 < percent < LEAST_PERCENT:
+        return f"< {LEAST_PERCENT} %"
+    return f"{percent:.0f} %" if percent >= 100 else f"{percent:.2g} %"
+
+
+def _lengths(outputs: Sequence[str], values: Iterable[float | None]) -> tuple[str, ...]:
+    """Return displacements with SI prefixes, as "12.3 µm" or "1.20 mrad"."""
+
+    def text(value: float, unit: str) -> str:
+        scale, prefix = next((one for one in PREFIXES if value >= one[0]), PREFIXES[-1])
+        return f"{_digits(value / scale)} {prefix}{unit}" if value >= scale else f"0 {unit}"
+
+    units = ("m" if output.rpartition(".")[2].startswith("u") else "rad" for output in outputs)
+    return tuple(
+        UNKNOWN if value is None else text(value, unit)
+        for value, unit in zip(values, units, strict=True)
+    )
 
 
 def as_markdown(report: dict[str, Any]) -> str:

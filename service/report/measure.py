@@ -49,10 +49,11 @@ def measure(
     points = qmc.Halton(d=len(load_range.low), rng=seed).random(count)
     wrenches = load_range.low + points * (load_range.high - load_range.low)
     wrenches = acting(wrenches, np.flatnonzero(locked).tolist())
+
     levels = _solve_levels(bundle, wrenches, report)
     displacements = [level.pop("displacement") for level in levels]
-    index_of_own = [level["level"] for level in levels].index("own")
-    solved = np.isfinite(displacements[-1] + displacements[index_of_own]).all(axis=1)
+    own = [level["level"] for level in levels].index("own")
+    solved = np.isfinite(displacements[-1] + displacements[own]).all(axis=1)
     if not solved.any():
         kinds = {failure["kind"] for level in levels for failure in level["failures"]}
         raise ValueError(
@@ -60,21 +61,24 @@ def measure(
             f"the range in component.toml, or see the cause with: wrenchbook solve {bundle.name} "
             "--force FX FY FZ"
         )
-    reference = displacements[-1][solved]
-    same_mesh = displacements[index_of_own][solved]
+
+    references = displacements[-1][solved], displacements[own][solved]
     # An error is relative to the range of its output, or to a minimum if that is near zero.
-    span = np.ptp(reference, axis=0)
+    span = np.ptp(references[0], axis=0)
     scale = np.maximum(span, NEAR_ZERO * space.largest_of_kind(span))
     for level, displacement in zip(levels, displacements, strict=True):
         level |= {"name": f"FEA, {level['level']} mesh", "seconds": level["seconds_p50"]}
-        level["error"] = errors(np.abs(displacement[solved] - reference), scale)
+        level["error"] = errors(np.abs(displacement[solved] - references[0]), scale)
         level["largest_error"] = _largest(level["error"])
+
     report(SOLVES_FRACTION, "measuring tables")
-    linear, limit = not bundle.analysis.nonlinear, bundle.tolerance
-    solves = wrenches[solved], (reference, same_mesh)
-    seconds = levels[index_of_own]["seconds_p50"]
-    tables = _measure_tables(rows, load_range, linear, *solves, scale, seconds)
+    linear = not bundle.analysis.nonlinear
     summary = build(rows, load_range, linear=linear).coverage_summary()
+    seconds = levels[own]["seconds_p50"]
+    tables = _measure_tables(rows, load_range, linear, wrenches[solved], references, scale, seconds)
+    limit = bundle.tolerance
+    limits = limit and np.where(space.is_rotation, limit.rotation, limit.translation).tolist()
+    is_finest = own == len(levels) - 1  # its error is unknown
     return {
         "component": bundle.name,
         "title": bundle.title,
@@ -83,18 +87,14 @@ def measure(
         "range": span.tolist(),
         "floor": scale.tolist(),
         "outputs": list(space.output_names),
-        "tolerance": limit
-        and np.where(space.is_rotation, limit.rotation, limit.translation).tolist(),
+        "tolerance": limits,
         "default": {
             "method": summary["method"],
             "reason": summary["method_reason"],
             "errors_left_out": summary["errors_left_out"],
             "full_wrench_rows": summary["full_wrench_rows"],
         },
-        # None if the component's mesh is the finest: its error is unknown.
-        "mesh_error": levels[index_of_own]["largest_error"]
-        if index_of_own < len(levels) - 1
-        else None,
+        "mesh_error": None if is_finest else levels[own]["largest_error"],
         "fea": levels,
         "tables": tables,
         "pareto": pareto([*tables, *levels]),
@@ -102,7 +102,7 @@ def measure(
 
 
 def _solve_levels(bundle: Bundle, wrenches: Array, report: Report) -> list[dict[str, Any]]:
-    """Solve all wrenches on each mesh, the finest last; one level if it cannot be refined."""
+    """Solve wrenches (n, inputs) on each mesh, the finest last; one if it cannot be refined."""
     chosen = [(name, refined(bundle, factor)) for name, factor in LEVELS]
     meshes = [(name, mesh) for name, mesh in chosen if mesh is not None] or [("own", bundle)]
     levels = []
@@ -110,6 +110,7 @@ def _solve_levels(bundle: Bundle, wrenches: Array, report: Report) -> list[dict[
         started = time.process_time()
         solver = Solver(mesh)
         setup = time.process_time() - started
+
         displacement = np.full((len(wrenches), len(FREEDOMS) * len(mesh.interfaces)), np.nan)
         seconds, failures = [], []
         for place, wrench in enumerate(wrenches):
@@ -124,6 +125,7 @@ def _solve_levels(bundle: Bundle, wrenches: Array, report: Report) -> list[dict[
                 failures.append({"wrench": wrench.tolist(), **why})
                 continue
             seconds.append(time.process_time() - started)
+
         levels.append(
             {
                 "level": name,
@@ -148,27 +150,31 @@ def _measure_tables(
     scale: Array,
     solve_seconds: float,
 ) -> list[dict[str, Any]]:
-    """Build tables of more and more of the first rows, and compare each of their methods."""
+    """Build tables of more and more of the first rows, and compare each of their methods.
+
+    `references` and `scale` as of `_compare_method`; `solve_seconds` is the time of one solve.
+    """
     tables: list[dict[str, Any]] = []
     for part in PARTS:
-        some = rows.take(np.arange(max(1, round(part * len(rows)))))
+        first = rows.take(np.arange(max(1, round(part * len(rows)))))
         tracemalloc.start()
         before = tracemalloc.get_traced_memory()[0]
-        table = build(some, load_range, linear=linear)
+        table = build(first, load_range, linear=linear)
         memory = tracemalloc.get_traced_memory()[0] - before
         tracemalloc.stop()
-        started = time.process_time()
-        build(some, load_range, linear=linear)
+
+        started = time.process_time()  # of a second build: the first one was traced
+        build(first, load_range, linear=linear)
         cost = {
-            "rows": len(some),
+            "rows": len(first),
             "build_s": time.process_time() - started,
             "memory_bytes": memory,
-            "fea_s": float(np.sum(some.source == "fea") * solve_seconds),
+            "fea_s": float(np.sum(first.source == "fea") * solve_seconds),
         }
         for method in METHODS:
             entry = _compare_method(packed_of(table), method, wrenches, references, scale)
             if entry is not None:
-                name = f"{method}, {len(some)} rows"
+                name = f"{method}, {len(first)} rows"
                 tables.append({"name": name, "method": method, **cost, **entry})
     return tables
 
@@ -176,7 +182,10 @@ def _measure_tables(
 def _compare_method(
     table: PackedTable, method: str, wrenches: Array, references: tuple[Array, Array], scale: Array
 ) -> dict[str, Any] | None:
-    """Compare a method with solves on the finest mesh and on the table's mesh; None without it."""
+    """Compare a method with solves on the finest mesh and on the table's mesh; None without it.
+
+    `references` are displacements on both, shape (n, m), m and rad; `scale` as of `errors`.
+    """
     finest, same_mesh = references
     try:
         answer = table.answer(wrenches[0].tolist(), None, method)
@@ -184,6 +193,7 @@ def _compare_method(
         return None
     if answer.method != method:  # few rows have no kriging: the axes answer instead
         return None
+
     answers = table.batch(wrenches, method=method)
     error = np.abs(answers.outputs - same_mesh)
     inside, ratios = [], []
@@ -194,6 +204,7 @@ def _compare_method(
         inside.append(float(np.mean(true <= bars)) if len(true) else None)
         # None if the error is zero.
         ratios.append(float(np.median(bars)) / median if median > 0.0 else None)
+
     median_us, p99_us = answer_times(table, method, wrenches)
     of_finest = errors(np.abs(answers.outputs - finest), scale)
     of_mesh = errors(error, scale)

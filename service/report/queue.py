@@ -20,7 +20,8 @@ _LOCK, CANCEL = "lock", "cancel"
 State = Literal["none", "running", "done", "failed"]
 _KILLED = (
     "the process was killed before it wrote the report, for lack of memory or as the server "
-    "stopped; make the report again, and if that ends the same, see log.txt there"
+    "stopped; make the report again, and if that ends the same, see reports/{}/log.txt in the data "
+    "directory"
 )
 
 
@@ -34,10 +35,7 @@ class ReportState:
 
 
 class Reports:
-    """Makes reports in `folder`, ``<component>/report.json``, ``.md`` and ``.html``.
-
-    `tables` has the HDF5 tables.
-    """
+    """Makes ``<component>/report.json``, ``.md`` and ``.html`` in `folder`, of HDF5 `tables`."""
 
     def __init__(self, folder: Path, tables: Path) -> None:
         self._folder = folder
@@ -46,16 +44,18 @@ class Reports:
         self._making: dict[str, subprocess.Popen[bytes]] = {}
 
     def make(self, component: Component, rows: int, wrenches: int, seed: int) -> None:
-        """Start making the report of a component with `rows`, unless that goes on already.
+        """Start making the report of a component of `rows` rows, unless one is being made.
 
-        Its table is written. Raises FileNotFoundError if it has no rows.
+        The file of its table is complete.
+
+        Raises FileNotFoundError if there are no rows.
         """
-        table = self._tables / f"{component.name}.h5"
         if not rows:
             raise FileNotFoundError(
                 f"{component.name!r} has no rows yet, so there is nothing to report. Fill its "
                 f"table first: wrenchbook fill {component.name}"
             )
+
         folder = self._folder / component.name
         with self._lock:
             folder.mkdir(parents=True, exist_ok=True)
@@ -63,8 +63,14 @@ class Reports:
             descriptor = None if self._is_alive(component.name) else lock.take(folder / _LOCK)
             if descriptor is None:
                 return
-            order = {"bundle": str(component.folder), "table": str(table)}
-            write_json(folder / "order.json", {**order, "wrenches": wrenches, "seed": seed})
+
+            order = {
+                "bundle": str(component.folder),
+                "table": str(self._tables / f"{component.name}.h5"),
+                "wrenches": wrenches,
+                "seed": seed,
+            }
+            write_json(folder / "order.json", order)
             for file in ("failure.json", CANCEL, "progress.json"):
                 (folder / file).unlink(missing_ok=True)
             environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -107,9 +113,9 @@ class Reports:
         if failure:
             return ReportState("failed", 0.0, failure["message"])
         ordered, written = file_stamp((folder / "order.json", folder / FILES["json"]))
-        unwritten = ordered and (not written or written[0] < ordered[0])
-        if unwritten and not (folder / CANCEL).exists():
-            return ReportState("failed", 0.0, _KILLED)
+        is_missing = ordered and (not written or written[0] < ordered[0])
+        if is_missing and not (folder / CANCEL).exists():
+            return ReportState("failed", 0.0, _KILLED.format(name))
         return ReportState("done", 1.0) if written else ReportState("none")
 
     def file(self, name: str, format: str) -> Path | None:  # noqa: A002 (the contract's word)

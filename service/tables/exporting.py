@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from wrenchbook.service.formats.cells import UnitError, chosen_units
 from wrenchbook.service.formats.columnar import write_parquet
 from wrenchbook.service.formats.columns import layout
 from wrenchbook.service.formats.csv import csv_text
 from wrenchbook.service.formats.json import json_text
+from wrenchbook.service.formats.units import UnitError, chosen_units
 from wrenchbook.service.formats.xlsx import write_xlsx
 from wrenchbook.service.ledger import Ledger, TableAt
 from wrenchbook.service.library.component import Component

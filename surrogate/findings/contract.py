@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -24,17 +25,21 @@ LEVER_ROUNDS = 3  # rounds of the lever's weights, which depend on the lever and
 # Parts of the range: loads below or above are of another unit.
 MIN_OF_RANGE, MAX_OF_RANGE = 0.02, 5.0
 MAX_TRANSLATION = 0.1  # m: no part whose rotations are small moves farther without a remark
-UNITS = {
-    1000.0: "millimetres for metres, or newtons for kilonewtons",
-    4.448: "pounds for newtons",
-    25.4: "inches for millimetres",
-    39.37: "inches for metres",
-    9.807: "kilograms for newtons",
-    10.0: "millimetres for centimetres, or newtons for decanewtons",
-    17.45: "milliradians for degrees",
-    57.3: "degrees for radians",
-    8.851: "pound-inches for newton metres",
-}
+QUANTITIES = ("translations", "rotations", "forces", "moments")
+LENGTHS, FORCES = ("translations", "moments"), ("forces", "moments")
+UNITS = (  # ratio of two units, the quantities that have them, and their names
+    (1000.0, LENGTHS, "millimetres for metres"),
+    (1000.0, FORCES, "newtons for kilonewtons"),
+    (4.448, FORCES, "pounds for newtons"),
+    (25.4, LENGTHS, "inches for millimetres"),
+    (39.37, LENGTHS, "inches for metres"),
+    (9.807, FORCES, "kilograms for newtons"),
+    (10.0, LENGTHS, "millimetres for centimetres"),
+    (10.0, FORCES, "newtons for decanewtons"),
+    (17.45, ("rotations",), "milliradians for degrees"),
+    (57.3, ("rotations",), "degrees for radians"),
+    (8.851, ("moments",), "pound-inches for newton metres"),
+)
 
 
 class Fit(NamedTuple):
@@ -109,7 +114,7 @@ def range_findings(rows: Rows, load_range: LoadRange) -> list[RigFinding]:
         ratio = float((largest[loaded] / ends[loaded]).max())
         if MIN_OF_RANGE <= ratio <= MAX_OF_RANGE:
             continue
-        unit = named_unit(1.0 / ratio if ratio < 1 else ratio)
+        unit = named_unit(ratio, (name,))
         message = (
             f"the largest of the {name} is {ratio:.3g} times the end of the load range; check "
             f"their unit{unit}, or the component's range"
@@ -184,14 +189,11 @@ def _against_solves(fit: Fit, solved: Fit, least: float) -> list[RigFinding]:
     if size <= np.log(least) or residual > min(size / 3, np.log(FAR)):
         return []
     cause_kind = "unit" if size > np.log(FAR) else "calibration"
-    others = "".join(
-        f", or the {name} {times:.3g} times"
-        for far, name, times in best
-        if name != quantity and far - residual < TIE
-    )
+    others = {name: times for far, name, times in best if name != quantity and far - residual < TIE}
+    more = "".join(f", or the {name} {times:.3g} times" for name, times in others.items())
     message = (
-        f"the {quantity} are {factor:.3g} times those of the solves{others}; check their "
-        f"{cause_kind}{named_unit(factor)}"
+        f"the {quantity} are {factor:.3g} times those of the solves{more}; check their "
+        f"{cause_kind}{named_unit(factor, (quantity, *others))}"
     )
     return [RigFinding("unit", message, (), {"quantity": quantity, "factor": factor})]
 
@@ -209,12 +211,14 @@ def _common(first: Floats, second: Floats, least: float = FAR) -> float | None:
     return factor if deviation < MAX_SCATTER and max(factor, 1 / factor) >= least else None
 
 
-def named_unit(factor: float) -> str:
-    """Return " (probably ...)" for a factor near that of two units, else nothing."""
+def named_unit(factor: float, quantities: Collection[str] = QUANTITIES) -> str:
+    """Return a remark on the units nearest to a factor of quantities; empty if none is near."""
     size = max(factor, 1 / factor)
-    known, description = min(UNITS.items(), key=lambda unit: abs(np.log(size / unit[0])))
+    units = [unit for unit in UNITS if not set(unit[1]).isdisjoint(quantities)]
+    known = min((ratio for ratio, _, _ in units), key=lambda ratio: abs(np.log(size / ratio)))
+    names = ", or ".join(name for ratio, _, name in units if ratio == known)
     is_near = abs(np.log(size / known)) < np.log(UNIT_MATCH)
-    return f" (a factor of {known:g}: {description}?)" if is_near else ""
+    return f" (a factor of {known:g}: {names}?)" if is_near else ""
 
 
 def symmetry_findings(fit: Fit, load_range: LoadRange) -> list[RigFinding]:

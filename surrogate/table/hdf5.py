@@ -420,7 +420,7 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
                 f"has columns of several lengths ({', '.join(sizes)}); make them equal"
             )
         names = [name for name, _, _ in columns]
-        for start in range(0, lengths.pop(), FOREIGN_PIECE):
+        for start in range(0, lengths.pop() or 1, FOREIGN_PIECE):
             piece = slice(start, start + FOREIGN_PIECE)
             yield names, [read(dataset[piece]) for _, dataset, read in columns]
 
@@ -524,6 +524,12 @@ def _columns_of(name: str, dataset: h5py.Dataset) -> list[NamedColumn]:
             "one-dimensional dataset of numbers or strings (data frames: to_parquet or to_csv)"
         )
     (label,) = _labels(dataset, [name])
+    if "MATLAB_empty" in dataset.attrs:  # it holds the array's shape
+        return [(label, np.empty(0), np.asarray)]
+    if "logical" in _texts(dataset, "MATLAB_class"):
+        return [
+            (label, _Vector(dataset) if is_vector else dataset, lambda piece: piece.astype(bool))
+        ]
     column = dataset.asstr() if is_text else _Vector(dataset) if is_vector else dataset
     return [(label, column, np.asarray if is_text else _unpacking(dataset, name, ...))]
 

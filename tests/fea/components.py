@@ -43,4 +43,4 @@ def component(
         mesh, fixed, section, (young, poisson), coupling=coupling, point=point, axes=axes
     )
     analysis = Analysis(nonlinear=nonlinear, integration=integration)
-    return replace(attached(part, locked=tuple(locked)), bundle=None, analysis=analysis)
+    return replace(attached(part, locked=tuple(locked)), analysis=analysis)

@@ -17,7 +17,8 @@ from wrenchbook.fea.check.mechanisms import motion_problems
 from wrenchbook.fea.component import build
 from wrenchbook.fea.coupling import spring_motion
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.inspection import bodies_of, coincident_nodes, warnings_of
+from wrenchbook.fea.inspection import warnings_of
+from wrenchbook.fea.mesh.bodies import bodies_of, coincident_nodes
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding

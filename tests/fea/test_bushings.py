@@ -14,7 +14,7 @@ from wrenchbook.fea.check.mechanisms import motion_problems
 from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.inspection import bodies_of, coincident_nodes
+from wrenchbook.fea.mesh.bodies import bodies_of, coincident_nodes
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleError

@@ -11,7 +11,7 @@ from tests.fea.supports import PLANES, largest, part, stress, turned
 from tests.validation import calculix, second_opinion
 from tests.validation.patch import distort
 from wrenchbook.fea.check.mechanisms import motion_problems
-from wrenchbook.fea.inspection import bodies_of, coincident_nodes
+from wrenchbook.fea.mesh.bodies import bodies_of, coincident_nodes
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.tensors import rotation

@@ -13,8 +13,9 @@ from starlette.testclient import TestClient
 from wrenchbook.service import keys
 from wrenchbook.service.client import Client
 from wrenchbook.service.files.lock import take
-from wrenchbook.service.http.access import Permission, Rates, SecuritySettings, security_settings
+from wrenchbook.service.http.access import SecuritySettings, security_settings
 from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.permission import Permission, Rates
 from wrenchbook.service.keys import FILE, Key, Keyring, digest_of, is_loopback
 from wrenchbook.service.workspace import Settings
 
@@ -265,14 +266,17 @@ def test_a_key_is_held_to_its_rate_and_told_when_to_come_again(place, locked):
 def clock(monkeypatch):
     """The time of the rates, s, which a test sets."""
     now = [1000.0]
-    monkeypatch.setattr("wrenchbook.service.http.access.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("wrenchbook.service.http.permission.time.monotonic", lambda: now[0])
     return now
 
 
 def permissions(path, rate, count, name="a"):
     """The permissions of one key in processes of one server."""
     key = Key(name, "read", digest_of(name), 0.0, rate)
-    return [Permission(key, Rates(path)) for _ in range(count)]
+    processes = [Rates() for _ in range(count)]
+    for rates in processes:
+        rates.share(path)
+    return [Permission(key, rates) for rates in processes]
 
 
 @pytest.mark.parametrize("processes", [1, 3])
@@ -304,9 +308,9 @@ def test_a_disk_that_takes_nothing_lifts_no_limit(tmp_path, clock, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     (permission,) = permissions(tmp_path / "rates", 1.0, 1)
-    monkeypatch.setattr("wrenchbook.service.http.access.os.pwrite", full)
+    monkeypatch.setattr("wrenchbook.service.http.permission.os.pwrite", full)
     assert [permission.wait() == 0.0 for _ in range(4)] == [True, True, False, False]
-    monkeypatch.setattr("wrenchbook.service.http.access.os.open", full)
+    monkeypatch.setattr("wrenchbook.service.http.permission.os.open", full)
     (permission,) = permissions(tmp_path / "others", 1.0, 1)
     assert [permission.wait() == 0.0 for _ in range(4)] == [True, True, False, False]
 

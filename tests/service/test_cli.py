@@ -29,6 +29,7 @@ from wrenchbook.service.cli.main import main
 from wrenchbook.service.cli.progress import Pace, cancelled_on_interrupt
 from wrenchbook.service.cli.render import Screen, matrix_table
 from wrenchbook.service.client import Client, Event, Job, ServerUnreachable
+from wrenchbook.service.contract import LOADS, OUTPUTS
 from wrenchbook.service.workers.supervisor import in_use
 
 Run = Callable[..., tuple[int, str, str]]
@@ -187,6 +188,7 @@ def test_compliance_shows_the_tangent_at_zero_load_and_beside_it_the_mean(stub: 
         "tangent": [[3.0e-6, None, *[1e-9] * 4], *[[0.0] * 6] * 5], "tangent_origin": "kriging",
         "matrix": [[2.17e-6, 0.0, *[1e-9] * 4], *[[0.0] * 6] * 5], "origin": "fitted",
         "known_loads": ["fx", "fz", "mx", "my", "mz"],
+        "columns": [f"{load} [N]" for load in LOADS], "rows": [f"{name} [m]" for name in OUTPUTS],
     }  # fmt: skip
     stub.answers(Answer(reported))
     status, out, _ = run("compliance", "plate")
@@ -207,7 +209,8 @@ def test_import_sends_a_lag_and_prints_what_the_logs_show(stub: Stub, run: Run, 
         (tmp_path / name).write_text("time [s]")
     clock = {"applied_s": 0.351, "lag_s": 0.351, "uncertainty_s": 0.002}
     counts = {"read": 9, "loaded": 9, "refused": 0, "tare": 0, "unmatched": 0}
-    reply = {"inserted": 9, "existing": 0, "errors": [], "ignored": [], "dry_run": False}
+    empty = {key: [] for key in ("errors", "causes", "findings", "ignored", "above", "sheets")}
+    reply = {"inserted": 9, "existing": 0, **empty, "rig": None, "dry_run": False}
     stub.answers(Answer({**reply, "in_use": True, "rows": counts, "clock": clock}))
     logs = (str(tmp_path / "loads.csv"), "--displacements", str(tmp_path / "moved.csv"))
     status, out, _ = run("import", "plate", *logs, "--lag", "auto")

@@ -13,9 +13,9 @@ import pytest
 from tests.service.ledger_rows import NewRow, claim, insert, noted, stored
 from tests.service.table_files import read_csv, read_json, write_hdf5, write_json
 from tests.service.test_durable_tables import Site
-from wrenchbook.service.formats.cells import UnitError
 from wrenchbook.service.formats.columns import columns_of, layout
 from wrenchbook.service.formats.options import Options
+from wrenchbook.service.formats.units import UnitError
 from wrenchbook.service.jobs import solver
 from wrenchbook.service.jobs.attempt import Attempt, Outcome, prepare, read_outcome, write_outcome
 from wrenchbook.service.jobs.dispatcher import record

@@ -16,11 +16,8 @@ from wrenchbook.service.actors import CALLER, Caller
 from wrenchbook.service.client import Client, ProblemError, ServerUnreachable
 from wrenchbook.service.client.client import EventParser
 from wrenchbook.service.events import Feed
-from wrenchbook.service.http.access import (
-    AccessControl,
-    Permission,
-    SecuritySettings,
-)
+from wrenchbook.service.http.access import AccessControl, SecuritySettings
+from wrenchbook.service.http.permission import Permission
 from wrenchbook.service.http.problems import problem_of
 from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ledger import LedgerBusyError

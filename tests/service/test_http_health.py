@@ -57,6 +57,13 @@ def test_a_ready_component_is_ready_while_another_table_is_built(building):
     assert (body["status"], body["ready"], body["building"]) == ("ready", True, [])
 
 
+@pytest.mark.parametrize("path", ["/health/live", READY, "/metrics"])
+def test_head_of_a_health_call_has_the_status_of_get_and_no_body(building, path):
+    status = building.get(path).status_code
+    reply = building.head(path)
+    assert (reply.status_code, reply.content) == (status, b"")
+
+
 def full(*_):
     raise OSError(errno.ENOSPC, "No space left on device")
 

@@ -191,6 +191,10 @@ def test_a_line_ends_where_it_would_be_too_long_to_be_carried():
             'Traceback (most recent call last):\n  File "/usr/y.py"\n    f()\nValueError: bad',
             "ValueError: bad",
         ),
+        (
+            'Traceback (most recent call last):\n  File "<string>", line 1\nValueError: bad',
+            "ValueError: bad",
+        ),
     ],
 )
 def test_paths_of_the_machine_lose_their_folders_and_nothing_else_does(text, told):

@@ -13,7 +13,8 @@ from scipy.spatial import KDTree
 from wrenchbook.service.ledger import BlockKeyError, packed
 from wrenchbook.service.recording import store as recordings
 from wrenchbook.service.recording import thinning
-from wrenchbook.service.recording.store import EnvelopeState, RecordingStore, Tally, bound_of
+from wrenchbook.service.recording.bound import bound_of
+from wrenchbook.service.recording.store import EnvelopeState, RecordingStore, Tally
 from wrenchbook.service.recording.thinning import Subset, farthest_first, scaled_loads, spaced, take
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.packed.writer import packed_of

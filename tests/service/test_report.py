@@ -1,5 +1,6 @@
 import io
 import json
+import re
 import zipfile
 from copy import deepcopy
 from dataclasses import replace
@@ -58,6 +59,15 @@ def test_a_report_is_json_markdown_and_a_page_that_needs_nothing_from_elsewhere(
     assert page.count("</script>") == 2
     assert "<script src=" not in page
     assert "<b>" not in page
+
+
+def test_errors_of_a_report_have_units_and_no_powers_of_ten(report):
+    figures = deepcopy(report)
+    figures["tolerance"] = [3e-4, 1.234e-5, 5e-12, 1e-3, 2.0, 0.0]
+    lines = [line for section in sections_of(figures) for line in section.lines]
+    (tolerance,) = (line for line in lines if line[0] == "tolerance")
+    assert tolerance[1:] == ("300 µm", "12.3 µm", "0 m", "1.00 mrad", "2.00 rad", "0 rad")
+    assert not [cell for line in lines for cell in line if re.search(r"\de-\d", cell)]
 
 
 def test_meshes_and_tables_are_compared_with_the_finest_mesh(report):

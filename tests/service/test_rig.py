@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.refusals import assert_told, cases
-from wrenchbook.service.formats.rig import Rig, RigError, loads_between, rig_text
+from wrenchbook.service.formats.logs import loads_between
+from wrenchbook.service.formats.rig import Rig, RigError, rig_text
 
 LEFT = "x=-y,y=z,z=x"  # determinant -1
 SEEDS = range(20)

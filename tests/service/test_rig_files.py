@@ -116,6 +116,18 @@ def test_displacements_in_gaps_of_the_loads_are_told_from_those_outside(tmp_path
         assert words in report.mistakes.listed()[0].message
 
 
+def test_times_of_logs_without_a_common_time_are_dates_if_the_logs_have_dates(tmp_path):
+    """They were seconds since 1970, rounded to six digits."""
+    loads, moves = tmp_path / "loads", tmp_path / "moves"
+    loads.write_text("time,fz [N]\n2026-03-01 10:00:00,0\n2026-03-01 10:00:02,1\n")
+    moves.write_text("time,uz [mm]\n2026-03-01 12:00:00,0.1\n2026-03-01 12:00:01,0.2\n")
+    report = ReadReport()
+    assert not any(map(len, read_logs(loads, moves, ZERO, report)))
+    (mistake,) = report.mistakes.listed()
+    assert "of the loads, 2026-03-01 10:00:00 to 2026-03-01 10:00:02; " in mistake.message
+    assert "displacements' are 2026-03-01 12:00:00 to 2026-03-01 12:00:01. " in mistake.message
+
+
 def test_of_two_tdms_groups_with_columns_the_sender_names_one():
     content = tdms(first={"Kraft": ([0.0], KN), "Weg": ([0.0], MM)}, second=RUN)
     assert read(content, NAMED)[1].sheet == "first"

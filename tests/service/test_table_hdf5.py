@@ -297,11 +297,36 @@ def test_matlab_vectors_are_columns(tmp_path: Path, content: dict[str, Any]):
     assert read_columns(tmp_path / "a.mat") == (EXPECTED, [])
 
 
+@pytest.mark.parametrize("shape", [(0, 1), (0, 0)])
+def test_matlab_vectors_of_length_0_are_columns_without_rows(tmp_path: Path, shape):
+    """They were no columns; in level 7.3 their shape was read as two rows."""
+    savemat(tmp_path / "a.mat", {name: np.zeros(shape) for name in NAMED})
+    with h5py.File(tmp_path / "b.mat", "w") as file:
+        for name in NAMED:
+            file[name] = np.array(shape, dtype=np.uint64)
+            file[name].attrs["MATLAB_empty"] = 1
+    for name in ("a.mat", "b.mat"):
+        expected = (([], []), ["there is no row below the header; add one"])
+        assert read_columns(tmp_path / name) == expected
+
+
+def test_a_logical_vector_of_matlab_is_no_column_of_numbers(tmp_path: Path):
+    """Its values were loads of 1 N and 0 N."""
+    savemat(tmp_path / "a.mat", {"Fz_N": np.array([True, False]), "uz_mm": [1.0, 2.0]})
+    with h5py.File(tmp_path / "b.mat", "w") as file:
+        file["Fz_N"], file["uz_mm"] = np.array([[1, 0]], dtype=np.uint8), [[1.0, 2.0]]
+        file["Fz_N"].attrs["MATLAB_class"] = np.bytes_("logical")
+    for name in ("a.mat", "b.mat"):
+        result, messages = read_columns(tmp_path / name)
+        assert result == ([], [])
+        assert messages[0].startswith("'True' is not a number")
+
+
 def test_an_empty_cell_of_a_load_is_named(tmp_path: Path):
     path = write(tmp_path / "a", {**COLUMNS, "Fz [kN]": [-0.5, np.nan, -1.5]})
     result, messages = read_columns(path)
     assert result[0] == [-500.0, -1500.0]
-    assert messages == ["is empty; write 0 for no load, or leave the row out"]
+    assert messages == ["is empty; write 0 for no load, split merged cells, or leave the row out"]
 
 
 def test_columns_in_several_groups_are_named(tmp_path: Path):

@@ -22,16 +22,15 @@ from hypothesis import strategies as st
 
 from tests.service import table_files
 from tests.service.table_files import ReadTable, read, write_csv, write_hdf5, write_json, written
-from wrenchbook.service.formats.cells import (
+from wrenchbook.service.formats.cells import guard_formula, unguard_formula
+from wrenchbook.service.formats.columnar import write_parquet
+from wrenchbook.service.formats.units import (
     QUANTITIES,
     UnitError,
-    guard_formula,
     in_unit,
     scaled,
     si_factor,
-    unguard_formula,
 )
-from wrenchbook.service.formats.columnar import write_parquet
 from wrenchbook.service.formats.xlsx import escape, unescape, write_xlsx
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.mesh.cad.entities import METRES, Solid, bodies_of, faces_of
-from wrenchbook.fea.mesh.facets import near_message
 from wrenchbook.fea.mesh.generators import too_many
+from wrenchbook.fea.mesh.groups import near_message
 from wrenchbook.fea.spec.mesh_source import BodySelector, GeometryMeshing
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 
@@ -95,12 +95,14 @@ def _meshed(
     problems += [BundleProblem(*mistake) for mistake in cells]
     if problems:
         raise BundleError(problems)
+
     gmsh.option.setNumber("Mesh.MeshSizeMax", size / METRES)
     gmsh.option.setNumber("Mesh.MeshSizeMin", _FINEST * size / METRES)
     gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", geometry.curvature or 0)
     gmsh.option.setNumber("Mesh.MinimumCircleNodes", geometry.circle)
     if not optimise:
         gmsh.option.setNumber("Mesh.HighOrderOptimize", 0)
+
     gmsh.model.mesh.generate(3)
     tags, points, _ = gmsh.model.mesh.getNodes()
     row = np.full(int(tags.max()) + 1, -1, dtype=np.int64)
@@ -139,6 +141,7 @@ def opened(path: Path) -> Iterator[Any]:
             f"apt install {_LIBRARIES}"
         )
         raise BundleError([BundleProblem("mesh.file", message)]) from None
+
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     try:
         for name, value in _SETTINGS.items():

@@ -51,13 +51,18 @@ def _face(gmsh: Any, number: int) -> Face:
     # Older versions of gmsh only have getType.
     type_of = getattr(gmsh.model, "getEntityType", None) or gmsh.model.getType
     kind = type_of(2, number)
+    radius = None
+    if kind == "Cylinder":  # the inverse of its larger principal curvature
+        middle = _middle(gmsh, number)
+        largest, smallest, _, _ = gmsh.model.getPrincipalCurvatures(number, middle)
+        radius = METRES / max(abs(float(largest[0])), abs(float(smallest[0])))
     return Face(
         number,
         kind,
         gmsh.model.occ.getMass(2, number) * METRES**2,
         _metres(gmsh.model.occ.getCenterOfMass(2, number)),
         _outward(gmsh, number) if kind == "Plane" else None,
-        _radius(gmsh, number) if kind == "Cylinder" else None,
+        radius,
     )
 
 
@@ -71,12 +76,6 @@ def _middle(gmsh: Any, number: int) -> list[float]:
     """Return the middle of a face's ranges of parameters."""
     low, high = gmsh.model.getParametrizationBounds(2, number)
     return [0.5 * (a + b) for a, b in zip(low, high, strict=True)]
-
-
-def _radius(gmsh: Any, number: int) -> float:
-    """Return the radius of a cylinder, m: the inverse of its larger principal curvature."""
-    largest, smallest, _, _ = gmsh.model.getPrincipalCurvatures(number, _middle(gmsh, number))
-    return METRES / max(abs(float(largest[0])), abs(float(smallest[0])))
 
 
 def _outward(gmsh: Any, number: int) -> tuple[float, float, float]:

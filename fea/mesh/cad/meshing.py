@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from wrenchbook.fea.mesh.cad.entities import METRES
+from wrenchbook.fea.mesh.face_choice import choose
 from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.io.raw import RawMesh, to_mesh
 from wrenchbook.fea.mesh.mapping import cell_problems
@@ -45,7 +46,7 @@ def mesh_geometry(path: Path, geometry: GeometryMeshing) -> Mesh:
 
     Raises BundleError if the file cannot be read or meshed, or a group or region names nothing.
     """
-    return surface_of_geometry(path, geometry).choose(geometry.groups)
+    return choose(surface_of_geometry(path, geometry), geometry.groups)
 
 
 def surface_of_geometry(path: Path, geometry: GeometryMeshing) -> Surface:
@@ -134,6 +135,7 @@ def _in_child(
             with contextlib.suppress(BrokenPipeError):  # its exit status has the cause
                 request.write(pickle.dumps((path, geometry, optimise)))
             output, errors = process.communicate()
+
     if process.returncode:
         lines = errors.decode(errors="replace").split("\n")
         why = next((line.strip() for line in reversed(lines) if line.strip()), "no message")

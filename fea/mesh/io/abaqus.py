@@ -61,7 +61,6 @@ _REFUSED = {
 }
 """Keywords that generate nodes or elements, and the keyword that lists these instead."""
 
-
 # Members of all sets together, with repetitions: several for each node of the largest solved mesh.
 _MAX_MEMBERS = 20_000_000
 
@@ -170,9 +169,11 @@ def _take_nodes(deck: Deck, keyword: Keyword) -> None:
         if deck.nodes.setdefault(label, point) != point:
             here = ", ".join(f"{x:g}" for x in point)
             there = ", ".join(f"{x:g}" for x in deck.nodes[label])
+            index = list(deck.nodes).index(label)
+            line = [line for first, line in deck.node_lines if first <= index][-1]
             raise MeshFileError(
-                f"has node {row[0]} at ({here}), but the *NODE of line {_line_of(deck, label)} has "
-                f"it at ({there}); give one of the two another number"
+                f"has node {row[0]} at ({here}), but the *NODE of line {line} has it at ({there}); "
+                "give one of the two another number"
             )
         labels.append(label)
     if "NSET" in keyword.options:
@@ -188,13 +189,6 @@ def _coordinates(row: list[str]) -> list[float]:
         at = ", ".join(texts)
         raise MeshFileError(f"has node {row[0]} at ({at}); write three numbers") from None
     return coordinates + [0.0] * (3 - len(coordinates))
-
-
-def _line_of(deck: Deck, label: int) -> str:
-    """Return the line of the *NODE that has a node."""
-    index = list(deck.nodes).index(label)
-    lines = [line for first, line in deck.node_lines if first <= index]
-    return lines[-1]
 
 
 def _take_system(deck: Deck, keyword: Keyword) -> None:
@@ -260,18 +254,13 @@ def _element_rows(keyword: Keyword, kind: str) -> list[list[int]]:
 
 def kind_of(name: str) -> str | None:
     """Return the kind of cell or facet of an element type; None for masses and springs."""
-    solid = _SOLID.fullmatch(name)
-    if solid:
-        nodes = solid[1]
-        if nodes not in _SOLIDS:
+    if solid := _SOLID.fullmatch(name):
+        if solid[1] not in _SOLIDS:
             raise MeshFileError(
                 f"has type {name}, which is not supported; mesh with C3D{', C3D'.join(_SOLIDS)}"
             )
-        return _SOLIDS[nodes]
-    for kind, pattern in _FLAT.items():
-        if pattern.fullmatch(name):
-            return kind
-    return None
+        return _SOLIDS[solid[1]]
+    return next((kind for kind, pattern in _FLAT.items() if pattern.fullmatch(name)), None)
 
 
 def _take_set(deck: Deck, keyword: Keyword) -> None:
@@ -303,6 +292,7 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
                 f'names the instance "{instance}" (instances above: {known}); correct the name'
             )
         frame = deck.frames[instance.upper()]
+
     for row in keyword.rows:
         fields = [text for text in row if text]
         if "GENERATE" in keyword.options:
@@ -315,7 +305,7 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
             step = numbers[2] if len(numbers) > 2 else 1
             offset = frame.number * STRIDE
             generated = range(numbers[0] + offset, numbers[1] + 1 + offset, step)
-            _require_at_most(len(generated))
+            _require_at_most(len(members) + len(generated))
             members += generated
         else:
             for name in fields:
@@ -444,12 +434,12 @@ def raw_mesh(deck: Deck) -> RawMesh:
         ]
     except KeyError as error:
         label = int(str(error))
-        users = [e for e, (block, i) in deck.where.items() if label in deck.cells[block][i]]
-        element = users[0]
+        element = next(e for e, (b, i) in deck.where.items() if label in deck.cells[b][i])
         raise MeshFileError(
             f"has element {element % STRIDE} on node {label % STRIDE}, which no *NODE defines; "
             "add this node, or correct the element"
         ) from None
+
     regions = set_names(deck, deck.element_sets)
     groups = set_names(deck, deck.node_sets)
     faces = set_names(deck, deck.surfaces)
@@ -470,10 +460,7 @@ def raw_mesh(deck: Deck) -> RawMesh:
 
 
 def _by_block(deck: Deck, ids: list[int]) -> list[Array]:
-    """Return for each block the rows of the elements `ids`.
-
-    Unknown elements are skipped, as in solvers.
-    """
+    """Return for each block the rows of the elements `ids`; unknown ones are skipped."""
     chosen: list[list[int]] = [[] for _ in deck.kinds]
     for element in ids:
         if element in deck.where:

@@ -86,7 +86,6 @@ _MISSING = {
     "TEMPERATURE": "is not imported; write [inputs.temperature]",
 }
 
-
 _PARTLY = (
     "couples only some directions, but all three are coupled here; couple 1 to 3, or fix all "
     "freedoms of its point to make the group a support"
@@ -160,10 +159,7 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
 
 
 def _cases(reader: Reader, deck: Deck) -> list[LoadCase]:
-    """Return a case of each step, with its supports and loads.
-
-    Groups are keys of the deck's sets.
-    """
+    """Return a case of each step; groups of supports and loads are keys of the deck's sets."""
     # Of sets with the same nodes the first gives the name.
     reader.sets = {frozenset(labels): key for key, labels in reversed(deck.node_sets.items())}
     couplings = couplings_of(reader, deck)
@@ -497,6 +493,7 @@ def _take_step(reader: Reader, _: Deck, keyword: Keyword) -> None:
             keyword,
             "lacks the supports of the perturbation before; check them (CalculiX keeps them)",
         )
+
     if kind == "load case":
         base.name = ""
     name = keyword.options.get("NAME") or f"step {len(reader.steps)}"
@@ -515,7 +512,6 @@ _CONSTANTS = {
     "EXPANSION": ("thermal_expansion",),
     "PLASTIC": ("yield_strength",),
 }
-
 
 _TAKERS: dict[str, Callable[[Reader, Deck, Keyword], None]] = {
     "ELEMENT": _take_elements,

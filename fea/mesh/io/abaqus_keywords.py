@@ -96,6 +96,7 @@ def read_keywords(text: DeckText) -> Iterator[Keyword]:
     if not re.search(r"^\s*\*INSTANCE\b", text, re.I | re.M):
         yield from _without_instances(text)
         return
+
     parts: dict[str, list[Keyword]] = {}
     lines: dict[str, str] = {}  # lines of each part
     frame = Frame()

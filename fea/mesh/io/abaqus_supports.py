@@ -9,7 +9,8 @@ from wrenchbook.fea.mesh.deck_content import CoupledGroup, HeldGroup
 from wrenchbook.fea.mesh.facets import FACES
 from wrenchbook.fea.mesh.io.abaqus import SOLID_FACES, Deck
 from wrenchbook.fea.mesh.io.abaqus_keywords import STRIDE
-from wrenchbook.fea.mesh.io.reader import Motions, Reader
+from wrenchbook.fea.mesh.io.reader import Coupling, Motions, Reader
+from wrenchbook.fea.spec.problems import MeshFileError
 
 GLOBAL: tuple[float, ...] = ()  # the global axes
 
@@ -88,42 +89,51 @@ def couplings_of(reader: Reader, deck: Deck) -> list[CoupledGroup]:
     """Return the couplings with usable reference nodes, and store these nodes in the reader."""
     couplings: list[CoupledGroup] = []
     for coupled in reader.couplings:
-        label = (coupled.ref or 0) % STRIDE
-        if coupled.ref is not None and coupled.ref not in deck.nodes:
-            reader.lack(coupled.keyword, f"has the reference node {label}, not defined; add it")
+        try:
+            group = _coupled_group(reader, deck, coupled)
+        except MeshFileError as error:
+            reader.lack(coupled.keyword, str(error))
             continue
-        if coupled.ref in reader.points:
-            message = f"has the reference node {label} of another coupling; merge the two"
-            reader.lack(coupled.keyword, message)
-            continue
-        key = coupled.key
-        point = () if coupled.ref is None else tuple(deck.nodes[coupled.ref])
-        if point and math.isfinite(coupled.radius):
-            labels = [n for n in _nodes_of(deck, key) if n in deck.nodes]
-            near = [n for n in labels if math.dist(deck.nodes[n], point) <= coupled.radius]
-            if not near:
-                reader.lack(
-                    coupled.keyword,
-                    f"has no node within INFLUENCE RADIUS={coupled.radius:g} of its reference "
-                    f"node {label}; write a larger radius",
-                )
-                continue
-            weights = deck.weights.get(key, {})
-            key = set_of(reader, deck, near, f"{deck.names[key]}_within_{coupled.radius:g}")
-            if weights:
-                deck.weights[key] = Counter({n: weights[n] for n in near if n in weights})
-        group = CoupledGroup(coupled.keyword.where, key, coupled.kind, point)
-        group.weighted = coupled.kind == "distributed" and key in deck.weights
-        group.directions = coupled.directions
-        if coupled.directions != "xyz":
-            is_turned = not reader.turned.keys().isdisjoint(_nodes_of(deck, key))
-            if is_turned or "ORIENTATION" in coupled.keyword.options:
-                group.directions = ""  # along other axes than the mesh's
-        number = len(couplings)
         first_freedoms = ((coupled.ref, 0), (coupled.rot, 3))
+        number = len(couplings)
         reader.points |= {n: (number, first) for n, first in first_freedoms if n is not None}
         couplings.append(group)
     return couplings
+
+
+def _coupled_group(reader: Reader, deck: Deck, coupled: Coupling) -> CoupledGroup:
+    """Return a coupling with its nodes.
+
+    Raises MeshFileError if its reference node cannot be used, or has no node within its radius.
+    """
+    label = (coupled.ref or 0) % STRIDE
+    if coupled.ref is not None and coupled.ref not in deck.nodes:
+        raise MeshFileError(f"has the reference node {label}, not defined; add it")
+    if coupled.ref in reader.points:
+        raise MeshFileError(f"has the reference node {label} of another coupling; merge the two")
+    key = coupled.key
+    point = () if coupled.ref is None else tuple(deck.nodes[coupled.ref])
+    if point and math.isfinite(coupled.radius):
+        labels = [n for n in _nodes_of(deck, key) if n in deck.nodes]
+        near = [n for n in labels if math.dist(deck.nodes[n], point) <= coupled.radius]
+        if not near:
+            raise MeshFileError(
+                f"has no node within INFLUENCE RADIUS={coupled.radius:g} of its reference node "
+                f"{label}; write a larger radius"
+            )
+        weights = deck.weights.get(key, {})
+        key = set_of(reader, deck, near, f"{deck.names[key]}_within_{coupled.radius:g}")
+        if weights:
+            deck.weights[key] = Counter({n: weights[n] for n in near if n in weights})
+
+    group = CoupledGroup(coupled.keyword.where, key, coupled.kind, point)
+    group.weighted = coupled.kind == "distributed" and key in deck.weights
+    group.directions = coupled.directions
+    if coupled.directions != "xyz":
+        is_turned = not reader.turned.keys().isdisjoint(_nodes_of(deck, key))
+        if is_turned or "ORIENTATION" in coupled.keyword.options:
+            group.directions = ""  # along other axes than the mesh's
+    return group
 
 
 def _nodes_of(deck: Deck, key: str) -> list[int]:

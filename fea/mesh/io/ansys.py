@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from wrenchbook.fea.mesh.io.abaqus_keywords import real, whole
-from wrenchbook.fea.mesh.io.raw import Case, Translated
+from wrenchbook.fea.mesh.io.translated import Case, Translated
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL
 from wrenchbook.fea.spec.problems import MeshFileError
 
@@ -63,6 +63,7 @@ class _Archive(Translated):
         return self.types[number]
 
     def end_step(self, name: str) -> None:
+        """Add a load case of the supports and forces in effect."""
         held = [f"{node}, {way}" for node, way in self.held]
         loads = [f"{node}, {way}, {value}" for (node, way), value in self.forces.items()]
         self.cases.append(Case(name, held, loads))
@@ -112,8 +113,9 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
         archive.parameters[fields[0]] = "".join(values[1:2])
     elif word == "ET":  # ET,ITYPE,Ename,KOP1,KOP2,...
         archive.types[values[0]] = _Type(re.sub(r"\D", "", values[1]), values[3:4] == ["1"])
-    elif word.startswith("KEYOP") and values[1:3] == ["2", "1"]:  # KEYOPT,ITYPE,KNUM,VALUE
-        archive.types[values[0]] = archive.type_of(values[0])._replace(is_full=True)
+    elif word.startswith("KEYOP") and values[1:2] == ["2"]:  # KEYOPT,ITYPE,KNUM,VALUE
+        is_full = values[2:3] == ["1"]
+        archive.types[values[0]] = archive.type_of(values[0])._replace(is_full=is_full)
     elif word in ("MP", "MPDATA"):
         _take_constant(archive, word, values)
     elif word in ("D", "F", "DDELE", "FDELE"):
@@ -140,11 +142,13 @@ def _take_control(archive: _Archive, word: str, fields: list[str]) -> None:
         archive.skipped[word] += 1
 
 
-# NBLOCK,NUMFIELD,Solkey,NDMAX,NDSEL; a format such as (3i9,6e21.13e3); rows of number, two fields
-# of the geometry, x, y, z and three angles, zeros at the end left out; -1 or N,R5.3,LOC,-1
 def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
-    layout = re.findall(r"(\d+)[iI](\d+),\d+[eE](\d+)", next(rows))[0]
-    n_integers, width, size = int(layout[0]), int(layout[1]), int(layout[2])
+    """Read NBLOCK,NUMFIELD,Solkey,NDMAX,NDSEL: a format such as (3i9,6e21.13e3) and rows.
+
+    A row has number, two fields of the geometry, x, y, z and three angles, zeros at the end left
+    out. The last is -1 or N,R5.3,LOC,-1.
+    """
+    n_integers, width, size = map(int, re.findall(r"(\d+)[iI](\d+),\d+[eE](\d+)", next(rows))[0])
     start = n_integers * width
     for row in rows:
         if not row[:width].strip().isdigit():
@@ -156,9 +160,11 @@ def _take_nodes(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
             archive.skipped["nodes with local axes"] += 1
 
 
-# ETBLOCK,NUM,MAX; a format such as (2i9,19a9); rows of ITYPE, Ename, KOP1, KOP2, ...; -1
 def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
-    """Read element types with their options, in newer archives."""
+    """Read ETBLOCK,NUM,MAX of newer archives: a format such as (2i9,19a9) and rows, the last -1.
+
+    A row has ITYPE, Ename, KOP1, KOP2, ...
+    """
     widths = re.findall(r"i(\d+),\d+a(\d+)", next(rows).lower())[0]
     for row in rows:
         number, *fields = _fixed(row, int(widths[0]))
@@ -167,9 +173,11 @@ def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
         archive.types[number] = _Type(fields[0], fields[2:3] == ["1"])
 
 
-# EBLOCK,19,SOLID,MAX,NUM; a format such as (19i8); rows of eleven fields, among them the named, and
-# up to eight nodes, further nodes in a second row; -1
 def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
+    """Read EBLOCK,19,SOLID,MAX,NUM: a format such as (19i8) and rows, the last -1.
+
+    A row has eleven fields, see `_MATERIAL`, and up to eight nodes, further ones in a second row.
+    """
     if fields[:2] != ["19", "SOLID"]:
         form = ",".join(fields[:2])
         raise MeshFileError(f'has "{form}", not 19,SOLID; write the archive by CDWRITE,DB')
@@ -224,14 +232,16 @@ def _without_repeated(nodes: list[str]) -> list[str]:
     return [nodes[i] for i in indices if i < len(nodes)]
 
 
-# CMBLOCK,Cname,Entity,NUMITEMS; a format such as (8i10); rows of numbers, a negative ends a range
 def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
+    """Read CMBLOCK,Cname,Entity,NUMITEMS: a format such as (8i10) and rows of numbers.
+
+    A negative number ends a range.
+    """
+    name, entity, count = fields[:3]
     width = int(re.findall(r"[iI](\d+)", next(rows))[0])
-    count = int(fields[2])
     numbers: list[int] = []
-    while len(numbers) < count:
+    while len(numbers) < int(count):
         numbers += map(int, _fixed(next(rows), width))
-    name, entity = fields[0], fields[1]
     if not entity.startswith("NODE"):
         archive.skipped[f"component {name} of elements"] += 1
         return
@@ -241,8 +251,8 @@ def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -
         members += map(str, range(first, abs(number) + 1))
 
 
-# MP,Lab,MAT,C0,C1,... and MPDATA,R5.0,LENGTH,Lab,MAT,STLOC,VAL1,..., STLOC the position of VAL1
 def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
+    """Read MP,Lab,MAT,C0,C1,... or MPDATA,R5.0,LENGTH,Lab,MAT,STLOC,VAL1,..., VAL1 at STLOC."""
     position = "1"
     if word == "MPDATA":
         position = fields[4]
@@ -273,10 +283,12 @@ def _nodes_of(archive: _Archive, name: str, last: str, step: str) -> list[str]:
     return nodes
 
 
-# D,NODE,Lab,VALUE,VALUE2,NEND,NINC,Lab2,...,Lab6 and F,NODE,Lab,VALUE,VALUE2,NEND,NINC
-# DDELE,NODE,Lab,NEND,NINC and FDELE,NODE,Lab,NEND,NINC
 def _take_on_nodes(archive: _Archive, word: str, fields: list[str]) -> None:
-    """Set or remove (DDELE, FDELE) a support or load of a node, of a range, or of a group."""
+    """Set or remove (DDELE, FDELE) a support or load of a node, of a range, or of a group.
+
+    D,NODE,Lab,VALUE,VALUE2,NEND,NINC,Lab2,...,Lab6 and F,NODE,Lab,VALUE,VALUE2,NEND,NINC;
+    DDELE,NODE,Lab,NEND,NINC and FDELE,NODE,Lab,NEND,NINC.
+    """
     if archive.n_branches:
         raise MeshFileError("is inside *IF; write the lines that apply, without the condition")
     node, label, *values = (*fields, *[""] * 9)

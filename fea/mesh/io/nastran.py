@@ -17,7 +17,8 @@ import numpy as np
 
 from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes
 from wrenchbook.fea.mesh.io.abaqus_keywords import whole
-from wrenchbook.fea.mesh.io.raw import Case, Translated
+from wrenchbook.fea.mesh.io.nastran_cards import node_numbers, read_cards, real
+from wrenchbook.fea.mesh.io.translated import Case, Translated
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError
 
@@ -36,7 +37,6 @@ _ORDER = {
 }
 _QUIET = {"PARAM", "END BULK", "MPCADD"}  # cards without content, which no message lists
 _SYSTEMS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
-_EXPONENT = re.compile(r"(?<=[\d.])([+-]\d+)$")
 _MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
 _ALONG = 1e-6  # part of a length: decks write coordinates with 7 digits
 _FIRST_SPRING = 10**9  # number of the first element of springs: Nastran's own end at 1e8
@@ -46,14 +46,6 @@ _SELECTION = re.compile(r"(SPC|LOAD)\b\s*(?:\([^)]*\))?\s*=?\s*(\w+)")
 _BASIC = ("", "0")  # numbers of the basic coordinate system
 _CD = 5  # field of a GRID: number of the coordinate system of the node's freedoms
 _MAT9_FIELDS = 29  # number, 21 constants, density, six expansions
-
-
-class _Card(NamedTuple):
-    """A card with its continuations."""
-
-    line: int  # its first line, from 1
-    name: str
-    fields: list[str]  # without the name
 
 
 class _System(NamedTuple):
@@ -130,7 +122,7 @@ class _Bulk(Translated):
             if name[4] == "1":
                 points = np.array([self.point(self.grid(node)) for node in fields[1:4]])
             else:
-                numbers = np.array([_real(text) for text in fields[2:11]]).reshape(3, 3)
+                numbers = np.array([real(text) for text in fields[2:11]]).reshape(3, 3)
                 points = np.array([self.in_basic_axes(fields[1], point) for point in numbers])
             z, x, y = axes_through(*points)  # its second point is on z, its third in xz
         except MeshFileError as error:  # the current card names the system
@@ -148,7 +140,7 @@ class _Bulk(Translated):
 
     def point(self, fields: list[str]) -> Array:
         """Return the position of the node of a GRID, in basic axes, shape (3,)."""
-        return self.in_basic_axes(fields[1], np.array([_real(text) for text in fields[2:5]]))
+        return self.in_basic_axes(fields[1], np.array([real(text) for text in fields[2:5]]))
 
     def grid(self, node: str) -> list[str]:
         """Return the fields of a node's GRID.
@@ -166,12 +158,12 @@ class _Bulk(Translated):
         """
         _, fields = self.springs[number]
         if name == "CELAS2":  # has its own stiffness
-            return [_real(fields[1])]
+            return [real(fields[1])]
         kind = "PBUSH" if name == "CBUSH" else "PELAS"
         key = fields[1] or number
         if kind + key not in self.springs:
             raise MeshFileError(f"needs {kind} {key}, which no card defines")
-        return [_real(text) for text in self.springs[kind + key][1]]
+        return [real(text) for text in self.springs[kind + key][1]]
 
     def oriented(self, name: str, axes: Array, kind: str = "R") -> str:
         """Add an orientation unless it is the basic one; return the option that names it."""
@@ -209,9 +201,10 @@ def read_nastran(text: DeckText) -> Translated:
     data = _Bulk(nonlinear=_NONLINEAR.search(control) is not None)
     factor = _MASS_FACTOR.search(text)
     if factor is not None:
-        data.mass_factor = _real(factor[1])
+        data.mass_factor = real(factor[1])
+
     lines_before = text.count("\n") - bulk.count("\n")
-    cards = list(_cards(bulk.splitlines(), text, lines_before))
+    cards = list(read_cards(bulk.splitlines(), text, lines_before))
     for card in cards:  # nodes may come after cards that refer to them
         data.index(card.name, card.fields)
     for number, name, fields in cards:
@@ -297,10 +290,7 @@ def _axes_text(axes: Array) -> str:
 
 
 def _selections(data: _Bulk, control: str) -> dict[str, dict[str, str]]:
-    """Return by subcase the number of its set of each kind.
-
-    Each set is a case if none is selected.
-    """
+    """Return by subcase the number of its set of each kind; without any, each set is a case."""
     common: dict[str, str] = {}
     current = common
     cases: dict[str, dict[str, str]] = {}
@@ -315,6 +305,7 @@ def _selections(data: _Bulk, control: str) -> dict[str, dict[str, str]]:
                 data.skipped[f"{case[1]}, a combination of subcases"] += 1
         elif selection is not None:
             current[selection[1]] = selection[2] if selection[2].isdigit() else ""
+
     cases = cases or {"": common}
     for kind in ("SPC", "LOAD"):
         parts = {part for key in data.sums if key[0] == kind for _, part in data.sums[key]}
@@ -331,63 +322,6 @@ def _selections(data: _Bulk, control: str) -> dict[str, dict[str, str]]:
     return cases
 
 
-def _cards(lines: list[str], text: DeckText, skipped: int) -> Iterator[_Card]:
-    """Yield each card with its continuations joined.
-
-    skipped: number of lines of the file before the first.
-    """
-    card: _Card | None = None
-    for number, line in enumerate(lines, start=skipped + 1):
-        line = line.partition("$")[0].expandtabs().rstrip()
-        if not line:
-            continue
-        head, fields, count = _split(line)
-        if head.upper() == "ENDDATA":
-            break
-        if any(fields[count + 1 :]):
-            extra = [field for field in fields[count:] if field]
-            raise MeshFileError(
-                f"line {text.place(number)}: {head} has more than {count} fields; continue with "
-                f'"{extra[0]}" on a new line'
-            )
-        fields = (fields + [""] * count)[:count]
-        if card is not None and head[:1] in ("", "+", "*"):
-            card.fields.extend(fields)
-            continue
-        if card is not None:
-            yield card
-        card = _Card(number, head.rstrip("*").upper(), fields)
-    if card is not None:
-        yield card
-
-
-class _Line(NamedTuple):
-    """A line of a card, cut into fields."""
-
-    head: str
-    fields: list[str]
-    n_fields: int  # of the format: 8, or 4 wide ones
-
-
-def _split(line: str) -> _Line:
-    """Cut a line at its commas, or at fixed columns."""
-    head, *fields = [text.strip() for text in line.split(",")]
-    count = 4 if line[:1] == "*" or head[:8].rstrip().endswith("*") else 8
-    if "," not in line:
-        head = line[:8].strip()
-        width = 64 // count
-        fields = [line[8 + width * i : 8 + width * (i + 1)].strip() for i in range(count)]
-    return _Line(head, fields, count)
-
-
-def _real(field: str) -> float:
-    """Return a number, whose exponent may have no letter: 2.1+5."""
-    try:
-        return float(_EXPONENT.sub(r"e\1", field.upper().replace("D", "E") or "0"))
-    except ValueError:
-        raise MeshFileError(f'has "{field}" where a number must be; write a number') from None
-
-
 def _read_grid(data: _Bulk, _: str, fields: list[str]) -> None:
     """Read a node: its position, and its supports."""
     coordinates = ", ".join(f"{x:.12g}" for x in data.point(fields).tolist())
@@ -399,7 +333,7 @@ def _read_grid(data: _Bulk, _: str, fields: list[str]) -> None:
 def _hold(data: _Bulk, key: tuple[str, str], node: str, freedoms: str, value: str = "") -> None:
     """Add the freedoms of a node, such as "123", to a set; a row may have no node."""
     held = sorted(set(freedoms) & set("123456")) if node else ()
-    data.sets[key] += [_Entry(node, freedom, _real(value)) for freedom in held]
+    data.sets[key] += [_Entry(node, freedom, real(value)) for freedom in held]
 
 
 def _read_cell(data: _Bulk, name: str, fields: list[str]) -> None:
@@ -424,24 +358,22 @@ def _read_cell(data: _Bulk, name: str, fields: list[str]) -> None:
 
 def _read_mat1(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read an isotropic material; the third of E, G and nu follows from the other two."""
-    young, shear, ratio = _real(fields[1]), _real(fields[2]), _real(fields[3])
+    young, shear, ratio = real(fields[1]), real(fields[2]), real(fields[3])
     if not fields[1]:
         young = 2 * shear * (1 + ratio)
     elif not fields[3] and shear:
         ratio = young / (2 * shear) - 1
     constants = data.constants[f"MAT_{fields[0]}"]
     constants["ELASTIC"] = f"{young:.9g}, {ratio:.9g}"
-    further = {"DENSITY": _real(fields[4]) * data.mass_factor, "EXPANSION": _real(fields[5])}
+    further = {"DENSITY": real(fields[4]) * data.mass_factor, "EXPANSION": real(fields[5])}
     constants |= {word: f"{value:.9g}" for word, value in further.items() if value}
 
 
 def _read_mat9(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read a material of nine constants; its shears are xy, yz, zx."""
     padded = [*fields, *[""] * _MAT9_FIELDS]
-    values = [_real(text) for text in padded[:_MAT9_FIELDS]]
-    constants = values[1:22]
-    density = values[22]
-    expansion = values[23:]
+    values = [real(text) for text in padded[:_MAT9_FIELDS]]
+    constants, density, expansion = values[1:22], values[22], values[23:]
     stiffness = np.zeros((6, 6))
     stiffness[np.triu_indices(6)] = constants
     if np.triu(stiffness, 1)[:, 3:].any():
@@ -471,31 +403,11 @@ def _read_psolid(data: _Bulk, name: str, fields: list[str]) -> None:
         data.skipped["CORDM of PSOLID of an element or a sphere, which counts for MAT9"] += 1
 
 
-def _node_numbers(fields: list[str]) -> list[str]:
-    """Return the numbers of a list, which may have first THRU last BY step."""
-    fields = [text.upper() for text in fields if text]
-    numbers: list[str] = []
-    try:
-        while fields:
-            if fields[1:2] == ["THRU"]:
-                has_step = fields[3:4] == ["BY"]
-                step = int(fields[4]) if has_step else 1
-                numbers += map(str, range(int(fields[0]), int(fields[2]) + 1, step))
-                fields = fields[5 if has_step else 3 :]
-            else:
-                numbers.append(str(int(fields[0])))
-                fields = fields[1:]
-    except (ValueError, IndexError):
-        message = f'lists "{", ".join(fields[:5])}"; write numbers, or first, THRU, last, BY, step'
-        raise MeshFileError(message) from None
-    return numbers
-
-
 def _read_spc(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read SPC, two nodes with their freedoms and motions, or SPC1, a list of nodes."""
     rows = [fields[1:4], fields[4:7]]
     if name == "SPC1":
-        rows = [[node, fields[1], ""] for node in _node_numbers(fields[2:])]
+        rows = [[node, fields[1], ""] for node in node_numbers(fields[2:])]
     for row in rows:
         _hold(data, ("SPC", fields[0]), *row)
 
@@ -506,13 +418,13 @@ def _read_sum(data: _Bulk, name: str, fields: list[str]) -> None:
         parts = [(1.0, part) for part in fields[1:] if part]
     else:
         pairs = zip(fields[2::2], fields[3::2], strict=False)
-        parts = [(_real(fields[1]) * _real(factor), part) for factor, part in pairs if part]
+        parts = [(real(fields[1]) * real(factor), part) for factor, part in pairs if part]
     data.sums[name.removesuffix("ADD"), fields[0]] = parts
 
 
 def _read_rbe2(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read a rigid element as a kinematic coupling, without its thermal expansion."""
-    nodes = _node_numbers([text for text in fields[3:] if "." not in text])
+    nodes = node_numbers([text for text in fields[3:] if "." not in text])
     freedoms = sorted(set("123") & set(fields[2]))
     turned = {data.grids[node][_CD] for node in nodes if node in data.grids}
     if not freedoms or (len(freedoms) < 3 and not turned <= {*_BASIC}):
@@ -538,8 +450,8 @@ def _read_rbe3(data: _Bulk, name: str, fields: list[str]) -> None:
         data.skipped[f"{name} of whose point {fields[3]} alone follow: here all freedoms do"] += 1
     weights = defaultdict[str, float](float)
     for i, end in zip(starts, [*starts[1:], len(fields)], strict=True):
-        for node in _node_numbers(fields[i + 2 : end]):
-            weights[node] += _real(fields[i])
+        for node in node_numbers(fields[i + 2 : end]):
+            weights[node] += real(fields[i])
     data.tie(f"{name}_{fields[0]}", [*weights], fields[2], "DISTRIBUTING", weights.values())
 
 
@@ -586,6 +498,7 @@ def _add_springs(data: _Bulk) -> None:
                 data.couplings += [", ".join([str(next(elements)), *nodes])]
                 data.couplings += [f"*SPRING, ELSET={element}{option}"]
                 data.couplings += [", ".join(str(end.freedom + i) for end in ends), f"{size:.12g}"]
+
     for (name, why), numbers in refused.items():
         number = f"{numbers[0]} and others" if len(numbers) > 1 else numbers[0]
         note = f"{name} {number} (it {why}): write [[supports.bushing]] or [[spring]]"
@@ -629,11 +542,8 @@ def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[flo
 
 def _read_load(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read a FORCE on the freedoms 1 to 3 of a node, or a MOMENT on 4 to 6, in basic axes."""
-    number = fields[0]
-    node = fields[1]
-    system = fields[2]
-    size = _real(fields[3])
-    load = np.array([size * _real(text) for text in fields[4:7]]) @ data.axes_at(system, node)
+    number, node, system, size = fields[:4]
+    load = np.array([real(size) * real(text) for text in fields[4:7]]) @ data.axes_at(system, node)
     for freedom, value in enumerate(load.tolist(), 1 if name == "FORCE" else 4):
         data.sets["LOAD", number].append(_Entry(node, str(freedom), value))
 

@@ -1,17 +1,14 @@
-"""Content of a mesh file before its conversion to a `fea.mesh.mesh.Mesh`, or to an Abaqus deck."""
+"""Content of a mesh file, and its conversion to a `fea.mesh.mesh.Mesh`."""
 
 from __future__ import annotations
 
-import itertools
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
 from wrenchbook.fea.mesh.dependents import CircularError, Dependents
-from wrenchbook.fea.mesh.facets import EDGES, FaceFinder
+from wrenchbook.fea.mesh.facets import FaceFinder
 from wrenchbook.fea.mesh.mapping import right_way_round
 from wrenchbook.fea.mesh.mesh import (
     NODES_PER_CELL,
@@ -56,7 +53,6 @@ class RawMesh:
 def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     """Return the mesh: scaled, one block for each kind, without points that no cell uses.
 
-    raw: content of the file.
     metres: the file's length unit in metres.
 
     Raises MeshFileError if there are no solid cells, some of an unsupported kind, references to
@@ -72,6 +68,7 @@ def to_mesh(raw: RawMesh, metres: float) -> Mesh:
     kinds = list(dict.fromkeys(kind for kind, _ in solids))
     cells = {k: number[np.concatenate([b for kind, b in raw.blocks if kind == k])] for k in kinds}
     unique = {kind: _without_twins(nodes) for kind, nodes in cells.items()}
+
     points = raw.points[used] * metres
     blocks = tuple(
         right_way_round(points, CellBlock(kind, cells[kind][kept_rows]))
@@ -220,160 +217,3 @@ def _node_groups(raw: RawMesh, number: Array) -> dict[str, Array]:
     used = {name: np.unique(number[nodes]) for name, nodes in groups.items()}
     used = {name: nodes[nodes >= 0] for name, nodes in used.items()}
     return {name: nodes for name, nodes in used.items() if len(nodes)}
-
-
-@dataclass
-class Case:
-    """A load case: rows of ``*BOUNDARY`` and of ``*CLOAD``."""
-
-    name: str = ""
-    held: list[str] = field(default_factory=list)
-    loads: list[str] = field(default_factory=list)
-
-
-@dataclass
-class Translated:
-    """A deck under construction; all entries are text of the deck."""
-
-    nodes: list[str] = field(default_factory=list)  # rows of *NODE
-    # By type and region, numbers of element and nodes; a midside node may be "0".
-    elements: dict[tuple[str, str], list[list[str]]] = field(
-        default_factory=lambda: defaultdict(list)
-    )
-    # Row of each keyword, by material
-    constants: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
-    sections: dict[str, str] = field(default_factory=dict)  # material by region
-    # Groups of nodes.
-    groups: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
-    # Nodes by the row of their *TRANSFORM
-    transforms: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
-    couplings: list[str] = field(default_factory=list)  # lines of couplings and springs
-    cases: list[Case] = field(default_factory=list)  # each a step
-    skipped: Counter[str] = field(default_factory=Counter)  # contents that are not in the deck
-    decide: list[str] = field(default_factory=list)  # values that the file leaves undecided
-    nonlinear: bool = False
-
-    def _set_middles(self) -> None:
-        """Replace each midside node "0" by another cell's, or by a new one in its edge's middle.
-
-        A new node is grouped, rotated and held as both ends of its edge are.
-        """
-        rows = [row for rows in self.elements.values() for row in rows]
-        if not any("0" in row for row in rows):
-            return
-        middles, blanks = _midside_nodes(rows)
-        points = dict(row.split(", ", 1) for row in self.nodes)
-        lacking = dict.fromkeys(blank.ends for blank in blanks if blank.ends not in middles)
-        lost = {end for ends in lacking for end in ends} - points.keys()
-        if lost:
-            pairs = [(end, blank.row[0]) for blank in blanks for end in blank.ends & lost]
-            node, number = min(pairs)
-            raise MeshFileError(f"has element {number} on the undefined node {node}; add this node")
-        numbers = itertools.count(max(map(int, points)) + 1)
-        new = {str(next(numbers)): ends for ends in lacking}
-        middles |= {ends: node for node, ends in new.items()}
-        for blank in blanks:
-            blank.row[blank.column] = middles[blank.ends]
-        for node, ends in new.items():
-            at = np.mean([[float(x) for x in points[end].split(",")] for end in ends], axis=0)
-            self.nodes.append(f"{node}, {', '.join(f'{x:.12g}' for x in at.tolist())}")
-        self._extend_to(new)
-        self.decide.append(
-            f"{len(blanks)} midside nodes that cells lack are on straight edges: {len(new)} new, "
-            "in their middle, held as both ends are if these have the same axes"
-        )
-
-    def _extend_to(self, new: Mapping[str, frozenset[str]]) -> None:
-        """Group, rotate and hold new nodes as both ends of their edges are, by the new node."""
-        for nodes in (*self.groups.values(), *self.transforms.values()):
-            members = {*nodes}
-            nodes += [node for node, ends in new.items() if ends <= members]
-        turned = {node: row for row, nodes in self.transforms.items() for node in nodes}
-        alike = {node: ends for node, ends in new.items() if len({*map(turned.get, ends)}) == 1}
-        for case in self.cases:
-            held = {*case.held}
-            case.held = case.held + [
-                f"{node}, {freedom}"
-                for node, ends in alike.items()
-                for freedom in "123456"
-                if held.issuperset(f"{end}, {freedom}" for end in ends)
-            ]
-
-    def lines(self) -> list[str]:
-        """Return the lines of the deck."""
-        self._set_middles()
-        lines = ["*NODE", *self.nodes]
-        for (kind, region), rows in self.elements.items():
-            lines.append(f"*ELEMENT, TYPE={kind}, ELSET={region}")
-            lines += [",\n".join(rows_of(row)) for row in rows]
-        for name, nodes in self.groups.items():
-            lines += [f"*NSET, NSET={name}", *rows_of(nodes)]
-        for name, constants in self.constants.items():
-            lines.append(f"*MATERIAL, NAME={name}")
-            lines += [f"*{word}\n{row}" for word, row in constants.items()]
-        known = {region for _, region in self.elements}
-        pairs = ((region, name) for region, name in self.sections.items() if region in known)
-        lines += [f"*SOLID SECTION, ELSET={region}, MATERIAL={name}" for region, name in pairs]
-        for number, (row, nodes) in enumerate(self.transforms.items(), 1):
-            lines += [f"*NSET, NSET=TURNED_{number}", *rows_of(nodes)]
-            lines += [f"*TRANSFORM, NSET=TURNED_{number}", row]
-        lines += self.couplings
-        before = Case()
-        for case in self.cases or [before]:
-            lines.append(f"*STEP, NAME={case.name}{', NLGEOM' if self.nonlinear else ''}")
-            if case.held != before.held:  # a step keeps earlier supports that it does not change
-                lines += ["*BOUNDARY, OP=NEW", *case.held]
-            if case.loads != before.loads:
-                lines += ["*CLOAD, OP=NEW", *case.loads]
-            lines.append("*END STEP")
-            before = case
-        return [*lines, ""]
-
-    def tie(
-        self, name: str, nodes: list[str], reference: str, kind: str, weights: Iterable[float] = ()
-    ) -> None:
-        """Tie nodes to a reference node ("KINEMATIC"), or the latter to their mean."""
-        self.groups[name] = nodes
-        self.couplings.append(f"*SURFACE, TYPE=NODE, NAME={name}")
-        if not weights:
-            self.couplings.append(name)
-        pairs = zip(nodes, weights, strict=False)
-        self.couplings += [f"{node}, {weight:.12g}" for node, weight in pairs]
-        self.couplings += [
-            f"*COUPLING, CONSTRAINT NAME={name}, SURFACE={name}, REF NODE={reference}"
-        ]
-        self.couplings.append(f"*{kind}")
-
-
-class _Blank(NamedTuple):
-    """A midside node that the row of an element lacks."""
-
-    row: list[str]
-    column: int
-    ends: frozenset[str]  # the nodes of its edge
-
-
-def _midside_nodes(rows: list[list[str]]) -> tuple[dict[frozenset[str], str], list[_Blank]]:
-    """Return the midside node of each edge by its ends, and those that rows lack.
-
-    rows: numbers of each element and of its nodes.
-    """
-    kinds = {count: kind for kind, count in NODES_PER_CELL.items()}
-    middles: dict[frozenset[str], str] = {}
-    blanks: list[_Blank] = []
-    for row in rows:
-        edges = EDGES[kinds[len(row) - 1]]
-        first = int(np.max(edges)) + 2
-        for i, edge in enumerate(edges[: len(row) - first], first):
-            ends = frozenset(row[1 + end] for end in edge)
-            if row[i] != "0":
-                middles[ends] = row[i]
-            else:
-                blanks.append(_Blank(row, i, ends))
-    return middles, blanks
-
-
-def rows_of(texts: Iterable[str]) -> list[str]:
-    """Return rows of ten texts each."""
-    texts = list(texts)
-    return [", ".join(texts[i : i + 10]) for i in range(0, len(texts), 10)]

@@ -79,6 +79,7 @@ def _read_meshio(path: Path) -> RawMesh:
         (MESHIO_KINDS.get(str(block.type), str(block.type)), np.asarray(block.data, dtype=np.int64))
         for block in read.cells
     ]
+
     # gmsh's physical groups; the 2.2 format has them only as numbers of cells.
     tags = read.cell_data.get("gmsh:physical", [])
     names = {(int(tag), int(dim)): name for name, (tag, dim) in read.field_data.items()}
@@ -92,6 +93,7 @@ def _read_meshio(path: Path) -> RawMesh:
     sets = {**groups, **_array_groups(read)}
     sets |= {name: s for name, s in read.cell_sets.items() if not name.startswith("gmsh:")}
     element_sets = {name: [_as_numbers(part) for part in parts] for name, parts in sets.items()}
+
     # Groups by integer point arrays.
     point_groups = {}
     for array, values in read.point_data.items():

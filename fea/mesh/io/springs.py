@@ -66,6 +66,7 @@ def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None
     first = {keyword.where: label for label, (keyword, _) in reversed(remaining.items())}
     for label in first.values():
         _refuse(reader, remaining[label][0], f"element {label % STRIDE} has no *SPRING")
+
     used = Counter(number for ends in joined for number in ends)
     for ends, (keyword, stiffness) in joined.items():
         number = max(ends, key=lambda number: used[number])
@@ -91,10 +92,7 @@ def _held_freedoms(reader: Reader, step: Step) -> dict[int, set[int]]:
 def _labels(
     reader: Reader, deck: Deck, keyword: Keyword, remaining: Mapping[int, object]
 ) -> list[int]:
-    """Return the elements of a *SPRING.
-
-    Raises MeshFileError unless all are among `remaining`.
-    """
+    """Return the elements of a *SPRING; raise MeshFileError unless all are among `remaining`."""
     members = named(deck, deck.element_sets, keyword.option("ELSET"), keyword.frame)
     labels = sorted({*members})
     for label in labels:
@@ -134,6 +132,7 @@ def _spring(
                 raise MeshFileError(f"a rotation node has the freedoms 1 to 3, not {freedom + 1}")
             free.append(number)
             ways.add(freedom + first)
+
     if len(ways) > 1:
         listed = " and ".join(str(way + 1) for way in sorted(ways))
         raise MeshFileError(f"its ends have the freedoms {listed}, but need the same")

@@ -42,11 +42,13 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
         raise _wrong(
             f"equals reference, {reference:g}, everywhere, so it has no effect; correct one"
         )
+
     order = np.lexsort(points.T)
     same = (points[order][1:] == points[order][:-1]).all(axis=1)
     if (rise[order][1:] != rise[order][:-1])[same].any():
         x, y, z = points[order][1:][same][0].tolist()
         raise _wrong(f"has the point ({x:g}, {y:g}, {z:g}) twice, with two temperatures; keep one")
+
     values = rise / largest
     distance, nearest = KDTree(points).query(nodes)
     shape = values[nearest]
@@ -56,31 +58,32 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
             f"its points are {np.median(distance):.3g} m from the part, which is {size:.3g} m "
             "long; write them in m, in the mesh's axes"
         )
+
     between = distance > _SAME * size
     if between.any() and len(points) > 1:
-        # Interpolate linearly in the space, the plane or the line of the points; NaN outside.
-        centre = points.mean(axis=0)
-        _, sizes, axes = np.linalg.svd(points - centre, full_matrices=False)
-        axes = axes[sizes > _SAME * sizes[0]]
-        here = (points - centre) @ axes.T
-        there = (nodes[between] - centre) @ axes.T
-        if len(axes) == 1:
-            order = np.argsort(here[:, 0])
-            inside = np.interp(there[:, 0], here[order, 0], values[order], np.nan, np.nan)
-        else:
-            # Imported here, as it takes 20 ms of a solve's start.
-            from scipy.interpolate import LinearNDInterpolator
-
-            inside = np.asarray(LinearNDInterpolator(here, values)(there))
+        inside = _interpolated(points, values, nodes[between])
         shape[between] = np.where(np.isnan(inside), shape[between], inside)
     return shape
 
 
-def _table(field: Path) -> Array:
-    """Return x, y, z and temperature of each point of a file, (p, 4).
+def _interpolated(points: Array, values: Array, nodes: Array) -> Array:
+    """Interpolate linearly in the space, plane or line of points, to nodes (n, 3); NaN outside."""
+    centre = points.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(points - centre, full_matrices=False)
+    axes = axes[sizes > _SAME * sizes[0]]
+    here = (points - centre) @ axes.T
+    there = (nodes - centre) @ axes.T
+    if len(axes) == 1:
+        order = np.argsort(here[:, 0])
+        return np.interp(there[:, 0], here[order, 0], values[order], np.nan, np.nan)
+    # Imported here, as it takes 20 ms of a solve's start.
+    from scipy.interpolate import LinearNDInterpolator
 
-    Raises BundleError if the file cannot be used.
-    """
+    return np.asarray(LinearNDInterpolator(here, values)(there))
+
+
+def _table(field: Path) -> Array:
+    """Return x, y, z and temperature of each point, (p, 4); raise BundleError for a wrong file."""
     with field.open(encoding="utf-8", errors="replace") as file:
         head = file.readline().strip()
     names = [name.strip().strip('"').lower()[:1] for name in head.split(",")]

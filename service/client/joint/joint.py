@@ -130,10 +130,7 @@ class Joint:
             raise InvalidArgument(f"{self._name}: {error}") from error
 
     def _require_stiffness(self) -> None:
-        """Refuse a table without stiffness.
-
-        Warn of wrenches in its range at which it cannot be inverted.
-        """
+        """Refuse a table without stiffness; warn of wrenches at which it cannot be inverted."""
         packed, at, method = self._packed, self._at, self._method
         free = at[self.free]  # indices of the table's loads and outputs
         sample = packed.sample(self._inputs(np.zeros(self._size)), free)
@@ -143,6 +140,7 @@ class Joint:
         is_nearest_row = (compliances == 0.0).all(axis=(1, 2))  # an answer without a slope
         compliances[rotates_too_far | is_nearest_row] = np.nan
         least, loads = packed.weakest(compliances, packed.load_scale[free])
+
         known = int(np.isfinite(least).sum())
         is_indefinite = least < 0.0
         if not known:
@@ -201,6 +199,7 @@ class Joint:
         return self._last_wrench()
 
     def _last_wrench(self) -> Vector:
+        """Return `wrench`; the joints of a scene know it by the velocity after the step."""
         return np.array(self._reply["wrench"])
 
     @property
@@ -210,10 +209,7 @@ class Joint:
 
     @property
     def error(self) -> Vector:
-        """Error bar of the last step's wrench at its pose, shape (6,), N and N·m.
-
-        NaN if unknown.
-        """
+        """Error bar of the last step's wrench at its pose, (6,), N and N·m; NaN if unknown."""
         return np.array(self._reply["wrench_error"])
 
     @property
@@ -325,6 +321,7 @@ class Joint:
         dt = float(dt) if isinstance(dt, Real) else floats_of("dt", dt, ()).item()
         if not 0.0 < dt < math.inf:
             raise InvalidArgument(f"dt must be a finite number of seconds above 0, not {dt:g} s")
+
         steps = self._steps
         turned = [quaternion(rotation_vector(matrix)) for matrix in rotations]
         steps.poses[0, ..., :3], steps.poses[0, ..., 3:] = p, np.squeeze(turned)
@@ -428,6 +425,7 @@ class Joint:
                 f"rad, so the wrench there is undefined; {self._more_rows()}, or lock the freedom "
                 "that does not move"
             )
+
         if ranges > MAX_RANGES:
             raise JointRangeError(f"{self._name}: {self._excess(ranges)}. {self._remedy}")
         if ranges > 1.0:
@@ -476,10 +474,7 @@ class Joint:
 
 
 def rotation_vector(R: ArrayLike) -> Vector:
-    """Return the rotation vector (3,), rad, of a matrix.
-
-    Raises InvalidArgument for half a turn or more.
-    """
+    """Return the rotation vector (3,), rad, of a matrix; raises InvalidArgument for half a turn."""
     matrix = checked_rotation("R", R)
     sine = 0.5 * np.array(
         [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
@@ -492,10 +487,7 @@ def rotation_vector(R: ArrayLike) -> Vector:
 
 
 def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, ...]:
-    """Return a table's further inputs, by their names, in its order.
-
-    Raises InvalidArgument if an input is unknown, missing or beyond its range.
-    """
+    """Return a table's further inputs, by their names, in its order; raises InvalidArgument."""
     space = table.space
     count = len(table.space.scalars)
     if not isinstance(by_name, Mapping):
@@ -539,6 +531,7 @@ def moving(table: Table, interface: str | None, several: bool = True) -> MovingF
     free = ~table.packed.locked[indices]
     moves = free.any(axis=1)
     names = tuple(np.array(table.space.interfaces)[moves].tolist())
+
     if not names:
         raise InvalidArgument(
             f"{table.name} is rigid, because all its freedoms are locked; weld the bodies instead"
@@ -554,6 +547,7 @@ def moving(table: Table, interface: str | None, several: bool = True) -> MovingF
             f"{table.name} has no interface {interface!r} that moves; set interface to one of: "
             f"{listed}"
         )
+
     if len(names) > 1 and (interface is not None or not several):
         wanted = "springs need" if interface is None else f"interface={interface!r} needs"
         remedy = "" if interface is None else ", or leave out interface for a joint at all"

@@ -105,10 +105,7 @@ class Joints:
 
     @property
     def wrenches(self) -> Vector:
-        """Wrenches of the last step, shape (n, 6), N and N·m.
-
-        See `Joint.wrench`. NaN if there is none.
-        """
+        """Wrenches of the last step, (n, 6), N and N·m, as `Joint.wrench`; NaN if there is none."""
         return np.array(self._steps.replies["wrench"])
 
     @property
@@ -162,18 +159,22 @@ class Joints:
         Raises InvalidArgument if a shape is wrong or the step not above zero.
         """
         steps = self._steps
-        n = len(self)
         arrays = poses, velocities, inverse_masses
-        inputs = [np.asarray(a.detach().cpu() if hasattr(a, "detach") else a) for a in arrays]
+        inputs = [
+            np.asarray(array.detach().cpu() if hasattr(array, "detach") else array)
+            for array in arrays
+        ]
         shapes = tuple(array.shape for array in inputs)
-        each = tuple(a.shape for a in (steps.poses, steps.velocities, steps.inverse_masses))
-        if shapes not in (each, (*each[:2], each[2][1:])):
+        buffers = steps.poses, steps.velocities, steps.inverse_masses
+        expected = tuple(buffer.shape for buffer in buffers)
+        if shapes not in (expected, (*expected[:2], expected[2][1:])):
             raise InvalidArgument(
                 "poses, velocities and inverse_masses of {} joints must have shapes {}, {} and {}, "
-                "not {}, {} and {}".format(n, *each, *shapes)
+                "not {}, {} and {}".format(len(self), *expected, *shapes)
             )
         if not (isinstance(dt, Real) and math.isfinite(dt) and dt > 0):
             raise InvalidArgument(f"dt must be a finite number above 0 s, not {dt!r}")
+
         steps.poses[:], steps.velocities[:], steps.inverse_masses[:] = inputs
         steps.step(dt, self._joint.damping, threads or os.cpu_count() or 1)
         self._check_status()
@@ -184,8 +185,8 @@ class Joints:
         """Store the joints' status, and warn once of each kind."""
         self._codes = status_of(self._joint, self._steps)
         replies = self._steps.replies
-        failed = self.status[self.failed].tolist()
         within = replies["ranges"] <= 1.0
+        failed = self.status[self.failed].tolist()
         if failed and not self._warned:
             self._warned = True
             counts = ", ".join(f"{failed.count(kind)} {kind}" for kind in dict.fromkeys(failed))

@@ -25,7 +25,9 @@ class LinearPart:
     Attributes
     ----------
     component : str
+        Name of the component.
     table_version : int
+        Version of the table that the part was made from.
     freedoms : tuple of str
         The n freedoms that the part does not lock, of ``ux`` to ``rz``.
     stiffness : list of lists
@@ -73,7 +75,8 @@ class LinearPart:
         """
         at, free, _ = moving(table, None, several=False)
         packed = table.packed
-        indices = at[free]
+        indices = at[free]  # of the table's loads and outputs
+
         load = floats_of("wrench", np.zeros(FREEDOMS) if wrench is None else wrench, (FREEDOMS,))
         further = further_inputs(table, inputs or {})
         centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
@@ -86,20 +89,8 @@ class LinearPart:
                 )
         slope = packed.derivative(centre.tolist())[np.ix_(indices, indices)]
         compliance = 0.5 * (slope + slope.T)
-        is_solved = "fea" in packed.meta.get("provenance", {}).get("sources", {"fea": 1})
-        more = f"run wrenchbook fill {table.name} --for-joint" if is_solved else "measure more rows"
-        remedy = f"{more}, or give another load"
-        if not np.isfinite(compliance).all():
-            raise InvalidArgument(
-                f"{table.name} has no stiffness at this load, because its derivative is unknown; "
-                f"{remedy}"
-            )
-        smallest = float(np.linalg.eigvalsh(compliance)[0])
-        if smallest <= 0.0:
-            raise InvalidArgument(
-                f"{table.name} has no stiffness at this load, because its compliance is not "
-                f"positive definite (smallest eigenvalue {smallest:.3g}); {remedy}"
-            )
+        _require_springs(table, compliance)
+
         loads = packed.sample(centre, indices)
         answers = packed.batch(np.vstack([centre, loads]))
         moved = answers.outputs[1:, indices]
@@ -157,3 +148,19 @@ class LinearPart:
             "units": "N, N·m, m, rad, kg",
             "frame": "the undeformed interface frame, about the interface point",
         }
+
+
+def _require_springs(table: Table, compliance: Vector) -> None:
+    """Raise InvalidArgument unless a compliance (n, n), SI, is known and positive definite."""
+    smallest = 0.0
+    cause = "its derivative is unknown"
+    if np.isfinite(compliance).all():
+        smallest = float(np.linalg.eigvalsh(compliance)[0])
+        cause = f"its compliance is not positive definite (smallest eigenvalue {smallest:.3g})"
+    if smallest <= 0.0:
+        is_solved = "fea" in table.packed.meta.get("provenance", {}).get("sources", {"fea": 1})
+        more = f"run wrenchbook fill {table.name} --for-joint" if is_solved else "measure more rows"
+        raise InvalidArgument(
+            f"{table.name} has no stiffness at this load, because {cause}; {more}, or give another "
+            "load"
+        )

@@ -54,9 +54,6 @@ def joints_in_mj_step() -> Iterator[None]:
             errors.append(error)  # an exception in a thread of C++ would end the process
             data.qfrc_applied[:] = np.nan
 
-    # MuJoCo calls the control callback only with actuation; without it the passive callback does
-    # its work.
-    callbacks = pull_scene, partial(pull_scene, passive=True)
     present = [kind for kind in ("control", "passive") if getattr(engine, f"get_mjcb_{kind}")()]
     if present:
         raise JointError(
@@ -64,6 +61,10 @@ def joints_in_mj_step() -> Iterator[None]:
             f"remove it with mujoco.set_mjcb_{present[0]}(None), or call step_joints instead of "
             "mj_step"
         )
+
+    # MuJoCo calls the control callback only with actuation; without it the passive callback does
+    # its work.
+    callbacks = pull_scene, partial(pull_scene, passive=True)
     engine.set_mjcb_control(callbacks[0])
     engine.set_mjcb_passive(callbacks[1])
     try:
@@ -72,6 +73,7 @@ def joints_in_mj_step() -> Iterator[None]:
     finally:
         engine.set_mjcb_control(None)
         engine.set_mjcb_passive(None)
+
     if errors:
         raise errors[0]
     if exchanged:

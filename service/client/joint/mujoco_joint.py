@@ -55,7 +55,9 @@ class MujocoJoint(Joint):
     Parameters
     ----------
     model, data : MjModel, MjData
+        The scene and its state.
     table : Table
+        As of `Joint`.
     base, tip : str
         Names of the two bodies.
     bodies : mapping of str, optional
@@ -111,11 +113,13 @@ class MujocoJoint(Joint):
             )
         super().__init__(table, damping, interface=interface, method=method, inputs=inputs)
         refuse_rk4(model)
+
         self._model = model
         self._data = data
         self._base, self._tips = base, self._bodies(tip, bodies)
         tips = ", ".join(map(repr, self._tips))
         self._name = f"{table.name} at {'tips' if self._several else 'tip'} {tips}"
+
         parent = body_number(model, base)
         for name in self._tips:
             actual = int(model.body_parentid[body_number(model, name)])
@@ -184,6 +188,7 @@ class MujocoJoint(Joint):
                 self._blocks.append(slice(first, first + len(block)))
                 pairs.append([len(self.free) * (first + rows) + first + columns, positions])
             dofs += block.tolist()
+
         self._pairs, self._at_pairs = np.hstack([np.empty((2, 0), dtype=int), *pairs])
         self._dofs: Any = np.array(dofs) if self._several else slice(dofs[0], dofs[-1] + 1)
         self._units = np.eye(self._model.nv)[self._dofs]
@@ -208,6 +213,7 @@ class MujocoJoint(Joint):
                 "data belongs to another model; create it from this model: mujoco.MjData(model)"
             )
         self._use(steps, at)
+
         before = _JOINTS.get(self._data, {})
         self._data = data
         self._pose = None
@@ -224,10 +230,12 @@ class MujocoJoint(Joint):
             (poses[k, to : to + n], qpos[at : at + n]) for k, to, at, n in self._runs
         ]
         self._turned = [(poses[k, 3:], axis, qpos[at : at + 1]) for k, axis, at in self._hinges]
+
         self._velocities = data.qvel
         self._applied = data.qfrc_applied
         self._mass = data.M
         self._base_pose = data.xpos[self._unmoved], data.xquat[self._unmoved]
+
         for start in self._starts:
             before.pop((start, id(self)), None)
             _JOINTS.setdefault(data, WeakValueDictionary())[start, id(self)] = self
@@ -393,10 +401,7 @@ def pull_joints(*joints: MujocoJoint) -> None:
 
 
 def require_scene(joints: Sequence[MujocoJoint]) -> None:
-    """Check that joints are all those of one scene, and its time step is above zero.
-
-    Raises JointError otherwise.
-    """
+    """Raise JointError unless joints are all those of one scene, whose time step is above zero."""
     if not joints:
         raise JointError(
             "step_joints has no joints to step; pass all joints of the scene: step_joints(a, b)"
@@ -408,6 +413,7 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
             "for each MjData, with its own joints"
         )
     refuse_rk4(joints[0]._model)  # the user may have chosen it since
+
     stepped = [start for joint in joints for start in joint._starts]
     of_scene = _by_tip(joints[0]._data)
     if len(set(stepped)) < len(stepped):
@@ -426,6 +432,7 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
             "the complete scene without the others. Call wrenchbook.step_joints(a, b) once instead "
             "of a.step(); b.step() (MujocoJoints: a.step(b))"
         )
+
     if not 0 < (step := joints[0]._scene.timestep) < np.inf:
         raise JointError(
             f"the scene's time step is {step} s; set model.opt.timestep to a finite number above 0"

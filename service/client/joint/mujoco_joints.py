@@ -62,10 +62,7 @@ class MujocoJoints(Joints):
 
     @property
     def wrenches(self) -> np.ndarray:
-        """Wrenches of the last step, shape (n, 6), N and N·m.
-
-        See `Joint.wrench`. NaN if there is none.
-        """
+        """Wrenches of the last step, (n, 6), N and N·m, as `Joint.wrench`; NaN if there is none."""
         return np.array([joint.wrench for joint in self.joints])
 
     def restart(self, which: Any = slice(None)) -> None:
@@ -88,6 +85,7 @@ class MujocoJoints(Joints):
                     f"a step of {len(self)} environments cannot take joints of {len(batch)}; "
                     "create all MujocoJoints of a step with the same list of MjData"
                 )
+
         scenes = list(zip(*(batch.joints for batch in batches), strict=True))
         for joints in scenes:
             require_scene(joints)
@@ -95,6 +93,7 @@ class MujocoJoints(Joints):
         for batch in batches:
             batch._steps.law(self._model.opt.timestep, batch._joint.damping, threads)
             batch._check_status()
+
         failed = np.any([batch.failed for batch in batches], axis=0)
         for batch in batches:
             for at in np.flatnonzero(batch.failed).tolist():

@@ -71,19 +71,20 @@ def scene_with_springs(
     ``implicitfast`` if the scene names Euler.
     """
     spec = _with_freedoms(scene, base, tip, springs.freedoms, site, mass, ball=False)
-    # A tendon's length is the mode's coordinate times the root of the mass, kg. Of the modes p of
-    # the stiffness K against the effective mass M, with p M p = 1, it has the coefficients M p, the
-    # stiffness omega^2 and the damping p C p, with C of the joint's law.
     if spec.option.integrator == engine.mjtIntegrator.mjINT_EULER:
         spec.option.integrator = engine.mjtIntegrator.mjINT_IMPLICITFAST
     model = spec.compile()
     data = engine.MjData(model)
-    names = [f"{tip}_{name}" for name in springs.freedoms]
     engine.mj_forward(model, data)
+    names = [f"{tip}_{name}" for name in springs.freedoms]
     dofs = [int(model.joint(name).dofadr[0]) for name in names]
     solved = np.empty((len(dofs), model.nv))
     engine.mj_solveM(model, data, solved, np.eye(model.nv)[dofs])
     inverse_mass = solved[:, dofs]
+
+    # A tendon's length is the mode's coordinate times the root of the mass, kg. Of the modes p of
+    # the stiffness K against the effective mass M, with p M p = 1, it has the coefficients M p, the
+    # stiffness omega^2 and the damping p C p, with C of the joint's law.
     stiffness = np.array(springs.stiffness)
     rate = PackedTable.joint_rate(stiffness, inverse_mass.copy(), model.opt.timestep, damping)
     root = np.linalg.cholesky(inverse_mass)
@@ -91,6 +92,7 @@ def scene_with_springs(
     modes = root @ turned
     lengths = np.linalg.solve(root.T, turned)
     lengths[np.abs(lengths) < ROUNDING * np.abs(lengths).max(axis=1, keepdims=True)] = 0.0
+
     for k, square in enumerate(squares):
         tendon = spec.add_tendon(name=f"{tip}_mode_{k + 1}", stiffness=[square, 0.0, 0.0])
         tendon.damping = [modes[:, k] @ rate @ modes[:, k], 0.0, 0.0]
@@ -114,6 +116,32 @@ def _with_freedoms(
 ) -> Spec:
     """Return a scene with the joints of a part's free displacements, and the part's mass."""
     spec = _compiled(lambda: engine.MjSpec.from_file(str(scene)), scene)
+    body = _tip_body(spec, base, tip)
+    before = spec.compile()
+    point, axes = _interface_in(body, site, before)
+
+    kinds = engine.mjtJoint
+    joints = [  # a slide for each free translation, then a ball or hinges for free rotations
+        (name, kinds.mjJNT_SLIDE if place < 3 else kinds.mjJNT_HINGE, axes[:, place % 3].tolist())
+        for place, name in enumerate(OUTPUTS)
+        if name in free
+    ]
+    if ball and len(joints) >= 3 and all(name in free for name in OUTPUTS[3:]):
+        joints[-3:] = [("r", kinds.mjJNT_BALL, [0, 0, 1])]
+    for name, kind, axis in joints:
+        joint = body.add_joint(name=f"{tip}_{name}", type=kind, pos=point, axis=axis)
+        # A default class of the scene may set these.
+        for word in ("stiffness", "damping", "frictionloss", "armature", "limited", "ref"):
+            setattr(joint, word, np.zeros_like(getattr(joint, word)))
+
+    inner = body.add_body(name=f"{tip}_part", pos=point, quat=_quaternion(axes))
+    if mass is not None:
+        _add_mass(inner, np.asarray(mass, dtype=float))
+    return _with_keyframes(_compiled(lambda: spec, scene), tip, before)
+
+
+def _tip_body(spec: Spec, base: str, tip: str) -> Spec:
+    """Return the tip's body; raises JointError unless it is a child of the base without joints."""
     body = spec.body(tip)
     if body is None or spec.body(base) is None:
         missing = tip if body is None else base
@@ -128,35 +156,20 @@ def _with_freedoms(
             f"body {tip!r} has joints of its own, but the part must be all that holds it; move "
             f"these joints to a child body of {tip!r}"
         )
-    at, axes = np.zeros(3), np.eye(3)  # the interface in the tip's body
-    if site is not None:
-        if site not in [item.name for item in body.sites]:
-            names = _names(body.sites)
-            raise JointError(f"body {tip!r} has no site {site!r}; name one of: {names}")
-        model = spec.compile()
-        matrix = np.zeros(9)
-        number = engine.mj_name2id(model, engine.mjtObj.mjOBJ_SITE, site)
-        engine.mju_quat2Mat(matrix, model.site_quat[number])
-        at = model.site_pos[number].copy()
-        axes = matrix.reshape(3, 3)
-    kinds = engine.mjtJoint
-    before = spec.compile()
-    joints = [  # a slide for each free translation, then a ball or hinges for free rotations
-        (name, kinds.mjJNT_SLIDE if place < 3 else kinds.mjJNT_HINGE, axes[:, place % 3].tolist())
-        for place, name in enumerate(OUTPUTS)
-        if name in free
-    ]
-    if ball and len(joints) >= 3 and all(name in free for name in OUTPUTS[3:]):
-        joints[-3:] = [("r", kinds.mjJNT_BALL, [0, 0, 1])]
-    for name, kind, axis in joints:
-        joint = body.add_joint(name=f"{tip}_{name}", type=kind, pos=at, axis=axis)
-        # A default class of the scene may set these.
-        for word in ("stiffness", "damping", "frictionloss", "armature", "limited", "ref"):
-            setattr(joint, word, np.zeros_like(getattr(joint, word)))
-    inner = body.add_body(name=f"{tip}_part", pos=at, quat=_quaternion(axes))
-    if mass is not None:
-        _add_mass(inner, np.asarray(mass, dtype=float))
-    return _with_keyframes(_compiled(lambda: spec, scene), tip, before)
+    return body
+
+
+def _interface_in(body: Spec, site: str | None, model: Any) -> tuple[Vector, Vector]:
+    """Return point (3,), m, and axes (3, 3) of a body's site or frame; raises JointError."""
+    if site is None:
+        return np.zeros(3), np.eye(3)
+    if site not in [item.name for item in body.sites]:
+        names = _names(body.sites)
+        raise JointError(f"body {body.name!r} has no site {site!r}; name one of: {names}")
+    matrix = np.zeros(9)
+    number = engine.mj_name2id(model, engine.mjtObj.mjOBJ_SITE, site)
+    engine.mju_quat2Mat(matrix, model.site_quat[number])
+    return model.site_pos[number].copy(), matrix.reshape(3, 3)
 
 
 def _with_keyframes(spec: Spec, tip: str, before: Any) -> Spec:
@@ -171,10 +184,7 @@ def _with_keyframes(spec: Spec, tip: str, before: Any) -> Spec:
 
 
 def _compiled(read: Callable[[], Spec], scene: str | Path) -> Spec:
-    """Return a scene's spec after a trial compilation.
-
-    Raises JointError if the scene cannot be read or compiled.
-    """
+    """Return a scene's spec; raises JointError if the scene cannot be read or compiled."""
     try:
         spec = read()
         spec.compile()
@@ -199,6 +209,7 @@ def _add_mass(body: Spec, mass: Vector) -> None:
     total = float(np.trace(mass[:3, :3])) / 3.0
     if total <= 0.0:
         return
+
     cross = -0.5 * (mass[:3, 3:] - mass[:3, 3:].T) / total  # the centre's cross-product matrix
     x, y, z = centre = np.array([cross[2, 1], cross[0, 2], cross[1, 0]])
     arm = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -208,6 +219,7 @@ def _add_mass(body: Spec, mass: Vector) -> None:
     moments[2] = min(moments[2], (1.0 - DIGITS) * (moments[0] + moments[1]))
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1.0
+
     body.mass = total
     body.ipos = centre
     body.inertia = moments

@@ -26,10 +26,7 @@ _RK4 = int(engine.mjtIntegrator.mjINT_RK4)
 
 
 def refuse_rk4(model: Model) -> None:
-    """Check that a model is not integrated by RK4.
-
-    Raises JointError if it is.
-    """
+    """Raise JointError if a model is integrated by RK4."""
     if model.opt.integrator == _RK4:
         raise JointError(
             "the integrator RK4 evaluates forces four times a step, but the joint only once; use "
@@ -38,12 +35,7 @@ def refuse_rk4(model: Model) -> None:
 
 
 def refuse_one_locked_rotation(part: str, free: Collection[str]) -> None:
-    """Check that a part does not lock a single rotation.
-
-    `free`: its displacements that are not locked.
-
-    Raises JointError if it does.
-    """
+    """Raise JointError if a part with the displacements `free` locks a single rotation."""
     locked = [name for name in OUTPUTS[3:] if name not in free]
     if len(locked) == 1:
         raise JointError(
@@ -69,10 +61,7 @@ def block_positions(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.int
 
 
 def body_number(model: Model, name: str) -> int:
-    """Return the number of a named body.
-
-    Raises JointError if there is none.
-    """
+    """Return the number of a named body; raises JointError if there is none."""
     # MuJoCo ends the process if a name is None.
     number = engine.mj_name2id(model, OBJECT.mjOBJ_BODY, name) if isinstance(name, str) else -1
     if number < 0:
@@ -121,6 +110,7 @@ def find_tip(model: Model, body: str, free: NDArray[np.intp], part: str) -> Tip:
         )
     for joint in joints:
         _refuse_forces(model, body, joint)
+
     axes = _interface_axes(model.jnt_axis[joints], body, free)
     places = model.jnt_qposadr[joints].tolist()
     runs = [(slide, place, 1) for slide, place in zip(slides.tolist(), places, strict=False)]
@@ -133,10 +123,7 @@ def find_tip(model: Model, body: str, free: NDArray[np.intp], part: str) -> Tip:
 
 
 def _refuse_forces(model: Model, body: str, joint: int) -> None:
-    """Check that a joint has no force of its own, and no reference other than zero.
-
-    Raises JointError otherwise.
-    """
+    """Raise JointError if a joint has a force of its own, or a reference other than zero."""
     dof = int(model.jnt_dofadr[joint])
     forces = {
         "stiffness": model.jnt_stiffness[joint],

@@ -4,8 +4,9 @@ The MuJoCo mount is in `mujoco_mount`, the only file that imports mujoco.
 """
 
 from ..errors import CouplingDiverged, DisplacementUnknown, MountError, MountWarning, SensorError
-from .coupling import Settled, spectral_radius, stable_factor
+from .coupling import spectral_radius, stable_factor
 from .mount import Coverage, Mount, require_weight
+from .statics import Settled
 
 __all__ = [
     "CouplingDiverged",

@@ -9,23 +9,19 @@ G is over 1. A step by the fraction 2/(1 + G) or less does not let it grow.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import CouplingDiverged, InvalidArgument, MountError
-from ..replies import Displacement
+from ..errors import CouplingDiverged, InvalidArgument
 from ..wrenches import Vector
 
 RELAXATIONS = ("aitken", "newton", "off")
 # Limits of the factor: 0.02 is stable for G = 99, 1 takes the answer itself.
 SMALLEST, LARGEST = 0.02, 1.0
-# Growth of the factor while the pose does not overshoot: slow, since only an overshoot shows a too
-# large factor.
-GROWTH = 1.3
+GROWTH = 1.3  # of the factor without overshoot: slow, since only an overshoot shows a too large one
 # Signs of divergence: a row of residuals, each opposite to the one before. Loads that change by
 # themselves make such rows too, but short ones and of all sizes. White noise is opposite and as
 # large with a chance of 0.4: once in two million syncs over sixteen.
@@ -37,27 +33,18 @@ BURST, RECORD = 4, 1.5  # number in a row, and each one's ratio to the largest o
 # sign. Loads may grow, but not by half each sync, `CYCLE` times in a row: 650 x.
 ONWARD = 0.9  # the smallest cosine between such residuals
 ABSURD = 1e100  # tolerances: beyond this squares overflow, and no test can decide
-# Tolerances: smaller residuals of a running simulation mean nothing; `settle` takes them for an
-# equilibrium. A load that rests on a row of the table meets the row's own answer or, a rounding
-# error beside it, the interpolated one: that jump has either sign. As overshoots, such jumps
-# reduced the factor to its smallest value, and the next load was followed with a lag of 12 %. A
-# loop that diverges grows beyond this, and is detected then.
+# Tolerances: smaller residuals of a running simulation mean nothing. A load that rests on a row of
+# the table meets the row's own answer or, a rounding error beside it, the interpolated one: as
+# overshoots, such jumps reduced the factor to its smallest value, and the next load lagged by 12 %.
 RESTS = 1e-3
 DERIVED = 1e-3  # part of the largest answer so far: the tolerance if none is given
 
 # A limit cycle: in a span of 64 syncs answers have a period of 12 syncs or less, that is two turns,
-# and swing by more than 2 tolerances; more than 3 spans in a row do not become smaller. A scene
-# that converges has done so long before.
+# and swing by more than 2 tolerances; more than 3 spans in a row do not become smaller.
 SPAN, SHORTEST, SWING, SPANS = 64, 12, 2.0, 3
-# Unexplained part of the variance of answers in a cycle; noise leaves 0.7 and more.
-UNEXPLAINED = 0.5
+UNEXPLAINED = 0.5  # part of the variance of answers in a cycle; noise leaves 0.7 and more
 LARGEST_TURN = math.radians(20.0)  # limit of the wrench contract
 BEYOND = 16  # syncs in a row with an answer beyond the limit: the load causes it, and no overshoot
-HALVINGS = 6  # halvings of a Newton step that leads further away: 1/64 of it is still a direction
-# Residuals in a row that grow in the same direction: no overshoot, and no equilibrium ahead.
-RUNAWAY = 6
-STEP = 1.0  # tolerances: motion of a scene for its stiffness by differences
-STEP_WITHOUT_TOLERANCE = 1e-9  # m or rad: the same before an answer has given a tolerance
 LAGS = 4  # earlier answers in the autoregression of a cycle: enough for two oscillations
 
 REMEDY = (
@@ -202,7 +189,7 @@ class ContractionWatch:
     onward: int = 0  # residuals in a row in one direction and far larger than all before
 
     def updated(self, size: float, along: float) -> ContractionWatch:
-        """Return the watch after another residual of a size; `along`: its product with the last.
+        """Return the watch after a residual, of the product `along` with the one before.
 
         Raises CouplingDiverged if the row of such residuals is too long.
         """
@@ -211,6 +198,7 @@ class ContractionWatch:
         records = self.records + 1 if opposite and size >= RECORD * self.largest else 0
         further = along > ONWARD * size * self.size and size >= RECORD * self.largest
         onward = self.onward + 1 if further else 0
+
         # Residuals within the tolerance do not count.
         first = self.first if steady > 1 else self.size
         if size > 1.0 and (records >= BURST or (steady >= CYCLE and size >= first)):
@@ -239,15 +227,12 @@ class CycleWatch:
         self._spread = 0.0
 
     def see(self, answer: Vector) -> None:
-        """Record an answer (6,), in tolerances.
-
-        Raises CouplingDiverged if the answers of more than `SPANS` spans in a row swing as far
-        as those before.
-        """
+        """Record an answer (6,), in tolerances; raises CouplingDiverged after `SPANS` swings."""
         self._answers[self._count] = answer
         self._count += 1
         if self._count < SPAN:
             return
+
         self._count = 0
         before = self._spread
         spreads = np.ptp(self._answers, axis=0)
@@ -264,6 +249,7 @@ class CycleWatch:
             factors, *_ = np.linalg.lstsq(model, answers[LAGS:], rcond=None)
             unexplained = answers[LAGS:] - model @ factors
             swings = float(unexplained.var()) < UNEXPLAINED * float(answers.var())
+
         self._rows = self._rows + 1 if swings and self._spread >= STEADY * before else 0
         if self._rows > SPANS:
             raise CouplingDiverged(
@@ -280,10 +266,7 @@ def within_limit(displacement: Vector) -> Vector:
 
 
 def require_within_limit(displacement: Vector, component: str) -> None:
-    """Check that an equilibrium (6,), m and rad, is within the largest rotation of a table.
-
-    Raises CouplingDiverged if it is not.
-    """
+    """Raise CouplingDiverged if an equilibrium (6,), m and rad, rotates beyond all tables."""
     turned = math.degrees(math.sqrt(float(displacement[3:] @ displacement[3:])))
     if turned > math.degrees(LARGEST_TURN):
         raise CouplingDiverged(
@@ -301,168 +284,3 @@ def _run_away(before: float, size: float) -> CouplingDiverged:
         "the wrench or of stiffness= (negative for springs)",
         (before, size),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Settled:
-    """Where a static loop came to rest.
-
-    Attributes
-    ----------
-    R, p : numpy.ndarray
-        The pose of the interface, shape (3, 3) and shape (3,), m.
-    wrench : numpy.ndarray
-        Shape (6,), N and N·m, there.
-    displacement : numpy.ndarray
-        Shape (6,), m and rad, there.
-    answer : Displacement
-        The component's last answer, with its error bars and coverage.
-    residuals : tuple of float
-        How far pose and answer were apart, in tolerances, answer by answer.
-    spectral_radius : float or None
-        G of compliance times the scene's stiffness, where Newton has seen both.
-    """
-
-    R: Vector
-    p: Vector
-    wrench: Vector
-    displacement: Vector
-    answer: Displacement
-    residuals: tuple[float, ...]
-    spectral_radius: float | None = None
-
-    @property
-    def iterations(self) -> int:
-        """The number of the component's answers."""
-        return len(self.residuals)
-
-
-@dataclass
-class CouplingIteration:
-    """The state of an iteration, with its residual: answer less displacement (6,), m and rad."""
-
-    displacement: Vector  # (6,), m and rad
-    wrench: Vector  # (6,), N and N·m
-    answer: Displacement
-    residual: Vector
-    scaled: Vector  # the residual in tolerances
-    size: float  # the largest of the scaled residual
-
-
-@dataclass
-class Loop:
-    """Base class of the static loops."""
-
-    read: Callable[[Vector], Vector]  # the scene: displacement (6,), m and rad, to wrench
-    ask: Callable[[Vector], tuple[Displacement, Vector]]  # the component: wrench to answer (6,)
-    scale: Scale
-    accuracy: float  # tolerances by which each output may still be off
-    most: int  # largest number of answers
-    residuals: list[float] = field(default_factory=list)  # in tolerances
-
-    def evaluate(self, displacement: Vector) -> CouplingIteration:
-        """Set a displacement, read the scene's wrench, and get the component's answer.
-
-        Raises CouplingDiverged after the last allowed answer.
-        """
-        if len(self.residuals) >= self.most:
-            raise CouplingDiverged(
-                f"the coupling has not settled after {self.most} answers: pose and answer are "
-                f"{self.residuals[-1]:.3g} tolerances apart, above {self.accuracy:g}. If they "
-                f"still approach, raise most=. {REMEDY}",
-                self.residuals,
-            )
-        wrench = self.read(displacement)
-        answer, answered = self.ask(wrench)
-        self.scale.see(answered)
-        residual = answered - displacement
-        scaled = self.scale.measure(residual)
-        self.residuals.append(float(np.abs(scaled).max()))
-        return CouplingIteration(displacement, wrench, answer, residual, scaled, self.residuals[-1])
-
-
-def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> CouplingIteration:
-    """Find the equilibrium by relaxation, from a displacement (6,), m and rad.
-
-    Raises CouplingDiverged if scene and component drive each other apart, or do not converge.
-    """
-    relaxation.restart()
-    state = loop.evaluate(start)
-    runaway = 0
-    while state.size > loop.accuracy:
-        try:
-            factor = relaxation.follow(state.scaled, driven=False)
-        except CouplingDiverged as error:
-            raise CouplingDiverged(str(error), loop.residuals) from None
-        before = state
-        state = loop.evaluate(state.displacement + factor * state.residual)
-        # Both in the present tolerances, as those derived from answers grow.
-        same_way = float(loop.scale.measure(before.residual) @ state.scaled) > 0
-        runaway = runaway + 1 if same_way and state.size > before.size else 0
-        if runaway == RUNAWAY:
-            raise CouplingDiverged(
-                "the scene has no equilibrium on this component: it tips or buckles, and pose and "
-                f"answer are {state.size:.3g} tolerances apart. Use a stiffer component, a smaller "
-                "load, or another start.",
-                loop.residuals,
-            )
-    return state
-
-
-def by_newton(
-    loop: Loop, start: Vector, stiffness: Vector | None
-) -> tuple[CouplingIteration, float | None]:
-    """Find the equilibrium by Newton's method, from a displacement (6,), m and rad; return also G.
-
-    The residual U(W(u)) - u has the slope C K - I: C the answer's derivative, K the scene's dw/du
-    (6, 6), N/m, N/rad, N·m/m, N·m/rad, given or by differences.
-
-    Raises CouplingDiverged if no part of a step leads nearer, or there is no equilibrium.
-    """
-    state = loop.evaluate(start)
-    radius = None
-    while state.size > loop.accuracy:
-        slope = stiffness
-        if slope is None:  # by small motions of the scene
-            slope = np.empty((6, 6))
-            sizes = np.where(
-                loop.scale.tolerance > 0.0, STEP * loop.scale.tolerance, STEP_WITHOUT_TOLERANCE
-            )
-            for column, size in enumerate(sizes):
-                displacement = state.displacement.copy()
-                displacement[column] += size
-                slope[:, column] = (loop.read(displacement) - state.wrench) / size
-            loop.read(state.displacement)  # restores the scene's position
-        compliance = state.answer.derivative
-        if compliance is None:
-            raise MountError(
-                f"{state.answer.component} has no derivative at this wrench, which Newton needs; "
-                "settle with relaxation='aitken'"
-            )
-        product = np.nan_to_num(compliance) @ slope  # NaN: an output that counts as rigid
-        radius = spectral_radius(np.nan_to_num(compliance), slope)
-        try:
-            step = np.asarray(np.linalg.solve(np.eye(6) - product, state.residual), dtype=float)
-        except np.linalg.LinAlgError:
-            raise CouplingDiverged(
-                "the scene has no stable equilibrium here: its negative stiffness cancels the "
-                f"component's (G = {radius:.3g}). {REMEDY}",
-                loop.residuals,
-                radius,
-            ) from None
-        fraction = 1.0  # the part of the step that leads nearer
-        before = state
-        for _ in range(HALVINGS):
-            state = loop.evaluate(before.displacement + fraction * step)
-            if state.size < before.size or state.size <= loop.accuracy:
-                break
-            fraction *= 0.5
-        else:
-            raise CouplingDiverged(
-                f"Newton does not converge: pose and answer stay {before.size:.3g} tolerances "
-                f"apart (G = {radius:.3g}), for example because a contact opens or closes. Settle "
-                "with relaxation='aitken', or start nearer.",
-                loop.residuals,
-                radius,
-            )
-    return state, radius

@@ -16,22 +16,28 @@ from ..recorder import Recorder
 from ..recording import Started
 from ..replies import Displacement
 from ..rotation import checked_pose, rotation_matrix
-from ..wrenches import ON_THIN, OnThin, Tolerance, Vector, floats_of, single_wrench, tolerance_body
+from ..wrenches import (
+    ON_THIN,
+    OnThin,
+    Tolerance,
+    Vector,
+    floats_of,
+    require_one_of,
+    single_wrench,
+    tolerance_body,
+)
 from .coupling import (
     BEYOND,
     CycleWatch,
-    Loop,
     Relaxation,
     Scale,
-    Settled,
-    by_newton,
-    by_relaxation,
     require_within_limit,
     stable_factor,
     within_limit,
 )
 from .ringing import warn_if_ringing
 from .sources import Ask, from_server, from_solves, from_table, require_server
+from .statics import Loop, Settled, by_newton, by_relaxation, newton_step
 
 if TYPE_CHECKING:
     from .. import Client, Table
@@ -102,7 +108,10 @@ class Coverage:
 
     def __str__(self) -> str:
         counts = ", ".join(f"{getattr(self, k)} {k}" for k in ("covered", *_MEANS))
-        first = [f"\n  first {k}: answer {a.step}, {a.reason}" for k, a in self.first.items()]
+        first = [
+            f"\n  first {kind}: answer {answer.step}, {answer.reason}"
+            for kind, answer in self.first.items()
+        ]
         return f"{self.answers} answers: {counts}{''.join(first)}"
 
 
@@ -112,8 +121,9 @@ class Mount:
     Parameters
     ----------
     source : Table or Client
-        Who answers: a downloaded table, or the server. All modes but ``table`` need the server.
+        A downloaded table or the server, which answers; all modes but ``table`` need the server.
     component : str
+        Name of the component.
     R0, p0 : array_like
         The undeformed interface in the world: axes as columns, shape (3, 3), and point, shape
         (3,), m.
@@ -129,7 +139,7 @@ class Mount:
     on_thin : {"queue", "estimate", "reject", "wait"}
         What the server does where its table is too thin; measured tables are only estimated.
     method : str, optional
-        How the table shall answer; the component's own choice otherwise.
+        The table's method; the component's own choice otherwise.
     stiffness : array_like, optional
         The scene's dw/du at the interface point where it is now, shape (6, 6), N/m, N/rad, N·m/m,
         N·m/rad. `step` needs it with ``newton``; with ``aitken`` it gives the first factor;
@@ -191,9 +201,9 @@ class Mount:
         solve_timeout: float = 600.0,
         block: int = 256,
     ) -> None:
-        _require_word("mode", mode, MODES)
-        _require_word("on_thin", on_thin, ON_THIN)
-        _require_word("unmeasured", unmeasured, ("refuse", "rigid"))
+        require_one_of("mode", mode, MODES)
+        require_one_of("on_thin", on_thin, ON_THIN)
+        require_one_of("unmeasured", unmeasured, ("refuse", "rigid"))
         self.component = component
         self.mode = mode
         self._unmeasured = unmeasured
@@ -202,22 +212,22 @@ class Mount:
         self._stepped = self._warned = self._primed = False
         self._stiffness = None if stiffness is None else floats_of("stiffness", stiffness, (6, 6))
         self.place(R0, p0)
+
         limit = None if tolerance is None else tolerance_body(tolerance)
         self.recorder: Recorder | None = None
         self._ask: Ask | None = None
         if mode == "table" and hasattr(source, "answer"):
             limit, self._ask = from_table(cast("Table", source), component, limit, method)
-        else:
+        elif mode == "table":
             server = require_server(source, mode)
-            if mode == "solve":
-                limit, self._ask = from_solves(
-                    server, component, limit, solve_timeout, beyond_range
-                )
-            elif mode == "table":
-                limit, self._ask = from_server(server, component, limit, method, on_thin)
-            else:
-                kind = "recording" if mode == "record" else "envelope"
-                self.recorder = Recorder(server, component, kind, block)
+            limit, self._ask = from_server(server, component, limit, method, on_thin)
+        elif mode == "solve":
+            server = require_server(source, mode)
+            limit, self._ask = from_solves(server, component, limit, solve_timeout, beyond_range)
+        else:
+            kind = "recording" if mode == "record" else "envelope"
+            self.recorder = Recorder(require_server(source, mode), component, kind, block)
+
         self._scale = Scale(limit)
         self.restart()
         warn_if_ringing(source, component, natural_frequency, ramp_time, carried)
@@ -338,30 +348,17 @@ class Mount:
         if target is not None:
             self._scale.see(target)
             residual = target - self.displacement
-            product = None
-            if self._newton:
-                if self._stiffness is None:
-                    raise InvalidArgument(
-                        "a step with relaxation='newton' needs the scene's stiffness; create the "
-                        "mount with stiffness=, call settle() instead, or use relaxation='aitken'"
-                    )
-                if answer.derivative is None:
-                    raise InvalidArgument(
-                        f"{self.component} has no derivative at this wrench, which "
-                        f"relaxation='newton' needs; run wrenchbook fill {self.component}, or use "
-                        "relaxation='aitken'"
-                    )
-                product = np.nan_to_num(answer.derivative) @ self._stiffness
+            slopes = self._newton_slopes(answer) if self._newton else None
             factor = self._relaxation.follow(self._scale.measure(residual), driven=True)
-            change = factor * residual
-            if product is not None:
-                change = np.linalg.solve(np.eye(6) - product, residual)
+            change = factor * residual if slopes is None else newton_step(*slopes, residual)
             moved = within_limit(self.displacement + change)
+
             self._cycles.see(self._scale.measure(target))
             self._beyond = 0 if within_limit(target) is target else self._beyond + 1
             if self._beyond > BEYOND:
                 require_within_limit(target, self.component)
             self.displacement = moved
+
         self.last = answer
         self._stepped = True
         return self.pose
@@ -428,12 +425,13 @@ class Mount:
                 )
             return answer, target
 
-        loop = Loop(read, ask, self._scale, accuracy, most)
+        loop = Loop(read, ask, self._scale, accuracy, max_answers=most)
         radius = None
         if self._newton:
             state, radius = by_newton(loop, self.displacement, self._stiffness)
         else:
             state = by_relaxation(loop, self.displacement, self._relaxation)
+
         require_within_limit(state.displacement, self.component)
         self.displacement = state.displacement
         self.last = state.answer
@@ -461,6 +459,23 @@ class Mount:
         """Send the saved wrenches that are not sent yet."""
         if self.recorder is not None:
             self.recorder.close()
+
+    def _newton_slopes(self, answer: Displacement) -> tuple[Vector, Vector]:
+        """Return the answer's compliance and the scene's stiffness, (6, 6) each, SI.
+
+        Raises InvalidArgument if one of them is unknown.
+        """
+        if self._stiffness is None:
+            raise InvalidArgument(
+                "a step with relaxation='newton' needs the scene's stiffness; create the mount "
+                "with stiffness=, call settle() instead, or use relaxation='aitken'"
+            )
+        if answer.derivative is None:
+            raise InvalidArgument(
+                f"{self.component} has no derivative at this wrench, which relaxation='newton' "
+                f"needs; run wrenchbook fill {self.component}, or use relaxation='aitken'"
+            )
+        return answer.derivative, self._stiffness
 
     def _answer(self, wrench: Vector) -> tuple[Displacement, Vector | None]:
         """Count and return the answer to a wrench (6,), N and N·m, and its numbers (6,), if any.
@@ -490,16 +505,8 @@ class Mount:
         return answer, target
 
 
-def _require_word(name: str, word: str, known: tuple[str, ...]) -> None:
-    if word not in known:
-        raise InvalidArgument(f"{name} must be one of {', '.join(known)}, not {word!r}")
-
-
 def checked_reading(force: ArrayLike, moment: ArrayLike | None) -> Vector:
-    """Return a reading as a wrench (6,), N and N·m.
-
-    Raises SensorError if a number is not finite.
-    """
+    """Return a reading as a wrench (6,), N and N·m; raises SensorError unless it is finite."""
     try:
         return single_wrench(force, moment)
     except ValueError as error:

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InvalidArgument, MountWarning, SensorError, required, warn
 from ..wrenches import Vector
-from .coupling import Settled
 from .mount import Mount, from_world, require_weight
+from .statics import Settled
 
 if TYPE_CHECKING:
     from .. import Client, Table
@@ -54,7 +54,9 @@ class MujocoMount:
     mocap, force, torque : str
         Names of the mocap body and the two sensors.
     source : Table or Client
+        As of `Mount`.
     component : str
+        Name of the component.
     R0, p0 : array_like, optional
         The undeformed interface in the world: axes as columns, shape (3, 3), and point, shape
         (3,), m; the mocap body's pose if not given. The two keep their distance.
@@ -112,6 +114,7 @@ class MujocoMount:
         self._data = data
         self._sync = sync or 0.0
         cut = _division(model, mocap, force, torque)
+
         # Views of the arrays that are read and written: MjData's arrays never move.
         self._axes: Vector = data.site_xmat[cut.site].reshape(3, 3)
         self._point: Vector = data.site_xpos[cut.site]
@@ -121,6 +124,7 @@ class MujocoMount:
         self._torque: Vector = data.sensordata[cut.torque]
         self._position: Vector = data.mocap_pos[cut.mocap]
         self._quaternion: Vector = data.mocap_quat[cut.mocap]
+
         unit = self._quaternion.copy()
         matrix = np.empty(9)
         engine.mju_normalize4(unit)
@@ -129,27 +133,17 @@ class MujocoMount:
         point = self._position.copy()
         undeformed = (axes if R0 is None else R0, point if p0 is None else p0)
         self.mount = Mount(source, component, *undeformed, **options)
+
         R0_, p0_ = self.mount.undeformed
         # The mocap body relative to the interface, and the interface point relative to the mocap
         # body: the two are one rigid piece.
         self._offset = R0_.T @ axes, R0_.T @ (point - p0_)
         self._interface = axes.T @ (p0_ - point)
         self._floating = _floating(model, cut, gravcomp)
-        # At rest the sensors read the weight of all bodies on the mount. It is computed in a copy,
-        # at the scene's present position, without contacts.
-        aside = engine.MjData(model)
-        flags = model.opt.disableflags
-        aside.qpos[:], aside.mocap_pos[:] = data.qpos, data.mocap_pos
-        aside.mocap_quat[:] = data.mocap_quat
-        try:
-            model.opt.disableflags |= _DISABLE.mjDSBL_CONSTRAINT
-            engine.mj_inverse(model, aside)
-        finally:
-            model.opt.disableflags = flags
-        if not flags & _DISABLE.mjDSBL_GRAVITY:
-            reaction = aside.site_xmat[cut.site].reshape(3, 3) @ aside.sensordata[cut.force]
+        if not model.opt.disableflags & _DISABLE.mjDSBL_GRAVITY:
             mass = float(model.body_subtreemass[cut.mounted])
-            require_weight(-reaction @ R0_, mass, model.opt.gravity, R0_)
+            weight = -_reaction_at_rest(model, data, cut)
+            require_weight(weight @ R0_, mass, model.opt.gravity, R0_)
         self._begin(float(data.time))
 
     def step(self) -> bool:
@@ -270,17 +264,13 @@ class _Division:
 
 
 def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
-    """Return the division of a scene.
-
-    Raises SensorError if its sensors do not read the wrench on the component there.
-    """
+    """Return the division of a scene; raises SensorError if its sensors read another wrench."""
     body = _named(model, _OBJECT.mjOBJ_BODY, mocap, "body")
     number = int(model.body_mocapid[body])
     if number < 0:
         raise SensorError(f"body {mocap!r} is not a mocap body; {_REMEDY}")
-    kinds = engine.mjtSensor
-    forces, site = _sensor(model, force, kinds.mjSENS_FORCE, "force")
-    torques, other = _sensor(model, torque, kinds.mjSENS_TORQUE, "torque")
+    forces, site = _sensor(model, force, engine.mjtSensor.mjSENS_FORCE, "force")
+    torques, other = _sensor(model, torque, engine.mjtSensor.mjSENS_TORQUE, "torque")
     if site != other:
         raise SensorError(
             f"sensors {force!r} and {torque!r} are at different sites, but must read the same "
@@ -292,31 +282,46 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
         )
     mounted = int(model.site_bodyid[site])
     if mounted != body:  # on the mocap body sensors read all bodies above it, and its own mass
-        name = _name(model, mounted)
-        first = model.body_jntadr[mounted]
-        kinds = model.jnt_type[first : first + model.body_jntnum[mounted]]
-        if (kinds == engine.mjtJoint.mjJNT_FREE).any():
-            raise SensorError(
-                f"body {name!r} has a free joint, so nothing holds it and its sensors read 0; "
-                f"{_REMEDY}"
-            )
-        if model.body_parentid[mounted] != body or len(kinds):
-            raise SensorError(
-                f"body {name!r}, where the sensors are, must be a child of the mocap body "
-                f"{mocap!r} without a joint; {_REMEDY}"
-            )
-        children = (model.body_parentid == body) & (model.body_subtreemass > 0.0)
-        children[mounted] = False
-        if children.any():
-            names = ", ".join(
-                repr(_name(model, child)) for child in np.flatnonzero(children).tolist()
-            )
-            raise SensorError(
-                f"the mocap body {mocap!r} also carries {names}, which the sensors on {name!r} do "
-                "not feel; put all in one child, or move the site to the mocap body"
-            )
+        _check_mounted(model, body, mounted)
     _check_forces(model, body, mounted)
     return _Division(number, body, mounted, site, forces, torques)
+
+
+def _check_mounted(model: Model, mocap: int, mounted: int) -> None:
+    """Refuse a body that is no child of the mocap body without joints, or not its only child."""
+    name, parent = _name(model, mounted), _name(model, mocap)
+    first = model.body_jntadr[mounted]
+    kinds = model.jnt_type[first : first + model.body_jntnum[mounted]]
+    if (kinds == engine.mjtJoint.mjJNT_FREE).any():
+        raise SensorError(
+            f"body {name!r} has a free joint, so nothing holds it and its sensors read 0; {_REMEDY}"
+        )
+    if model.body_parentid[mounted] != mocap or len(kinds):
+        raise SensorError(
+            f"body {name!r}, where the sensors are, must be a child of the mocap body {parent!r} "
+            f"without a joint; {_REMEDY}"
+        )
+    children = (model.body_parentid == mocap) & (model.body_subtreemass > 0.0)
+    children[mounted] = False
+    if children.any():
+        raise SensorError(
+            f"the mocap body {parent!r} also carries {_names(model, children)}, which the sensors "
+            f"on {name!r} do not feel; put all in one child, or move the site to the mocap body"
+        )
+
+
+def _reaction_at_rest(model: Model, data: Data, division: _Division) -> Vector:
+    """Return the force that the sensor reads at rest, without contacts, (3,), N, in the world."""
+    aside = engine.MjData(model)  # the scene's own data do not change
+    aside.qpos[:], aside.mocap_pos[:] = data.qpos, data.mocap_pos
+    aside.mocap_quat[:] = data.mocap_quat
+    flags = model.opt.disableflags
+    try:
+        model.opt.disableflags |= _DISABLE.mjDSBL_CONSTRAINT
+        engine.mj_inverse(model, aside)
+    finally:
+        model.opt.disableflags = flags
+    return aside.site_xmat[division.site].reshape(3, 3) @ aside.sensordata[division.force]
 
 
 def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector | None:
@@ -331,12 +336,9 @@ def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector
     if not borne.any() or gravcomp == "motors":
         return None
     if gravcomp is None:
-        names = ", ".join(
-            repr(_name(model, body)) for body in np.flatnonzero(borne)[:_NAMED].tolist()
-        )
         raise SensorError(
-            f"gravcomp is set on {names}, but the sensors read the full weight. Write "
-            "gravcomp='motors' if joints carry the weight and the mount feels it, or "
+            f"gravcomp is set on {_names(model, borne)}, but the sensors read the full weight. "
+            "Write gravcomp='motors' if joints carry the weight and the mount feels it, or "
             "gravcomp='float' if something outside carries it"
         )
     if model.opt.integrator == engine.mjtIntegrator.mjINT_RK4:
@@ -360,6 +362,7 @@ def _check_forces(model: Model, body: int, mounted: int) -> None:
                 f"the equality constraint {name!r} holds the scene to the mocap body, but it "
                 f"yields, and its load is wrong by several per cent or more; {_REMEDY}"
             )
+
     hanging = _hangs_on(model, mounted)
     unfelt = []
     for number in range(model.nu):
@@ -406,10 +409,7 @@ def _sensor(model: Model, name: str, kind: int, word: str) -> tuple[slice, int]:
 
 
 def _named(model: Model, kind: int, name: str, word: str) -> int:
-    """Return the number of a named object of the model.
-
-    Raises SensorError with the existing names if there is none.
-    """
+    """Return the number of a named object; raises SensorError with the existing names."""
     # MuJoCo ends the process if a name is None.
     number = engine.mj_name2id(model, kind, name) if isinstance(name, str) else -1
     if number < 0:
@@ -420,6 +420,11 @@ def _named(model: Model, kind: int, name: str, word: str) -> int:
             "correct the name"
         )
     return number
+
+
+def _names(model: Model, bodies: Vector | NDArray[np.bool_]) -> str:
+    """Return the names of the first bodies of a mask, (bodies,)."""
+    return ", ".join(repr(_name(model, body)) for body in np.flatnonzero(bodies)[:_NAMED])
 
 
 def _name(model: Model, number: int, kind: int = _OBJECT.mjOBJ_BODY) -> str:

@@ -71,6 +71,7 @@ def warn_if_ringing(
         raise InvalidArgument(
             f"natural_frequency and ramp_time must be above 0, not {frequency} Hz and {ramp_time} s"
         )
+
     periods = frequency * ramp_time
     if periods < QUASI_STATIC:
         warn(
@@ -87,6 +88,7 @@ def _known_frequency(
     """Return the first natural frequency, Hz, from a server; None after a warning if unknown."""
     alone = (client.component(component).get("vibration") or {}).get("first_frequency")
     unknown = f"{component}: it is unknown whether loads build up slowly enough."
+
     matrix, compliance = None, None
     if carried is not None:
         is_mass = np.ndim(carried) == 0
@@ -106,6 +108,7 @@ def _known_frequency(
                 "left out; fill it first",
                 MountWarning,
             )
+
     frequency = first_frequency(alone, compliance, matrix)
     if math.isfinite(frequency):
         return frequency

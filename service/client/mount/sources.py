@@ -101,10 +101,7 @@ def from_solves(
 
 
 def require_server(source: Table | Client, mode: str) -> Client:
-    """Return a source that is a server's client.
-
-    Raises SourceError if the mode needs a server and the source is none.
-    """
+    """Return a source that is a server's client; raises SourceError if it is none."""
     if hasattr(source, "__aenter__"):
         raise SourceError("a mount's steps block; pass a Client instead of the AsyncClient")
     if hasattr(source, "displacement") and hasattr(source, "solve"):

@@ -27,16 +27,15 @@ def list_audit(
     limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
     after: Annotated[int | None, Query(ge=1, lt=2**63)] = None,
 ) -> dict[str, Any]:
-    which: dict[str, Any] = {"component": component, "actor": actor, "action": action}
+    filters: dict[str, Any] = {"component": component, "actor": actor, "action": action}
     times = {"since": since, "until": until}
     ends: dict[str, Any] = {name: time and time.timestamp() for name, time in times.items()}
-    page = workspace.ledger.audit(**which, **ends, limit=limit + 1, below=after)
-    more = len(page) > limit
-    page = page[:limit]
+    page = workspace.ledger.audit(**filters, **ends, limit=limit + 1, below=after)
     next_url = None
-    if more:
-        which |= {name: time and time.isoformat() for name, time in times.items()}
-        query = {**which, "limit": limit, "after": page[-1].id}
+    if len(page) > limit:
+        page.pop()
+        filters |= {name: time and time.isoformat() for name, time in times.items()}
+        query = {**filters, "limit": limit, "after": page[-1].id}
         next_url = next_page(response, "/v1/audit", query)
     entries = [
         {**vars(entry), "time": iso_time(entry.time), "actor": entry.actor or None}

@@ -15,8 +15,7 @@ from wrenchbook.fea.accuracy.advice import WHERE, over_tolerance
 from wrenchbook.service.actors import CALLER
 from wrenchbook.service.contract import CONTRACT
 from wrenchbook.service.files.redact import redact
-from wrenchbook.service.http.access import permission_of
-from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent
+from wrenchbook.service.http.bodies import FillBody, TableOnlyComponent, tolerance_of
 from wrenchbook.service.http.body import (
     MAX_QUERY_BYTES,
     JsonRoute,
@@ -26,6 +25,7 @@ from wrenchbook.service.http.body import (
     read_limited,
 )
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
+from wrenchbook.service.http.permission import permission_of
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Newest, Opened, json_reply, next_page
 from wrenchbook.service.http.routes.scenes import need_from
@@ -42,7 +42,6 @@ from wrenchbook.service.query import job_link
 from wrenchbook.service.tables.mapped import ServedTable, warning_of
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
-from wrenchbook.surrogate.table.rows import Tolerance
 
 router = APIRouter(prefix="/v1/components", tags=["components"], route_class=JsonRoute)
 _BUNDLE = {
@@ -66,15 +65,15 @@ def list_components(
     limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
     after: Annotated[str | None, Query(max_length=300)] = None,
 ) -> dict[str, Any]:
-    library = workspace.library
-    cards = workspace.catalogue
     searched = q.casefold().split()
     components = []
-    for name in library.names():
-        text = f"{name} {library[name].title} {cards[name].notes}".casefold()
-        is_listed = (after is None or name > after) and (archived or not cards[name].archived)
+    for name in workspace.library.names():
+        component, card = workspace.library[name], workspace.catalogue[name]
+        text = f"{name} {component.title} {card.notes}".casefold()
+        is_listed = (after is None or name > after) and (archived or not card.archived)
         if is_listed and all(word in text for word in searched):
-            components.append(library[name])
+            components.append(component)
+
     next_url = None
     if len(components) > limit:
         last = components[limit - 1].name
@@ -113,8 +112,8 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
     kind = content_type(request)
     if kind == "multipart/form-data":
         # The archive may be as large as a bundle, and the form adds its head.
-        most = MAX_BUNDLE_BYTES + MAX_QUERY_BYTES
-        async with form_of(request, most, 1, "Leave large files out of the zip.") as form:
+        max_bytes = MAX_BUNDLE_BYTES + MAX_QUERY_BYTES
+        async with form_of(request, max_bytes, 1, "Leave large files out of the zip.") as form:
             upload = form.get("bundle")
             if not isinstance(upload, UploadFile):
                 message = "is missing; send the zip as the file 'bundle' of the form"
@@ -124,6 +123,7 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
                 return Response(listed, media_type="application/json")
             decks = permission_of(request.scope).allows("admin")
             component = await run_in_threadpool(workspace.library.add_zip, upload.file, decks=decks)
+
     elif kind == "application/json":
         if faces:
             message = (
@@ -134,12 +134,14 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
         body = read_body(TableOnlyComponent, await read_limited(request.receive))
         fields = body.model_dump(exclude_none=True)
         component = await run_in_threadpool(lambda: workspace.library.add_table_only(**fields))
+
     else:
         why = (
             f"The content type is {kind or 'missing'}. Send a bundle's zip as multipart/form-data "
             "with the field 'bundle', or a table-only component as application/json."
         )
         raise HttpProblemError(415, "media-type", "The content type is not accepted", why)
+
     body = await run_in_threadpool(component_body, workspace, component)
     return json_reply(body, 201, {"Location": f"/v1/components/{component.name}"})
 
@@ -153,23 +155,23 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
 )
 def fill(name: str, workspace: Opened, order: FillBody) -> Response:
     began = time.time()
-    limit = Tolerance(**order.tolerance.model_dump()) if order.tolerance else None
-    need = None
     component = workspace.library[name]
-    if order.for_joint:
-        loads = sum(load.kind != "scalar" for load in component.space.inputs)
-        if len(component.idle) == loads or order.range is not None or order.outputs is not None:
-            message = (
-                "a joint needs an interface that moves, the complete load range and all outputs; "
-                "leave out range and outputs"
-            )
-            raise bad_body([{"loc": "for_joint", "msg": message}])
-    if order.range is not None or order.outputs is not None:
+    is_part = order.range is not None or order.outputs is not None
+    loads = len(component.space.inputs) - len(component.space.scalars)
+    if order.for_joint and (is_part or len(component.idle) == loads):
+        message = (
+            "a joint needs an interface that moves, the complete load range and all outputs; "
+            "leave out range and outputs"
+        )
+        raise bad_body([{"loc": "for_joint", "msg": message}])
+
+    limit = tolerance_of(order.tolerance)
+    need = None
+    if is_part:
         need = need_from(component, order.range, order.outputs, order.tolerance, "range", "outputs")
     design, jobs = workspace.fill(name, order.budget, limit, need, for_joint=order.for_joint)
-    fewer = (
-        f"{len(jobs)} of at most {order.budget} solves: " if 0 < len(jobs) < order.budget else ""
-    )
+    is_fewer = 0 < len(jobs) < order.budget
+    fewer = f"{len(jobs)} of at most {order.budget} solves: " if is_fewer else ""
     links = tuple(JobLink(**job_link(job, began)) for job in jobs)
     reply = Queued(component=name, jobs=links, stage=design.stage, reason=fewer + design.reason)
     return json_reply(reply, 202 if jobs else 200)
@@ -222,10 +224,12 @@ def _warnings(
 
 
 def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
+    """Return the facts of a component that a list shows."""
     table = workspace.tables.surrogate(component.name)
-    limit, space = component.tolerance, component.space
+    space, limit = component.space, component.tolerance
     card = workspace.catalogue[component.name]
     solved = table.sources.get("fea", 0)
+
     # The load range in the form of requests: by interface if there are several.
     bounds = component.load_range.low.tolist(), component.load_range.high.tolist()
     spans = [list(span) for span in zip(*bounds, strict=True)]
@@ -237,6 +241,7 @@ def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
     if space.scalars:
         further = zip(space.scalars, spans[-len(space.scalars) :], strict=True)
         load_range |= {"inputs": {load.name: span for load, span in further}}
+
     return {
         "name": component.name,
         "title": component.title,

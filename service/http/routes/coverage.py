@@ -104,14 +104,15 @@ def compliance(name: str, table: Newest) -> Response:
 def glance(name: str, workspace: Opened) -> Response:
     table = workspace.tables.surrogate(name)
     span = table.load_range
+    outputs = len(span.space.outputs)
     # A Latin hypercube (McKay, Beckman and Conover 1979) spreads them evenly in each input.
     layers = np.tile(np.arange(SAMPLE), (len(span.low), 1))
     layers = np.random.default_rng(SAMPLE).permuted(layers, axis=1).T
     wrenches = span.low + (layers + 0.5) / SAMPLE * (span.high - span.low)
+
     replies = [table.packed.answer(wrench) for wrench in wrenches.tolist()]
     within = [reply.within_tolerance for reply in replies if reply.coverage == "covered"]
     axes = AXES if span.space.is_default else ()
-    outputs = len(span.space.outputs)
     used = table.rows.wrench[span.holds(table.rows.wrench)]
     body = {
         "component": name,
@@ -119,9 +120,7 @@ def glance(name: str, workspace: Opened) -> Response:
         "shares": COVERAGE,
         "whole": _shares(table, wrenches),
         "error": _median([reply.error for reply in replies], outputs),
-        "interpolation": _median(
-            [reply.interpolation for reply in replies], len(span.space.outputs)
-        ),
+        "interpolation": _median([reply.interpolation for reply in replies], outputs),
         "bars_are_whole": table.bars_are_complete,
         # The part of wrenches that are covered and within the tolerance; unknown if a covered
         # wrench cannot be compared.
@@ -204,11 +203,12 @@ def drawing(
     drawn = next((known for known in AXES if known.name == axis), None)
     loaded = np.abs(rows.wrench) > ZERO_LOAD * table.load_range.scale
     chosen = np.arange(len(rows))
-    single_axis: NDArray[np.bool_] = np.zeros(len(rows), dtype=bool)
     if along is not None:
         chosen = np.flatnonzero(~loaded[:, np.arange(6) != LOADS.index(along)].any(axis=1))
+    single_axis: NDArray[np.bool_] = np.zeros(len(rows), dtype=bool)
     if drawn is not None:
         single_axis = np.logical_not(loaded[:, drawn.others].any(axis=1))
+
     of_axis = _spread(chosen[single_axis[chosen]], most)
     others = _spread(chosen[~single_axis[chosen]], most - len(of_axis))
     shown = np.sort(np.concatenate((of_axis, others)))

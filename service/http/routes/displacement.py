@@ -11,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from wrenchbook.service.http import batch
-from wrenchbook.service.http.access import Permission, beyond_scope, permission_of
+from wrenchbook.service.http.access import beyond_scope
 from wrenchbook.service.http.bodies import BatchBody, DisplacementBody, SolveBody
 from wrenchbook.service.http.body import (
     MAX_BATCH_BYTES,
@@ -25,6 +25,7 @@ from wrenchbook.service.http.body import (
     spooled,
 )
 from wrenchbook.service.http.openapi import answers, component_router, refused, takes
+from wrenchbook.service.http.permission import Permission, permission_of
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.protocol import ANSWERED
 from wrenchbook.service.http.routes import DirectRoute, json_reply

@@ -12,8 +12,8 @@ from starlette.responses import Response, StreamingResponse
 from starlette.types import Message, Receive, Scope, Send
 
 from wrenchbook.service.events import Events, Feed, Listener
-from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.openapi import BODIES, refused
+from wrenchbook.service.http.permission import permission_of
 from wrenchbook.service.http.routes import Opened
 
 router = APIRouter(prefix="/v1/events", tags=["events"], responses=refused(404, 422))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal
 
 from fastapi import APIRouter, Request
@@ -20,6 +21,7 @@ router = APIRouter(tags=["health"])
 TableState = Literal["ready", "building", "degraded", "broken"]
 
 
+@router.head("/health/live", include_in_schema=False)
 @router.get(
     "/health/live", summary="Liveness of the server; needs no key", openapi_extra={"security": []}
 )
@@ -27,6 +29,7 @@ async def live() -> dict[str, str]:
     return {"status": "live"}
 
 
+@router.head("/health/ready", include_in_schema=False)
 @router.get(
     "/health/ready",
     summary="Readiness of jobs and tables",
@@ -36,49 +39,48 @@ async def live() -> dict[str, str]:
 )
 def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
     faults = workspace.faults()
-    broken = workspace.broken()
-    tables = table_states(workspace)
     names = set(workspace.library.names())
-    present = workspace.tables.present().items()
-    counts = {name: workspace.unbuilt(name, table)[0] for name, table in present if name in names}
-    # Rows that are not in tables yet.
-    pending = {name: count for name, count in counts.items() if count}
-    for name in pending:
-        if not workspace.tables.present()[name].row_count:  # the table has no row to answer from
-            tables[name] = "broken" if name in broken else "building"
+    rows = {
+        name: workspace.unbuilt(name, table)[0]
+        for name, table in workspace.tables.present().items()
+        if name in names
+    }
+    pending = {name: count for name, count in rows.items() if count}
+    tables = table_states(workspace, pending)
     if component is not None:
         if component not in tables:
             _ = workspace.library[component]  # raises if the component does not exist
-            tables[component] = "building"  # the component was just added
-        tables = {component: tables[component]}
-    building = [name for name, state in tables.items() if state == "building"]
-    copies = trouble_of(workspace.copies, workspace.settings)
-    flawed = any(state in ("degraded", "broken") for state in tables.values())
+        tables = {component: tables.get(component, "building")}  # it may just have been added
+
+    states = set(tables.values())
+    broken = workspace.broken()
+    trouble = trouble_of(workspace.copies, workspace.settings)
+    status = "ready"
     if faults:
         status = "not ready"
-    elif building:
+    elif "building" in states:
         status = "building"
-    else:
-        status = "degraded" if flawed or broken or copies is not None else "ready"
-    body: dict[str, Any] = {
+    elif states & {"degraded", "broken"} or broken or trouble is not None:
+        status = "degraded"
+    body = {
         "status": status,
-        "ready": not faults and all(state == "ready" for state in tables.values()),
-        "components": len(workspace.library.names()),
+        "ready": not faults and states <= {"ready"},
+        "components": len(names),
         "solvers": workspace.settings.solvers,
         "faults": faults,
         "broken": broken,
-        "building": building,
+        "building": [name for name, state in tables.items() if state == "building"],
         "pending_rows": pending,
         "tables": tables,
-        "copies": {**workspace.copies, "trouble": copies},
+        "copies": {**workspace.copies, "trouble": trouble},
         "age_s": workspace.age(),
     }
     served = not faults and (component is None or tables[component] in ("ready", "degraded"))
     return JSONResponse(redact_values(body), 200 if served else 503)
 
 
-def table_states(workspace: Workspace) -> dict[str, TableState]:
-    """Return the state of each component's table, by name.
+def table_states(workspace: Workspace, pending: Mapping[str, int]) -> dict[str, TableState]:
+    """Return the state of each component's table, by name; `pending` rows are in no table yet.
 
     `degraded` answers although rows or files are damaged; `broken` does not answer.
     """
@@ -87,13 +89,15 @@ def table_states(workspace: Workspace) -> dict[str, TableState]:
     building = workspace.tables.building()
     states: dict[str, TableState] = {}
     for name in sorted({*workspace.library.names(), *workspace.library.broken()}):
+        is_empty = name in pending and not present[name].row_count
         if name in broken:
-            states[name] = "degraded" if name in present else "broken"
+            states[name] = "degraded" if name in present and not is_empty else "broken"
         else:
-            states[name] = "building" if name in building else "ready"
+            states[name] = "building" if name in building or is_empty else "ready"
     return states
 
 
+@router.head("/metrics", include_in_schema=False)
 @router.get(
     "/metrics",
     summary="Counts and states for Prometheus",

@@ -76,6 +76,7 @@ def job_body(
         "component": job.component,
         "actor": job.actor or None,
         **(space.by_name(job.wrench) if space else {"wrench": job.wrench}),
+        "priority": job.priority,
         "attempt": job.attempt,
         "not_before": _time(job.not_before),
         "created": _time(job.created),
@@ -109,14 +110,13 @@ def list_jobs(
 ) -> dict[str, Any]:
     _check_known(workspace, component)
     jobs = workspace.ledger.jobs(component, status, limit + 1, below=after, actor=actor)
-    more = len(jobs) > limit
-    jobs = jobs[:limit]
-    rows = workspace.ledger.rows_of([job.row for job in jobs if job.row is not None])
     next_url = None
-    if more:
+    if len(jobs) > limit:
+        jobs.pop()
         query = {"component": component, "status": status, "actor": actor, "limit": limit}
         query["after"] = jobs[-1].id
         next_url = next_page(response, "/v1/jobs", query)
+    rows = workspace.ledger.rows_of([job.row for job in jobs if job.row is not None])
     return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": next_url}
 
 
@@ -206,10 +206,7 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
 
 
 def _attempt_files(workspace: Workspace, job: JobRecord) -> pathlib.Path:
-    """Return the folder of a job's last attempt.
-
-    Raises HttpProblemError (404) with the reason if the folder does not exist.
-    """
+    """Return the folder of a job's last attempt; 404 with the reason if there is none."""
     folder = workspace.attempt_folder(job)
     if folder.is_dir():
         return folder

@@ -91,10 +91,7 @@ def revoke_key(name: str, request: Request, workspace: Opened) -> dict[str, Any]
 
 
 def _keyring(request: Request) -> Keyring:
-    """Return the server's keys.
-
-    Raises HttpProblemError (409) while it needs none: a first key would lock all others out.
-    """
+    """Return the server's keys; 409 while it has none: a first key would lock all others out."""
     access = request.app.state.access
     if not access.keys_needed:
         why = (

@@ -13,10 +13,10 @@ from typing_extensions import TypedDict
 
 from wrenchbook.service.actors import CALLER
 from wrenchbook.service.formats.cells import text_problem
-from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
 from wrenchbook.service.http.body import JsonRoute, read_body, read_limited
 from wrenchbook.service.http.openapi import TEXT, answers, component_router, refused, takes
+from wrenchbook.service.http.permission import permission_of
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.http.routes.components import component_body
@@ -288,10 +288,7 @@ def get_stiffness(
 
 
 def _rows_of_import(workspace: Workspace, name: str, rows: Rows, number: int) -> Rows:
-    """Return the rows of a component's import.
-
-    Raises UnknownImportError if it has none.
-    """
+    """Return the rows of a component's import; raises UnknownImportError if it has none."""
     masks = [
         (part.first <= rows.seq) & (rows.seq <= part.last)
         for part in workspace.ledger.import_spans(name)
@@ -306,10 +303,7 @@ def _rows_of_import(workspace: Workspace, name: str, rows: Rows, number: int) ->
 
 
 def _two_loads(between: str) -> tuple[float, float]:
-    """Return the two loads of the parameter `between`, N or N·m.
-
-    Raises HttpProblemError (422) unless they are two different finite numbers.
-    """
+    """Return the two different loads of `between`, N or N·m; 422 if they are no such numbers."""
     try:
         low, high = (float(text) for text in between.split(","))
         if low != high and np.isfinite((low, high)).all():

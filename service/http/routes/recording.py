@@ -28,13 +28,14 @@ from wrenchbook.service.http.body import (
 from wrenchbook.service.http.openapi import answers, component_router, refused, takes
 from wrenchbook.service.http.routes import DirectRoute, json_reply
 from wrenchbook.service.query import job_link
+from wrenchbook.service.recording.bound import bound_of
 from wrenchbook.service.recording.start import (
     StartedSolves,
     start_envelope,
     start_recording,
     start_resolving,
 )
-from wrenchbook.service.recording.store import BlockResult, RecordingStore, Tally, bound_of
+from wrenchbook.service.recording.store import BlockResult, RecordingStore, Tally
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.rows import NEAR
 
@@ -191,17 +192,15 @@ def _store(request: Request) -> RecordingStore:
 async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] | None]:
     """Return a block's wrenches, shape (n, inputs), SI, and its key if there is one."""
     space = request.app.state.workspace.library.as_read(name).space
-    binary = is_binary(request)
     body = await read_limited(request.receive, MAX_BLOCK_BYTES)
-    if binary:
+    key: BlockKey
+    if is_binary(request):
         wrenches = read_wrenches(body, MAX_BLOCK, np.inf, space)
-        key: BlockKey = checked(BlockKey, dict(request.query_params))
+        key = checked(BlockKey, dict(request.query_params))
     else:
-
-        def read() -> tuple[Floats, BlockBody]:
-            return with_wrenches(BlockBody, parsed_json(body), len(space.inputs), np.inf, MAX_BLOCK)
-
-        wrenches, key = await run_in_threadpool(read)
+        fields = await run_in_threadpool(parsed_json, body)
+        form = BlockBody, fields, len(space.inputs), np.inf, MAX_BLOCK
+        wrenches, key = await run_in_threadpool(with_wrenches, *form)
     if key.client is None or key.sequence is None:
         return wrenches, None
     return wrenches, (key.client, key.sequence)

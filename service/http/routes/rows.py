@@ -54,10 +54,7 @@ def _edited(
 
 
 def row_body(workspace: Workspace, component: Component, seq: int) -> dict[str, Any]:
-    """Return a row of a component, with its provenance.
-
-    Raises UnknownRowError if the component has no such row.
-    """
+    """Return a component's row with its provenance; raises UnknownRowError if it has none."""
     row = workspace.ledger.row(seq)
     if row.component != component.name:
         raise UnknownRowError(
@@ -114,11 +111,9 @@ def file_fields(record: ImportRecord) -> dict[str, Any]:
 
 def _setup(component: Component, row: LedgerRow) -> dict[str, Any]:
     """Return the setup of a solved row; of an earlier setup only the fingerprint is known."""
-    body: dict[str, Any] = {
-        "fingerprint": row.fingerprint,
-        "present": row.fingerprint == component.fingerprint,
-    }
-    if not body["present"]:
+    is_present = row.fingerprint == component.fingerprint
+    body: dict[str, Any] = {"fingerprint": row.fingerprint, "present": is_present}
+    if not is_present:
         return body
     try:
         bundle = read_bundle(component.folder)
@@ -129,8 +124,8 @@ def _setup(component: Component, row: LedgerRow) -> dict[str, Any]:
         "solver": "deck" if bundle.deck is not None else "embedded",
         "nonlinear": bundle.analysis.nonlinear,
         "mesh": {
-            "file": mesh.file.name if mesh is not None and mesh.file is not None else None,
-            "generator": mesh.generator if mesh is not None else None,
+            "file": mesh.file.name if mesh and mesh.file else None,
+            "generator": mesh.generator if mesh else None,
         },
         "materials": [
             {

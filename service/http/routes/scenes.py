@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import asdict
 from statistics import median
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import numpy as np
 import orjson
@@ -16,11 +17,11 @@ from starlette.responses import Response
 from wrenchbook.service.http import bodies
 from wrenchbook.service.http.body import JsonRoute, read_body
 from wrenchbook.service.http.openapi import BYTES, refused
-from wrenchbook.service.http.problems import bad_body
+from wrenchbook.service.http.problems import MAX_VALUE, bad_body
 from wrenchbook.service.http.routes import Newest, Opened, holds, json_reply, naming
 from wrenchbook.service.http.routes.table import PACKED_TYPE
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.messages import Message, Part, Plan
+from wrenchbook.service.messages import Message, Plan
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.scene.cut import cut
@@ -103,36 +104,30 @@ def _plan(
     """Return a scene's plan of a component; without `timed` it is the same for the same table."""
     built = table.surrogate()
     plan = plan_of(built, need, solved=component.has_fea)
-    savings = measured(built, plan) if timed else not_measured("see POST /v1/scenes/plan")
+    saves: Any = asdict(
+        measured(built, plan) if timed else not_measured("see POST /v1/scenes/plan")
+    )
+    origins = saves.pop("origin")
+
     of_range, of_scene = plan.solves
-    solves = "the component has no finite-element setup: nothing is solved"
+    origins["solves"] = "the component has no finite-element setup: nothing is solved"
     if component.has_fea:
         time_saved = _time_saved(workspace, component, of_range - of_scene) if timed else ""
-        solves = (
+        origins["solves"] = (
             f"counted: the first design of an empty table has {of_range} wrenches for the whole "
             f"load range and {of_scene} for the scene{time_saved}"
         )
-    tolerance: dict[Part, Any] | None = None
-    if need.tolerance is not None:
-        tolerance = {
-            "translation": need.tolerance.translation,
-            "rotation": need.tolerance.rotation,
-        }
     return Plan(
         decision=plan.decision,
         reason=plan.reason,
         loads=tuple(need.loads),
         axes=need.axes(),
         outputs=tuple(need.output_names()),
-        tolerance=tolerance,
+        tolerance=cast(Any, need.tolerance and asdict(need.tolerance)),
         displacement_bound=plan.bound,
         solves={"whole": of_range, "scene": of_scene},
-        saves={
-            "build_s": savings.build_s,
-            "memory_bytes": savings.memory_bytes,
-            "us_per_answer": savings.us_per_answer,
-        },
-        saves_from=savings.origin | {"solves": solves},
+        saves=saves,
+        saves_from=origins,
         # Contiguous for the JSON writer.
         compliance=None if plan.compliance is None else np.ascontiguousarray(plan.compliance),
         table_version=table.version,
@@ -166,27 +161,25 @@ def need_from(
 ) -> Need:
     """Return a scene's requirements on a component.
 
-    422 for unknown names and ends beyond the range.
-
     `where` and `of_outputs` are the paths of the span and of the outputs in the body.
+
+    Raises HttpProblemError (422) for unknown names and ends beyond the range.
     """
     load_range, names = component.load_range, component.space.output_names
     mistakes = [] if span is None else _unknown(span, load_range.space, where)
     for place, name in enumerate(outputs or ()):
         if name not in names:
-            # In the form of pydantic's list of a literal.
-            *first, last = [repr(known) for known in names]
-            known = f"{', '.join(first)} or {last}" if first else last
-            message = f"must be {known}, not {name[:40]!r}"
+            message = f"must be one of {', '.join(names)}, not {name[:MAX_VALUE]!r}"
             mistakes.append({"loc": f"{of_outputs}.{place}", "msg": message})
     if mistakes:
         raise bad_body(mistakes)
+
     bounds = None if span is None else _bounds(span, load_range)
     read = None if outputs is None else [names.index(name) for name in outputs]
     try:
         return need_of(load_range, bounds, read, bodies.tolerance_of(tolerance), component.idle)
     except NeedError as error:
-        paths = []  # force.0, loads.left.force.0
+        paths = []  # force.0, loads.left.force.0, inputs.temperature
         for number, load in enumerate(load_range.space.inputs):
             front = f"loads.{load.interface}." if load.interface else ""
             is_scalar = load.kind == "scalar"
@@ -197,16 +190,15 @@ def need_from(
 
 def _unknown(span: bodies.SpaceSpan, space: Space, where: str) -> list[dict[str, str]]:
     """Return the mistakes of interfaces and inputs that the component lacks."""
-    several = len(space.interfaces) > 1
     known = ", ".join(space.interfaces)
-    further = [load.name for load in space.inputs if load.kind == "scalar"]
+    further = [load.name for load in space.scalars]
     mistakes = []
     for name in ("force", "moment"):
-        if several and getattr(span, name) is not None:
+        if space.several and getattr(span, name) is not None:
             text = f"the component has the interfaces {known}; give 'loads' by interface"
             mistakes.append((name, text))
     for name in span.loads or ():
-        if not several:
+        if not space.several:
             text = "the component has one interface; give 'force' and 'moment'"
             mistakes.append(("loads", text))
         elif name not in space.interfaces:
@@ -224,15 +216,15 @@ def _unknown(span: bodies.SpaceSpan, space: Space, where: str) -> list[dict[str,
 
 def _bounds(span: bodies.SpaceSpan, load_range: LoadRange) -> Floats:
     """Return the low and the high end of each input, shape (n, 2), N, N·m and further units."""
-    loads = span.loads or {}
-    further = span.inputs or {}
-    spans = []
+    loads, further = span.loads or {}, span.inputs or {}
     zero = [[0.0, 0.0]] * 3
+    spans = []
     for name in load_range.space.interfaces:
         of_interface = loads.get(name, bodies.InterfaceSpan()) if name else span
         spans += [*(of_interface.force or zero), *(of_interface.moment or zero)]
-    bounds = zip(load_range.space.inputs, load_range.low, load_range.high, strict=True)
-    spans += [
-        further.get(load.name, [low, high]) for load, low, high in bounds if load.kind == "scalar"
-    ]
+    for load, low, high in zip(
+        load_range.space.inputs, load_range.low, load_range.high, strict=True
+    ):
+        if load.kind == "scalar":
+            spans.append(further.get(load.name, [low, high]))
     return np.array([[-ends, ends] if isinstance(ends, int | float) else ends for ends in spans])

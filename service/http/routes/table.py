@@ -19,10 +19,10 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.responses import FileResponse, Response
 
-from wrenchbook.service.http.access import permission_of
 from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.imports import Imported, ImportQuery
 from wrenchbook.service.http.openapi import BODIES, BYTES, answers, component_router, refused, takes
+from wrenchbook.service.http.permission import permission_of
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
 from wrenchbook.service.ledger import ImportOrigin
@@ -189,17 +189,25 @@ async def import_table(
     name: str, request: Request, workspace: Opened, query: Annotated[ImportQuery, Query()]
 ) -> Response:
     component = workspace.library[name]
-    _check_content_type(content_type(request))
+    kind = content_type(request)
+    if kind and kind not in _TAKEN:
+        why = (
+            f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
+            "application/octet-stream, gzipped or not; the content decides the format."
+        )
+        raise HttpProblemError(415, "media-type", "The content type is not that of a table", why)
+
     table = workspace.tables.surrogate(name)
     solved = await run_in_threadpool(solved_compliance, component, table)
     rig = await run_in_threadpool(rig_of, workspace.ledger, query.rig)
     options = replace(query.options(rig), solved=solved, linear=component.linear)
-    most = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
-    async with received(request, most) as sent:
+    max_bytes = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
+    async with received(request, max_bytes) as sent:
         alone = query.model_fields_set & {"time_offset_s", "max_gap_s"}
         if len(sent.files) == 1 and alone:
             message = "needs two logs; send the second one (--displacements FILE), or leave it out"
             raise bad_body([{"loc": f"query.{min(alone)}", "msg": message}])
+
         key = permission_of(request.scope).key
         origin = ImportOrigin(
             who=key.name if key else "",
@@ -209,53 +217,30 @@ async def import_table(
         )
         caller = origin.who or (request.client.host if request.client else "")
         async with nullcontext() if query.append else reader_slot(caller):
+            source = workspace.ledger, component, sent.files, options, origin
+            known = table if component.space.is_default and not query.append else None
+            flags = query.model_dump(include={"dry_run", "partial", "preview"})
+            appends = bool(query.append)
             reply = await run_in_threadpool(
-                import_files,
-                workspace.ledger,
-                component,
-                sent.files,
-                options,
-                origin,
-                dry_run=query.dry_run,
-                partial=query.partial,
-                preview=query.preview,
-                table=table if component.space.is_default and not query.append else None,
-                append=bool(query.append),
+                import_files, *source, table=known, append=appends, **flags
             )
+
     loaded = reply.pop("loaded")
     if reply["errors"] and not (query.dry_run or loaded):
         raise _bad_rows(reply, "block" if query.append else "complete file")
-    # Rows that existed before need not wait for the next table.
-    wait_s = query.wait_s if loaded else 0.0
-    if query.append and "wait_s" not in query.model_fields_set:
-        wait_s = 0.0  # the next row comes soon
-    caught_up = await workspace.caught_up(component.name, wait_s)
+    # Rows that existed before need not wait for the next table; after an appended row the next one
+    # comes soon.
+    waits = loaded and (not query.append or "wait_s" in query.model_fields_set)
+    caught_up = await workspace.caught_up(component.name, query.wait_s if waits else 0.0)
     reply["in_use"] = caught_up and (loaded or not reply["inserted"])
     reply["table_version"] = workspace.ledger.last_seq(component.name)
     return json_reply(reply)
 
 
-def _check_content_type(kind: str) -> None:
-    """Check that a content type is that of a table; a request may have none.
-
-    Raises HttpProblemError with status 415 if it is not.
-    """
-    if kind and kind not in _TAKEN:
-        why = (
-            f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
-            "application/octet-stream, gzipped or not; the content decides the format."
-        )
-        raise HttpProblemError(415, "media-type", "The content type is not that of a table", why)
-
-
 def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
-    """Return the problem of a table with mistakes, of which nothing was loaded.
-
-    `unit`: to send again.
-    """
-    errors = reply["errors"]
-    rows = reply["rows"]
-    first = reply["errors"][0]
+    """Return the problem of a table with mistakes; `unit` names the part to send again."""
+    errors, rows = reply["errors"], reply["rows"]
+    first = errors[0]
     places = [
         {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
         for error in errors
@@ -267,14 +252,13 @@ def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
     # Rows are not read if the header has mistakes.
     has_good = rows["read"] > rows["refused"] and all(error["row"] for error in errors)
     partial = ", or add --partial (over HTTP partial=true) to load only the good rows"
-    cure = partial if has_good else ""
     return HttpProblemError(
         422,
         "bad-rows",
         "The table has mistakes",
         f"Nothing was loaded; {len(errors)} mistake{'s' * (len(errors) > 1)}{sheet}, the first in "
         f"{place}{first['field']}: {first['message']}. Correct them and send the {unit} "
-        f"again{cure}.",
+        f"again{partial * has_good}.",
         **{**reply, "errors": places},
     )
 
@@ -288,7 +272,7 @@ class Received(NamedTuple):
 
 
 @asynccontextmanager
-async def received(request: Request, most: int = MAX_TABLE_BYTES) -> AsyncIterator[Received]:
+async def received(request: Request, max_bytes: int = MAX_TABLE_BYTES) -> AsyncIterator[Received]:
     """Yield a table's body as files, and delete them at the end.
 
     A plain body is one file; a form has the files ``loads`` and ``displacements``, or ``table``.
@@ -297,11 +281,11 @@ async def received(request: Request, most: int = MAX_TABLE_BYTES) -> AsyncIterat
     lacks its files.
     """
     if content_type(request) != "multipart/form-data":
-        async with spooled(request.receive, most) as body:
+        async with spooled(request.receive, max_bytes) as body:
             path = body.path or await run_in_threadpool(body.append, body.content)
             yield Received((path,), "", await run_in_threadpool(_digest, (path,)))
         return
-    async with form_of(request, most + _FORM_BYTES, 2) as form:
+    async with form_of(request, max_bytes + _FORM_BYTES, 2) as form:
         names = ("loads", "displacements") if "loads" in form else ("table",)
         uploads = [sent for name in names if isinstance(sent := form.get(name), UploadFile)]
         if len(uploads) < len(names):
@@ -336,10 +320,7 @@ def _digest(files: Sequence[Path]) -> str:
 
 @asynccontextmanager
 async def reader_slot(caller: str) -> AsyncIterator[None]:
-    """Wait until no other table of a caller (a key, or an address without keys) is being read.
-
-    Raises SandboxBusyError after `_READER_WAIT_S` seconds.
-    """
+    """Wait until no other table of a caller is read; SandboxBusyError after `_READER_WAIT_S`."""
     lock = _reader_locks.setdefault(caller, asyncio.Lock())
     try:
         async with asyncio.timeout(_READER_WAIT_S):

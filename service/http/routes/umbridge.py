@@ -26,6 +26,7 @@ from wrenchbook.service.http.openapi import answers, takes
 from wrenchbook.service.http.problems import problem_of
 from wrenchbook.service.http.routes import DirectRoute, json_reply
 from wrenchbook.service.library.component import MAX_QUOTED
+from wrenchbook.service.ops.logs import REQUEST_ID
 from wrenchbook.service.query import Outcome, answer_or_submit
 from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.service.workspace import Workspace
@@ -276,7 +277,9 @@ def _failure(error: Exception) -> tuple[Kind, str]:
         problem = problem_of(error)
     except Exception:
         log.exception("a call of /umbridge failed")
-        return "InvalidOutput", "the server made a mistake; its log has the traceback"
+        number = REQUEST_ID.get()
+        bug = f"the call failed by a bug of the server (request {number}); report it with the "
+        return "InvalidOutput", bug + "traceback, which the server's log has under this number"
     message = str(problem.body["detail"])
     mistakes = problem.body.get("errors")
     if problem.status == 422 and mistakes:

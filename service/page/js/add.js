@@ -1,10 +1,11 @@
 // Add a component: a bundle's zip, or a table without finite elements.
 
 import { post, send, trouble } from "./api.js";
-import { el, field, put, working } from "./dom.js";
+import { dropPlace, el, field, put, working } from "./dom.js";
 import { facesIn } from "./faces.js";
 import { sentence, symbol } from "./format.js";
 import { snippet } from "./snippet.js";
+import { zipped } from "./zip.js";
 
 // A whole bundle: the server generates its mesh.
 const EXAMPLE = `name = "cantilever"
@@ -47,7 +48,7 @@ export async function show(root, _, signal) {
     el("div", { class: "head" }, el("div", {}, el("span", { class: "crumb" }, el("a", { href: "#/" }, "Library"), " /"), el("h1", {}, "Add a component"))),
     el("div", { class: "halves" },
       el("section", { class: "card" }, el("h2", {}, "A bundle, with finite elements"),
-        el("p", { class: "muted" }, "The zip of a folder with component.toml and its mesh: materials, supports, interface and load range. For the lines that name faces of the mesh, a component.toml with file and unit under [mesh] is enough: choose Show its faces."), bundle(root, signal), example()),
+        el("p", { class: "muted" }, "The zip of a folder with component.toml and its mesh: materials, supports, interface and load range. Without a mesh file, as with a generator, component.toml alone is enough. For the lines that name faces of the mesh, a component.toml with file and unit under [mesh] is enough: choose Show its faces."), bundle(root, signal), example()),
       el("section", { class: "card" }, el("h2", {}, "A table only"),
         el("p", { class: "muted" }, "For measured rows: the table answers from imported rows; nothing is solved."), tableOnly(signal))));
 }
@@ -56,13 +57,19 @@ const goTo = (name) => { location.hash = `#/c/${encodeURIComponent(name)}`; };
 
 function bundle(root, signal) {
   const state = el("div", { "aria-live": "polite" }), faces = el("div", { class: "stack" });
-  const input = el("input", { type: "file", accept: ".zip", id: "bundle", required: true, "aria-label": "A bundle's zip" });
+  const input = el("input", { type: "file", accept: ".zip,.toml", id: "bundle", required: true, "aria-label": "A bundle's zip, or a component.toml" });
+  const take = (file) => { // as if it had been chosen
+    const carried = new DataTransfer();
+    if (file) carried.items.add(file);
+    input.files = carried.files;
+  };
   const add = async (event) => {
     event.preventDefault();
     const body = new FormData(), looks = event.submitter?.value === "faces";
-    body.append("bundle", input.files[0]);
+    const [file] = input.files;
     put(faces);
     try {
+      body.append("bundle", file.name.endsWith(".toml") ? await zipped(file, "component.toml") : file);
       put(state, working(looks ? "The mesh is read and its faces are numbered …" : "The bundle is checked: mesh, groups, supports …"));
       const reply = await (await send("POST", `v1/components${looks ? "?faces=true" : ""}`, { body, signal })).json();
       put(state);
@@ -72,14 +79,14 @@ function bundle(root, signal) {
       faces.scrollIntoView({ block: "nearest" });
     } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
   };
-  return el("form", { class: "stack", onsubmit: add }, el("div", { class: "drop" }, input), 
+  return el("form", { class: "stack", onsubmit: add }, dropPlace(take, el("strong", {}, "Drop a zip or a component.toml here, or choose it"), input),
     el("div", { class: "line" }, el("button", { class: "first" }, "Add the bundle"), el("button", { value: "faces" }, "Show its faces")), state);
 }
 
 function example() {
   const { root, say } = snippet("component.toml");
   say(EXAMPLE);
-  return el("details", {}, el("summary", {}, "An example that works: save it as component.toml and zip it"), root);
+  return el("details", {}, el("summary", {}, "An example that works: save it as component.toml and drop it here"), root);
 }
 
 function tableOnly(signal) {

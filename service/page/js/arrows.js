@@ -17,7 +17,7 @@ export async function picture(root, about, read, signal) {
   const interfaces = Object.entries(detail.interfaces || { "": detail.interface }).filter(([, one]) => one?.point);
   const most = LONGEST * extent(surface.vertices);
   const around = interfaces.flatMap(([, { point }]) => [-most, most].flatMap((way) => [0, 1, 2].map((k) => point.map((one, at) => one + (k === at ? way : 0))))); // where arrows may end
-  const place = el("div", { class: `plot${about.space ? "" : " low"}`, id: "loads", "data-away": awayFrom([...surface.vertices, ...around]) });
+  const place = el("div", { class: `plot${about.space ? "" : " low"}`, id: "loads", "data-away": 1.15 * awayFrom([...surface.vertices, ...around]) });
   const view = figure(place, "The part and its loads", marks());
   root.append(view.root, interfaces.length ? el("p", { class: "muted small" }, "Lines x, y and z at the point: the axes of the interface, in which loads and displacements are given.") : "");
   const edges = lines(surface.vertices, outline(surface.vertices, surface.triangles), MM);
@@ -38,9 +38,10 @@ function marks() {
 function drawn(about, { vertices, triangles }, edges, interfaces, values, shade, camera) {
   const corners = [0, 1, 2].map((k) => triangles.map((one) => one[k]));
   const body = { type: "mesh3d", x: column(vertices, 0, MM), y: column(vertices, 1, MM), z: column(vertices, 2, MM), i: corners[0], j: corners[1], k: corners[2], color: shade.accent, opacity: 0.25, hoverinfo: "skip" };
+  const middle = [0, 1, 2].map((k) => vertices.reduce((sum, one) => sum + one[k], 0) / vertices.length);
   const rim = { type: "scatter3d", mode: "lines", ...edges, line: { color: shade.muted, width: 2 }, hoverinfo: "skip" };
-  const names = { type: "scatter3d", mode: "markers+text", text: interfaces.map(([name]) => name), textposition: "top center", textfont: { color: shade.ink }, marker: { size: 4, color: shade.ink }, hoverinfo: "skip" };
-  ["x", "y", "z"].forEach((axis, k) => { names[axis] = interfaces.map(([, one]) => one.point[k] * MM); });
+  const points = { type: "scatter3d", mode: "markers", marker: { size: 4, color: shade.ink }, hoverinfo: "skip" };
+  ["x", "y", "z"].forEach((axis, k) => { points[axis] = interfaces.map(([, one]) => one.point[k] * MM); });
   const size = LONGEST * extent(vertices) * MM;
   const arrows = ["force", "moment"].flatMap((kind, place) => {
     const loads = interfaces.map(([name]) => vectorOf(about, values, name, kind));
@@ -48,13 +49,20 @@ function drawn(about, { vertices, triangles }, edges, interfaces, values, shade,
     return interfaces.flatMap(([, one], k) => (loads[k].some((part) => part) ? arrow(one, loads[k].map((part) => (size * part) / most), size, shade[place ? "query" : "outside"]) : []));
   });
   const axis = (name) => ({ title: { text: `${name}, mm` }, nticks: 4 });
-  return { data: [body, rim, names, ...interfaces.flatMap(([, one]) => frame(one, 0.5 * size, shade)), ...arrows], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "data", camera }, uirevision: "same" } };
+  return { data: [body, rim, points, ...interfaces.map(([name, one]) => named_(name, one, middle, 0.75 * size, shade)), ...interfaces.flatMap(([, one]) => frame(one, 0.5 * size, shade)), ...arrows], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "data", camera }, uirevision: "same" } };
 }
 
 const vectorOf = (about, values, name, kind) => {
   const all = named(about, values.map((one) => (Number.isFinite(one) ? one : 0)));
   return (all.loads?.[name] || all)[kind];
 };
+
+// The name of an interface, outside the part and beyond the ends of its axes.
+function named_(name, { point }, middle, apart, shade) {
+  const out = point.map((one, k) => one - middle[k]), length = Math.hypot(...out) || 1;
+  const [x, y, z] = point.map((one, k) => [one * MM + (apart * out[k]) / length]);
+  return { type: "scatter3d", mode: "text", x, y, z, text: [name], textfont: { color: shade.ink, size: 13 }, hoverinfo: "skip" };
+}
 
 // The three axes of an interface, named at their ends.
 function frame({ point, axes }, length, shade) {

@@ -51,9 +51,11 @@ function actionOf(name) {
   return verb ? `${kind} ${DONE[verb] || verb.replaceAll("_", " ")}` : name;
 }
 
-// An object with its word, as "row 67"; a job is a link. Of a component's own writes the word alone: its name is beside it.
+// An object with its word, as "row 67"; jobs, rows and imports are links. Of a component's own writes the word alone: its name is beside it.
 function objectOf({ action, component, object }) {
-  const kind = action.split(".")[0], words = [component, "None"].includes(object) ? kind : kind === action ? object : `${kind} ${object}`; // None: an import of known rows alone
+  const kind = action.split(".")[0], name = encodeURIComponent(component || ""), words = [component, "None"].includes(object) ? kind : kind === action ? object : `${kind} ${object}`; // None: an import of known rows alone
+  const view = component && words !== kind && { row: `rows?row=${object}`, import: `rows?import=${object}` }[kind];
+  if (view) return el("a", { href: `#/c/${name}/${view}` }, words);
   return kind === "job" ? el("a", { href: `#/jobs/${object}` }, words) : words;
 }
 

@@ -3,6 +3,7 @@
 import { get, of } from "./api.js";
 import { el, facts, note, pill, put } from "./dom.js";
 import { emptyTable } from "./empty.js";
+import { rowLinks } from "./rows.js";
 import { LOADS, OUTPUTS, count, number, percent, scientific, sentence, superscript, symbol } from "./format.js";
 
 const CHECKS = {
@@ -29,8 +30,8 @@ export async function show(root, about, signal) {
       reply.tangent_origin === "none" ? el("p", { class: "muted" }, "Not known yet: there are no rows.") : matrix(reply.tangent, "Tangent at zero load", `${ORIGINS[reply.tangent_origin] || `du/dw of ${reply.tangent_origin}`} at zero load`)),
     reply.origin === "none" ? null : el("section", { class: "card" }, el("h2", {}, "Mean compliance over the load range"),
       matrix(mean(reply), "Mean compliance", `${reply.origin} from ${count(reply.rows_checked)} rows`)),
-    el("section", { class: "card" }, el("h2", {}, "Physical checks of the rows"), checks(reply)),
-    beside?.compared ? el("section", { class: "card" }, el("h2", {}, "Measured against solved rows"), disagreement(beside)) : null);
+    el("section", { class: "card" }, el("h2", {}, "Physical checks of the rows"), checks(reply, about)),
+    beside?.compared ? el("section", { class: "card" }, el("h2", {}, "Measured against solved rows"), disagreement(beside, about)) : null);
 }
 
 const LEAST = 1e-4; // of the unit: smaller entries would need a power of ten of their own; their value is the title
@@ -64,20 +65,20 @@ function matrix(values, name, origin) {
   ];
 }
 
-function checks(reply) {
+function checks(reply, about) {
   if (!reply.rows_checked) return el("p", { class: "muted" }, "There are no rows with all six outputs to check.");
   const lines = Object.entries(reply.checks).map(([name, one]) => {
     const [title, words] = CHECKS[name] || [name, () => ""];
     const verdict = one.ok === null ? pill("unknown", "") : one.ok ? pill("holds", "ok") : pill(...(FAILED[name] || ["broken", "wrong"]));
-    const rows = one.rows?.length && name !== "linear" ? el("span", { class: "muted small" }, `rows ${one.rows.slice(0, 12).join(", ")}${one.rows.length > 12 ? " …" : ""}`) : null;
+    const rows = one.rows?.length && name !== "linear" ? el("span", { class: "muted small" }, rowLinks(about.name, one.rows, 12), one.rows.length > 12 ? " …" : "") : null;
     return el("tr", {}, el("td", {}, verdict), el("td", { class: "whole" }, title), el("td", { class: "muted small whole" }, sentence(words(one) || " ")), el("td", { class: "whole" }, rows));
   });
   return el("table", { class: "folds" }, el("tbody", {}, lines));
 }
 
-function disagreement(reply) {
+function disagreement(reply, about) {
   return [
     reply.outside ? note("thin", `${reply.outside} of ${reply.compared} measured values lie outside the error bar of the solved rows.`) : note("covered", `All ${reply.compared} measured values lie within the error bar of the solved rows.`),
-    (reply.rows || []).length ? facts(reply.rows.slice(0, 20).map((one) => [`row ${one.row}, ${one.output}`, `${number(one.measured)} measured, ${number(one.expected)} ± ${number(one.bar, 2)} expected: ${number(one.ratio, 2)} bars off`])) : null,
+    (reply.rows || []).length ? facts(reply.rows.slice(0, 20).map((one) => [[rowLinks(about.name, [one.row], 1), `, ${one.output}`], `${number(one.measured)} measured, ${number(one.expected)} ± ${number(one.bar, 2)} expected: ${number(one.ratio, 2)} bars off`])) : null,
   ];
 }

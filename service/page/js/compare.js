@@ -14,9 +14,13 @@ export async function show(root, about, signal) {
     return;
   }
   const { imports } = await get(`${of(about.name)}/imports`, signal);
-  const names = imports.filter((one) => one.format !== "copy").map((one) => [String(one.id), `Import ${one.id}${one.filename ? `, ${one.filename}` : ""}`]);
+  const names = imports.filter((one) => one.format !== "copy" && one.withdrawn < one.rows).map((one) => [String(one.id), `Import ${one.id}${one.filename ? `, ${one.filename}` : ""}`]);
+  if (!about.solved && names.length < 2) { // of one import there is nothing to compare it with
+    put(root, empty("Compare needs two imports of measured rows: the newest is shown beside the oldest.", linkTo(about, "table", "Import rows")));
+    return;
+  }
   const state = { number: "", against: about.solved || !names.length ? "" : names.at(-1)[0], load: "fz", output: "uz", reply: null, drawings: [] };
-  if (!about.solved && names.length > 1) state.number = names[0][0];
+  if (!about.solved) state.number = names[0][0];
   const places = PLOTS.map((id) => el("div", { class: "plot low", id }));
   const facts = el("div", { class: "stack", "aria-live": "polite" }), axes = el("div", { class: "line bottom" });
   const query = () => new URLSearchParams(Object.entries({ import: state.number, against: state.against }).filter(([, value]) => value));
@@ -53,8 +57,8 @@ export async function show(root, about, signal) {
     } catch (error) { put(facts, trouble(error)); }
   };
   const marks = key(), saved = el("div", {}, el("button", { type: "button", onclick: take }, "Rows as CSV"));
-  const chosen = (kind, none) => select([["", none], ...names], state[kind], (value) => { state[kind] = value; load(); });
-  const compared = chosen("number", "All measured rows"), reference = chosen("against", "The solves alone");
+  const chosen = (kind, none) => select([...none, ...names], state[kind], (value) => { state[kind] = value; load(); });
+  const compared = chosen("number", [["", "All measured rows"]]), reference = chosen("against", about.solved ? [["", "The solves alone"]] : []);
   compared.id = "compared";
   reference.id = "reference";
   put(root, el("section", { class: "card stack" },
@@ -102,7 +106,7 @@ function factors(reply) {
         quantity(one.mean, unitOfOutput(name)), quantity(one.rms, unitOfOutput(name)), `${count(one.beyond_bars)} of ${count(one.compared)}`]);
     }
   }
-  return table(["Import", "Output", "#Measured / reference", "#95 %", "#of it the reference's", "#Mean residual", "#rms", "#Beyond the bars"], lines, { scrolls: true });
+  return table(["Import", "Output", "#Measured / reference", "#95 % bound", "#from the reference", "#Mean residual", "#rms", "#Beyond the bars"], lines, { scrolls: true });
 }
 
 function label({ reply, output, load }, k) {

@@ -7,9 +7,9 @@ import { trouble } from "./api.js";
 
 const BUILDING_MS = 3000; // between tries of a table that is being built
 // Views that new rows make stale, and that do not follow them on their own.
-const FOLLOW = ["shape", "rows", "response", "checks", "compare", "entry"];
+const FOLLOW = ["shape", "coverage", "response", "checks", "compare"];
 // Views of one wrench at one interface, without further inputs.
-const OF_ONE = ["shape", "rows", "response", "checks", "compare", "report", "demand"];
+const OF_ONE = ["shape", "coverage", "response", "checks", "compare", "report", "demand"];
 // View, its name, file, group, and what the component needs for it.
 const TABS = [
   ["overview", "Overview", "overview.js"],
@@ -17,6 +17,7 @@ const TABS = [
   ["response", "Response", "response.js", "Query"],
   ["shape", "Shape", "shape.js", "Query", "has_fea"],
   ["rows", "Rows", "rows.js", "Table"],
+  ["coverage", "Coverage", "coverage.js", "Table"],
   ["checks", "Checks", "checks.js", "Table"],
   ["compare", "Compare", "compare.js", "Table"],
   ["report", "Report", "report.js", "Table", "has_fea"],
@@ -24,13 +25,13 @@ const TABS = [
   ["jobs", "Jobs", "component_jobs.js", "Jobs & demand", "has_fea"],
   ["demand", "Demand", "demand.js", "Jobs & demand"],
   ["faces", "Faces", "faces.js", "Part", "mesh"],
-  ["entry", "Entry", "entry.js", "Part"],
+  ["settings", "Settings", "settings.js", "Part"],
 ];
 
 // Loads the files of all views.
 export const preload = () => Promise.all(TABS.map(([, , file]) => import(`./${file}`)));
 
-export async function show(root, [name, tab = "overview"], signal) {
+export async function show(root, [name, tab = "overview", query], signal) {
   // The library's entry is reply at once; all there is to say of a large table takes seconds.
   const { components } = await listed(signal);
   const about = components.find((one) => one.name === name) || await get(of(name), signal);
@@ -56,13 +57,13 @@ export async function show(root, [name, tab = "overview"], signal) {
   let drawn = new AbortController(), now = about;
   const draw = async () => {
     try {
-      await part.show(body, now, AbortSignal.any([own, drawn.signal]));
+      await part.show(body, now, AbortSignal.any([own, drawn.signal]), new URLSearchParams(query));
     } catch (error) {
       if (own.aborted || error.name === "AbortError") return;
       put(body, trouble(error));
       if (error.status !== 503) return;
       ended.abort();
-      setTimeout(() => { if (!signal.aborted) show(root, [name, tab], signal); }, BUILDING_MS);
+      setTimeout(() => { if (!signal.aborted) show(root, [name, tab, query], signal); }, BUILDING_MS);
     }
   };
   const again = async () => {
@@ -73,7 +74,7 @@ export async function show(root, [name, tab = "overview"], signal) {
     await draw();
   };
   const stale = () => put(changed, note("", el("div", { class: "line" }, "The table has changed since this view was drawn.", el("button", { type: "button", class: "small", id: "draw-again", onclick: again }, "Draw it again"))));
-  if (FOLLOW.includes(chosenTab)) listenToTable(name, about.table_version ?? 0, own, () => (now.rows || chosenTab === "entry" ? stale : again)());
+  if (FOLLOW.includes(chosenTab)) listenToTable(name, about.table_version ?? 0, own, () => (now.rows ? stale : again)());
   await draw();
 }
 
@@ -84,15 +85,15 @@ function awayPill(archived) {
   return made;
 }
 
-// The groups, and below them the views of the chosen one, unless it is one view of the same name.
+// The groups, and below them the views of the chosen one; a group of one view has its name.
 function tabs(name, chosen, there) {
   const groups = Map.groupBy(there, ([, text, , group]) => group || text);
   const link = ([view], text, current) => el("a", { href: `#/c/${encodeURIComponent(name)}/${view}`, "aria-current": current }, text);
   let row = null;
   const heads = [...groups].map(([group, views]) => {
-    const here = views.some(([view]) => view === chosen), one = views.length === 1 && views[0][1] === group;
+    const here = views.some(([view]) => view === chosen), one = views.length === 1;
     if (here && !one) row = el("div", { class: "views" }, views.map((view) => link(view, view[1], view[0] === chosen ? "page" : null)));
-    return link(views[0], group, here ? (one ? "page" : "true") : null);
+    return link(views[0], one ? views[0][1] : group, here ? (one ? "page" : "true") : null);
   });
   return el("nav", { class: "tabs", "aria-label": `Views of ${name}` }, el("div", {}, heads), row);
 }

@@ -33,19 +33,19 @@ export async function show(root, about, signal) {
     el("section", { class: "card" },
       el("div", { class: "line bottom ends" }, choice("demand-axis", "Loads of", Object.keys(AXES).map((one) => [one, `axis ${one}`]), "z", (value) => { state.axis = value; drawing?.again(); }),
         el("button", { type: "button", class: "small", onclick: forget }, "Delete the statistics")),
-      el("p", { class: "muted" }, `${reply.asked === 1 ? "1 answer was" : `${count(reply.asked)} answers were`} thin or outside. The area of a mark shows the number of queries, the frame the load range.${about.has_fea ? " Fill the table where it is thin or outside the rows; for loads outside the frame, widen [range] in component.toml. Marks stay after later rows cover them." : " Import rows near these loads."}`), view.root),
+      el("p", { class: "muted" }, `${reply.asked === 1 ? "1 query was" : `${count(reply.asked)} queries were`} not covered when asked; rows that came later may cover the same loads now. A larger mark stands for more queries. The frame is the load range: ${about.has_fea ? "fill the table for loads within it; for loads beyond it, widen [range] in component.toml" : "import rows near these loads"}.`), view.root),
     el("section", { class: "card" }, el("h2", {}, "Most frequent"), most(reply)));
   drawing = await draw(place, (shade) => picture(about, reply, state.axis, shade, view.camera()), signal, `${reply.cells.length} places with uncovered queries`);
   view.hold(drawing);
 }
 
 function marks() {
-  const one = (colour) => {
+  const one = (colour, text) => {
     const mark = el("i");
     mark.style.background = `var(--${colour})`;
-    return el("li", {}, mark, colour);
+    return el("li", {}, mark, text);
   };
-  return el("ul", { class: "key-of-marks" }, one("thin"), one("outside"));
+  return el("ul", { class: "key-of-marks" }, one("thin", "thin: rows near, error too large or unknown"), one("outside", "outside: no rows around, or beyond the load range"));
 }
 
 function picture(about, reply, axis, shade, camera) {

@@ -32,6 +32,17 @@ export function working(text) {
   return root;
 }
 
+// A place on which a file can be dropped; `take(file)` gets it.
+export function dropPlace(take, ...children) {
+  const root = el("div", { class: "drop" }, children);
+  const over = (event) => { event.preventDefault(); root.classList.add("over"); };
+  root.addEventListener("dragenter", over);
+  root.addEventListener("dragover", over);
+  root.addEventListener("dragleave", () => root.classList.remove("over"));
+  root.addEventListener("drop", (event) => { event.preventDefault(); root.classList.remove("over"); take(event.dataTransfer.files[0]); });
+  return root;
+}
+
 export function note(kind, ...children) {
   return el("div", { class: `note ${kind}` }, ...children);
 }

@@ -24,8 +24,11 @@ export async function facesIn(root, { faces, figure }, signal, ofDeck = false) {
   const list = select(faces.map((one) => [one.number, described(one)]), null, (value) => choose(Number(value)));
   list.id = "face";
   const labels = figure.data.filter((trace) => trace.type !== "mesh3d"), apart = 0.05 * extent(labels.map(placeOf));
-  // Of two labels at one place, as on a thin plate, the first is drawn lower.
-  const lower = (trace) => labels.some((one) => numberOf(one) > numberOf(trace) && Math.hypot(...placeOf(one).map((x, k) => x - placeOf(trace)[k])) < apart);
+  const together = []; // labels at one place, as of a thin plate or of bores on one axis, are one text
+  for (const label of labels) {
+    const near = together.find(([first]) => Math.hypot(...placeOf(first).map((x, k) => x - placeOf(label)[k])) < apart);
+    if (near) near.push(label); else together.push([label]);
+  }
   let drawing = null;
   const choose = (face) => {
     if (face !== chosen) { chosen = face; drawing?.again(); }
@@ -37,7 +40,7 @@ export async function facesIn(root, { faces, figure }, signal, ofDeck = false) {
       : "Click a face, or choose it in the list. Copy its lines into component.toml; supports and interfaces name the group. Lengths are in m."),
     view.root, el("div", { class: "halves" }, field(`Face (1 to ${faces.length})`, list), field("Name of the group", group)), lines.root));
   choose(faces[0].number);
-  drawing = await draw(place, (shade) => ({ data: figure.data.map((trace) => painted(trace, chosen, shade, lower)), layout: { scene: sceneOf(view, bodies) } }), signal, `${faces.length} numbered faces`);
+  drawing = await draw(place, (shade) => ({ data: figure.data.map((trace) => painted(trace, chosen, shade, together.find(([first]) => first === trace))), layout: { scene: sceneOf(view, bodies) } }), signal, `${faces.length} numbered faces`);
   view.hold(drawing);
   pressed(place, (trace) => choose(numberOf(trace)));
 }
@@ -47,9 +50,9 @@ const placeOf = (trace) => [trace.x[0], trace.y[0], trace.z[0]]; // of a label
 const numberOf = (trace) => Number.parseInt(trace.name, 10);
 
 // The chosen face in the colour of links, the others pale; numbers in the colour of text.
-function painted(trace, chosen, shade, lower) {
+function painted(trace, chosen, shade, labels = []) {
   const here = numberOf(trace) === chosen;
-  if (trace.type !== "mesh3d") return { ...trace, textposition: lower(trace) ? "bottom center" : "middle center", textfont: { color: shade.ink, size: here ? 18 : 13 } };
+  if (trace.type !== "mesh3d") return { ...trace, text: [labels.map(numberOf).join(", ")], textposition: "middle center", textfont: { color: shade.ink, size: labels.some((one) => numberOf(one) === chosen) ? 18 : 13 } };
   return { ...trace, color: here ? shade.accent : shade.part, flatshading: false, lighting: { ambient: 0.7, diffuse: 0.5, specular: 0.05 } };
 }
 

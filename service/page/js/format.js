@@ -71,6 +71,12 @@ export function quantity(value, unit, digits = 3) {
   return `${number(value / scale, digits)} ${prefix}${unit}`;
 }
 
+// Three values with one prefix: (1.2, 0, −3.4) µm.
+export function triple(values, unit) {
+  const [scale, prefix] = prefixOf(Math.max(...values.map((one) => Math.abs(one ?? 0)))), least = 1e-6 * scale; // below it is round-off
+  return `(${values.map((one) => (one === null ? "–" : Math.abs(one) < least ? "0" : number(one / scale))).join(",\u00a0")})\u00a0${prefix}${unit}`;
+}
+
 export function stress(value) {
   if (value === null || value === undefined) return "–";
   return value >= 1e6 ? `${number(value / 1e6, 4)} MPa` : `${number(value / 1e3, 3)} kPa`;

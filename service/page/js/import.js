@@ -2,7 +2,7 @@
 
 import { caughtUp, get, of, send, trouble } from "./api.js";
 import { isLines, lineOf, readText, withLine } from "./csv_text.js";
-import { el, note, put, table, working } from "./dom.js";
+import { dropPlace, el, note, put, table, working } from "./dom.js";
 import { findingNote } from "./findings.js";
 import { LOADS, OUTPUTS, count, number, plain, sentence, unitOfLoad, unitOfOutput } from "./format.js";
 import { importOptions } from "./import_options.js";
@@ -25,13 +25,8 @@ export function importForm(about, signal) {
     await check(state);
   };
   const input = el("input", { type: "file", id: "file", "aria-label": "A table file", onchange: () => take(input.files[0]) });
-  const drop = el("div", { class: "drop" }, el("strong", {}, "Drop a table here, or choose a file"),
+  const drop = dropPlace(take, el("strong", {}, "Drop a table here, or choose a file"),
     el("span", { class: "small" }, "CSV with a header such as Fz [N], ux [mm]; Excel, Parquet, JSON, HDF5, MATLAB, LabVIEW, TDMS; each gzipped or not. The file is checked first; rows are loaded only after you confirm."), input);
-  const over = (event) => { event.preventDefault(); drop.classList.add("over"); };
-  drop.addEventListener("dragenter", over);
-  drop.addEventListener("dragover", over);
-  drop.addEventListener("dragleave", () => drop.classList.remove("over"));
-  drop.addEventListener("drop", (event) => { event.preventDefault(); drop.classList.remove("over"); take(event.dataTransfer.files[0]); });
   return [drop, state.options.root, state.place];
 }
 
@@ -123,9 +118,11 @@ function findings(state, found, number) {
 
 function preview(result) {
   if (!result.preview?.length) return null;
-  const head = ["#row", ...LOADS.map((one) => `#${plain(one)}, ${unitOfLoad(one)}`), ...OUTPUTS.map((one) => `#${one}, ${unitOfOutput(one)}`)];
+  const inFile = new Map((result.columns || []).map(({ name, unit }) => [name.replace("-", ""), unit?.replace("*", "·").replace("um", "µm")]));
+  const headOf = (name, text, unit) => `#${text}, ${unit}${inFile.get(name) && inFile.get(name) !== unit ? ` (file: ${inFile.get(name)})` : ""}`;
+  const head = ["#row", ...LOADS.map((one) => headOf(one, plain(one), unitOfLoad(one))), ...OUTPUTS.map((one) => headOf(one, one, unitOfOutput(one)))];
   const lines = result.preview.map((one) => [String(one.row), ...[...one.wrench, ...one.displacement].map((value) => number(value, 5))]);
-  const shown = table(head, lines, { scrolls: true, caption: "The first correct rows, in SI" });
+  const shown = table(head, lines, { scrolls: true, caption: "The first correct rows, converted to SI" });
   shown.id = "preview";
   return shown;
 }
@@ -139,7 +136,7 @@ async function load(state, checked) {
     const kept = result.import ? (await get(`${of(state.about.name)}/imports`, state.signal)).imports.find((one) => one.id === result.import) : null;
     const name = encodeURIComponent(state.about.name);
     put(state.place, note("covered", el("strong", {}, `${count(result.inserted)} rows are in the table.`), result.errors.length || result.existing || result.rows.read !== result.rows.loaded ? tallies(result) : null,
-      el("span", {}, el("a", { href: `#/c/${name}/query` }, "Query it"), ", or see ", el("a", { href: `#/c/${name}/rows` }, "the rows"), ". This is ", el("a", { href: `#/c/${name}/entry` }, `version ${result.table_version}`), ".")),
+      el("span", {}, el("a", { href: `#/c/${name}/query` }, "Query it"), ", or see ", el("a", { href: `#/c/${name}/rows?import=${result.import ?? ""}` }, "the rows"), `. This is table version ${result.table_version}; the import is in the list below, which can withdraw it.`)),
     ...findings(state, kept?.findings || result.findings, kept?.id));
   } catch (error) { if (!state.signal.aborted) put(state.place, trouble(error)); }
 }

@@ -1,4 +1,4 @@
-// Jobs with live progress, those that run first; cancel, retry, the log of a failed one.
+// Jobs with live progress: running ones, waiting ones in the order of their start, then the newest; cancel, retry, the log of a failed one.
 
 import { get, post, send, trouble } from "./api.js";
 import { el, note, notify, pill, put, save } from "./dom.js";
@@ -6,24 +6,28 @@ import { empty as emptyState } from "./empty.js";
 import { listen } from "./events.js";
 import { actorOf, seconds, sentence, time } from "./format.js";
 import { saidOf } from "./inputs.js";
+import { rowLink } from "./rows.js";
 
-const SHOWN = 50, NEWEST = 20; // jobs: of a page; whose solve times are averaged
+const SHOWN = 50, MOST_WAITING = 1000, NEWEST = 20; // jobs: of a page; put in the order of their start; whose solve times are averaged
 
 export async function jobList(root, component, signal) {
-  const list = { running: el("tbody", { class: "running" }), root: el("tbody", {}), rows: new Map(), withName: !component, means: new Map(), signal };
+  const list = { running: el("tbody", { class: "running" }), waiting: el("tbody", { class: "waiting" }), root: el("tbody", {}), rows: new Map(), withName: !component, means: new Map(), signal };
   const status = { value: "" };
   const older = el("button", { type: "button", hidden: true }, "Older jobs");
   let following = null;
   const load = async (path, fresh) => {
-    const page = await get(path, signal);
+    let page = await get(path, signal);
     const running = fresh && !status.value ? (await get(query("running"), signal)).jobs : [];
-    if (fresh) { list.rows.clear(); put(list.root); put(list.running); }
-    for (const job of [...running, ...page.jobs]) if (!list.rows.has(job.id)) place(list, rowOf(list, job));
-    following = page.next;
-    if (fresh) list.count();
+    const waiting = fresh && ["", "waiting"].includes(status.value) ? (await get(query("waiting", MOST_WAITING), signal)).jobs.sort(inOrder) : [];
+    if (fresh) { list.rows.clear(); put(list.root); put(list.running); put(list.waiting); }
+    const ended = () => (status.value === "waiting" ? [] : page.jobs.filter((job) => job.status !== "waiting"));
+    while (!fresh && page.next && !ended().length) page = await get(page.next.slice(1), signal);
+    for (const job of [...running, ...(status.value ? waiting : waiting.slice(0, SHOWN)), ...ended()]) if (!list.rows.has(job.id)) place(list, rowOf(list, job));
+    following = status.value === "waiting" ? null : page.next;
+    if (fresh) { list.last = waiting.at(-1); list.count(); }
     older.hidden = !following;
   };
-  const query = (kind = status.value) => `v1/jobs?limit=${SHOWN}${component ? `&component=${encodeURIComponent(component)}` : ""}${kind ? `&status=${kind}` : ""}`;
+  const query = (kind = status.value, limit = SHOWN) => `v1/jobs?limit=${limit}${component ? `&component=${encodeURIComponent(component)}` : ""}${kind ? `&status=${kind}` : ""}`;
   const empty = emptyState("No jobs. A query that the table does not cover queues a solve; so does filling the table.", component ? el("a", { class: "button", href: `#/c/${encodeURIComponent(component)}/query` }, "Ask a query") : el("a", { class: "button", href: "#/" }, "Go to the library"));
   empty.hidden = true;
   const queue = el("p", { class: "muted small", id: "queue", "aria-live": "polite" });
@@ -31,8 +35,8 @@ export async function jobList(root, component, signal) {
     empty.hidden = list.rows.size > 0;
     all.hidden = !empty.hidden;
     const waiting = [...list.rows.values()].map((row) => row.job).filter((job) => job.status === "waiting");
-    get(`${query("waiting")}`.replace(`limit=${SHOWN}`, "limit=1"), signal).then(({ jobs }) => { cancelAll.hidden = !jobs.length; }).catch(() => {});
-    return waitingTime(waiting.sort((a, b) => b.id - a.id)[0], queue, signal);
+    get(query("waiting", 1), signal).then(({ jobs }) => { cancelAll.hidden = !jobs.length; }).catch(() => {});
+    return waitingTime([...waiting, list.last].filter(Boolean).sort(inOrder).at(-1), queue, signal);
   };
   const fresh = () => load(query(), true).catch((error) => { if (!signal.aborted) put(root, trouble(error)); });
   older.addEventListener("click", () => load(following.replace(/^\//, ""), false));
@@ -40,7 +44,7 @@ export async function jobList(root, component, signal) {
     ["", "waiting", "running", "done", "failed", "cancelled"].map((one) => el("option", { value: one }, one || "all")));
   const cancelAll = el("button", { type: "button", class: "small", hidden: true, onclick: () => cancelWaiting(component) }, "Cancel all waiting jobs");
   const head = ["#Job", component ? null : "Component", "State", "Wrench", "Accepted", "#Took", ""].filter((one) => one !== null);
-  const all = el("table", { class: `folds jobs${component ? "" : " all"}` }, el("thead", {}, el("tr", {}, head.map((one) => el("th", { scope: "col", class: one[0] === "#" ? "number" : null }, one.replace("#", ""))))), list.running, list.root);
+  const all = el("table", { class: `folds jobs${component ? "" : " all"}` }, el("thead", {}, el("tr", {}, head.map((one) => el("th", { scope: "col", class: one[0] === "#" ? "number" : null }, one.replace("#", ""))))), list.running, list.waiting, list.root);
   put(root,
     el("div", { class: "line ends" }, el("label", { class: "line" }, "Show", filter), cancelAll), queue,
     all, empty, older);
@@ -75,10 +79,15 @@ function rowOf(list, job) {
   return row;
 }
 
-// Jobs that run are above all others; of each the newest is first.
+// The order in which the server starts jobs of one actor.
+const inOrder = (a, b) => (b.priority || 0) - (a.priority || 0) || a.id - b.id;
+
+const bodyOf = (list, { status }) => ({ running: list.running, waiting: list.waiting })[status] || list.root;
+
+// Of running and of ended jobs the newest is first.
 function place(list, row) {
-  const body = row.job.status === "running" ? list.running : list.root;
-  body.insertBefore(row.root, [...body.children].find((one) => Number(one.id.slice(4)) < row.job.id) || null);
+  const body = bodyOf(list, row.job), after = body === list.waiting ? (job) => inOrder(job, row.job) > 0 : (job) => job.id < row.job.id;
+  body.insertBefore(row.root, [...body.children].find((one) => after(list.rows.get(Number(one.id.slice(4))).job)) || null);
 }
 
 // When the newest waiting job, and so the queue, is expected to be solved.
@@ -108,7 +117,7 @@ async function expected(list, job, place_) {
 const rough = (value) => (value < 120 ? `${Math.max(1, Math.round(value))} s` : `${Math.round(value / 60)} min`);
 
 function change(list, row, job) {
-  const moves = row.root.isConnected && (row.job.status === "running") !== (job.status === "running");
+  const moves = row.root.isConnected && bodyOf(list, row.job) !== bodyOf(list, job);
   row.job = job;
   if (moves) place(list, row);
   const left = el("span", {});
@@ -163,7 +172,7 @@ export function jobFacts(job) {
   return [
     ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Actor", actorOf(job.actor)], ["Wrench", saidOf(job)],
     ["Attempt", job.attempt ? String(job.attempt) : ""], ["Accepted", time(job.created)], ["Started", job.started ? time(job.started) : ""],
-    ["Ended", job.finished ? time(job.finished) : ""], ["Took", job.seconds ? seconds(job.seconds) : ""], ["Row", job.row ? String(job.row) : ""],
+    ["Ended", job.finished ? time(job.finished) : ""], ["Took", job.seconds ? seconds(job.seconds) : ""], ["Row", job.row ? rowLink(job.component, job.row) : ""],
     ["Waits", job.waiting ? job.waiting.reason || "" : ""],
     ["Notes", job.notes?.length ? el("ul", {}, job.notes.map((one) => el("li", {}, one))) : ""],
     ["Failed", job.error ? failure(job.error) : ""],

@@ -14,7 +14,7 @@ export async function show(root, [id], signal) {
   }
   document.title = "Jobs · wrenchbook";
   const card = el("section", { class: "card" });
-  put(root, el("div", { class: "head" }, el("div", {}, el("h1", {}, "Jobs"), el("p", { class: "muted" }, "Solves that the server has accepted: running ones first, then the newest."))), card);
+  put(root, el("div", { class: "head" }, el("div", {}, el("h1", {}, "Jobs"), el("p", { class: "muted" }, "Solves that the server has accepted: running ones, waiting ones in the order of their start, then the newest."))), card);
   await jobList(card, null, signal);
 }
 

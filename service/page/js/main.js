@@ -6,7 +6,7 @@ import { el, note, notify, put } from "./dom.js";
 const VIEWS = [
   [/^\/$/, "library.js"],
   [/^\/add$/, "add.js"],
-  [/^\/c\/([^/]+)(?:\/([a-z]+))?$/, "component.js"],
+  [/^\/c\/([^/?]+)(?:\/([a-z]+))?(?:\?(.*))?$/, "component.js"],
   [/^\/jobs(?:\/(\d+))?$/, "jobs.js"],
   [/^\/scene$/, "scene.js"],
   [/^\/audit$/, "audit.js"],
@@ -29,7 +29,7 @@ async function show() {
   }
   try {
     const view = await import(`./${file}`);
-    if (!signal.aborted) await view.show(main, found.map((one) => one && decodeURIComponent(one)), signal);
+    if (!signal.aborted) await view.show(main, found.map((one, place) => one && (place < 2 ? decodeURIComponent(one) : one)), signal);
   } catch (error) {
     if (error.name === "AbortError" || signal.aborted) return;
     put(main, el("h1", {}, "This view cannot be shown"), trouble(error), el("p", {}, el("a", { href: "#/" }, "Go to the library")));
@@ -77,9 +77,10 @@ function askForKey() {
   const close = () => { dialog.close(); dialog.remove(); };
   const refused = el("div", { "aria-live": "polite" });
   const use = async () => {
+    const before = key(); // a refused key does not cost the one that worked
     setKey(input.value.trim());
     const [needed, known] = await Promise.all(["", key()].map((one) => answers(one)));
-    if (key() && !known && !needed) return put(refused, note("outside", "The server refuses this key. Copy it again, or ask for a new one."), setKey(""));
+    if (key() && !known && !needed) return put(refused, note("outside", "The server refuses this key. Copy it again, or ask for a new one."), setKey(before));
     verdict = !key() ? "" : needed ? " (not needed)" : " ✓";
     if (key() && needed) notify("This server needs no key.");
     close();

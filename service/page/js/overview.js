@@ -8,7 +8,7 @@ import { findingNote } from "./findings.js";
 import { count, number, quantity, sentence } from "./format.js";
 import { inputsOf, mark, spansOf } from "./inputs.js";
 import { paint } from "./picture.js";
-import { legend, sharesOf, wholeError } from "./shares.js";
+import { WHOLE, legend, sharesOf, wholeError } from "./shares.js";
 
 export async function show(root, { name }, signal) {
   put(root, el("p", { class: "muted" }, "…"));
@@ -64,9 +64,8 @@ async function cover(place, about, signal, isLatest) {
   let glance = null;
   if (rows) {
     glance = await get(`${of(about.name)}/glance`, signal);
-    parts.push(wholeError(glance, about));
-    parts.push(sharesOf(glance));
-    parts.push(legend(), el("p", { class: "muted small" }, `Parts of the load range. Covered: the interpolation error is known and within the tolerance; thin: it is larger or not known; outside: beyond the load range, or beyond the rows for the methods by axes (additive, griddata). Kriging may cover loads a little beyond the rows. The first bar compares the whole error bar with the tolerance.${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`));
+    parts.push(wholeError(glance, about), legend(WHOLE), sharesOf(glance));
+    parts.push(legend(), el("p", { class: "muted small" }, `Parts of the load range. Covered: the interpolation error is known and within the tolerance; thin: it is larger or not known; outside: beyond the load range, or beyond the rows for the methods by axes (additive, griddata). Kriging may cover loads a little beyond the rows. The first bar compares the complete error bar, of interpolation and of the solver, with the tolerance.${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`));
   } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : "The table has no rows yet."));
   if (isLatest()) put(place, parts);
   return glance;
@@ -88,28 +87,40 @@ function fill(about, signal) {
   const order = async (event) => {
     event.preventDefault();
     try {
-      const reply = await post(`${of(about.name)}/fill`, { budget: Number(budget.value) });
-      if (reply.jobs.length) await progress(state, reply, about.linear, signal); else put(state, reply.reason ? sentence(reply.reason) : "Nothing to solve.");
+      event.submitter.disabled = true;
+      await fillTo(state, about.name, Number(budget.value), signal);
     } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
+    event.submitter.disabled = false;
   };
   const state = el("div", { "aria-live": "polite" });
   return [el("form", { class: "line bottom", onsubmit: order },
     field("Largest number of solves", budget), el("button", { class: "first", id: "fill" }, "Fill the table")), state];
 }
 
-// How many of the queued solves have ended; they end about in their order.
-async function progress(place, { jobs, reason }, linear, signal) {
-  const bar = el("progress", { max: String(jobs.length), value: 0, "aria-label": "Solves that have ended" }), words = el("span", { class: "small muted" });
-  put(place, el("div", { class: "stack tight" }, words, bar, reason ? el("span", { class: "small muted" }, sentence(reason)) : null));
-  let failed = 0;
-  for (const [place_, { id }] of jobs.entries()) {
-    words.textContent = `${place_} of ${jobs.length} solves have ended.`;
-    let job;
-    do job = await get(`v1/jobs/${id}?wait_s=20`, signal); while (["waiting", "running"].includes(job.status));
-    failed += job.status === "done" ? 0 : 1;
-    bar.value = place_ + 1;
+const ROUND = 24; // solves: the next round is designed with their rows, as by the command fill
+// Queues solves round by round until the budget is spent or the table needs none; they end about in their order.
+async function fillTo(place, name, budget, signal) {
+  let ended = 0, failed = 0, stopped = false;
+  const bar = el("progress", { max: String(budget), value: 0, "aria-label": "Solves that have ended" }), words = el("span", { class: "small muted" }), why = el("span", { class: "small muted" });
+  const stop = el("button", { type: "button", class: "small", id: "stop-fill", onclick: () => { stopped = stop.disabled = true; words.textContent = `Stops after the solves that are queued. ${ended} of at most ${budget} have ended.`; } }, "Stop after this round");
+  put(place, el("div", { class: "stack tight" }, words, bar, why, el("div", {}, stop)));
+  const say = (end) => { words.textContent = `${ended} of at most ${budget} solves have ended${failed ? `, ${failed} without a row: see the jobs` : ""}.${end}`; };
+  while (ended < budget && !stopped) {
+    const { jobs, reason } = await post(`${of(name)}/fill`, { budget: Math.min(ROUND, budget - ended) }, signal);
+    why.textContent = reason ? sentence(reason) : "";
+    if (!jobs.length) break;
+    const before = failed;
+    for (const { id } of jobs) {
+      if (!stopped) say(" The next round begins by itself while this view is open.");
+      let job;
+      do job = await get(`v1/jobs/${id}?wait_s=20`, signal); while (["waiting", "running"].includes(job.status));
+      failed += job.status === "done" ? 0 : 1;
+      bar.value = ended += 1;
+    }
+    if (failed - before === jobs.length) break; // the next round would ask for the same
   }
-  words.textContent = `${jobs.length} of ${jobs.length} solves have ended${failed ? `, ${failed} without a row: see the jobs` : ""}.${linear ? "" : " Fill the table again to continue from the new rows."}`;
+  stop.remove();
+  say(ended < budget ? "" : " The budget is spent.");
 }
 
 const SOURCES = { fea: "solved" };
@@ -128,7 +139,7 @@ function method(about) {
     [sources ? "Reason" : "Method", about.has_fea || sources ? sentence(cover.method_reason || "–") : "The table has no rows: import measured ones."],
     ["Tolerance", tolerance],
     ["Jobs", jobs.length ? el("a", { class: "line", href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : "none"],
-    ["Contradictions", cover.conflicting_wrenches ? `${cover.conflicting_wrenches} ${cover.conflicting_wrenches === 1 ? "wrench has" : "wrenches have"} rows that disagree: withdraw the wrong import under Entry` : ""],
+    ["Contradictions", cover.conflicting_wrenches ? `${cover.conflicting_wrenches} ${cover.conflicting_wrenches === 1 ? "wrench has" : "wrenches have"} rows that disagree: withdraw the wrong ones under Table, Rows` : ""],
     ["Outside the range", cover.beyond_range ? `${count(cover.beyond_range)} rows, which do not count` : ""],
     ["Table version", String(about.table_version)],
     ["Notes", about.notes],

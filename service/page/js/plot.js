@@ -67,7 +67,10 @@ export async function draw(place, make, signal, label) {
   if (signal.aborted) return drawing;
   const again = () => drawing.again();
   window.addEventListener("theme", again);
-  signal.addEventListener("abort", () => { window.removeEventListener("theme", again); drawing.plotly.purge(place); });
   await drawing.again();
+  let width = place.clientWidth; // a telephone that is turned has another layout, not only another size
+  const resized = new ResizeObserver(() => { if (place.clientWidth && place.clientWidth !== width) { width = place.clientWidth; again().then(() => drawing.plotly.Plots.resize(place)).catch(() => {}); } });
+  resized.observe(place);
+  signal.addEventListener("abort", () => { window.removeEventListener("theme", again); resized.disconnect(); drawing.plotly.purge(place); });
   return drawing;
 }

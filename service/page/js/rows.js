@@ -1,109 +1,158 @@
-// The rows of one axis in space: hull, what is thin, what was asked last.
+// The rows of a component, newest first: filters, a page at a time, withdrawal and restoring of a row.
 
-import { asked } from "./asked.js";
-import { get, of, trouble } from "./api.js";
-import { choice, el, note, put, table } from "./dom.js";
-import { emptyTable } from "./empty.js";
-import { LOADS, count, number, percent, plain, symbol, unitOfLoad } from "./format.js";
-import { box } from "./load_box.js";
-import { draw } from "./plot.js";
-import { figure } from "./view3d.js";
+import { get, of, post, send, trouble } from "./api.js";
+import { el, field, notify, pill, put, select } from "./dom.js";
+import { empty, emptyTable } from "./empty.js";
+import { time, triple } from "./format.js";
+import { named, outputsOf, said } from "./inputs.js";
 
-const AXES = [["x", "axis x"], ["y", "axis y"], ["z", "axis z"]];
+const SHOWN = 25; // rows of a page, each a call
+const MOST_READ = 500; // rows that are read for a page: those of other states are left out
+const SOURCES = [["", "all"], ["solves", "solved here"], ["imports", "imported"]];
+const STATES = [["", "all"], ["in the table", "in the table"], ["withdrawn", "withdrawn"], ["other files", "solved with other files"]];
 
-export async function show(root, about, signal) {
-  if (!about.rows) {
-    put(root, emptyTable(about));
-    return;
-  }
-  const stage = el("div", { class: "stack" }), below = el("div", { class: "halves" });
-  const pick = (axis) => axisOf(stage, below, about, axis, signal).catch((error) => { if (!signal.aborted) put(stage, trouble(error)); });
-  put(root, el("section", { class: "card" }, choice("axis", "Rows of", AXES, "z", pick), stage), below);
-  await pick("z");
-}
+export const rowLink = (name, row, text = String(row)) => el("a", { href: `#/c/${encodeURIComponent(name)}/rows?row=${row}` }, text);
 
-async function axisOf(stage, below, about, axis, signal) {
-  const [rows, latest] = await Promise.all([
-    get(`${of(about.name)}/drawing?axis=${axis}&most=3000`, signal),
-    latestOf(about, signal),
-  ]);
-  let gap = { hull: [], worst: [] };
-  const place = el("div", { class: "plot", id: "rows" });
-  const view = figure(place, `Rows of axis ${axis}`, marks());
-  put(below, el("p", { class: "muted" }, "Computing the convex hull …"));
-  put(stage, rows.shown < rows.of ? note("", `${count(rows.shown)} of ${count(rows.of)} rows are drawn, spread over the table.`) : null, view.root);
-  const drawing = await draw(place, (shade) => picture(about, rows, gap, latest, shade, view.camera()), signal, `${rows.shown} rows of axis ${axis} over ${rows.inputs.join(", ")}`);
-  view.hold(drawing);
-  const cover = await get(`${of(about.name)}/coverage`, signal); // seconds for 100,000 rows
-  gap = cover.gaps.find((one) => one.axis === axis) || gap;
-  put(below, el("section", { class: "card" }, el("h2", {}, "Coverage of this axis"), holds(rows, cover.axes.find((one) => one.axis === axis))),
-    el("section", { class: "card" }, el("h2", {}, "Largest gaps between rows"), worst(gap)));
-  if (stage.contains(place)) await drawing.again();
-}
+// Row numbers with the word "row" before them, as links, at most `most`.
+export const rowLinks = (name, rows, most) => [rows.length === 1 ? "row " : "rows ", rows.slice(0, most).flatMap((row, k) => [k ? ", " : "", rowLink(name, row)])];
 
-// What the server was asked and could not cover, if it keeps that, and what this tab asked.
-async function latestOf(about, signal) {
-  const own = asked(about.name).map((one) => one.wrench);
-  const reply = await get(`${of(about.name)}/demand`, signal).catch(() => null);
-  return [...own, ...(reply?.latest || []).map((one) => one.wrench)].slice(0, 100);
-}
-
-function marks() {
-  const one = (kind, colour, text) => {
-    const mark = el("i", { class: kind });
-    mark.style.background = `var(--${colour})`;
-    return el("li", {}, mark, text);
+export async function show(root, about, signal, query = new URLSearchParams()) {
+  const { imports } = await get(`${of(about.name)}/imports`, signal);
+  const body = el("tbody", {}), state = el("div", { "aria-live": "polite" }), older = el("button", { type: "button", hidden: true }, "Older rows");
+  const number = el("input", { type: "number", min: 1, step: 1, value: query.get("row") || "", placeholder: "all" });
+  const source = select(SOURCES, query.get("source") || ""), status = select(STATES, query.get("state") || "");
+  const from = select([["", "all"], ...imports.map((one) => [String(one.id), `${one.id}${one.filename ? `: ${one.filename}` : ""}`])], query.get("import") || "");
+  let walk = null, latest = 0;
+  const load = async (fresh) => {
+    const mine = latest += 1; // of two at once the later one counts
+    older.hidden = true;
+    put(state, el("p", { class: "muted" }, "Reading rows …"));
+    try {
+      if (fresh) {
+        const now = (await get(`${of(about.name)}/imports`, signal)).imports.filter(({ id }) => !from.value || String(id) === from.value); // withdrawals change them
+        if (mine !== latest) return;
+        walk = walkOf(about.name, number.value, source.value, status.value, now, Boolean(from.value), signal);
+        put(body);
+      }
+      let shown = 0, read = 0, more = true;
+      while (more && shown < SHOWN && read < MOST_READ) {
+        const numbers = await walk.next();
+        const rows = (await Promise.all(numbers.map((one) => read_(about.name, one, signal)))).filter(Boolean);
+        if (mine !== latest) return;
+        more = numbers.length > 0;
+        read += numbers.length;
+        const chosen = rows.filter((row) => walk.has(row) && (!status.value || stateOf(row) === status.value));
+        body.append(...chosen.map((row) => line(about, row)));
+        shown += chosen.length;
+      }
+      older.hidden = !more;
+      list.hidden = !body.children.length;
+      put(state, !list.hidden ? null : more ? el("p", { class: "muted" }, `None among the newest ${read} rows.`) : filters().length ? empty("No row fits these filters.") : emptyTable(about));
+    } catch (error) { if (!signal.aborted && mine === latest) put(state, trouble(error)); }
   };
-  return el("ul", { class: "key-of-marks" }, one("", "accent", "row with loads of this axis only"), one("hollow", "card", "row with other loads too"),
-    one("square", "thin", "loads that are thin"), one("square", "outside", "loads outside the rows"), one("diamond", "query", "latest queries, within twice the load range"));
+  older.addEventListener("click", () => load(false));
+  const filters = () => Object.entries({ row: number.value, source: source.value, state: status.value, import: from.value }).filter(([, value]) => value);
+  const chosen = () => {
+    const kept = filters();
+    history.replaceState(null, "", `#/c/${encodeURIComponent(about.name)}/rows${kept.length ? `?${new URLSearchParams(kept)}` : ""}`); // a reload keeps them
+    load(true);
+  };
+  for (const input of [number, source, status, from]) input.addEventListener("change", chosen);
+  const head = ["#Row", "State", "Wrench", "Displacement", "Source", ""];
+  const list = el("table", { class: "folds rows" }, el("thead", {}, el("tr", {}, head.map((one) => el("th", { scope: "col", class: one[0] === "#" ? "number" : null }, one.replace("#", ""))))), body);
+  put(root, el("section", { class: "card" },
+    el("form", { class: "few", onsubmit: (event) => { event.preventDefault(); chosen(); } }, field("Source", source), field("State", status), imports.length ? field("Import", from) : null, field("Row number", number)),
+    el("p", { class: "muted small" }, "Newest first. The table no longer answers from a withdrawn row; it stays in the ledger and can be restored. All rows of an import are withdrawn and restored under ", el("a", { href: `#/c/${encodeURIComponent(about.name)}/table` }, "Import & export"), "."),
+    list, state, el("div", {}, older)));
+  await load(true);
 }
 
-function picture(about, rows, gap, latest, shade, camera) {
-  const columns = rows.inputs.map((load) => LOADS.indexOf(load));
-  const clean = rows.wrench.filter((_, place) => rows.clean[place]);
-  const mixed = rows.wrench.filter((_, place) => !rows.clean[place]);
-  const many = rows.shown > 400;
-  const at = (code) => rows.grid.wrench.filter((_, place) => rows.grid.coverage[place] === code);
-  const data = [
-    ...hull(gap, rows.inputs, shade),
-    dots(columns, mixed, { size: many ? 2 : 4, color: shade.card, line: { color: shade.muted, width: 1 } }, "row with other loads"),
-    dots(columns, clean, { size: many ? 2 : 4.5, color: shade.accent, opacity: many ? 0.6 : 1 }, "row"),
-    dots(columns, at(1), { size: 4, symbol: "square", color: shade.thin, opacity: 0.55 }, "thin"),
-    dots(columns, at(2), { size: 4, symbol: "square", color: shade.outside, opacity: 0.55 }, "outside"),
-    dots(columns, latest.filter((one) => isNear(about, one)), { size: 6, symbol: "diamond", color: shade.query }, "asked"),
-    box(about, columns, shade),
-  ];
-  const axis = (load) => ({ title: { text: `${plain(load)}, ${unitOfLoad(load)}` }, nticks: 5 });
-  const scene = { xaxis: axis(rows.inputs[0]), yaxis: axis(rows.inputs[1]), zaxis: axis(rows.inputs[2]), aspectmode: "cube", camera };
-  return { data, layout: { scene, uirevision: "same" } };
+// A row with its provenance; null if the number is none of this component, the message if it is damaged.
+const read_ = (name, row, signal) => get(`${of(name)}/table/${row}`, signal).catch((error) => {
+  if (signal.aborted || ![404, 500].includes(error.status)) throw error;
+  return error.status === 404 ? null : { row, error };
+});
+
+// The numbers of rows, newest first: those of solves are in the list of jobs, those of an import end with its version.
+function walkOf(name, row, source, status, imports, one, signal) {
+  let more = row || one || source === "imports" ? null : `v1/jobs?component=${encodeURIComponent(name)}&status=done&limit=${4 * SHOWN}`;
+  const spans = row || source === "solves" ? [] : imports.filter(({ rows, withdrawn, table_version: last }) => last && (status === "withdrawn" ? withdrawn : status === "in the table" ? withdrawn < rows : status === "")).map(({ id, rows, table_version: last }) => ({ id, left: rows, at: last }));
+  const seen = new Set(), jobs = row ? [Number(row)] : [], from = new Map();
+  const next = async () => {
+    const numbers = [];
+    while (numbers.length < SHOWN) {
+      if (!jobs.length && more) {
+        const page = await get(more, signal);
+        jobs.push(...page.jobs.flatMap((job) => job.row ?? []).sort((a, b) => b - a));
+        more = page.next?.slice(1);
+        continue;
+      }
+      const span = spans.filter(({ left, at }) => left > 0 && at > 0).sort((a, b) => b.at - a.at)[0];
+      if (!span && !jobs.length) break;
+      const solved = !span || jobs[0] > span.at, number = solved ? jobs.shift() : span.at;
+      if (!solved) { span.at -= 1; span.left -= 1; from.set(number, span); }
+      if (!seen.has(number)) numbers.push(number);
+      seen.add(number);
+    }
+    return numbers;
+  };
+  // Between the rows that were appended to an import others may lie: they do not count as its own.
+  const has = ({ row: number, provenance }) => {
+    const span = from.get(number), own = !span || provenance?.import?.id === span.id;
+    if (!own) span.left += 1;
+    return own || !one;
+  };
+  return { next, has };
 }
 
-// A query far outside the load range would shrink all else to a point.
-const isNear = (about, wrench) => [...about.range.force, ...about.range.moment].every(([low, high], k) => Math.abs(wrench[k]) <= 2 * Math.max(Math.abs(low), Math.abs(high)));
+const stateOf = ({ withdrawn, error, provenance }) => (error ? "damaged" : withdrawn ? "withdrawn" : provenance.setup && !provenance.setup.present ? "other files" : "in the table");
 
-function dots(columns, wrenches, marker, name) {
-  const [x, y, z] = columns.map((k) => wrenches.map((one) => one[k]));
-  return { type: "scatter3d", mode: "markers", x, y, z, marker, hovertemplate: `${name}<br>%{x:.4~g}, %{y:.4~g}, %{z:.4~g}<extra></extra>` };
+function line(about, row) {
+  const root = el("tr", { id: `row-${row.row}` });
+  draw(root, about, row);
+  return root;
 }
 
-function hull(gap, inputs, shade) {
-  if (gap.hull.length < 4) return [];
-  const [x, y, z] = inputs.map((load) => gap.hull.map((one) => one[load]));
-  return [{ type: "mesh3d", x, y, z, alphahull: 0, color: shade.accent, opacity: 0.09, hoverinfo: "skip" }];
+function draw(root, about, row) {
+  const state = stateOf(row);
+  const number = el("td", { class: "number" }, String(row.row));
+  if (row.error) { put(root, number, el("td", {}, pill(state, "wrong")), el("td", { class: "small whole", colspan: 4 }, row.error.message)); return; }
+  const edit = async (event) => {
+    event.target.disabled = true;
+    const path = `${of(about.name)}/table/${row.row}`;
+    try {
+      await (row.withdrawn ? post(`${path}/restore`, {}) : send("DELETE", path));
+      notify(row.withdrawn ? `Row ${row.row} is in the table again.` : `Row ${row.row} is withdrawn. It can be restored here.`);
+      draw(root, about, await get(path));
+      root.querySelector("button").focus();
+    } catch (error) {
+      event.target.disabled = false;
+      notify(error.message, "wrong");
+    }
+  };
+  const verb = row.withdrawn ? "Restore" : "Withdraw";
+  put(root, number,
+    el("td", {}, pill(state, { "in the table": "ok", withdrawn: "thin" }[state] || "")),
+    el("td", { class: "small whole" }, said(named(about, row.wrench), about, 4)),
+    el("td", { class: "small whole" }, displacement(about, row.displacement)),
+    el("td", { class: "small" }, origin(about, row), el("span", { class: "muted" }, `, ${time(row.provenance.when).replaceAll(" ", "\u00a0")}`)),
+    el("td", {}, el("button", { type: "button", class: "small", "aria-label": `${verb} row ${row.row}`, onclick: edit }, verb)));
 }
 
-function holds(rows, summary) {
-  if (!summary) return el("p", {}, "The table's compliance answers: all loads are covered by six unit solves, whatever the rows.");
-  const lines = Object.entries(summary.spans).map(([load, [low, high]]) => [symbol(load), number(low), number(high), unitOfLoad(load)]);
-  return [
-    el("p", {}, `${count(summary.rows)} rows, ${count(summary.corrected)} of them with other loads too, span ${summary.dimensions ?? 0} dimensions. Their convex hull encloses ${percent(summary.part_of_range)} of the range; kriging covers loads beyond it where its error is known and within the tolerance.`),
-    lines.length ? table(["Load", "#from", "#to", "unit"], lines) : null,
-  ];
+// Three outputs a group: translations, then rotations, of each interface.
+function displacement(about, values) {
+  const names = outputsOf(about), parts = [];
+  for (let k = 0; k < names.length; k += 3) {
+    const [last, front] = names[k].split(".").reverse(), moves = last.startsWith("u");
+    parts.push(`${front ? `${front} ` : ""}${moves ? "u" : "r"}\u00a0${triple(values.slice(k, k + 3), moves ? "m" : "rad")}`);
+  }
+  return parts.join(", ");
 }
 
-function worst(gap) {
-  if (!gap.worst.length) return el("p", {}, "There are no gaps.");
-  const loads = Object.keys(gap.worst[0].loads);
-  return table([...loads.map((load) => `#${plain(load)}, ${unitOfLoad(load)}`), "#of the range"],
-    gap.worst.map((one) => [...loads.map((load) => number(one.loads[load], 3)), percent(one.part_of_range)]), { scrolls: true });
+// Where a row is from: its job, or its import.
+function origin(about, { source, provenance: { job, import: sent } }) {
+  if (job) return el("a", { href: `#/jobs/${job.id}` }, `job ${job.id}`);
+  if (!sent) return source;
+  const known = [sent.filename, sent.who, source === "fea" ? "solved" : source.startsWith("measured") ? "" : source].filter(Boolean);
+  return [el("a", { href: `#/c/${encodeURIComponent(about.name)}/rows?import=${sent.id}` }, `import ${sent.id}`), known.map((one) => `, ${one}`)];
 }

@@ -5,7 +5,7 @@ import { quantity } from "./format.js";
 import { outputsOf } from "./inputs.js";
 
 const NAMES = ["covered", "thin", "outside"];
-const WHOLE = ["within the tolerance", "beyond it", "outside"];
+export const WHOLE = ["within the tolerance", "over it or not known", "outside"];
 
 const IS_TRANSLATION = /(^|\.)u[xyz]$/;
 
@@ -20,7 +20,7 @@ export function sharesBar(shares, names = NAMES) {
 }
 
 // The colours of the bars.
-export const legend = () => el("p", { class: "legend muted small" }, NAMES.map((name) => el("span", {}, el("i", { class: name }), ` ${name}`)));
+export const legend = (names = NAMES) => el("p", { class: "legend muted small" }, NAMES.map((kind, place) => el("span", {}, el("i", { class: kind }), ` ${names[place]}`)));
 
 export function sharesOf(glance) {
   const lines = [["all loads", glance.whole], ...Object.entries(glance.axes).map(([axis, shares]) => [`axis ${axis}`, shares])];

@@ -24,8 +24,8 @@ from wrenchbook.fea.accuracy.estimate import (
 from wrenchbook.fea.accuracy.mesh_error import recovered_error
 from wrenchbook.fea.bundle.read import bundle_of, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.component import mesh_of
 from wrenchbook.fea.mesh.refine import refined
+from wrenchbook.fea.mesh.sources import mesh_of
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.mesh_source import MeshFile
 from wrenchbook.fea.spec.schema import DeclaredRange

@@ -13,7 +13,7 @@ from wrenchbook.fea.accuracy import convergence, estimate
 from wrenchbook.fea.accuracy.advice import over_tolerance
 from wrenchbook.fea.accuracy.convergence import Study, finer, stored, studied, write
 from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why
-from wrenchbook.fea.accuracy.mesh_error import bows_of, polygons_of, roundness
+from wrenchbook.fea.accuracy.roundness import bows_of, polygons_of, roundness
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check import as_text

@@ -18,18 +18,18 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check import as_text, report
 from wrenchbook.fea.check.mechanisms import describe, free_motions
-from wrenchbook.fea.check.trial import largest, strength
+from wrenchbook.fea.check.strength import strength
+from wrenchbook.fea.check.trial import largest
 from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.inspection import (
+from wrenchbook.fea.mesh.bodies import bodies_of, coincident_nodes
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
+from wrenchbook.fea.mesh.quality import (
     aspect_ratio,
-    bodies_of,
-    coincident_nodes,
     edge_curvature,
     jacobian_ratio,
     scaled_jacobian,
 )
-from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import DeclaredRange

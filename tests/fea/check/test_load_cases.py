@@ -19,7 +19,7 @@ from wrenchbook.fea.check import as_text
 from wrenchbook.fea.check import report as check
 from wrenchbook.fea.check.commands import main
 from wrenchbook.fea.check.proposal import propose
-from wrenchbook.fea.inspection import stacked_singly
+from wrenchbook.fea.mesh.bodies import stacked_singly
 from wrenchbook.fea.solve import Solver
 
 # A cantilever of 100 x 10 x 10 mm, E 70 GPa, nu 0.3, 100 N across its tip; CalculiX 2.20 has these.

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.fea.boxes import box
+from tests.fea.boxes import box, volumes
 from tests.fea.cae import cards
 from tests.fea.check.test_load_cases import (
     HELD,
@@ -24,7 +24,7 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check.commands import main
 from wrenchbook.fea.check.proposal import propose
 from wrenchbook.fea.mesh.io.read import read_mesh
-from wrenchbook.fea.mesh.mapping import folded_cells, volumes
+from wrenchbook.fea.mesh.mapping import folded_cells
 from wrenchbook.fea.solve import Solver
 
 LOAD = np.array([50.0, 0, 0, 0, 0, 0.8])

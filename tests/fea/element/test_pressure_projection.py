@@ -10,7 +10,11 @@ from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.validation.patch import on_the_surface, solve_with_boundary
 from tests.validation.rates import harmonic_gradient
-from wrenchbook.fea.element.pressure_projection import LARGEST_RATIO, locking, volume_modes
+from wrenchbook.fea.element.pressure_projection import (
+    LARGEST_RATIO,
+    require_no_locking,
+    volume_modes,
+)
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.mapping import cell_gradients
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
@@ -131,8 +135,9 @@ def test_cells_that_would_lock_are_refused_by_name(kind):
 def test_a_ratio_that_rounding_puts_beyond_the_limit_is_taken(kind):
     limit = LARGEST_RATIO[kind]
     block = box(kind, (1, 1, 1)).blocks[0]
-    assert not locking(block, np.full(len(block), np.nextafter(limit, 1)))
-    assert locking(block, np.full(len(block), limit + 1e-6))
+    require_no_locking(block, np.full(len(block), np.nextafter(limit, 1)))
+    with pytest.raises(SolveFailed, match="lock"):
+        require_no_locking(block, np.full(len(block), limit + 1e-6))
 
 
 def test_only_the_cells_of_the_soft_material_are_projected():

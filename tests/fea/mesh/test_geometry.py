@@ -9,15 +9,17 @@ import tomllib
 import numpy as np
 import pytest
 
+from tests.fea.boxes import volumes
 from tests.fea.geometry import draw_bracket, draw_two_bars, require_gmsh, start
 from tests.refusals import GOOD
 from wrenchbook.fea.bundle.read import BundleError, bundle_of
 from wrenchbook.fea.check.reporting import report
-from wrenchbook.fea.component import build, mesh_of
+from wrenchbook.fea.component import build
 from wrenchbook.fea.inspection import unit_warnings
 from wrenchbook.fea.mesh.cad.child import opened
 from wrenchbook.fea.mesh.cad.meshing import list_shape, mesh_geometry
-from wrenchbook.fea.mesh.mapping import area_weights, volumes
+from wrenchbook.fea.mesh.mapping import area_weights
+from wrenchbook.fea.mesh.sources import mesh_of
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.mesh_source import BodySelector, GeometryMeshing
 
@@ -95,7 +97,7 @@ def test_another_process_makes_the_same_mesh_to_the_last_bit(folder):
 
 def test_a_size_in_millimetres_is_warned_of(folder):
     component = build(bundle_of(with_mesh(size=0.2), folder))
-    warning = unit_warnings(component)[0]
+    warning = next(unit_warnings(component))
     assert warning.where == "mesh.size"
     assert "is 0.2 m, more than the part's" in warning.message
 

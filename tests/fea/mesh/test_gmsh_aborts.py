@@ -11,7 +11,7 @@ from tests.fea.accuracy.test_accuracy import BRACKET
 from tests.fea.geometry import abort_gmsh, draw_bracket
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.check.reporting import report
-from wrenchbook.fea.component import mesh_of
+from wrenchbook.fea.mesh.sources import mesh_of
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.service.files.program import child_command
 from wrenchbook.service.library.bundles import check_mesh

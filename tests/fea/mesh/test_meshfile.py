@@ -6,13 +6,15 @@ import meshio
 import numpy as np
 import pytest
 
+from tests.fea.boxes import volumes
 from tests.refusals import GOOD
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.fea.coupling.section import section_of_facets
 from wrenchbook.fea.mesh.facets import FACES, outer_surface
 from wrenchbook.fea.mesh.generators import Bar
+from wrenchbook.fea.mesh.io import abaqus
 from wrenchbook.fea.mesh.io.read import read_mesh
-from wrenchbook.fea.mesh.mapping import cell_problems, volumes
+from wrenchbook.fea.mesh.mapping import cell_problems
 
 FILES = Path(__file__).parent / "meshfiles"
 # Two glued blocks of 10 x 10 x 10 mm side by side along x, written by gmsh 4.15.
@@ -229,6 +231,14 @@ def test_all_node_blocks_and_elements_over_several_lines_are_read(tmp_path):
     assert len(mesh.points) == 12
     assert mesh.cell_counts == {"hex8": 2}
     np.testing.assert_allclose(volumes(mesh.points, mesh.blocks[0]), [1.0, 1.0], rtol=1e-12)
+
+
+def test_a_set_of_several_ranges_is_refused_before_the_range_that_makes_it_too_long_is_listed(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(abaqus, "_MAX_MEMBERS", 100)
+    with pytest.raises(BundleError, match="has 120 members; name at most 100"):
+        read(tmp_path, f"{DECK}*NSET, NSET=LONG, GENERATE\n1, 60\n1, 60\n")
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.fea.boxes import box
+from tests.fea.boxes import box, volumes
 from tests.fea.check.test_check_findings import messages, write_inp
 from tests.fea.components import component
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
@@ -16,7 +16,7 @@ from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.dependents import Dependents
 from wrenchbook.fea.mesh.element_order import first_order_problems, second_order
 from wrenchbook.fea.mesh.facets import outer_surface
-from wrenchbook.fea.mesh.mapping import area_weights, cell_problems, determinants, volumes
+from wrenchbook.fea.mesh.mapping import area_weights, cell_problems, determinants
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_element
 from wrenchbook.fea.mesh.refine import halved

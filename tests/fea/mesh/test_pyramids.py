@@ -4,7 +4,7 @@ import meshio
 import numpy as np
 import pytest
 
-from tests.fea.boxes import box
+from tests.fea.boxes import box, volumes
 from tests.fea.cae import cards
 from tests.fea.components import component
 from tests.fea.pyramids import mixed
@@ -14,7 +14,7 @@ from wrenchbook.fea.check.proposal import propose
 from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.mesh.element_order import second_order
 from wrenchbook.fea.mesh.io.read import MESHIO_KINDS, read_mesh
-from wrenchbook.fea.mesh.mapping import cell_problems, volumes
+from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates
 from wrenchbook.fea.mesh.refine import halved

@@ -12,6 +12,7 @@ from tests.validation.boxes import box
 from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.check.commands import main
 from wrenchbook.fea.component import build
+from wrenchbook.fea.mesh.face_choice import choose
 from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.mesh_source import FaceSelector
@@ -121,7 +122,7 @@ def test_a_key_selects_the_facets_that_its_geometry_says(name):
     surface = Surface(box("tet10", (4, 2, 2), (0.4, 0.1, 0.1)))
     low = FaceSelector(plane="z", at=0.0)
     choice = FaceSelector(**tomllib.loads(f"a = {{{keys}}}")["a"])
-    mesh = surface.choose({"a": choice, "low": low})
+    mesh = choose(surface, {"a": choice, "low": low})
     chosen = {
         frozenset(row) for _, nodes in mesh.facet_groups["a"].blocks for row in nodes.tolist()
     }
@@ -135,7 +136,7 @@ def test_a_box_with_both_sides_of_a_plate_in_it_is_refused_with_what_to_add():
     surface = Surface(box("hex20", (8, 8, 1), (0.4, 0.4, 0.01)))
     corner = ((0.0, 0.0, -1.0), (0.2, 0.2, 1.0))
     with pytest.raises(BundleError) as caught:
-        surface.choose({"a": FaceSelector(box=corner)})
+        choose(surface, {"a": FaceSelector(box=corner)})
     (problem,) = caught.value.problems
     assert problem.where == "mesh.groups.a.box"
     assert (
@@ -143,7 +144,7 @@ def test_a_box_with_both_sides_of_a_plate_in_it_is_refused_with_what_to_add():
     )
     assert "add normal = [0.0, 0.0, -1.0] for one side, or faces = [3, 4]" in problem.message
     for keys in ({"normal": (0.0, 0.0, 1.0)}, {"faces": (3, 4)}):
-        surface.choose({"a": FaceSelector(box=corner, **keys)})
+        choose(surface, {"a": FaceSelector(box=corner, **keys)})
 
 
 def draw_pipe(occ):
@@ -214,7 +215,7 @@ def test_facets_of_a_cylinder_about_an_axis_leave_out_another_of_that_radius():
     ring = np.stack([(1 + out) * np.cos(angle), (1 + out) * np.sin(angle), along], axis=1)
     surface = Surface(type(mesh)(ring, mesh.blocks))
     axis = {"point": [0, 0, 7], "axis": [0, 0, -2]}
-    (group,) = surface.choose({"a": FaceSelector(radius=1.1, cylinder=axis)}).facet_groups.values()
+    (group,) = choose(surface, {"a": FaceSelector(radius=1.1, cylinder=axis)}).facet_groups.values()
     np.testing.assert_allclose(np.hypot(*ring[group.node_ids].T[:2]), 1.1)
     with pytest.raises(BundleError, match="no facet lies on the cylinder"):
-        surface.choose({"a": FaceSelector(radius=1.1, cylinder=axis | {"point": [0.1, 0, 0]})})
+        choose(surface, {"a": FaceSelector(radius=1.1, cylinder=axis | {"point": [0.1, 0, 0]})})

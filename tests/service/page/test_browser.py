@@ -15,13 +15,14 @@ VIEWS = (
     "query",
     "shape",
     "rows",
+    "coverage",
     "response",
     "checks",
     "report",
     "jobs",
     "table",
     "demand",
-    "entry",
+    "settings",
 )
 PLATE = "#/c/plate_thin"
 LOADS = "Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm]"
@@ -210,8 +211,7 @@ def test_a_rig_file_is_applied_drawn_and_kept_with_the_import(browser, client, t
     assert "x axis points along −y" in browser.one("#rig-picture svg").get_attribute("aria-label")
     browser.click("#import")
     browser.named(".note", "1 rows are in the table")
-    browser.visit("#/c/bench/entry")
-    browser.click("details summary", "rig")
+    browser.click("table.imports details summary", "rig")
     assert "name = 'bench 3'" in browser.named("details pre", "bench").text
 
 
@@ -254,8 +254,7 @@ def test_columns_are_named_left_out_and_turned_before_an_import(browser, gauged)
     browser.named(".note", "3 rows are in the table")
     rows = gauged.call_json("GET", "/v1/components/gauged/table")["rows"]
     assert [row["wrench"][2] for row in rows] == [-100.0, -200.0, -300.0]
-    browser.click(".note a", "version")
-    assert "gauged.csv" in browser.one("table").text
+    assert "gauged.csv" in browser.one("table.imports").text
 
 
 def test_units_that_a_file_does_not_name_are_chosen_at_once(browser, gauged):
@@ -278,9 +277,9 @@ def test_units_that_a_file_does_not_name_are_chosen_at_once(browser, gauged):
     assert first.split()[1:4] == ["1000", "2000", "3000"]
 
 
-def test_an_entry_is_noted_renamed_put_away_and_brought_back_by_keyboard(browser, gauged):
+def test_a_component_is_noted_renamed_put_away_and_brought_back_by_keyboard(browser, gauged):
     about = gauged.component("gauged")
-    browser.visit("#/c/gauged/entry")
+    browser.visit("#/c/gauged/settings")
     browser.one("#notes")
     browser.tab_to("#notes")
     browser.press("gauge 7 drifts")
@@ -425,10 +424,10 @@ def test_a_query_is_asked_by_keyboard_alone(browser, plate):
 
 def test_the_keyboard_turns_a_drawing(browser, plate):
     browser.resize(800, 500)
-    browser.visit(f"{PLATE}/rows")
-    browser.drawn("#rows")
+    browser.visit(f"{PLATE}/coverage")
+    browser.drawn("#coverage")
     browser.tab_to(".figure")
-    eye = "return document.querySelector('#rows')._fullLayout.scene.camera.eye.x"
+    eye = "return document.querySelector('#coverage')._fullLayout.scene.camera.eye.x"
     before = browser.run(eye)
     browser.press(Keys.ARROW_RIGHT)
     browser.until(lambda: browser.run(eye) != before)

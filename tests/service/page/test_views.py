@@ -235,7 +235,7 @@ def job(number, status, **more):
     return {**about, **loads, "seconds": None, "started": None, "error": None, **more}
 
 
-def test_jobs_that_run_are_above_waiting_ones_with_the_time_they_have_left(browser, plate):
+def test_jobs_that_run_are_above_waiting_ones_in_the_order_of_their_start(browser, plate):
     done = job(1, "done", seconds=600.0)
     running = job(2, "running", started="SOON", progress={"fraction": 0.5, "message": "step 3"})
     waiting = [job(number, "waiting") for number in (4, 3)]
@@ -243,6 +243,7 @@ def test_jobs_that_run_are_above_waiting_ones_with_the_time_they_have_left(brows
     lists = {
         "status=running": {"jobs": [running], "next": None},
         "status=done": {"jobs": [done], "next": None},
+        "status=waiting": {"jobs": waiting, "next": None},
         "jobs/4": single,
         "jobs?": {"jobs": [*waiting, running, done], "next": None},
     }
@@ -257,12 +258,13 @@ def test_jobs_that_run_are_above_waiting_ones_with_the_time_they_have_left(brows
     )
     browser.go("#/jobs")
     browser.one("#job-4")
-    assert [item.get_attribute("id") for item in browser.all("tr[id]")][:2] == ["job-2", "job-4"]
+    shown = [item.get_attribute("id") for item in browser.all("tr[id]")]
+    assert shown == ["job-2", "job-3", "job-4", "job-1"]
     browser.named("#job-2", "about 10 min left")
     assert browser.named("#queue", "waiting").text == "2 waiting; all are solved in about 19 min."
 
 
-@pytest.mark.parametrize("view", ["overview", "rows", "response", "checks", "entry"])
+@pytest.mark.parametrize("view", ["overview", "rows", "coverage", "response", "checks"])
 def test_an_empty_view_has_the_button_that_ends_it(browser, rig, view):
     browser.visit(f"#/c/unmeasured/{view}")
     link = browser.one("main a[href='#/c/unmeasured/table']:not(.tabs a)")
@@ -271,11 +273,11 @@ def test_an_empty_view_has_the_button_that_ends_it(browser, rig, view):
 
 def test_a_measured_component_has_no_tabs_of_solves(browser, rig):
     seen = set()
-    for view in ("query", "rows", "demand", "entry"):
+    for view in ("query", "rows", "demand", "settings"):
         browser.visit(f"#/c/unmeasured/{view}")
         seen |= set(browser.one(".tabs").text.split("\n"))
     assert not {"Shape", "Report", "Jobs", "Faces"} & seen
-    assert {"Query", "Checks", "Demand", "Entry"} <= seen
+    assert {"Query", "Checks", "Demand", "Settings"} <= seen
 
 
 def test_a_component_has_at_most_six_groups_and_the_views_of_the_chosen_one(browser, client):
@@ -286,7 +288,7 @@ def test_a_component_has_at_most_six_groups_and_the_views_of_the_chosen_one(brow
         for row in ("div:first-child", ".views")
     )
     assert groups == ["Overview", "Query", "Table", "Import & export", "Jobs & demand", "Part"]
-    assert views == ["Rows", "Checks", "Compare", "Report"]
+    assert views == ["Rows", "Coverage", "Checks", "Compare", "Report"]
 
 
 def test_the_faces_of_a_deck_are_those_of_its_mesh(browser, client):
@@ -509,7 +511,7 @@ def test_a_job_that_ends_while_it_is_watched_shows_how_long_it_took(browser, pla
 
 # -- components with several interfaces, and with a temperature ----------------------------------
 
-VIEWS = ("overview", "query", "jobs", "table", "entry")
+VIEWS = ("overview", "query", "rows", "jobs", "table", "settings")
 
 
 def drawn(browser):
@@ -602,9 +604,9 @@ def test_measured_rows_are_drawn_beside_the_solves_and_beside_another_import(bro
     browser.named("td", "1.1")
 
 
-def test_an_import_is_withdrawn_and_restored_under_entry_after_a_confirmation(browser, client):
+def test_an_import_is_withdrawn_and_restored_after_a_confirmation(browser, client):
     measured(client, "edited", 100, 200)
-    browser.visit("#/c/edited/entry")
+    browser.visit("#/c/edited/table")
     for verb, rows in (("Withdraw", 0), ("Restore", 2)):
         browser.click("table.imports button", verb)
         browser.click("dialog button", verb)
@@ -613,6 +615,56 @@ def test_an_import_is_withdrawn_and_restored_under_entry_after_a_confirmation(br
         browser.click("#notices button")
     assert "anonymous" in browser.named("table.imports tr", "Withdraw").text
     assert browser.mistakes() == []
+
+
+def numbers(browser):
+    """Return the numbers of the rows that are listed."""
+    return [int(item.get_attribute("id")[4:]) for item in browser.all("table.rows tr[id]")]
+
+
+def test_a_row_is_withdrawn_found_by_its_state_and_restored_in_the_list_of_rows(browser, client):
+    measured(client, "listed", 100, 200, 300)
+    browser.visit("#/c/listed/rows")
+    browser.click("table.rows button", "Withdraw")
+    browser.named("table.rows .pill", "withdrawn")
+    assert client.component("listed")["rows"] == 2
+    browser.click("option[value='withdrawn']")
+    browser.until(lambda: len(numbers(browser)) == 1)
+    browser.click("table.rows button", "Restore")
+    browser.named("table.rows .pill", "in the table")
+    assert client.component("listed")["rows"] == 3
+
+
+def test_the_list_of_rows_is_paged_over_solves_and_imports_newest_first(browser, client):
+    client.solve("spring", [0, 0, -5.0], wait_s=120)
+    header = {"Content-Type": "text/csv"}
+    text = "\n".join([f"{LOADS},uz [mm]", *(f"0,0,{-k / 10},0,0,0,{-k}" for k in range(1, 31))])
+    client.call("POST", "/v1/components/spring/table", content=text.encode(), headers=header)
+    client.solve("spring", [0, 0, -6.0], wait_s=120)
+    rows = client.call_json("GET", "/v1/components/spring/table")["rows"]
+    present = sorted((row["row"] for row in rows), reverse=True)
+    browser.visit("#/c/spring/rows")
+    browser.until(lambda: numbers(browser) == present[:25])
+    browser.click("button", "Older rows")
+    browser.until(lambda: numbers(browser) == present)
+
+
+def test_a_link_to_an_import_lists_its_rows_alone(browser, client):
+    measured(client, "twice", 100, 200)
+    measured(client, "twice", 300)
+    browser.visit("#/c/twice/table")
+    browser.named("table.imports tr", "2")
+    browser.click("table.imports tr:last-child a")
+    browser.until(lambda: len(numbers(browser)) == 2)
+
+
+def test_the_audit_leads_to_the_row_that_was_withdrawn(browser, client):
+    measured(client, "audited", 100, 200)
+    row = client.call_json("GET", "/v1/components/audited/table")["rows"][0]["row"]
+    client.call("DELETE", f"/v1/components/audited/table/{row}")
+    browser.visit("#/audit")
+    browser.click("table.audit a", f"row {row}")
+    browser.until(lambda: numbers(browser) == [row])
 
 
 def test_missing_loads_are_counted_as_zero_by_a_button(browser, rig):
@@ -688,3 +740,101 @@ def test_a_file_that_is_no_table_offers_no_mending(browser, rig):
     browser.drop(".drop", "notes.csv", "")
     browser.named(".note", "notes.csv is not read as a table; nothing was loaded.")
     assert browser.all("#check-again") == []
+
+
+def test_a_drawing_has_the_layout_of_a_turned_telephone(browser, plate):
+    browser.resize(390, 844)
+    browser.visit(f"{PLATE}/shape")
+    browser.drawn("#shape")
+    bar = "return document.querySelector('#shape')._fullData[0].colorbar.orientation"
+    assert browser.run(bar) == "h"
+    browser.resize(844, 390)
+    browser.until(lambda: browser.run(bar) == "v")
+    size = "return document.querySelector('#shape')._fullLayout.width"
+    browser.until(lambda: browser.run(size) > 600)
+
+
+def test_numbers_of_faces_at_one_place_are_one_text(browser, client):
+    browser.visit(f"{PLATE}/faces")
+    browser.drawn("#faces")
+    texts = browser.run(
+        "return document.querySelector('#faces').data.filter((one) => one.type !== 'mesh3d')"
+        ".map((one) => one.text[0])"
+    )
+    numbers = [number for text in texts for number in re.findall(r"\d+", text)]
+    assert sorted(map(int, numbers)) == list(range(1, len(texts) + 1))
+    assert any(", " in text for text in texts)  # both sides of the thin plate
+
+
+# Answers calls whose address has a text, and keeps their bodies; all others go to the server.
+STUB = """const own = window.fetch; window.sent = [];
+window.fetch = (to, how) => {
+  const [, reply] = JSON.parse(arguments[0]).find(([text]) => String(to).includes(text)) || [];
+  if (reply === undefined) return own(to, how);
+  if (how.body) window.sent.push(JSON.parse(how.body));
+  return Promise.resolve(new Response(JSON.stringify(reply)));
+};"""
+
+
+def test_a_fill_goes_on_round_by_round_to_the_number_of_solves_that_was_given(browser, client):
+    browser.visit("#/c/plate")
+    browser.one("#fill")
+    replies = [
+        ["/fill", {"jobs": [{"id": 1}, {"id": 2}], "reason": "the largest errors first"}],
+        ["v1/jobs/", {"status": "done"}],
+    ]
+    browser.run(STUB, json.dumps(replies))
+    browser.type("form input[type=number]", "5")
+    browser.click("#fill")
+    browser.named("span", "The budget is spent.")
+    assert browser.run("return window.sent") == [{"budget": 5}, {"budget": 3}, {"budget": 1}]
+
+
+def test_the_first_bar_of_the_coverage_has_its_own_legend(browser, plate):
+    browser.visit(PLATE)
+    browser.until(lambda: len(browser.all(".legend")) == 2)
+    first, second = (item.text for item in browser.all(".legend"))
+    assert "over it or not known" in first
+    assert "thin" in second
+
+
+def test_a_component_toml_alone_is_dropped_and_added(browser, client):
+    text = (ROOT / "data/components/bar/component.toml").read_text()
+    text = text.replace('name = "bar"', 'name = "alone"')
+    browser.visit("#/add")
+    browser.drop(".drop", "component.toml", text)
+    browser.click("button", "Add the bundle")
+    browser.named("h1", "alone")
+    assert client.component("alone")["has_fea"]
+
+
+def test_a_refused_key_leaves_the_one_that_worked(browser, client):
+    browser.visit("#/")
+    browser.one("a.card")
+    before = browser.run("return sessionStorage.getItem('wrenchbook-key')")
+    browser.run(
+        "const own = window.fetch; window.fetch = (to, how) => how.headers.Authorization === "
+        "arguments[0] ? own(to, how) : Promise.resolve(new Response('{}', {status: 401}))",
+        f"Bearer {before}",
+    )
+    browser.click("#key")
+    browser.type("dialog input", "wb_wrong")
+    browser.click("dialog button", "Use this key")
+    browser.named("dialog .note", "refuses this key")
+    assert browser.run("return sessionStorage.getItem('wrenchbook-key')") == before
+
+
+def test_the_preview_of_an_import_names_the_units_of_the_file(browser, rig):
+    browser.visit("#/c/unmeasured/table")
+    header = LOADS.replace("Fz [N]", "Fz [kN]")
+    browser.drop(".drop", "kilo.csv", f"{header},uz [mm]\n0,0,0.1,0,0,0,0.1\n")
+    head = browser.one("#preview thead").text
+    assert "Fz, N (file: kN)" in head
+    assert "uz, m (file: mm)" in head
+    assert "Fx, N (file" not in head
+
+
+def test_one_import_of_a_table_without_solves_has_nothing_to_be_compared_with(browser, client):
+    measured(client, "single", 100, 200)
+    browser.visit("#/c/single/compare")
+    browser.named(".empty", "Compare needs two imports")

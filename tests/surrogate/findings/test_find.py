@@ -196,3 +196,13 @@ def test_a_factor_has_the_name_of_the_nearest_unit(factor, name):
     said = named_unit(1 / factor)
     assert name in said
     assert bool(said) == bool(name)
+
+
+@pytest.mark.parametrize(
+    ("factor", "quantity", "name"),
+    [(57, "rotations", "degrees for radians"), (57, "forces", ""), (25, "rotations", "")],
+)
+def test_a_factor_has_the_name_of_a_unit_of_its_own_quantity(factor, quantity, name):
+    """A force 57 times too large was called one in degrees."""
+    remark = named_unit(factor, (quantity,))
+    assert (name in remark) if name else not remark

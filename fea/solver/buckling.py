@@ -1,0 +1,88 @@
+"""Linear buckling: at how many times a load the straight part has a second equilibrium.
+
+K x = -f G x with the stiffness K of the undeformed part and its stiffness G under the stresses of
+that load, G_ia,kb = delta_ik integral of dN_a . sigma dN_b (Zienkiewicz and Taylor, volume 2,
+section 11.6). The largest eigenvalues of K^-1 (-G) are 1/f; the same modes with the opposite sign
+are those of the opposite load. They come of a subspace iteration (Bathe 1996, section 11.6), K^-1
+by the factor that solves are made with. A rigid link's second-order motion is left out: exact
+for an interface point in its section, not for a point on a long lever.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array
+
+from wrenchbook.fea.assembly.body import ElasticBody, gather
+from wrenchbook.fea.assembly.system import System
+from wrenchbook.fea.solver.vibration import Inertia
+
+Array = np.ndarray
+
+# Number of modes of a subspace iteration, of both signs. The two extreme ones converge at the ratio
+# of the ninth eigenvalue to theirs.
+_MODES = 8
+_ITERATIONS = 12  # largest number of iterations: a ratio of 0.5 leaves 2e-4 of the vectors' error
+_CONVERGED = 1e-4  # relative change: two digits of a buckling factor are significant
+# Part of the largest eigenvalue: motions that depend on the others but for roundoff.
+_DEPENDENT = 1e-12
+_BUCKLING_SEED = 20170726  # seed of the start vectors: the same bundle gives the same digits
+
+
+def buckling_factors(
+    system: System, fields: Array, temperature: float = 0.0
+) -> tuple[float, float]:
+    """Return the multiples of a load, and of its opposite, at which the part buckles.
+
+    system: the equations, in the interface frame.
+    fields: shape (n, 3), m: the small displacements under the load.
+    temperature: K from the reference: a part of the load.
+    Result: both positive; infinite if no multiple of the load buckles the part.
+    """
+    matrix = geometric_stiffness(system.body.at(temperature, finite=False), fields)
+    if not matrix.count_nonzero():
+        return np.inf, np.inf
+    stressed = Inertia(system, -matrix, np.zeros((system.coupling.freedoms,) * 2))
+
+    # Eigenvalues of K^-1 (-G), those of largest size among them.
+    modes = min(_MODES, stressed.size)
+    motions = np.random.default_rng(_BUCKLING_SEED).standard_normal((modes, stressed.size))
+    before = np.zeros(2)
+    values = np.zeros(modes)
+    for _ in range(_ITERATIONS):
+        loads = np.stack([stressed.times(motion) for motion in motions])
+        moved = stressed.solved(loads)
+        stiffness = moved @ loads.T
+        geometric = moved @ np.stack([stressed.times(motion) for motion in moved]).T
+        # The best eigenvalues in a space of motions, and those of K-length one.
+        size, vectors_of = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
+        significant = size > _DEPENDENT * size.max(initial=0.0)
+        basis = vectors_of[:, significant] / np.sqrt(size[significant])
+        values, vectors = np.linalg.eigh(basis.T @ (0.5 * (geometric + geometric.T)) @ basis)
+        motions = (basis @ vectors).T @ moved
+        ends = np.array([values.min(), values.max()])
+        if (np.abs(ends - before) <= _CONVERGED * np.abs(ends).max()).all():
+            break
+        before = ends
+    return _factor(values.max()), _factor(-values.min())
+
+
+def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
+    """Return G for the stresses of a small displacement field (n, 3), m; shape (n, n), N/m."""
+    rows, columns, entries = [], [], []
+    for part, nodes in zip(body.parts, body.cells, strict=True):
+        stress = part.small_stresses(gather(fields, nodes)[None])[0]
+        slopes, weights = part.gradients.slopes, part.gradients.weights
+        pulled = (weights[:, :, None, None] * stress) @ slopes
+        cells, points, _, count = slopes.shape
+        gradients = slopes.reshape(cells, 3 * points, count).swapaxes(1, 2)
+        entries.append((gradients @ pulled.reshape(cells, 3 * points, count)).ravel())
+        rows.append(np.repeat(nodes, count, axis=1).ravel())
+        columns.append(np.tile(nodes, (1, count)).ravel())
+    indices = np.concatenate(rows), np.concatenate(columns)
+    return csr_array(coo_array((np.concatenate(entries), indices), (body.size, body.size)))
+
+
+def _factor(value: float) -> float:
+    """Return the buckling factor of an eigenvalue of K^-1 (-G); infinite if it is negative."""
+    return 1.0 / float(value) if value > 0 else np.inf

@@ -1,0 +1,90 @@
+"""Security headers of replies: content policies, framing, and the access of other sites (CORS)."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from starlette.types import Message, Send
+
+PLAIN: Final = b"x-content-type-options: nosniff\r\n"
+"""Header fields of a reply of the fast path: JSON that no browser requests by itself."""
+
+Fields = tuple[tuple[bytes, bytes], ...]
+
+_NOTHING: Final = b"default-src 'none'; frame-ancestors 'none'; sandbox"
+# The page's scripts and styles are files of this server; plotly sets styles and makes pictures.
+_PAGE: Final = (
+    b"default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
+    b"img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; worker-src 'self' "
+    b"blob:; manifest-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+)
+# A report contains its own script, and runs as a page of no site: it cannot call the server.
+_REPORT: Final = (
+    b"default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    b"img-src data: blob:; frame-ancestors 'none'; sandbox allow-scripts allow-downloads"
+)
+_ALWAYS: Final[Fields] = (
+    (b"x-content-type-options", b"nosniff"),
+    (b"x-frame-options", b"DENY"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+)
+_SAME_ORIGIN: Final[Fields] = ((b"cross-origin-resource-policy", b"same-origin"),)
+_PREFLIGHT: Final[Fields] = (
+    (b"access-control-allow-methods", b"GET, POST, DELETE"),
+    (
+        b"access-control-allow-headers",
+        b"authorization, content-type, if-none-match, accept, x-request-id",
+    ),
+    (b"access-control-max-age", b"600"),
+    (b"content-length", b"0"),
+)
+
+
+async def send_preflight(send: Send, origin: bytes) -> None:
+    """Answer the preflight of a page of a listed site (Fetch standard, section 3.2)."""
+    fields = [*_of_listed(origin), *_PREFLIGHT]
+    await send({"type": "http.response.start", "status": 204, "headers": fields})
+    await send({"type": "http.response.body", "body": b""})
+
+
+def with_security_headers(send: Send, path: str, origin: bytes | None) -> Send:
+    """Return a `send` that adds security headers to replies of `path` that do not set them.
+
+    `origin` is a listed site, whose pages may read the reply.
+    """
+    is_main = path.endswith("/displacement")
+    # The main call's reply is the same on both paths.
+    common = _ALWAYS[:1] if is_main and origin is None else _ALWAYS
+    readers = () if is_main else _SAME_ORIGIN
+    if origin is not None:
+        readers = _of_listed(origin)
+
+    async def put(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            fields = list(message.get("headers", ()))
+            present = {name.lower(): value for name, value in fields}
+            policies: Fields = ()
+            if not is_main and path.startswith("/v1/"):
+                is_report = present.get(b"content-type", b"").startswith(b"text/html")
+                policy = _REPORT if is_report else _NOTHING
+                # Other users of the same machine must not read the tables of a key from a cache.
+                policies = (b"content-security-policy", policy), (b"cache-control", b"no-store")
+            elif not is_main:
+                policies = ((b"content-security-policy", _PAGE),)
+            added = (*common, *policies, *readers)
+            fields += [header for header in added if header[0] not in present]
+            message = {**message, "headers": fields}
+        await send(message)
+
+    return put
+
+
+def _of_listed(origin: bytes) -> Fields:
+    """Return headers that permit a page of a listed site to read the reply."""
+    return (
+        (b"access-control-allow-origin", origin),
+        (b"access-control-expose-headers", b"location, link, etag, retry-after, x-request-id"),
+        (b"cross-origin-resource-policy", b"cross-origin"),
+        (b"vary", b"Origin"),
+    )

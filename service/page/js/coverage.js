@@ -1,0 +1,109 @@
+// The coverage of one axis in space: its rows, their hull, what is thin, what was asked last.
+
+import { asked } from "./asked.js";
+import { get, of, trouble } from "./api.js";
+import { choice, el, note, put, table } from "./dom.js";
+import { emptyTable } from "./empty.js";
+import { LOADS, count, number, percent, plain, symbol, unitOfLoad } from "./format.js";
+import { box } from "./load_box.js";
+import { draw } from "./plot.js";
+import { figure } from "./view3d.js";
+
+const AXES = [["x", "axis x"], ["y", "axis y"], ["z", "axis z"]];
+
+export async function show(root, about, signal) {
+  if (!about.rows) {
+    put(root, emptyTable(about));
+    return;
+  }
+  const stage = el("div", { class: "stack" }), below = el("div", { class: "halves" });
+  const pick = (axis) => axisOf(stage, below, about, axis, signal).catch((error) => { if (!signal.aborted) put(stage, trouble(error)); });
+  put(root, el("section", { class: "card" }, choice("axis", "Rows of", AXES, "z", pick), stage), below);
+  await pick("z");
+}
+
+async function axisOf(stage, below, about, axis, signal) {
+  const [rows, latest] = await Promise.all([
+    get(`${of(about.name)}/drawing?axis=${axis}&most=3000`, signal),
+    latestOf(about, signal),
+  ]);
+  let gap = { hull: [], worst: [] };
+  const place = el("div", { class: "plot", id: "coverage" });
+  const view = figure(place, `Rows of axis ${axis}`, marks());
+  put(below, el("p", { class: "muted" }, "Computing the convex hull …"));
+  put(stage, rows.shown < rows.of ? note("", `${count(rows.shown)} of ${count(rows.of)} rows are drawn, spread over the table.`) : null, view.root);
+  const drawing = await draw(place, (shade) => picture(about, rows, gap, latest, shade, view.camera()), signal, `${rows.shown} rows of axis ${axis} over ${rows.inputs.join(", ")}`);
+  view.hold(drawing);
+  const cover = await get(`${of(about.name)}/coverage`, signal); // seconds for 100,000 rows
+  gap = cover.gaps.find((one) => one.axis === axis) || gap;
+  put(below, el("section", { class: "card" }, el("h2", {}, "Coverage of this axis"), holds(rows, cover.axes.find((one) => one.axis === axis))),
+    el("section", { class: "card" }, el("h2", {}, "Largest gaps between rows"), worst(gap)));
+  if (stage.contains(place)) await drawing.again();
+}
+
+// What the server was asked and could not cover, if it keeps that, and what this tab asked.
+async function latestOf(about, signal) {
+  const own = asked(about.name).map((one) => one.wrench);
+  const reply = await get(`${of(about.name)}/demand`, signal).catch(() => null);
+  return [...own, ...(reply?.latest || []).map((one) => one.wrench)].slice(0, 100);
+}
+
+function marks() {
+  const one = (kind, colour, text) => {
+    const mark = el("i", { class: kind });
+    mark.style.background = `var(--${colour})`;
+    return el("li", {}, mark, text);
+  };
+  return el("ul", { class: "key-of-marks" }, one("", "accent", "row with loads of this axis only"), one("hollow", "card", "row with other loads too"),
+    one("square", "thin", "loads that are thin"), one("square", "outside", "loads outside the rows"), one("diamond", "query", "latest queries, within twice the load range"));
+}
+
+function picture(about, rows, gap, latest, shade, camera) {
+  const columns = rows.inputs.map((load) => LOADS.indexOf(load));
+  const clean = rows.wrench.filter((_, place) => rows.clean[place]);
+  const mixed = rows.wrench.filter((_, place) => !rows.clean[place]);
+  const many = rows.shown > 400;
+  const at = (code) => rows.grid.wrench.filter((_, place) => rows.grid.coverage[place] === code);
+  const data = [
+    ...hull(gap, rows.inputs, shade),
+    dots(columns, mixed, { size: many ? 2 : 4, color: shade.card, line: { color: shade.muted, width: 1 } }, "row with other loads"),
+    dots(columns, clean, { size: many ? 2 : 4.5, color: shade.accent, opacity: many ? 0.6 : 1 }, "row"),
+    dots(columns, at(1), { size: 4, symbol: "square", color: shade.thin, opacity: 0.55 }, "thin"),
+    dots(columns, at(2), { size: 4, symbol: "square", color: shade.outside, opacity: 0.55 }, "outside"),
+    dots(columns, latest.filter((one) => isNear(about, one)), { size: 6, symbol: "diamond", color: shade.query }, "asked"),
+    box(about, columns, shade),
+  ];
+  const axis = (load) => ({ title: { text: `${plain(load)}, ${unitOfLoad(load)}` }, nticks: 5 });
+  const scene = { xaxis: axis(rows.inputs[0]), yaxis: axis(rows.inputs[1]), zaxis: axis(rows.inputs[2]), aspectmode: "cube", camera };
+  return { data, layout: { scene, uirevision: "same" } };
+}
+
+// A query far outside the load range would shrink all else to a point.
+const isNear = (about, wrench) => [...about.range.force, ...about.range.moment].every(([low, high], k) => Math.abs(wrench[k]) <= 2 * Math.max(Math.abs(low), Math.abs(high)));
+
+function dots(columns, wrenches, marker, name) {
+  const [x, y, z] = columns.map((k) => wrenches.map((one) => one[k]));
+  return { type: "scatter3d", mode: "markers", x, y, z, marker, hovertemplate: `${name}<br>%{x:.4~g}, %{y:.4~g}, %{z:.4~g}<extra></extra>` };
+}
+
+function hull(gap, inputs, shade) {
+  if (gap.hull.length < 4) return [];
+  const [x, y, z] = inputs.map((load) => gap.hull.map((one) => one[load]));
+  return [{ type: "mesh3d", x, y, z, alphahull: 0, color: shade.accent, opacity: 0.09, hoverinfo: "skip" }];
+}
+
+function holds(rows, summary) {
+  if (!summary) return el("p", {}, "The table's compliance answers: all loads are covered by six unit solves, whatever the rows.");
+  const lines = Object.entries(summary.spans).map(([load, [low, high]]) => [symbol(load), number(low), number(high), unitOfLoad(load)]);
+  return [
+    el("p", {}, `${count(summary.rows)} rows, ${count(summary.corrected)} of them with other loads too, span ${summary.dimensions ?? 0} dimensions. Their convex hull encloses ${percent(summary.part_of_range)} of the range; kriging covers loads beyond it where its error is known and within the tolerance.`),
+    lines.length ? table(["Load", "#from", "#to", "unit"], lines) : null,
+  ];
+}
+
+function worst(gap) {
+  if (!gap.worst.length) return el("p", {}, "There are no gaps.");
+  const loads = Object.keys(gap.worst[0].loads);
+  return table([...loads.map((load) => `#${plain(load)}, ${unitOfLoad(load)}`), "#of the range"],
+    gap.worst.map((one) => [...loads.map((load) => number(one.loads[load], 3)), percent(one.part_of_range)]), { scrolls: true });
+}
