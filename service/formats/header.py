@@ -5,22 +5,17 @@ units below or in the preamble. An unknown column is a mistake unless the sender
 misspelt load would count as zero. The first of 31 lines that names two columns is the header;
 without one the first line is read as the header, and its mistakes are reported. The sender may name
 columns by their position, from 1, if no label is that number; then a file needs no header.
-
-ATI's Net F/T demo logs counts below lines such as ``Counts per Unit Force``. A value is the counts
-over the counts per unit; the elapsed time is the RDT sequence over the sample rate (ATI manual
-9620-05-Ethernet Axia, 7.4, and 9620-05-Net FT, 5).
 """
 
 from __future__ import annotations
 
 import difflib
-import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, islice
 
-from wrenchbook.service.formats.cells import UnitError, is_number, quoted
+from wrenchbook.service.formats.cells import is_number, quoted
 from wrenchbook.service.formats.columns import (
     ARRAYS,
     MAX_LABEL,
@@ -32,111 +27,21 @@ from wrenchbook.service.formats.columns import (
     split,
 )
 from wrenchbook.service.formats.options import FileMistake, Options
+from wrenchbook.service.formats.preamble import Preamble
+from wrenchbook.service.formats.units import UnitError
 
 MAX_TITLES = 30  # lines above a table: a page of a report
 _SEVERAL = 2  # names of columns in a header: one word of a title may be a name ("Fx test, 3 mm")
 _MAX_LISTED = 200  # characters of the file's labels in a message
 _SURE_DELIMITERS, _OTHER_DELIMITERS = ";\t", ",|"  # delimiters that no label contains, and others
-_ENTRY = re.compile(
-    r"(?P<key>start time|rdt sample rate|sample rate|force units?|torque units?"
-    r"|counts per (?:unit )?force(?: unit)?|counts per (?:unit )?torque(?: unit)?)"
-    r"\s*[:=]?\s*(?P<value>.*)",
-    re.IGNORECASE,
-)
 POSITION = re.compile(r"[1-9]\d{0,3}")
 _BOOKKEEPING = re.compile(r"(status.*|rdt sequence|f/t sequence)", re.IGNORECASE)
-# Spellings of ATI's configuration page.
-_ATI_UNITS = {
-    "lbf": ("pound", "pounds", "lb"),
-    "N": ("newton",),
-    "kN": ("kilonewton",),
-    "kgf": ("kilogram", "kg"),
-    "gf": ("gram", "g"),
-    "kip": ("klb", "klbf"),
-    "lbf*in": ("pound-inch", "lb-in", "lbf-in"),
-    "lbf*ft": ("pound-foot", "lb-ft", "lbf-ft"),
-    "N*m": ("newton-meter",),
-    "N*mm": ("newton-millimeter",),
-    "kgf*cm": ("kilogram-centimeter", "kg-cm"),
-    "kN*m": ("kilonewton-meter",),
-}
-_UNITS = {spelling: unit for unit, spellings in _ATI_UNITS.items() for spelling in spellings}
 _ALONE = (
     ". If the file is a log of loads, also send the log of the displacements: displacements=FILE "
     "(--displacements FILE)"
 )
 
-Record = tuple[int, list[str]]
-"""The line of a record in its file, from 1, and its cells."""
-
-
-@dataclass
-class Preamble:
-    """Lines of a logger above the header; false if there are none.
-
-    `units` and `counts` (per unit) are those of ``force`` and ``torque``; `rate` is samples a
-    second.
-    """
-
-    units: dict[str, str] = field(default_factory=dict)
-    counts: dict[str, float] = field(default_factory=dict)
-    rate: float | None = None
-    _any: bool = False
-
-    def __bool__(self) -> bool:
-        return self._any
-
-    def add(self, cells: list[str]) -> bool:
-        """Read a line if it belongs to a preamble; return whether it does.
-
-        Raises ValueError if a number is not above zero.
-        """
-        filled = [cell.strip() for cell in ",".join(cells).split(",") if cell.strip()]
-        if filled and filled[0].lower().startswith("start time"):
-            filled = [" ".join(filled)]  # a date may contain commas
-        entries: list[str] = []
-        for cell in filled:  # a key and the cell of its value belong together
-            if entries and not _ENTRY.fullmatch(cell):
-                entries[-1] += " " + cell
-            else:
-                entries.append(cell)
-        matches = [_ENTRY.fullmatch(entry) for entry in entries]
-        if not matches or None in matches:
-            return False
-        self._any = True
-        for match in filter(None, matches):
-            key = match["key"].lower()
-            value = match["value"].strip().strip(":, ")
-            quantity = "torque" if "torque" in key else "force"
-            if key.startswith("counts"):
-                self.counts[quantity] = _positive(match["key"], value)
-            elif "unit" in key:
-                self.units[quantity] = _UNITS.get(value.lower(), value)
-            elif "rate" in key:
-                self.rate = _positive(match["key"], value)
-        return True
-
-    def unit_of(self, name: str) -> tuple[str, float] | None:
-        """Return the unit of a load column and its counts per unit; None if unknown."""
-        name = name.rpartition(".")[2]  # without the interface
-        quantity = {"f": "force", "m": "torque"}.get(name[:1], "") if len(name) == 2 else ""
-        if quantity not in self.units:
-            return None
-        return self.units[quantity], self.counts.get(quantity, 1.0)
-
-
-def _positive(key: str, value: str) -> float:
-    """Return the number of a line of the preamble.
-
-    Raises ValueError unless it is above 0.
-    """
-    try:
-        number = float(value)
-    except ValueError:
-        number = math.nan
-    if not 0.0 < number < math.inf:
-        raise ValueError(f"{key} is '{value[:40]}', but must be a number above 0; correct it")
-    return number
+Record = tuple[int, list[str]]  # the line of a record in its file, from 1, and its cells
 
 
 def is_row(cells: Sequence[str]) -> bool:
@@ -184,17 +89,18 @@ def delimiter_in(lines: Iterator[str], bare: Callable[[str], str], options: Opti
     """
     heads = [bare(line) for line in islice(lines, MAX_TITLES + 1)]
     columns = options.columns
+    limit = columns.max_count
     marks = _SURE_DELIMITERS + _OTHER_DELIMITERS
 
     def names(line: str, mark: str) -> int:
-        return named_columns(line.split(mark, columns.most), columns, options.mapping)
+        return named_columns(line.split(mark, limit), columns, options.mapping)
 
     for line in heads:
         if any(names(line, mark) >= _SEVERAL for mark in marks):
             return _mark_of_header(line, names)
     for line in heads:
-        rows = [mark for mark in marks if is_row(line.split(mark, columns.most)[: columns.most])]
-        cells = line.split(None, columns.most)[: columns.most]
+        rows = [mark for mark in marks if is_row(line.split(mark, limit)[:limit])]
+        cells = line.split(None, limit)[:limit]
         if is_row(cells) and not any(cell[0] in marks or cell[-1] in marks for cell in cells):
             rows += [" "]
         if len(rows) > 1 and rows[0] in _OTHER_DELIMITERS:
@@ -218,7 +124,7 @@ def _mark_of_header(header: str, names: Callable[[str, str], int]) -> str:
 def named_columns(cells: Sequence[str], columns: Columns, mapping: Mapping[str, str]) -> int:
     """Return the number of cells that name a column of a table or a key of the mapping."""
     mapped = {_key(name) for name in mapping} - {""}
-    labels = (" ".join(cell.split()) for cell in cells[: columns.most])
+    labels = (" ".join(cell.split()) for cell in cells[: columns.max_count])
     return sum(
         not mapped.isdisjoint((_key(label), _key(_parts(label)[0])))
         or bool(label and readings_of(label, columns))
@@ -290,10 +196,12 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
                 "there is no header below the logger's lines; write the names of the columns there"
             )
         return _no_header(0, "file", message), records
+
     titles, (line, cells), records = _split_titles((line, cells), records, options.mapping, columns)
-    if any(cell.strip() for cell in cells[columns.most :]):
-        message = f"names {len(cells):,} columns, at most {columns.most} are read; remove some"
+    if any(cell.strip() for cell in cells[columns.max_count :]):
+        message = f"names {len(cells):,} columns, at most {columns.max_count} are read; remove some"
         return _no_header(line, "header", message), records
+
     positions = [int(key) for key in options.mapping if POSITION.fullmatch(key)]
     # Concatenated files have the mark of UTF-8 before a later label too.
     labels = [" ".join(cell.replace("\ufeff", "").split()) for cell in cells]
@@ -305,6 +213,7 @@ def read_head(records: Iterator[Record], options: Options) -> tuple[Header, Iter
         records = chain([(line, cells)], records)
     while len(labels) > max(positions, default=0) and not labels[-1]:
         labels.pop()  # a spreadsheet's empty columns on the right
+
     below = next(records, None)
     units = below[1] if below and _is_units_row(labels, below[1], options) else []
     if below and not units:
@@ -394,13 +303,14 @@ def _read_labels(
                 _add_column(header, column, target, options, line)
             except UnitError as error:
                 header.mistakes.append(FileMistake(line, column.label, str(error)))
+
     if options.role == "table":
-        there = _keys(labels).union(str(at) for at in range(1, len(labels) + 1))
+        present = _keys(labels).union(str(at) for at in range(1, len(labels) + 1))
         known = f"it has {len(labels)}: {', '.join(filter(None, labels))[:_MAX_LISTED]}"
         option_of = dict.fromkeys(options.mapping, "mapping (--column)")
         option_of |= dict.fromkeys(options.ignore, "ignore (--ignore)")
         for name, option in option_of.items():
-            if _key(name) not in there and name not in options.optional:
+            if _key(name) not in present and name not in options.optional:
                 message = f"is in {option}, but the file has no such column; {known}"
                 header.mistakes.append(FileMistake(line, name, message))
     for message in _missing_columns(header, labels, options):
@@ -425,12 +335,14 @@ def _add_column(
         elif kind[0].lower().startswith("rdt"):
             header.sequence = bare
         return
+
     columns = options.columns
     text = (target or bare.label).strip()
     sign = -1.0 if target and text.startswith("-") else 1.0
     text = text.removeprefix("-") if target else text
     if target and text.startswith("-"):
         raise UnitError(f"has two minus signs; write {text} for the opposite sign")
+
     try:
         name, unit, factor = _reading(text, bare.unit, header.preamble, columns)
     except _UnknownColumnError:
@@ -449,10 +361,7 @@ def _add_column(
 
 
 def _reading(label: str, below: str, preamble: Preamble, columns: Columns) -> Reading:
-    """Return name, unit and factor of a label with a unit below it.
-
-    Raises UnitError if the label is no column, or its unit is wrong.
-    """
+    """Return name, unit and factor of a label with a unit below it; raises UnitError."""
     problem: UnitError | None = None
     fits: dict[str, Reading] = {}
     meanings = list(columns.readings(label))
@@ -471,6 +380,7 @@ def _reading(label: str, below: str, preamble: Preamble, columns: Columns) -> Re
             problem = problem or error
             continue
         fits.setdefault(name, Reading(name, unit, si / count * factor))
+
     if len(fits) == 1:
         return next(iter(fits.values()))
     if len(fits) > 1:
@@ -518,7 +428,7 @@ def _unknown(name: str, columns: Columns) -> str:
 
 def _missing_of_profile(named: set[str], labels: Sequence[str], options: Options) -> Iterator[str]:
     """Yield a message on each load that a profile names and the file lacks: it is not zero."""
-    there = _keys(labels)
+    present = _keys(labels)
     columns = options.columns
     for load in columns.loads:
         others = [
@@ -526,7 +436,7 @@ def _missing_of_profile(named: set[str], labels: Sequence[str], options: Options
             for label in options.mapping.keys() & {*options.optional}
             if load in (r.column for r in readings_of(options.mapping[label].lstrip("- "), columns))
         ]
-        if others and load not in named and there.isdisjoint(map(_key, others)):
+        if others and load not in named and present.isdisjoint(map(_key, others)):
             yield (
                 f"there is no column for {load}, called {' or '.join(sorted(others))} by the rig; "
                 f"name it with mapping (--column 'LABEL={load}'), or choose another profile"
@@ -555,6 +465,7 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
         r.column for label in labels if label not in known for r in readings_of(label, columns)
     }
     named = mistaken | set(header.columns)
+
     has_loads = options.role != "displacements"
     needed = []
     if options.role != "loads":
@@ -568,6 +479,7 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
             named_so = ", ".join(map("{} [{}]".format, names, units))
             alone = _ALONE if quantity == "displacement" and options.role == "table" else ""
             yield f"there is no {quantity} column; name at least one of {named_so}{alone}"
+
     absent = [name for name in columns.loads if name not in named]
     is_partial = 0 < len(absent) < len(columns.loads)
     if is_partial and has_loads and options.missing_loads != "zero":
