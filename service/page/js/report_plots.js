@@ -94,6 +94,7 @@ function calibration(report, width) {
   const list = report.tables.filter((entry) => entry.rows === report.rows), names = report.outputs, right = width < 500 ? 44 : 112;
   const y = (share) => BOX.top + (HEIGHT - BOX.top - BOX.bottom) * (1 - share / 1.02);
   const slot = (width - BOX.left - right) / names.length, bar = (0.8 * slot) / Math.max(1, list.length);
+  if (!list.some((entry) => entry.inside_error_bar.some((share) => share !== null))) return frame(width, words(width / 2, HEIGHT / 2, "error bars are not known: the rows are too few"));
   const left = (k, one) => BOX.left + slot * (k + 0.1) + bar * one;
   const aim = (share, text) => [rule(BOX.left, y(share), width - right, y(share), { stroke: "var(--ink)", "stroke-dasharray": "7 5" }),
     words(width - right + 6, y(share) + 4, width < 500 ? text.split(" (")[0] : text, { "text-anchor": "start", fill: "var(--ink)" })];
