@@ -2,7 +2,7 @@
 
 import { get, of, post, send, trouble } from "./api.js";
 import { el, field, notify, pill, put, select } from "./dom.js";
-import { empty, emptyTable } from "./empty.js";
+import { empty, emptyTable, linkTo } from "./empty.js";
 import { time, triple } from "./format.js";
 import { named, outputsOf, said } from "./inputs.js";
 
@@ -47,7 +47,7 @@ export async function show(root, about, signal, query = new URLSearchParams()) {
       }
       older.hidden = !more;
       list.hidden = !body.children.length;
-      put(state, !list.hidden ? null : more ? el("p", { class: "muted" }, `None among the newest ${read} rows.`) : filters().length ? empty("No row fits these filters.") : emptyTable(about));
+      put(state, !list.hidden ? null : more ? el("p", { class: "muted" }, `None among the newest ${read} rows.`) : filters().length ? empty("No row fits these filters.", linkTo(about, "rows", "Show all rows")) : emptyTable(about));
     } catch (error) { if (!signal.aborted && mine === latest) put(state, trouble(error)); }
   };
   older.addEventListener("click", () => load(false));
