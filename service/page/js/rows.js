@@ -141,12 +141,13 @@ function draw(root, about, row) {
 
 // Three outputs a group: translations, then rotations, of each interface.
 function displacement(about, values) {
-  const names = outputsOf(about), parts = [];
+  const names = outputsOf(about);
+  let text = "";
   for (let k = 0; k < names.length; k += 3) {
     const [last, front] = names[k].split(".").reverse(), moves = last.startsWith("u");
-    parts.push(`${front ? `${front} ` : ""}${moves ? "u" : "r"}\u00a0${triple(values.slice(k, k + 3), moves ? "m" : "rad")}`);
+    text += `${front && moves ? `${k ? "; " : ""}${front}: ` : k ? ", " : ""}${moves ? "u" : "r"}\u00a0${triple(values.slice(k, k + 3), moves ? "m" : "rad")}`;
   }
-  return parts.join(", ");
+  return text;
 }
 
 // Where a row is from: its job, or its import.
