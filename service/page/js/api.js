@@ -90,7 +90,7 @@ export function trouble(error) {
   const mistakes = error.body?.errors || [];
   // A message that contains all mistakes is cut where their list begins.
   const listed_ = mistakes.length > 1 && mistakes.every((one) => error.message.includes(one.msg));
-  const text = listed_ ? error.message.slice(0, error.message.indexOf(`${mistakes[0].loc}: `)).trim() : error.message;
+  const text = listed_ ? error.message.slice(0, error.message.indexOf(`${mistakes[0].loc}: `)).trim() : error.message.replace(/; list [^;]*GET \S+$/, ".").replace(/^[a-z]/, (first) => first.toUpperCase()); // views list what a call would
   return note("outside",
     el("strong", {}, title || "The call failed"), el("span", {}, text),
     mistakes.length > 1 ? el("ul", {}, mistakes.slice(0, 20).map((one) => el("li", {}, `${one.loc}: ${one.msg}`))) : null);

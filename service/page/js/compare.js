@@ -1,7 +1,7 @@
 // Measured rows beside the answer of the solves alone, or of another import's rows.
 
 import { get, of, send, trouble } from "./api.js";
-import { choice, el, field, note, put, save, select, table } from "./dom.js";
+import { choice, el, field, put, save, select, table, working } from "./dom.js";
 import { empty, emptyTable, linkTo } from "./empty.js";
 import { LOADS, OUTPUTS, count, number, plain, prefixOf, quantity, symbol, unitOfLoad, unitOfOutput } from "./format.js";
 import { draw, faint } from "./plot.js";
@@ -28,6 +28,9 @@ export async function show(root, about, signal) {
   let latest = null;
   const load = async () => {
     const asked = latest = String(query());
+    put(facts, working("The rows are compared …"));
+    put(axes);
+    [...places, marks, saved].forEach((one) => { one.hidden = true; });
     try {
       const reply = await get(`${of(about.name)}/comparison?${asked}`, signal);
       if (asked !== latest) return; // another choice was made meanwhile
@@ -46,7 +49,6 @@ export async function show(root, about, signal) {
     } catch (error) {
       if (signal.aborted || asked !== latest) return;
       put(facts, trouble(error));
-      places.forEach((one) => { one.hidden = true; });
     }
   };
   const take = async () => {

@@ -25,7 +25,7 @@ export async function facesIn(root, { faces, figure }, signal, ofDeck = false) {
   list.id = "face";
   const labels = figure.data.filter((trace) => trace.type !== "mesh3d"), apart = 0.05 * extent(labels.map(placeOf));
   const together = []; // labels at one place, as of a thin plate or of bores on one axis, are one text
-  for (const label of labels) {
+  for (const label of [...labels].sort((a, b) => b.z[0] - a.z[0])) { // at the upper one: the camera begins above
     const near = together.find(([first]) => Math.hypot(...placeOf(first).map((x, k) => x - placeOf(label)[k])) < apart);
     if (near) near.push(label); else together.push([label]);
   }
@@ -35,7 +35,7 @@ export async function facesIn(root, { faces, figure }, signal, ofDeck = false) {
     list.value = String(face);
     lines.say(`[mesh.groups]\n${group.value || "NAME"} = ${faces.find((one) => one.number === face).toml}`);
   };
-  put(root, el("section", { class: "card" },
+  put(root, el("section", { class: "card" }, el("h2", {}, "Faces of the mesh"),
     el("p", { class: "muted" }, ofDeck ? "Faces of the mesh in the deck, which solves this part with its own sets. The lines are for a component of the embedded solver with this mesh. Lengths are in m."
       : "Click a face, or choose it in the list. Copy its lines into component.toml; supports and interfaces name the group. Lengths are in m."),
     view.root, el("div", { class: "halves" }, field(`Face (1 to ${faces.length})`, list), field("Name of the group", group)), lines.root));
@@ -52,7 +52,7 @@ const numberOf = (trace) => Number.parseInt(trace.name, 10);
 // The chosen face in the colour of links, the others pale; numbers in the colour of text.
 function painted(trace, chosen, shade, labels = []) {
   const here = numberOf(trace) === chosen;
-  if (trace.type !== "mesh3d") return { ...trace, text: [labels.map(numberOf).join(", ")], textposition: "middle center", textfont: { color: shade.ink, size: labels.some((one) => numberOf(one) === chosen) ? 18 : 13 } };
+  if (trace.type !== "mesh3d") return { ...trace, text: [labels.map(numberOf).sort((a, b) => a - b).join(", ")], textposition: "top center", textfont: { color: shade.ink, size: labels.some((one) => numberOf(one) === chosen) ? 18 : 13 } };
   return { ...trace, color: here ? shade.accent : shade.part, flatshading: false, lighting: { ambient: 0.7, diffuse: 0.5, specular: 0.05 } };
 }
 

@@ -41,7 +41,7 @@ function result(job) {
   const link = (view, text) => el("a", { class: "button", href: `#/c/${encodeURIComponent(job.component)}/${view}`, onclick: () => keepWrench(job.component, [...job.force, ...job.moment]) }, text);
   const values = [...job.translation, ...job.rotation], size = (place) => Math.max(1e-12, 1e-6 * Math.max(...values.slice(place, place + 3).map(Math.abs))); // below it is round-off
   return el("section", { class: "card" }, el("h2", {}, "Displacement of this solve"),
-    el("div", { class: "three" }, values.map((value, place) => el("span", {}, symbol(OUTPUTS[place]), " ", quantity(Math.abs(value) < size(place < 3 ? 0 : 3) ? 0 : value, unitOfOutput(OUTPUTS[place]), 5)))),
+    el("div", { class: "few" }, values.map((value, place) => el("span", {}, symbol(OUTPUTS[place]), " ", quantity(Math.abs(value) < size(place < 3 ? 0 : 3) ? 0 : value, unitOfOutput(OUTPUTS[place]), 5)))),
     job.inputs || job.loads ? null : el("div", { class: "line" }, link("query", "Query this wrench"), link("shape", "Show its shape")));
 }
 

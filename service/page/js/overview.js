@@ -65,7 +65,7 @@ async function cover(place, about, signal, isLatest) {
   if (rows) {
     glance = await get(`${of(about.name)}/glance`, signal);
     parts.push(wholeError(glance, about), legend(WHOLE), sharesOf(glance));
-    parts.push(legend(), el("p", { class: "muted small" }, `Parts of the load range. Covered: the interpolation error is known and within the tolerance; thin: it is larger or not known; outside: beyond the load range, or beyond the rows for the methods by axes (additive, griddata). Kriging may cover loads a little beyond the rows. The first bar compares the complete error bar, of interpolation and of the solver, with the tolerance.${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`));
+    parts.push(legend(), el("details", { class: "small" }, el("summary", {}, "What the bars mean"), el("p", { class: "muted" }, `Parts of the load range. Covered: the interpolation error is known and within the tolerance; thin: it is larger or not known; outside: beyond the load range, or beyond the rows for the methods by axes (additive, griddata). Kriging may cover loads a little beyond the rows. The first bar compares the complete error bar, of interpolation and of the solver, with the tolerance.${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`)));
   } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : "The table has no rows yet."));
   if (isLatest()) put(place, parts);
   return glance;

@@ -2,7 +2,7 @@
 
 import { Problem, get, of, send, trouble } from "./api.js";
 import { el, field, note, put, save, table } from "./dom.js";
-import { empty, emptyTable } from "./empty.js";
+import { empty, emptyTable, linkTo } from "./empty.js";
 import { PLOTS, show as plot } from "./report_plots.js";
 
 const LOOK_MS = 1000; // between looks at how far it is
@@ -78,7 +78,7 @@ function page(body, about, report) {
   const places = Object.entries(PLOTS).map(([name, [title]]) => [name, title, el("div", { id: `plot-${name}` })]);
   const card = (title, ...content) => el("section", { class: "card" }, el("h2", {}, title), content);
   put(body,
-    el("section", { class: "card" }, el("p", {}, el("strong", {}, report.advice)), el("p", { class: "muted small" }, report.summary), files(about)),
+    el("section", { class: "card" }, el("p", {}, el("strong", {}, report.advice)), el("p", { class: "muted small" }, report.summary), report.advice.startsWith("More rows help") ? el("div", {}, linkTo(about, "overview", "Fill the table")) : null, files(about)),
     places.map(([, title, place]) => card(title, place)),
     report.sections.map(({ title, note: text, head, lines }) => card(title, el("p", { class: "muted small" }, text),
       lines.length ? table(head.map((name, place) => (place ? `#${name}` : name)), lines, { scrolls: true }) : null)));

@@ -94,6 +94,7 @@ function calibration(report, width) {
   const list = report.tables.filter((entry) => entry.rows === report.rows), names = report.outputs, right = width < 500 ? 44 : 112;
   const y = (share) => BOX.top + (HEIGHT - BOX.top - BOX.bottom) * (1 - share / 1.02);
   const slot = (width - BOX.left - right) / names.length, bar = (0.8 * slot) / Math.max(1, list.length);
+  const known = list.some((entry) => entry.inside_error_bar.some((share) => share !== null));
   const left = (k, one) => BOX.left + slot * (k + 0.1) + bar * one;
   const aim = (share, text) => [rule(BOX.left, y(share), width - right, y(share), { stroke: "var(--ink)", "stroke-dasharray": "7 5" }),
     words(width - right + 6, y(share) + 4, width < 500 ? text.split(" (")[0] : text, { "text-anchor": "start", fill: "var(--ink)" })];
@@ -104,6 +105,7 @@ function calibration(report, width) {
       : tag("rect", { x: left(k, one), y: y(share), width: bar, height: y(0) - y(share), fill: `var(--${(LOOKS[entry.method] || LOOKS.other)[0]})` },
         tag("title", {}, `${entry.method}, ${names[k]}: ${percentText(100 * share)}`))))).flat(),
     words(14, HEIGHT / 2 - 20, "share within the error bar", { transform: `rotate(-90 14 ${HEIGHT / 2 - 20})` }),
+    known ? null : words((BOX.left + width - right) / 2, HEIGHT / 2, "not known: too few rows for error bars"),
     aim(0.95, "95 % (nominal)"), aim(0.9, "90 % (accepted)"));
 }
 

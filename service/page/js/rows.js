@@ -2,7 +2,7 @@
 
 import { get, of, post, send, trouble } from "./api.js";
 import { el, field, notify, pill, put, select } from "./dom.js";
-import { empty, emptyTable } from "./empty.js";
+import { empty, emptyTable, linkTo } from "./empty.js";
 import { time, triple } from "./format.js";
 import { named, outputsOf, said } from "./inputs.js";
 
@@ -47,7 +47,7 @@ export async function show(root, about, signal, query = new URLSearchParams()) {
       }
       older.hidden = !more;
       list.hidden = !body.children.length;
-      put(state, !list.hidden ? null : more ? el("p", { class: "muted" }, `None among the newest ${read} rows.`) : filters().length ? empty("No row fits these filters.") : emptyTable(about));
+      put(state, !list.hidden ? null : more ? el("p", { class: "muted" }, `None among the newest ${read} rows.`) : filters().length ? empty("No row fits these filters.", linkTo(about, "rows", "Show all rows")) : emptyTable(about));
     } catch (error) { if (!signal.aborted && mine === latest) put(state, trouble(error)); }
   };
   older.addEventListener("click", () => load(false));
@@ -141,12 +141,13 @@ function draw(root, about, row) {
 
 // Three outputs a group: translations, then rotations, of each interface.
 function displacement(about, values) {
-  const names = outputsOf(about), parts = [];
+  const names = outputsOf(about);
+  let text = "";
   for (let k = 0; k < names.length; k += 3) {
     const [last, front] = names[k].split(".").reverse(), moves = last.startsWith("u");
-    parts.push(`${front ? `${front} ` : ""}${moves ? "u" : "r"}\u00a0${triple(values.slice(k, k + 3), moves ? "m" : "rad")}`);
+    text += `${front && moves ? `${k ? "; " : ""}${front}: ` : k ? ", " : ""}${moves ? "u" : "r"}\u00a0${triple(values.slice(k, k + 3), moves ? "m" : "rad")}`;
   }
-  return parts.join(", ");
+  return text;
 }
 
 // Where a row is from: its job, or its import.

@@ -743,12 +743,12 @@ def test_a_file_that_is_no_table_offers_no_mending(browser, rig):
 
 
 def test_a_drawing_has_the_layout_of_a_turned_telephone(browser, plate):
-    browser.resize(390, 844)
+    browser.resize(390, 740)
     browser.visit(f"{PLATE}/shape")
     browser.drawn("#shape")
     bar = "return document.querySelector('#shape')._fullData[0].colorbar.orientation"
     assert browser.run(bar) == "h"
-    browser.resize(844, 390)
+    browser.resize(740, 390)
     browser.until(lambda: browser.run(bar) == "v")
     size = "return document.querySelector('#shape')._fullLayout.width"
     browser.until(lambda: browser.run(size) > 600)
