@@ -7,6 +7,7 @@ site has all options, fields and docstrings.
 import dataclasses
 import inspect
 import json
+import os
 import re
 import subprocess
 import sys
@@ -114,7 +115,8 @@ def _options(name: str, command: Any) -> list[tuple[str, str]]:
 def _help_of(name: str) -> str:
     """Return the help of a command of `PROGRAMS`, whose arguments typer does not know."""
     arguments = [sys.executable, "-m", "wrenchbook.fea.check.commands", name, "--help"]
-    return subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
+    wide = {**os.environ, "COLUMNS": "1000"}  # argparse breaks lines at the terminal's width
+    return subprocess.run(arguments, capture_output=True, text=True, check=True, env=wide).stdout
 
 
 def calls() -> list[str]:
