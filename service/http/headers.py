@@ -31,7 +31,7 @@ _ALWAYS: Final[Fields] = (
 )
 _SAME_ORIGIN: Final[Fields] = ((b"cross-origin-resource-policy", b"same-origin"),)
 _PREFLIGHT: Final[Fields] = (
-    (b"access-control-allow-methods", b"GET, POST, DELETE"),
+    (b"access-control-allow-methods", b"GET, POST, PUT, DELETE"),
     (
         b"access-control-allow-headers",
         b"authorization, content-type, if-none-match, accept, x-request-id",

@@ -401,6 +401,8 @@ def test_a_listed_site_is_let_in_and_told_so_and_no_other_is(locked, secrets_):
     assert asked.status_code == 204
     assert asked.headers["access-control-allow-origin"] == "https://lab.example"
     assert "authorization" in asked.headers["access-control-allow-headers"]
+    methods = asked.headers["access-control-allow-methods"].split(", ")
+    assert methods == ["GET", "POST", "PUT", "DELETE"]  # those of the routes
     reply = locked.get("/v1/components", headers={**listed, **bearer(secrets_["read"])})
     assert reply.headers["access-control-allow-origin"] == "https://lab.example"
     assert "access-control-allow-credentials" not in reply.headers
