@@ -122,7 +122,7 @@ function preview(result) {
   const headOf = (name, text, unit) => `#${text}, ${unit}${inFile.get(name) && inFile.get(name) !== unit ? ` (file: ${inFile.get(name)})` : ""}`;
   const head = ["#row", ...LOADS.map((one) => headOf(one, plain(one), unitOfLoad(one))), ...OUTPUTS.map((one) => headOf(one, one, unitOfOutput(one)))];
   const lines = result.preview.map((one) => [String(one.row), ...[...one.wrench, ...one.displacement].map((value) => number(value, 5))]);
-  const shown = table(head, lines, { scrolls: true, caption: "The first correct rows, converted to SI" });
+  const shown = table(head, lines, { scrolls: true, caption: "The first correct rows, in SI" });
   shown.id = "preview";
   return shown;
 }
