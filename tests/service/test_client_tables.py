@@ -152,9 +152,29 @@ def test_an_ending_that_is_no_tables_is_refused_with_those_there_are(stub, clien
     assert (stub.seen, list(tmp_path.iterdir())) == ([], [])
 
 
+LOADED = {
+    "inserted": 1,
+    "existing": 0,
+    "restored": 0,
+    "beyond_range": 0,
+    "dry_run": False,
+    "errors": [],
+    "causes": [],
+    "findings": [],
+    "ignored": [],
+    "above": [],
+    "sheets": [],
+    "rig": None,
+    "clock": None,
+    "columns": [],
+    "in_use": True,
+}
+"""The reply to an import of one row."""
+
+
 def test_import_says_what_became_of_the_rows(stub: Stub, tmp_path: Path):
     rows = {"read": 9, "loaded": 1, "refused": 0, "tare": 5, "unmatched": 3}
-    reply = {"inserted": 1, "existing": 0, "errors": [], "dry_run": False, "in_use": False}
+    reply = {**LOADED, "in_use": False}
     sheets = {"sheets": ["cover", "run"], "sheet": "run"}
     causes = {"causes": [{"row": 0, "fields": ["file"], "message": "is torn", "count": 1}]}
     stub.answers(Answer({**reply, "rows": rows, "ignored": ["Temp"], **sheets, **causes}))
@@ -198,8 +218,7 @@ def test_a_rig_is_sent_as_text_from_numbers_and_from_its_file(stub: Stub, client
 def test_the_import_command_sends_the_rig_and_says_which_was_applied(stub: Stub, tmp_path: Path):
     counts = {"read": 1, "loaded": 1, "refused": 0, "tare": 0, "unmatched": 0}
     rig = {"name": "bench 3", "left_handed": True}
-    reply = {"inserted": 1, "existing": 0, "errors": [], "ignored": [], "rows": counts, "rig": rig}
-    stub.answers(Answer({**reply, "dry_run": False, "in_use": True}))
+    stub.answers(Answer({**LOADED, "rows": counts, "rig": rig}))
     file = tmp_path / "table.csv"
     file.write_text("a\nb\n")
     options = ["--frame", "x=-y,y=z,z=x", "--load-point", "-0.1,0,0", "--displacement-point=0,0,1"]
