@@ -158,7 +158,8 @@ def _study_text(study: dict[str, Any]) -> str:
     else:
         rows.append(("two meshes do not show the order; give a third with --finer", []))
     pairs = zip(study["first_lacks"], study["values"][0], strict=True)
-    rows.append(("error of the first mesh", [f"{100 * lack / value:.2g} %" for lack, value in pairs]))
+    errors = [f"{100 * lack / value:.2g} %" for lack, value in pairs]
+    rows.append(("error of the first mesh", errors))
     return "\n".join(
         f"{label:<26}{''.join(f'{text:>13}' for text in texts)}".rstrip() for label, texts in rows
     )
