@@ -41,12 +41,13 @@ PAGES = [
 ]
 RUN = [
     ROOT / "README.md",
-    DOCS / "concepts/coupling.md",
+    *(DOCS / f"concepts/{name}.md" for name in ("coupling", "error-bars", "table", "wrench")),
     *(
         DOCS / f"how-to/{name}.md"
         for name in (
             "batches",
             "compare",
+            "cycles",
             "in-process",
             "record",
             "scene",

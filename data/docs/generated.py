@@ -106,9 +106,23 @@ def _options(name: str, command: Any) -> list[tuple[str, str]]:
     else:
         shown = [item for item in command.params if not getattr(item, "hidden", False)]
         listed = [
-            (text, item.help or "") for item in shown for text in item.opts if text.startswith("--")
+            (text, _meaning(item)) for item in shown for text in item.opts if text.startswith("--")
         ]
     return [pair for pair in listed if pair[0] not in (*COMMON, "--help")]
+
+
+def _meaning(option: Any) -> str:
+    """Return the help of an option, with allowed values and default unless the help has them."""
+    text = option.help or ""
+    values = [str(value) for value in getattr(option.type, "choices", ())]
+    if values and not all(value in text for value in values):
+        text += f"; one of {', '.join(values)}"
+    default = getattr(option.default, "value", option.default)
+    if isinstance(option.show_default, str):  # of a setting, which the command line leaves unset
+        default = option.show_default
+    if type(default) in (int, float, str) and default != "" and "default" not in text:
+        text += f"; default {default}"
+    return text
 
 
 @cache

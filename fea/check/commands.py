@@ -154,11 +154,12 @@ def _study_text(study: dict[str, Any]) -> str:
     if len(study["nodes"]) > 2:
         order = ["none" if value is None else f"{value:.2g}" for value in study["order"]]
         limit = ["none" if value is None else f"{value:.6g}" for value in study["extrapolated"]]
-        rows += [("order", order), ("at cells without size", limit)]
+        rows += [("order", order), ("extrapolated limit", limit)]
     else:
         rows.append(("two meshes do not show the order; give a third with --finer", []))
     pairs = zip(study["first_lacks"], study["values"][0], strict=True)
-    rows.append(("the first mesh lacks", [f"{100 * lack / value:.2g} %" for lack, value in pairs]))
+    errors = [f"{100 * lack / value:.2g} %" for lack, value in pairs]
+    rows.append(("error of the first mesh", errors))
     return "\n".join(
         f"{label:<26}{''.join(f'{text:>13}' for text in texts)}".rstrip() for label, texts in rows
     )

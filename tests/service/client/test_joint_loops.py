@@ -170,7 +170,7 @@ def hand(tmp_path, monkeypatch):
     motor = '<actuator><motor site="hand" gear="0 0 1 0 0 0"/></actuator>'
     model, data = scene(SCENES["bar"][0] + '<site name="hand"/>', extra=motor)
     mujoco.mj_saveLastXML("arm-joint.xml", model)
-    joint = MujocoJoint(model, data, TABLE)
+    joint = MujocoJoint(model, data, TABLE, damping=0.02)
     data.ctrl[0] = 30.0
     for _ in range(40):
         joint.step()
