@@ -19,7 +19,7 @@ from wrenchbook.surrogate.table.space import Space
 MAX_CYCLE_ROWS = 1_000_000
 _BLOCK = 65_536  # rows of a piece, as in a file
 # Part of a load's range: repeated cycles of one load differ by less in the others, also with a
-# cross-load sensor.
+# cross-load sensor, and by less in the place of a pass of one row.
 _REPEATED = 0.02
 _FEW = 0.1  # part of the places: single rows may deviate
 
@@ -100,6 +100,7 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
             after = f" after skip_cycles={options.skip_cycles}" if options.skip_cycles else ""
             message = f"needs two or more cycles of {name}, but there is only one{after}"
             raise _CycleError("mean_cycles", f"{message}; leave mean_cycles out")
+        size[main] = np.ptp(load)
         branches = [_branch_mean(rows, passes, loading, main, size) for loading in (True, False)]
         measured = [branch for branch in branches if len(branch)]
         rows = _joined(sorted(measured, key=lambda branch: branch.seq[0]))
@@ -111,7 +112,9 @@ def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> N
     """Return the mask, (n,), of the rows after the first `count` cycles of the main load, (n,)."""
     complete = int(passes.number[-1]) // 2
     if complete < count:
-        message = f"is {count}, but the main load {name} has {complete} complete cycles"
+        message = (
+            f"is {count}, but at most {complete} cycles of the main load {name} can be left out"
+        )
         raise _CycleError("skip_cycles", f"{message}; give at most {complete}")
     retained = passes.number >= 2 * count
     first = load[0]
@@ -148,22 +151,31 @@ def _branch_mean(
     """Return the mean of the passes of a branch at the main loads of its widest pass.
 
     The 95 % half width of a mean is that of the scatter about it, which all loads share; a larger
-    stated one stays. `size` is that of each input, (inputs,).
+    stated one stays. `size` is that of each input, (inputs,). Raises _CycleError if the passes
+    differ in another load, or have no main load in common.
     """
     chosen = np.flatnonzero(passes.sure & (passes.loading == loading))
     number = passes.number[chosen]
     inputs = rows.wrench.shape[1]
     by_pass = [chosen[number == pass_number] for pass_number in np.unique(number)]
-    by_pass = [indices for indices in by_pass if len(indices) > 1]
     if not by_pass:
         return rows.take(chosen[:0])
     widest = max(by_pass, key=lambda indices: np.ptp(rows.wrench[indices, main]))
 
     columns = np.hstack((rows.wrench, rows.displacement))
     # (passes, rows of the widest, inputs and outputs)
-    values = np.stack([_interpolated(columns[at], columns[widest], main) for at in by_pass])
+    reach = _REPEATED * size[main]
+    values = np.stack([_interpolated(columns[at], columns[widest], main, reach) for at in by_pass])
     values[[at is widest for at in by_pass]] = columns[widest]
     counts = np.isfinite(values).sum(axis=0)
+    if len(by_pass) > 1 and counts[:, main].max() < 2:
+        branch, load = "loading" if loading else "unloading", rows.space.inputs[main]
+        spread = np.ptp(rows.wrench[[at[0] for at in by_pass], main])
+        message = (
+            f"the {len(by_pass)} {branch} passes of {load.name} have no load in common: their "
+            f"first rows differ by up to {spread:.4g} {load.unit}. Leave mean_cycles out"
+        )
+        raise _CycleError("mean_cycles", message)
     mean = np.nansum(values, axis=0) / np.where(counts > 0, counts, np.nan)
     _require_same_loads(values[:, :, :inputs], size, rows.space)
 
@@ -181,10 +193,18 @@ def _branch_mean(
     )
 
 
-def _interpolated(columns: Array, at: Array, main: int) -> Array:
-    """Return the columns of a pass, (n, c), at the main loads of another, (m, c); NaN beyond."""
-    columns = columns[np.argsort(columns[:, main], kind="stable")]
+def _interpolated(columns: Array, at: Array, main: int, reach: float) -> Array:
+    """Return the columns of a pass, (n, c), at the main loads of another, (m, c); NaN beyond.
+
+    A pass of one row is at the nearest main load, if that is within `reach`.
+    """
     values = np.full(at.shape, np.nan)
+    if len(columns) == 1:
+        distance = np.abs(at[:, main] - columns[0, main])
+        nearest = distance.argmin()
+        values[nearest] = columns[0] if distance[nearest] <= reach else np.nan
+        return values
+    columns = columns[np.argsort(columns[:, main], kind="stable")]
     for column in range(columns.shape[1]):
         known = columns[np.isfinite(columns[:, column])]
         if len(known):

@@ -132,6 +132,54 @@ def test_the_mean_of_cycles_is_numpys_with_the_half_width_of_the_scatter():
     assert report.omitted["averaged"] == len(rows) - len(results)
 
 
+@pytest.mark.parametrize("deviation", [0.0, 0.1])  # of the load, in N of 10
+@pytest.mark.parametrize(
+    ("start", "options", "means"),
+    [
+        (0, {}, [(0, 1), (10, 4), (0, 4)]),
+        (0, {"skip_cycles": 1}, [(10, 3), (0, 3)]),
+        (1, {"branch": "loading"}, [(10, 3)]),
+    ],
+)
+def test_passes_of_one_row_are_averaged(start, options, means, deviation):
+    load = np.array([0, 10, 0, 10, 0, 10, 0, 10, 0.0])[start:]
+    load += deviation * np.random.default_rng(7).uniform(-0.5, 0.5, len(load))
+    noise = 1e-6 * np.random.default_rng(8).normal(size=(len(load), 6))
+    wrench = np.zeros((len(load), 6))
+    wrench[:, 2] = load
+    rows, report = left(Rows.of(wrench, wrench * 1e-4 + noise), mean_cycles=True, **options)
+    assert not report.mistakes.listed()
+    np.testing.assert_allclose(rows.wrench[:, 2], [at for at, _ in means], atol=deviation)
+    last, count = means[-1]
+    of_last = np.flatnonzero(np.abs(load - last) <= deviation)[-count:]
+    mean = (wrench * 1e-4 + noise)[of_last].mean(axis=0)
+    np.testing.assert_allclose(rows.displacement[-1], mean, rtol=1e-12)
+    assert np.isfinite(rows.uncertainty[-1]).all()
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_too_many_skipped_cycles_are_refused_with_how_many_can_be_left_out(count):
+    wrench = np.zeros((4 * count + 1, 6))
+    wrench[:, 2] = [0, *[5, 10, 5, 0] * count]
+    rows = Rows.of(wrench, wrench * 1e-6)
+    _, report = left(rows, skip_cycles=count)
+    (mistake,) = report.mistakes.listed()
+    words = f"is {count}, but at most {count - 1} cycles of the main load fz can be left out"
+    assert words in mistake.message
+    retained, report = left(rows, skip_cycles=count - 1)
+    assert len(retained)
+    assert not report.mistakes.listed()
+
+
+def test_passes_of_one_row_at_different_loads_have_no_mean():
+    wrench = np.zeros((8, 6))
+    wrench[:, 2] = [10, 0, 6, 0, 8, 0, 4, 0]
+    rows, report = left(Rows.of(wrench, wrench * 1e-6), mean_cycles=True, branch="loading")
+    (mistake,) = report.mistakes.listed()
+    assert len(rows) == 0
+    assert "fz have no load in common: their first rows differ by up to 4 N" in mistake.message
+
+
 def test_rows_of_a_pass_within_one_place_become_their_mean():
     wrench = np.zeros((9, 6))
     wrench[:, 2] = [0, 10, 11, 12, 20, 100, 11, 10, 0]
