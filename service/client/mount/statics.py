@@ -75,6 +75,13 @@ class Loop:
     max_answers: int
     residuals: list[float] = field(default_factory=list)  # in tolerances
 
+    def size(self, residual: Vector) -> float:
+        """Return the largest of a residual (6,), m and rad, in the present tolerances.
+
+        Those derived from answers grow: only sizes in the same tolerances can be compared.
+        """
+        return float(np.abs(self.scale.measure(residual)).max())
+
     def evaluate(self, displacement: Vector) -> CouplingIteration:
         """Evaluate scene and component at a displacement (6,); raises CouplingDiverged."""
         if len(self.residuals) >= self.max_answers:
@@ -89,7 +96,7 @@ class Loop:
         self.scale.see(answered)
         residual = answered - displacement
         scaled = self.scale.measure(residual)
-        self.residuals.append(float(np.abs(scaled).max()))
+        self.residuals.append(self.size(residual))
         return CouplingIteration(displacement, wrench, answer, residual, scaled, self.residuals[-1])
 
 
@@ -105,9 +112,8 @@ def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> Coupling
             raise CouplingDiverged(str(error), loop.residuals) from None
         before = state
         state = loop.evaluate(state.displacement + factor * state.residual)
-        # Both in the present tolerances, as those derived from answers grow.
         same_way = float(loop.scale.measure(before.residual) @ state.scaled) > 0
-        runaway = runaway + 1 if same_way and state.size > before.size else 0
+        runaway = runaway + 1 if same_way and state.size > loop.size(before.residual) else 0
         if runaway == RUNAWAY:
             raise CouplingDiverged(
                 "the scene has no equilibrium on this component: it tips or buckles, and pose and "
@@ -176,14 +182,14 @@ def by_newton(
         before = state
         for _ in range(HALVINGS):
             state = loop.evaluate(before.displacement + fraction * step)
-            if state.size < before.size or state.size <= loop.accuracy:
+            if state.size < loop.size(before.residual) or state.size <= loop.accuracy:
                 break
             fraction *= 0.5
         else:
             raise CouplingDiverged(
-                f"Newton does not converge: pose and answer stay {before.size:.3g} tolerances "
-                f"apart (G = {radius:.3g}), for example because a contact opens or closes. Settle "
-                "with relaxation='aitken', or start nearer.",
+                f"Newton does not converge: pose and answer stay {loop.size(before.residual):.3g} "
+                f"tolerances apart (G = {radius:.3g}), for example because a contact opens or "
+                "closes. Settle with relaxation='aitken', or start nearer.",
                 loop.residuals,
                 radius,
             )

@@ -158,6 +158,22 @@ def test_a_scene_that_tips_is_told_from_one_that_overshoots():
             mount.settle(read)
 
 
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"relaxation": "off"}, "tips or buckles"),
+        ({"relaxation": "newton", "stiffness": np.zeros((6, 6))}, "Newton does not converge"),
+    ],
+)
+def test_a_runaway_is_named_soon_where_the_tolerances_grow_with_the_answers(options, named):
+    """Residuals seemed to shrink, as each was compared in its own tolerances."""
+    read, _ = press(-1.5)
+    mount = Mount(LinearTable(tolerance=None), "plate", *STILL, **options)
+    with pytest.raises(CouplingDiverged, match=named) as caught:
+        mount.settle(read)
+    assert len(caught.value.residuals) <= 7
+
+
 def run(mount: Mount, read) -> None:
     """Sixty syncs of a scene that has no time of its own."""
     for _ in range(60):
