@@ -174,6 +174,14 @@ def test_a_runaway_is_named_soon_where_the_tolerances_grow_with_the_answers(opti
     assert len(caught.value.residuals) <= 7
 
 
+@pytest.mark.parametrize("relaxation", ["aitken", "off", "newton"])
+def test_without_load_and_tolerance_a_start_at_1_mm_returns_to_zero(relaxation):
+    """Answers of zero gave no tolerance, so that the start itself passed for the equilibrium."""
+    mount = Mount(LinearTable(tolerance=None), "plate", *STILL, relaxation=relaxation)
+    mount.displacement = np.array([1e-3, 0, 0, 0, 0, 0])
+    assert not mount.settle(lambda R, p: np.zeros(6)).displacement.any()
+
+
 def run(mount: Mount, read) -> None:
     """Sixty syncs of a scene that has no time of its own."""
     for _ in range(60):
