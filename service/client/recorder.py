@@ -193,7 +193,7 @@ class Recorder:
         with self._changed:
             self._seal()
             sealed = self._sealed
-            self._hurry = True
+            self._hurry = self._sequence < sealed
             self._changed.notify_all()
             self._changed.wait_for(lambda: self._failed or self._sequence >= sealed, timeout_s)
             if self._sequence >= sealed:
@@ -230,18 +230,17 @@ class Recorder:
         RecorderError
             If not all were sent in time; `unsent` returns the others.
         """
-        atexit.unregister(self._at_exit)
-        if self._closing:
-            return
         cause: Exception | None = None
-        try:
-            self.flush(timeout_s)
-        except (ServerTimeout, RecorderError) as error:
-            cause = error
-        with self._changed:
-            self._closing = True
-            self._changed.notify_all()
+        if not self._closing:
+            try:
+                self.flush(timeout_s)
+            except (ServerTimeout, RecorderError) as error:
+                cause = error
+            with self._changed:
+                self._closing = True
+                self._changed.notify_all()
         self._thread.join(timeout_s)
+        atexit.unregister(self._at_exit)
         if self.pending:
             why = self.trouble or f"the server has not acknowledged them in {timeout_s:g} s"
             raise RecorderError(
@@ -268,7 +267,8 @@ class Recorder:
                 )
             except Exception as error:
                 # Sending a block again is safe, so it is sent again after a passing error.
-                again = isinstance(error, OSError | http.client.HTTPException | ValueError)
+                passing = OSError | http.client.HTTPException | ValueError
+                again = isinstance(error, passing) and not isinstance(error, InvalidArgument)
                 if isinstance(error, ProblemError):
                     again = error.status >= 500 or error.status in _AGAIN
                 with self._changed:
@@ -290,6 +290,7 @@ class Recorder:
                     self._count -= count
                     self.recorded += count
                     self._sequence += 1
+                    self._hurry = False
                     self.reply = reply
                     self._trouble = None
                     self._changed.notify_all()

@@ -157,16 +157,17 @@ def largest_stress(
 ) -> LargestStress | None:
     """Return the largest of stresses (p, 6), Pa, or that of the part that yields first.
 
-    With yield strengths the point is the one nearest to yielding, or farthest past it. `error` is
-    the error bar of the von Mises stress, Pa.
+    Where a part yields, or may yield within the error bar, the point is the one farthest past its
+    yield strength. `error` is the error bar of the von Mises stress, Pa.
     """
     if not len(stress):
         return None
     equivalent = von_mises(stress)
     strengths = np.array([component.yield_strengths.get(name, np.inf) for name in geometry.regions])
-    utilisation = equivalent / strengths[geometry.materials]
-    by_strength = utilisation if utilisation.max() >= 1.0 else equivalent
-    worst = int(by_strength.argmax())
+    strength, bar = strengths[geometry.materials], error or 0.0
+    surely, perhaps = (equivalent - bar) / strength, (equivalent + bar) / strength
+    deciding = next((part for part in (surely, perhaps) if part.max() >= 1.0), equivalent)
+    worst = int(deciding.argmax())
     region = geometry.regions[int(geometry.materials[worst])]
     at = tuple(geometry.places[worst].tolist())
     return _with_yield_strength(component, float(equivalent[worst]), error, at, region)
@@ -175,9 +176,11 @@ def largest_stress(
 def stress_of_row(component: Component, row: RowFields) -> LargestStress:
     """Return the largest stress of a row's own solve, at any integration point."""
     at = tuple(float(x) for x in row.meta["at"])
-    return _with_yield_strength(
-        component, float(row.meta["largest"]), 0.0, at, str(row.meta["region"])
-    )
+    largest = float(row.meta["largest"])
+    stress = _with_yield_strength(component, largest, 0.0, at, str(row.meta["region"]))
+    # The row has no other part's largest stress: a weaker part may yield at less than this one.
+    weaker = any(strength <= largest for strength in component.yield_strengths.values())
+    return stress._replace(yields=None) if weaker and not stress.yields else stress
 
 
 def _with_yield_strength(

@@ -12,6 +12,7 @@ from tests.service.stub_server import Answer, running_stub
 from tests.until import until
 from wrenchbook.service.client import (
     Client,
+    InvalidArgument,
     ProblemError,
     Recorder,
     RecorderError,
@@ -125,6 +126,37 @@ def test_what_the_server_refuses_is_raised_by_the_next_add_with_its_words(server
         recorder.close(0.2)
 
 
+def test_an_argument_that_is_not_valid_is_raised_and_not_sent_for_ever(client, monkeypatch):
+    """It is a ValueError, and so counted as an error that passes."""
+
+    def refuse(*_):
+        raise InvalidArgument("component must be a name")
+
+    monkeypatch.setattr(client, "send_block", refuse)
+    recorder = Recorder(client, "plate", block=1)
+    recorder.add(WRENCH)
+    with pytest.raises(RecorderError, match="component must be a name"):
+        recorder.flush(10)
+    with pytest.raises(RecorderError):
+        recorder.close(0.2)
+
+
+def test_a_second_close_names_the_lost_wrenches_again():
+    recorder = Recorder(Client("http://127.0.0.1:9", timeout=1), "plate")
+    recorder.add(WRENCH)
+    for _ in range(2):
+        with pytest.raises(RecorderError, match="1 wrenches of 'plate' were not recorded"):
+            recorder.close(0.2)
+
+
+@pytest.mark.parametrize("flushes", [1, 2])
+def test_a_flush_that_is_over_leaves_the_next_pause_as_it_is(recorder, flushes):
+    recorder.add(WRENCH)
+    for _ in range(flushes):
+        recorder.flush()
+    assert not recorder._hurry
+
+
 def test_a_slow_loop_is_recorded_within_seconds_although_no_block_is_whole(server, recorder):
     recorder.add(WRENCH)
     until(lambda: server.seen)
@@ -194,8 +226,19 @@ recorder.add([1.0, 2, 3, 4, 5, 6])
 """
 
 
-def run_forgetful(url):
-    run = [sys.executable, "-c", FORGETFUL, url]
+INTERRUPTED = """
+def interrupt(*_):
+    raise KeyboardInterrupt
+flush, recorder.flush = recorder.flush, interrupt
+try:
+    recorder.close()
+except KeyboardInterrupt:
+    recorder.flush = flush
+"""
+
+
+def run_forgetful(url, more=""):
+    run = [sys.executable, "-c", FORGETFUL + more, url]
     return subprocess.run(run, cwd=ROOT, capture_output=True, text=True, timeout=600, check=True)
 
 
@@ -208,3 +251,8 @@ def test_a_program_that_ends_while_the_server_is_away_says_what_is_lost():
     reported = run_forgetful("http://127.0.0.1:9").stderr
     assert "1 wrenches of 'plate' were not recorded" in reported
     assert "no answer from" in reported
+
+
+def test_a_close_that_is_interrupted_still_says_at_the_end_what_is_lost():
+    reported = run_forgetful("http://127.0.0.1:9", INTERRUPTED).stderr
+    assert "1 wrenches of 'plate' were not recorded" in reported

@@ -1,12 +1,14 @@
 """Deformed surfaces at solved wrenches and between them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.service.surfaces import keep, sheet, solved, solver, wrenches, write_bundle
 from wrenchbook.service.fields.deformed import DeformedSurfaces, NoFieldsError, TooFarError
+from wrenchbook.service.fields.shape import largest_stress, stress_of_row
 from wrenchbook.service.fields.store import key_of
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
@@ -207,6 +209,35 @@ def test_a_bar_across_the_yield_strength_leaves_it_open(plate, store, shapes):
     reported = shapes.answer(component, rows, asked[0]).stress
     near = replace(component, yield_strengths={"all": reported.largest - 0.5 * reported.error})
     assert shapes.answer(near, rows, asked[0]).stress.yields is None
+
+
+def two_parts(steel, aluminium):
+    """A steel part, 800 MPa, beside an aluminium one, 100 MPa, in tension; stresses in MPa."""
+    strengths = {"steel": 800e6, "aluminium": 100e6}
+    parts = SimpleNamespace(yield_strengths=strengths)
+    geometry = SimpleNamespace(
+        regions=tuple(strengths), materials=np.arange(2), places=np.zeros((2, 3))
+    )
+    stresses = np.zeros((2, 6))
+    stresses[:, 0] = 1e6 * steel, 1e6 * aluminium
+    return parts, geometry, stresses
+
+
+@pytest.mark.parametrize(
+    ("aluminium", "region", "yields"),
+    [(80, "steel", False), (95, "aluminium", None), (120, "aluminium", True)],
+)
+def test_whether_a_part_yields_is_decided_over_all_parts(aluminium, region, yields):
+    """Steel at a quarter of its strength hid aluminium whose bar reaches across its own."""
+    result = largest_stress(*two_parts(200, aluminium), 10e6)
+    assert (result.region, result.yields) == (region, yields)
+
+
+@pytest.mark.parametrize(("steel", "yields"), [(90, False), (200, None), (900, True)])
+def test_a_row_with_only_its_largest_stress_does_not_deny_that_a_weaker_part_yields(steel, yields):
+    parts, *_ = two_parts(steel, 0)
+    meta = {"largest": 1e6 * steel, "at": [0, 0, 0], "region": "steel"}
+    assert stress_of_row(parts, SimpleNamespace(meta=meta)).yields is yields
 
 
 def test_a_linear_components_unit_fields_answer_every_wrench(tmp_path, store, shapes):

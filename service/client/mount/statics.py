@@ -15,7 +15,7 @@ from .coupling import REMEDY, Relaxation, Scale, spectral_radius
 HALVINGS = 6  # halvings of a Newton step that leads further away: 1/64 of it is still a direction
 RUNAWAY = 6  # residuals in a row that grow in the same direction: no equilibrium ahead
 STEP = 1.0  # tolerances: motion of a scene for its stiffness by differences
-STEP_WITHOUT_TOLERANCE = 1e-9  # m or rad: the same before an answer has given a tolerance
+STEP_WITHOUT_TOLERANCE = 1e-9  # m or rad: the same, and a tolerance, before answers give one
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +75,18 @@ class Loop:
     max_answers: int
     residuals: list[float] = field(default_factory=list)  # in tolerances
 
+    def measure(self, residual: Vector) -> Vector:
+        """Return a residual (6,), m and rad, in tolerances; without one in the step without one."""
+        without = self.scale.tolerance == 0.0  # all answers so far are 0, which settles nothing
+        return self.scale.measure(residual) + without * residual / STEP_WITHOUT_TOLERANCE
+
+    def size(self, residual: Vector) -> float:
+        """Return the largest of a residual (6,), m and rad, in the present tolerances.
+
+        Those derived from answers grow: only sizes in the same tolerances can be compared.
+        """
+        return float(np.abs(self.measure(residual)).max())
+
     def evaluate(self, displacement: Vector) -> CouplingIteration:
         """Evaluate scene and component at a displacement (6,); raises CouplingDiverged."""
         if len(self.residuals) >= self.max_answers:
@@ -88,8 +100,8 @@ class Loop:
         answer, answered = self.ask(wrench)
         self.scale.see(answered)
         residual = answered - displacement
-        scaled = self.scale.measure(residual)
-        self.residuals.append(float(np.abs(scaled).max()))
+        scaled = self.measure(residual)
+        self.residuals.append(self.size(residual))
         return CouplingIteration(displacement, wrench, answer, residual, scaled, self.residuals[-1])
 
 
@@ -105,9 +117,8 @@ def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> Coupling
             raise CouplingDiverged(str(error), loop.residuals) from None
         before = state
         state = loop.evaluate(state.displacement + factor * state.residual)
-        # Both in the present tolerances, as those derived from answers grow.
-        same_way = float(loop.scale.measure(before.residual) @ state.scaled) > 0
-        runaway = runaway + 1 if same_way and state.size > before.size else 0
+        same_way = float(loop.measure(before.residual) @ state.scaled) > 0
+        runaway = runaway + 1 if same_way and state.size > loop.size(before.residual) else 0
         if runaway == RUNAWAY:
             raise CouplingDiverged(
                 "the scene has no equilibrium on this component: it tips or buckles, and pose and "
@@ -176,14 +187,14 @@ def by_newton(
         before = state
         for _ in range(HALVINGS):
             state = loop.evaluate(before.displacement + fraction * step)
-            if state.size < before.size or state.size <= loop.accuracy:
+            if state.size < loop.size(before.residual) or state.size <= loop.accuracy:
                 break
             fraction *= 0.5
         else:
             raise CouplingDiverged(
-                f"Newton does not converge: pose and answer stay {before.size:.3g} tolerances "
-                f"apart (G = {radius:.3g}), for example because a contact opens or closes. Settle "
-                "with relaxation='aitken', or start nearer.",
+                f"Newton does not converge: pose and answer stay {loop.size(before.residual):.3g} "
+                f"tolerances apart (G = {radius:.3g}), for example because a contact opens or "
+                "closes. Settle with relaxation='aitken', or start nearer.",
                 loop.residuals,
                 radius,
             )

@@ -158,6 +158,30 @@ def test_a_scene_that_tips_is_told_from_one_that_overshoots():
             mount.settle(read)
 
 
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"relaxation": "off"}, "tips or buckles"),
+        ({"relaxation": "newton", "stiffness": np.zeros((6, 6))}, "Newton does not converge"),
+    ],
+)
+def test_a_runaway_is_named_soon_where_the_tolerances_grow_with_the_answers(options, named):
+    """Residuals seemed to shrink, as each was compared in its own tolerances."""
+    read, _ = press(-1.5)
+    mount = Mount(LinearTable(tolerance=None), "plate", *STILL, **options)
+    with pytest.raises(CouplingDiverged, match=named) as caught:
+        mount.settle(read)
+    assert len(caught.value.residuals) <= 7
+
+
+@pytest.mark.parametrize("relaxation", ["aitken", "off", "newton"])
+def test_without_load_and_tolerance_a_start_at_1_mm_returns_to_zero(relaxation):
+    """Answers of zero gave no tolerance, so that the start itself passed for the equilibrium."""
+    mount = Mount(LinearTable(tolerance=None), "plate", *STILL, relaxation=relaxation)
+    mount.displacement = np.array([1e-3, 0, 0, 0, 0, 0])
+    assert not mount.settle(lambda R, p: np.zeros(6)).displacement.any()
+
+
 def run(mount: Mount, read) -> None:
     """Sixty syncs of a scene that has no time of its own."""
     for _ in range(60):
