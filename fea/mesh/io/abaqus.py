@@ -296,15 +296,7 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
     for row in keyword.rows:
         fields = [text for text in row if text]
         if "GENERATE" in keyword.options:
-            if len(fields) < 2 or fields[2:3] == ["0"]:
-                raise MeshFileError(
-                    f'has "{", ".join(fields)}" to generate from; write first, last and a step '
-                    "above 0"
-                )
-            numbers = [whole(text) for text in fields]
-            step = numbers[2] if len(numbers) > 2 else 1
-            offset = frame.number * STRIDE
-            generated = range(numbers[0] + offset, numbers[1] + 1 + offset, step)
+            generated = _generated(fields, frame)
             _require_at_most(len(members) + len(generated))
             members += generated
         else:
@@ -312,6 +304,18 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
                 members += named(deck, sets, name, frame)
                 _require_at_most(len(members))
     return members
+
+
+def _generated(fields: list[str], frame: Frame) -> range:
+    """Return the labels from first to last of a row of GENERATE; the step is 1 if missing."""
+    ends = [frame.label(text) for text in fields[:2]]
+    step = whole(fields[2]) if len(fields) > 2 else 1
+    if len(ends) < 2 or ends[0] > ends[1] or step < 1:
+        raise MeshFileError(
+            f'has "{", ".join(fields)}" to generate from; write first, last (not below first) and '
+            "a step above 0"
+        )
+    return range(ends[0], ends[1] + 1, step)
 
 
 def _require_at_most(n_members: int) -> None:
