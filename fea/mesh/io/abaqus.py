@@ -359,7 +359,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
             add_weighted(deck, keyword.frame, surface, name, *fields[:1])
             continue
         face = fields[0].upper() if fields else ""
-        if not re.fullmatch(r"S\d", face):
+        if not re.fullmatch(r"S[1-6]", face):
             raise MeshFileError(f'has "{face}" as face of {name}; write S1 to S6 of a solid')
         entries = [(e, face) for e in named(deck, deck.element_sets, name, keyword.frame)]
         deck.n_members += len(entries)
