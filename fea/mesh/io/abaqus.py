@@ -368,7 +368,11 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
 
 
 def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str = "") -> None:
-    """Add a node or the nodes of a set to another set, with their weight if given."""
+    """Add a node or the nodes of a set to another set, with their weight if given.
+
+    In a set with weights, a node without one has 0, the default of Abaqus in a coupling (Keywords
+    Reference Manual 6.6, *SURFACE).
+    """
     labels = named(deck, deck.node_sets, target, frame)
     add(deck, deck.node_sets, frame, name, list(labels))
     if weight and labels:
@@ -434,10 +438,9 @@ def raw_mesh(deck: Deck) -> RawMesh:
         blocks: list[Block] = [
             (kind, np.array([[row[node] for node in cell] for cell in cells], dtype=np.int64))
             for kind, cells in zip(deck.kinds, deck.cells, strict=True)
-            if cells
         ]
     except KeyError as error:
-        label = int(str(error))
+        label = error.args[0]
         element = next(e for e, (b, i) in deck.where.items() if label in deck.cells[b][i])
         raise MeshFileError(
             f"has element {element % STRIDE} on node {label % STRIDE}, which no *NODE defines; "
