@@ -466,7 +466,11 @@ def _weights(
         weights = np.zeros(len(nodes))
         weights[np.searchsorted(nodes, ids[inside])] = sizes[inside]
         if sizes[~inside].any():
-            message = f"{(~inside).sum()} weighted nodes are in no solid cell; remove their weights"
+            count = np.count_nonzero(sizes[~inside])
+            message = (
+                f"{count} weighted nodes are not defined, or in no solid cell; correct their "
+                "numbers, or remove their weights"
+            )
         elif not weights.sum() > 0:
             total = f"the deck weights add up to {weights.sum():g}, not above 0"
             message = f'{total}; correct them, or write "area" or "equal"'

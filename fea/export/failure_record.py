@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,24 +27,44 @@ def keep(folder: Path, failure: SolveFailed, component: ComponentModel) -> None:
     """Write the history of a failure and the last converged state.
 
     ``history.json`` has the failure's kind, message and remedy, the load factor of the last
-    converged state and that at which the part gives way (null if unknown), and each iteration. The
-    state is the undeformed mesh if there was none. Errors of writing are reported on standard error
-    only: the failure itself matters more.
+    converged state and that at which the part gives way (null if unknown), and each iteration, with
+    null for a number that is not finite. The state is the undeformed mesh if there was none. Errors
+    of writing are reported on standard error only: the failure itself matters more.
     """
     factor, nodes = failure.last or (0.0, np.zeros_like(component.mesh.points))
     record = {
         "kind": failure.kind,
         "message": failure.message,
         "remedy": failure.remedy,
-        "last_load_factor": factor,
-        "critical_load_factor": failure.load_factor,
-        "iterations": [dict(zip(_COLUMNS, step, strict=True)) for step in failure.history],
+        "last_load_factor": _finite(factor),
+        "critical_load_factor": _finite(failure.load_factor),
+        "iterations": [
+            dict(zip(_COLUMNS, map(_finite, step), strict=True)) for step in failure.history
+        ],
     }
+
+    def write_history(path: Path) -> None:
+        text = json.dumps(record, indent=1, allow_nan=False)
+        path.write_text(text + "\n", encoding="utf-8")
+
+    _write(folder / HISTORY, write_history)
+    _write(folder / LAST_STATE, lambda path: write_state(path, component, nodes))
+
+
+def _finite(number: float | None) -> float | None:
+    """Return the number, or None if it is NaN or infinite, which JSON does not have."""
+    return number if number is not None and math.isfinite(number) else None
+
+
+def _write(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file, or report on standard error why there is none."""
     try:
-        (folder / HISTORY).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-        write_state(folder / LAST_STATE, component, nodes)
-    except OSError as error:
-        print(f"the last state was not kept: {error}", file=sys.stderr)
+        write(path)
+    except (OSError, ValueError, meshio.WriteError) as error:
+        print(
+            f'"{path}" was not kept: {error}; correct this and solve again for the file',
+            file=sys.stderr,
+        )
 
 
 def write_state(path: Path, component: ComponentModel, displacements: Array) -> None:

@@ -142,17 +142,16 @@ class FaceFinder:
         """
         count = corners_of(kind)
         sought = np.unique(np.sort(nodes[:, :count], axis=1), axis=0)
-        missing = len(sought)
         blocks = []
         for face_kind, faces in self._by_corners[count]:
             corners = np.sort(faces[:, :count], axis=1)
             numbers = row_numbers(np.concatenate([sought, corners]))
             keys, first = np.unique(numbers[len(sought) :], return_index=True)
             chosen = first[np.isin(keys, numbers[: len(sought)])]
-            missing -= len(chosen)
             if len(chosen):
                 blocks.append(FacetBlock(face_kind, faces[np.sort(chosen)]))
-        return blocks, missing
+            sought = sought[~np.isin(numbers[: len(sought)], keys)]
+        return blocks, len(sought)
 
 
 def triangles_of(group: FacetGroup) -> Array:

@@ -132,8 +132,8 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     inertia = Inertia(system, mass, interface_mass)
     cells = 1.0 - system.body.slips
     mass_of_part = float(cells @ (mass @ cells))
-    if mass.nnz:
-        start = np.random.default_rng(_SEED).standard_normal(inertia.size)
+    start = np.random.default_rng(_SEED).standard_normal(inertia.size)
+    if mass.nnz and inertia.times(start).any():
         x = lowest_modes(inertia, inertia.solved, start, 1)[1][:, 0]
     else:
         x = _lowest_mode_of_massless(inertia)
@@ -186,7 +186,14 @@ def _lowest_mode_of_massless(inertia: Inertia) -> Array:
     units[:, rows] = np.eye(active)
     moved = inertia.solved(units).T
     compliance = moved[rows]
-    lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
+    try:
+        lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
+    except np.linalg.LinAlgError as error:
+        raise SolveFailed(
+            "ill_conditioned",
+            f"The compliance of the {active} free freedoms of the interface is not positive "
+            f"definite: its diagonal is {compliance.diagonal()} (m/N, then rad/(N·m)).",
+        ) from error
     carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
     values, vectors = np.linalg.eigh(lower.T @ carried @ lower)
     if not values[-1] > 0:

@@ -296,15 +296,7 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
     for row in keyword.rows:
         fields = [text for text in row if text]
         if "GENERATE" in keyword.options:
-            if len(fields) < 2 or fields[2:3] == ["0"]:
-                raise MeshFileError(
-                    f'has "{", ".join(fields)}" to generate from; write first, last and a step '
-                    "above 0"
-                )
-            numbers = [whole(text) for text in fields]
-            step = numbers[2] if len(numbers) > 2 else 1
-            offset = frame.number * STRIDE
-            generated = range(numbers[0] + offset, numbers[1] + 1 + offset, step)
+            generated = _generated(fields, frame)
             _require_at_most(len(members) + len(generated))
             members += generated
         else:
@@ -312,6 +304,18 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
                 members += named(deck, sets, name, frame)
                 _require_at_most(len(members))
     return members
+
+
+def _generated(fields: list[str], frame: Frame) -> range:
+    """Return the labels from first to last of a row of GENERATE; the step is 1 if missing."""
+    ends = [frame.label(text) for text in fields[:2]]
+    step = whole(fields[2]) if len(fields) > 2 else 1
+    if len(ends) < 2 or ends[0] > ends[1] or step < 1:
+        raise MeshFileError(
+            f'has "{", ".join(fields)}" to generate from; write first, last (not below first) and '
+            "a step above 0"
+        )
+    return range(ends[0], ends[1] + 1, step)
 
 
 def _require_at_most(n_members: int) -> None:
@@ -355,7 +359,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
             add_weighted(deck, keyword.frame, surface, name, *fields[:1])
             continue
         face = fields[0].upper() if fields else ""
-        if not re.fullmatch(r"S\d", face):
+        if not re.fullmatch(r"S[1-6]", face):
             raise MeshFileError(f'has "{face}" as face of {name}; write S1 to S6 of a solid')
         entries = [(e, face) for e in named(deck, deck.element_sets, name, keyword.frame)]
         deck.n_members += len(entries)
@@ -364,7 +368,11 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
 
 
 def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str = "") -> None:
-    """Add a node or the nodes of a set to another set, with their weight if given."""
+    """Add a node or the nodes of a set to another set, with their weight if given.
+
+    In a set with weights, a node without one has 0, the default of Abaqus in a coupling (Keywords
+    Reference Manual 6.6, *SURFACE).
+    """
     labels = named(deck, deck.node_sets, target, frame)
     add(deck, deck.node_sets, frame, name, list(labels))
     if weight and labels:
@@ -430,10 +438,9 @@ def raw_mesh(deck: Deck) -> RawMesh:
         blocks: list[Block] = [
             (kind, np.array([[row[node] for node in cell] for cell in cells], dtype=np.int64))
             for kind, cells in zip(deck.kinds, deck.cells, strict=True)
-            if cells
         ]
     except KeyError as error:
-        label = int(str(error))
+        label = error.args[0]
         element = next(e for e, (b, i) in deck.where.items() if label in deck.cells[b][i])
         raise MeshFileError(
             f"has element {element % STRIDE} on node {label % STRIDE}, which no *NODE defines; "

@@ -328,6 +328,11 @@ def test_an_rbe3_spreads_a_wrench_by_its_weights_as_these_forces_do_in_calculix(
             f"{TIP[3]}, -99.\n",
             "interface.weights: the deck weights add up to -79, not above 0",
         ),
+        (
+            f"{TIP[3]}, 1\n",
+            "99999, 1\n",
+            "interface.weights: 1 weighted nodes are not defined, or in no solid cell; correct",
+        ),
     ],
 )
 def test_weights_that_are_not_the_decks_or_make_no_mean_are_named(tmp_path, old, new, words):

@@ -13,6 +13,8 @@ from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
 from wrenchbook.fea.check.commands import main
 from wrenchbook.fea.component import build
 from wrenchbook.fea.mesh.face_choice import choose
+from wrenchbook.fea.mesh.facets import FaceFinder
+from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.mesh_source import FaceSelector
@@ -219,3 +221,14 @@ def test_facets_of_a_cylinder_about_an_axis_leave_out_another_of_that_radius():
     np.testing.assert_allclose(np.hypot(*ring[group.node_ids].T[:2]), 1.1)
     with pytest.raises(BundleError, match="no facet lies on the cylinder"):
         choose(surface, {"a": FaceSelector(radius=1.1, cylinder=axis | {"point": [0.1, 0, 0]})})
+
+
+def test_a_face_that_a_linear_and_a_quadratic_cell_share_does_not_hide_a_facet_off_the_solid():
+    quadratic = box("hex20", (1, 1, 1)).blocks[0]
+    linear = CellBlock("hex8", quadratic.nodes[:, :8])
+    shared = quadratic.nodes[:, :4]
+    off_the_solid = quadratic.nodes[:, [0, 1, 2, 6]]
+    faces, missing = FaceFinder((linear, quadratic)).find(
+        "quad4", np.concatenate([shared, off_the_solid])
+    )
+    assert (sum(len(block.nodes) for block in faces), missing) == (1, 1)

@@ -13,6 +13,8 @@ from tests.fea.boxes import box
 from tests.fea.components import component
 from tests.validation.clamped import attached, shipped
 from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.facets import faces_of
+from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Inertia, Riding, consistent_mass
 from wrenchbook.fea.spec.material import Material
@@ -98,6 +100,29 @@ def test_a_locked_freedom_carries_no_inertia():
 def test_nothing_with_a_mass_is_named():
     with pytest.raises(ValueError, match="has a mass; give"):
         Solver(beam(density=None)).vibration(Riding.of())
+
+
+def test_a_mass_of_supported_cells_alone_is_named():
+    mesh = box("hex8", (2, 2, 4), (WIDTH, HEIGHT, LENGTH))
+    nodes = mesh.blocks[0].nodes
+    below = (mesh.points[nodes][:, :, 2] < 0.3 * LENGTH).all(axis=1)
+    (faces,) = faces_of((CellBlock("hex8", nodes[below]),)).values()
+    groups = {**mesh.facet_groups, "base": FacetGroup((FacetBlock("quad4", faces),))}
+    built = component(replace(mesh, facet_groups=groups), fixed="base", poisson=0.0)
+    heavy = replace(built.materials[0], density=DENSITY)
+    materials, numbers = (*built.materials, heavy), (below.astype(np.int64),)
+    with pytest.raises(ValueError, match="nothing that can move has a mass; give"):
+        Solver(replace(built, materials=materials, material_of_cells=numbers)).vibration(
+            Riding.of()
+        )
+
+
+def test_a_compliance_that_is_not_positive_definite_is_ill_conditioned(monkeypatch):
+    built = Solver(beam(divisions=(2, 2, 4), density=None))
+    monkeypatch.setattr(Inertia, "solved", lambda self, loads: -loads)
+    with pytest.raises(SolveFailed, match="not positive definite: its diagonal is") as caught:
+        built.vibration(Riding.of(1.0))
+    assert caught.value.kind == "ill_conditioned"
 
 
 @pytest.mark.parametrize(
