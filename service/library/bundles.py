@@ -11,6 +11,7 @@ import importlib
 import json
 import re
 import shutil
+import tomllib
 import zipfile
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
@@ -141,22 +142,34 @@ def copy_bundle(component: Component, name: str, title: str | None, folder: Path
     """Copy a component's folder, with another name in its component.toml.
 
     Nothing else changes, so that its fingerprint, and with it the meaning of its rows, stays.
+
+    Raises BundleError, and leaves no folder, if the name or the title cannot be edited line by line
+    in the file.
     """
-    shutil.copytree(component.folder, folder, symlinks=False, dirs_exist_ok=False)
-    file = folder / "component.toml"
-    text = file.read_text(encoding="utf-8")
+    text = (component.folder / "component.toml").read_text(encoding="utf-8")
     begins = _FIRST_TABLE.search(text)
     end = begins.start() if begins else len(text)
     head = text[:end]
-    for key, value in (("name", name), ("title", title)):
-        if value is None:
-            continue
+    entries = {"name": name} if title is None else {"name": name, "title": title}
+    for key, value in entries.items():
         line = f"{key} = {toml_text(value)}"
         if _LINE[key].search(head):
             head = _LINE[key].sub(lambda _, line=line: line, head, count=1)
         else:
             head = f"{line}\n{head}"
-    file.write_text(head + text[end:], encoding="utf-8")
+    edited = head + text[end:]
+    try:
+        is_as_meant = tomllib.loads(edited) == tomllib.loads(text) | entries
+    except tomllib.TOMLDecodeError:
+        is_as_meant = False
+    if not is_as_meant:
+        raise problem_at(
+            "component.toml",
+            f"the name and title of {component.name!r} cannot be changed for a copy; write each on "
+            'one line, such as name = "plate", at the top of the file, then copy again',
+        )
+    shutil.copytree(component.folder, folder, symlinks=False, dirs_exist_ok=False)
+    (folder / "component.toml").write_text(edited, encoding="utf-8")
 
 
 def toml_value(value: Any) -> str:
