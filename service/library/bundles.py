@@ -51,6 +51,7 @@ _NO_REPORT: Final = "The mesh check stopped ({why}). Check it with: wrenchbook c
 # Patterns of a component.toml: the first table, below the top-level keys; the lines of these keys.
 _FIRST_TABLE = re.compile(r"^\s*\[", re.MULTILINE)
 _LINE = {key: re.compile(rf"^[ \t]*{key}[ \t]*=.*$", re.MULTILINE) for key in ("name", "title")}
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")  # TOML requires quotes around any other key
 # Slots separate from those of `run`: a check may take minutes. It imports 75 MB, so no process
 # stays.
 _checks: Final = Sandbox(keep=False)
@@ -173,14 +174,30 @@ def copy_bundle(component: Component, name: str, title: str | None, folder: Path
 
 
 def toml_value(value: Any) -> str:
-    """Return a text, a number, a list or a mapping as a value of TOML, on one line."""
+    """Return a text, a number, a list or a mapping as a value of TOML, on one line.
+
+    Raises TypeError for any other type, such as None, which TOML does not have.
+    """
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, str):
+        return toml_text(value)
     if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{key} = {toml_value(entry)}' for key, entry in value.items())}}}"
-    if isinstance(value, list):
+        pairs = (
+            f"{key if _BARE_KEY.fullmatch(key) else toml_text(key)} = {toml_value(entry)}"
+            for key, entry in value.items()
+        )
+        return f"{{{', '.join(pairs)}}}"
+    if isinstance(value, list | tuple):
         return f"[{', '.join(map(toml_value, value))}]"
-    return toml_text(value) if isinstance(value, str) else repr(value)
+    if isinstance(value, float):
+        return repr(float(value))  # numpy's float64 too, whose repr is np.float64(1.5)
+    if isinstance(value, int):
+        return repr(value)
+    raise TypeError(
+        f"{value!r} of type {type(value).__name__} is no value of TOML; give a text, a number, a "
+        "list or a mapping, or leave the entry out"
+    )
 
 
 def toml_text(text: str) -> str:
