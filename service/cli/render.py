@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.markup import escape
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -36,6 +37,13 @@ class Screen(Console):
     def render_str(self, text: str, **options: Any) -> Text:
         """Render a text, with a symbol in place of each control character."""
         return super().render_str(_CONTROLS.sub("\N{REPLACEMENT CHARACTER}", text), **options)
+
+    def render(self, renderable: Any, options: Any = None) -> Iterable[Segment]:
+        """Render as `Console` does; a `Text` has no control characters either."""
+        if isinstance(renderable, Text):
+            renderable = renderable.copy()
+            renderable.plain = _CONTROLS.sub("\N{REPLACEMENT CHARACTER}", renderable.plain)
+        return super().render(renderable, options)
 
 
 def print_json(reply: Any) -> None:

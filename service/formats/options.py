@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from wrenchbook.service.formats.columns import Columns, columns_of
 from wrenchbook.surrogate.findings.response import RigFinding
-from wrenchbook.surrogate.table.rows import LoadRange, Rows, unknown_column
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, is_unknown, unknown_column
 from wrenchbook.surrogate.table.space import DEFAULT, Space
 
 Array = np.ndarray
@@ -286,9 +286,8 @@ def picked(columns: Mapping[str, Any], which: Array) -> dict[str, Any]:
         index = np.flatnonzero(which) if which.dtype == bool else which
         for name, column in columns.items():
             if isinstance(column, np.ndarray):
-                is_unknown = column.ndim > 1 and not any(column.strides)
                 shape = len(index), *column.shape[1:]
-                columns[name] = unknown_column(*shape) if is_unknown else column[index]
+                columns[name] = unknown_column(*shape) if is_unknown(column) else column[index]
         columns["note"] = [columns["note"][at] for at in index.tolist()]
     return columns
 

@@ -11,6 +11,7 @@ import importlib
 import json
 import re
 import shutil
+import tomllib
 import zipfile
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
@@ -50,6 +51,7 @@ _NO_REPORT: Final = "The mesh check stopped ({why}). Check it with: wrenchbook c
 # Patterns of a component.toml: the first table, below the top-level keys; the lines of these keys.
 _FIRST_TABLE = re.compile(r"^\s*\[", re.MULTILINE)
 _LINE = {key: re.compile(rf"^[ \t]*{key}[ \t]*=.*$", re.MULTILINE) for key in ("name", "title")}
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")  # TOML requires quotes around any other key
 # Slots separate from those of `run`: a check may take minutes. It imports 75 MB, so no process
 # stays.
 _checks: Final = Sandbox(keep=False)
@@ -141,33 +143,61 @@ def copy_bundle(component: Component, name: str, title: str | None, folder: Path
     """Copy a component's folder, with another name in its component.toml.
 
     Nothing else changes, so that its fingerprint, and with it the meaning of its rows, stays.
+
+    Raises BundleError, and leaves no folder, if the name or the title cannot be edited line by line
+    in the file.
     """
-    shutil.copytree(component.folder, folder, symlinks=False, dirs_exist_ok=False)
-    file = folder / "component.toml"
-    text = file.read_text(encoding="utf-8")
+    text = (component.folder / "component.toml").read_text(encoding="utf-8")
     begins = _FIRST_TABLE.search(text)
     end = begins.start() if begins else len(text)
     head = text[:end]
-    for key, value in (("name", name), ("title", title)):
-        if value is None:
-            continue
+    entries = {"name": name} if title is None else {"name": name, "title": title}
+    for key, value in entries.items():
         line = f"{key} = {toml_text(value)}"
         if _LINE[key].search(head):
             head = _LINE[key].sub(lambda _, line=line: line, head, count=1)
         else:
             head = f"{line}\n{head}"
-    file.write_text(head + text[end:], encoding="utf-8")
+    edited = head + text[end:]
+    try:
+        is_as_meant = tomllib.loads(edited) == tomllib.loads(text) | entries
+    except tomllib.TOMLDecodeError:
+        is_as_meant = False
+    if not is_as_meant:
+        raise problem_at(
+            "component.toml",
+            f"the name and title of {component.name!r} cannot be changed for a copy; write each on "
+            'one line, such as name = "plate", at the top of the file, then copy again',
+        )
+    shutil.copytree(component.folder, folder, symlinks=False, dirs_exist_ok=False)
+    (folder / "component.toml").write_text(edited, encoding="utf-8")
 
 
 def toml_value(value: Any) -> str:
-    """Return a text, a number, a list or a mapping as a value of TOML, on one line."""
+    """Return a text, a number, a list or a mapping as a value of TOML, on one line.
+
+    Raises TypeError for any other type, such as None, which TOML does not have.
+    """
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, str):
+        return toml_text(value)
     if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{key} = {toml_value(entry)}' for key, entry in value.items())}}}"
-    if isinstance(value, list):
+        pairs = (
+            f"{key if _BARE_KEY.fullmatch(key) else toml_text(key)} = {toml_value(entry)}"
+            for key, entry in value.items()
+        )
+        return f"{{{', '.join(pairs)}}}"
+    if isinstance(value, list | tuple):
         return f"[{', '.join(map(toml_value, value))}]"
-    return toml_text(value) if isinstance(value, str) else repr(value)
+    if isinstance(value, float):
+        return repr(float(value))  # numpy's float64 too, whose repr is np.float64(1.5)
+    if isinstance(value, int):
+        return repr(value)
+    raise TypeError(
+        f"{value!r} of type {type(value).__name__} is no value of TOML; give a text, a number, a "
+        "list or a mapping, or leave the entry out"
+    )
 
 
 def toml_text(text: str) -> str:

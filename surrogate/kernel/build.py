@@ -153,13 +153,19 @@ def compile_library(
     try:
         # Takes 3 s; the first run of ziglang also compiles its C library: for Windows 441 files, a
         # minute.
-        ran = subprocess.run(line, capture_output=True, text=True, check=False)
+        ran = subprocess.run(line, capture_output=True, text=True, errors="replace", check=False)
         if ran.returncode or not built.is_file():
             raise KernelBuildError(
                 f"{command[0]} could not compile {library.name}; set the environment variable CC "
                 f"to another compiler, such as clang\n{ran.stderr.strip()[-MAX_OUTPUT:]}"
             )
-        built.replace(library)
+        try:
+            built.replace(library)
+        except OSError as error:
+            raise KernelBuildError(
+                f"{library.name} was compiled, but cannot be moved to {library} "
+                f"({error.strerror}); make that place writable, or remove what is there"
+            ) from error
     except OSError as error:
         raise KernelBuildError(
             f"{command[0]} cannot be run to compile {library.name} ({error.strerror}); set the "

@@ -326,7 +326,8 @@ def unknown_column(count: int, *shape: int) -> Floats:
 
 def is_unknown(column: NDArray[Any]) -> bool:
     """Return whether a column is one of `unknown_column`."""
-    return column.ndim > 1 and not any(column.strides) and column.size > 0
+    is_one_number = column.ndim > 1 and not any(column.strides) and column.size > 0
+    return is_one_number and bool(np.isnan(column.flat[0]))
 
 
 def joined(parts: Sequence[Rows]) -> Rows:

@@ -27,8 +27,8 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli.jobs import event_line
 from wrenchbook.service.cli.main import main
 from wrenchbook.service.cli.progress import Pace, cancelled_on_interrupt
-from wrenchbook.service.cli.render import Screen, matrix_table
-from wrenchbook.service.client import Client, Event, Job, ServerUnreachable
+from wrenchbook.service.cli.render import Screen, answer_shown, matrix_table
+from wrenchbook.service.client import Client, Displacement, Event, Job, ServerUnreachable
 from wrenchbook.service.contract import LOADS, OUTPUTS
 from wrenchbook.service.workers.supervisor import in_use
 
@@ -269,6 +269,15 @@ def test_a_text_of_others_steers_no_terminal(text):
     reported = screen.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
     assert text not in reported
     assert reported.count("\N{REPLACEMENT CHARACTER}") >= 2
+
+
+def test_the_reason_of_an_answer_steers_no_terminal():
+    answer = Displacement.read(COVERED | {"reason": "\x1b]0;mine\x07", "method": "\x1b[2J"})
+    screen = Screen(file=io.StringIO(), width=60, force_terminal=True)
+    screen.print(answer_shown(answer))
+    reported = screen.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
+    assert "\N{REPLACEMENT CHARACTER}]0;mine" in reported
+    assert "\N{REPLACEMENT CHARACTER}[2J" in reported
 
 
 class Clock:

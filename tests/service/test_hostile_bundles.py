@@ -19,7 +19,7 @@ from wrenchbook.fea.mesh.io.abaqus_content import read_deck
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.spec.problems import MeshFileError
 from wrenchbook.service.library import bundles
-from wrenchbook.service.library.bundles import check_mesh, toml_text, unpack
+from wrenchbook.service.library.bundles import check_mesh, toml_text, toml_value, unpack
 
 BAR = (SHIPPED / "bar" / "component.toml").read_text().replace('"bar"', '"beam"', 1)
 
@@ -212,3 +212,15 @@ def test_a_check_that_ends_in_a_mistake_of_ours_tells_no_path_of_the_machine(
         check_mesh(tmp_path)
     assert str(tmp_path) not in str(caught.value)
     assert "Traceback" not in str(caught.value)
+
+
+def test_a_value_of_numpy_or_with_any_key_is_written_as_toml():
+    value = {"a b": [np.float64(1.5), (1, 2)], "": True, "plain": {"text": "x"}}
+    read = tomllib.loads(f"value = {toml_value(value)}")["value"]
+    assert read == {"a b": [1.5, [1, 2]], "": True, "plain": {"text": "x"}}
+
+
+@pytest.mark.parametrize("value", [None, {"force": [None]}, np.arange(2)])
+def test_a_value_that_toml_does_not_have_is_refused(value):
+    with pytest.raises(TypeError, match="is no value of TOML; give a text"):
+        toml_value(value)

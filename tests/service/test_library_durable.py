@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.bundle.read import BundleError, read_bundle
+from wrenchbook.service.library.bundles import copy_bundle
 from wrenchbook.service.library.component import (
     MAX_NAMES,
     Component,
@@ -101,6 +102,27 @@ def test_a_component_is_taken_up_once_its_files_are_mended(library, tmp_path):
     (folder / "component.toml").write_text(TEXT)
     assert library["rig"].title == "rig"
     assert library.broken() == {}
+
+
+RANGE = "[range]\nforce = [1, 1, 1]\nmoment = [1, 1, 1]\n"
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        'name = "rig"\ntitle = """\nof two lines"""\n',
+        '"name" = "rig"\ntitle = "rig"\n',
+        'title = """\n[a title]"""\nname = "rig"\n',
+    ],
+    ids=["title of several lines", "quoted key", "bracket above the name"],
+)
+def test_a_file_whose_name_cannot_be_edited_is_not_copied(library, tmp_path, head):
+    folder = tmp_path / "components" / "rig"
+    folder.mkdir(parents=True)
+    (folder / "component.toml").write_text(head + RANGE)
+    with pytest.raises(BundleError, match="'rig' cannot be changed for a copy; write each on one"):
+        copy_bundle(library["rig"], "other", "new", tmp_path / "copy")
+    assert not (tmp_path / "copy").exists()
 
 
 def test_a_second_server_on_the_folder_does_not_answer_201_with_the_first_ones_component(

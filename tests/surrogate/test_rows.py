@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -160,6 +161,13 @@ def test_a_column_nobody_knows_takes_no_memory_however_rows_are_picked_and_joine
     assert np.isnan(joined.compliance[:6]).all()
     assert (joined.compliance[6:] == known.compliance).all()
     assert np.isnan(unknown_column(3, 6)).all()
+
+
+def test_a_known_column_of_one_broadcast_number_stays_known():
+    rows = Rows.of(np.eye(6), np.eye(6), uncertainty=np.zeros((6, 6)))
+    rows = replace(rows, uncertainty=np.broadcast_to(1e-6, (6, 6)))
+    assert (rows.take([0, 2]).uncertainty == 1e-6).all()
+    assert ((rows + rows).uncertainty == 1e-6).all()
 
 
 def test_readings_of_a_held_load_are_one_row_in_memory_that_does_not_grow_by_their_square(

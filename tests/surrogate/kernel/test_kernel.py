@@ -1,6 +1,7 @@
 """What the kernel promises whatever the law: threads, batches, inverses, C programs."""
 
 import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -176,6 +177,33 @@ def test_a_library_of_other_sources_is_compiled_anew(tmp_path, monkeypatch):
     kernel_build.ready_library()
     assert library.stat().st_mtime_ns > created
     assert b"wb:other" in library.read_bytes()
+
+
+def compiler(folder, monkeypatch, script):
+    """Make a shell script the C compiler; the path of its output is $OUT."""
+    file = folder / "compiler"
+    find = 'while [ "$1" != -o ]; do shift; done; OUT=$2'
+    file.write_text(f"#!/bin/sh\n{find}\n{script}\n")
+    file.chmod(0o755)
+    monkeypatch.setenv("CC", str(file))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the compiler is a shell script")
+def test_a_library_that_cannot_be_moved_into_place_is_no_fault_of_the_compiler(
+    tmp_path, monkeypatch
+):
+    compiler(tmp_path, monkeypatch, 'touch "$OUT"')
+    library = tmp_path / "lib.so"
+    library.mkdir()
+    with pytest.raises(kernel_build.KernelBuildError, match="was compiled, but cannot be moved"):
+        kernel_build.compile_library(library, [], [])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the compiler is a shell script")
+def test_the_output_of_a_compiler_need_not_be_utf_8(tmp_path, monkeypatch):
+    compiler(tmp_path, monkeypatch, r"printf 'wrong \351 here' >&2; exit 1")
+    with pytest.raises(kernel_build.KernelBuildError, match="wrong \N{REPLACEMENT CHARACTER} here"):
+        kernel_build.compile_library(tmp_path / "lib.so", [], [])
 
 
 def test_without_a_compiler_it_is_said_what_to_do(tmp_path, monkeypatch):
