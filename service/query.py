@@ -303,8 +303,8 @@ def _placed(
         return Placement(job, exact=True), ""
     if beyond:
         return Placement(None, exact=False), (
-            "no solve is queued outside the load range without beyond_range (--beyond-range): "
-            f"{beyond}"
+            f"{beyond}; no solve is queued for it: to solve it nevertheless, set beyond_range to "
+            "true (--beyond-range)"
         )
     (placement,) = submission.queue(component.name, np.array([query.wrench]))
     return placement, "" if placement.job else submission.refusal(component)

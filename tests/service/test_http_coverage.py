@@ -141,6 +141,7 @@ def test_a_component_says_which_method_answers_and_why_and_detail_says_how(http)
     coverage = http.get("/v1/components/solved").json()["coverage"]
     assert coverage["method"] == "kriging"
     assert "left-out rows" in coverage["method_reason"]
+    assert "more rows help" not in coverage["method_reason"]
     assert 0.0 < coverage["errors_left_out"]["kriging"] < 0.01
     assert "one factor over 30 rows" in coverage["method_detail"]
     for more, said in (

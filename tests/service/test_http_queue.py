@@ -228,6 +228,7 @@ def test_queue_beyond_the_range_answers_202_with_job_null_and_the_reason(http, h
     assert body["job"] is None
     assert "load range" in body["reason"]
     assert "fz" in body["reason"]
+    assert "no solve is queued for it: to solve it nevertheless, set beyond_range" in body["reason"]
     assert jobs(http) == []
 
 

@@ -8,7 +8,7 @@ import { findingNote } from "./findings.js";
 import { count, number, quantity, sentence } from "./format.js";
 import { inputsOf, mark, spansOf } from "./inputs.js";
 import { paint } from "./picture.js";
-import { WHOLE, legend, sharesOf, wholeError } from "./shares.js";
+import { WHOLE, isAtWork, legend, sharesOf, wholeError } from "./shares.js";
 
 export async function show(root, { name }, signal) {
   put(root, el("p", { class: "muted" }, "…"));
@@ -24,7 +24,7 @@ export async function show(root, { name }, signal) {
     put(rows, el("h2", {}, "Method and rows"), method(now));
     put(range, el("h2", {}, "Load range"), loads(now));
     const shares = await cover(glance, now, signal, () => mine === latest);
-    document.getElementById("fill")?.classList.toggle("first", !(shares?.whole[0] > 0.995)); // more solves add little to a full table
+    document.getElementById("fill")?.classList.toggle("first", !(shares?.whole[0] > 0.995 || isAtWork(now))); // more solves add little to a full table, or to a queue
     if (shares?.reach && !now.linear && mine === latest) put(range, el("h2", {}, "Load range"), loads(now, shares.reach));
   };
   put(root, warned,

@@ -93,10 +93,11 @@ async function whyUnknown(about, answer, signal) {
 
 function shown(answer, about, wrench, why) {
   const outside = beyondRange(about, wrench);
+  const reason = (answer.reason || "").split("; ").filter((part) => !outside || !part.includes("is outside the load range,")).join("; "); // the note above says that
   return [
     el("div", { class: "line" }, stateOf(answer), el("span", { class: "muted small" }, about_(answer))),
     outside ? note("outside", outside) : null,
-    answer.reason ? note(answered(answer) && !(why && answer.coverage === "covered") ? answer.coverage : "", pageWords(answer.reason)) : null,
+    reason ? note(answered(answer) && !(why && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
     !answered(answer) && !about.has_fea && !about.rows ? linkTo(about, "table", "Import rows") : null,
     why ? note("thin", el("strong", {}, "The error bar is unknown"), el("span", {}, `${sentence(why)}.`)) : null,
     answer.coverage === "covered" && answer.within_tolerance === false ? note("thin", beyond(about)) : null,

@@ -32,6 +32,10 @@ export function sharesOf(glance) {
 // What the rest of an error bar is, after interpolation: a linear analysis errs too.
 export const solverError = (about) => (about.linear ? "discretisation and linearity" : "discretisation");
 
+// The solves of a component that have not ended: "3 waiting, 2 running". A card of the library does not know them.
+const openJobs = ({ jobs = {} }) => ["waiting", "running"].filter((status) => jobs[status]).map((status) => `${jobs[status]} ${status}`).join(", ");
+export const isAtWork = (about) => openJobs(about) !== "";
+
 // The share of the load range whose whole error bar is within the tolerance, and that bar's parts.
 export function wholeError(glance, about) {
   const outputs = outputsOf(about);
@@ -42,7 +46,7 @@ export function wholeError(glance, about) {
   const bar = (value) => (value > 0 && value < errors[k] / 1000 ? "negligible" : exactly(value));
   if (errors[k] === null && !within) {
     return el("div", { class: "stack tight" }, el("div", { class: "shares" }, el("span", {}, "within tolerance"), el("span", { class: "bar" }), el("span", {}, "–")),
-      el("span", { class: "muted small" }, `Not known: the rows are too few for an error bar. ${about.has_fea ? "Fill the table" : "Import more rows"}.`));
+      el("span", { class: "muted small" }, "Not known: the rows are too few for an error bar. ", isAtWork(about) ? [el("a", { href: `#/c/${encodeURIComponent(about.name)}/jobs` }, openJobs(about)), ": the bar is shown after them."] : about.has_fea ? "Fill the table." : "Import more rows."));
   }
   const parts = !about.has_fea ? "interpolation"
     : known ? `interpolation ${bar(glance.interpolation[k])} + ${solverError(about)} ${bar(Math.max(0, errors[k] - glance.interpolation[k]))}`

@@ -838,3 +838,24 @@ def test_one_import_of_a_table_without_solves_has_nothing_to_be_compared_with(br
     measured(client, "single", 100, 200)
     browser.visit("#/c/single/compare")
     browser.named(".empty", "Compare needs two imports")
+
+
+FEW_ROWS = """return import('/page/js/shares.js').then(({ wholeError }) => wholeError(
+  { whole: [0, 1, 0], within_tolerance: 0, error: Array(6).fill(null) },
+  { name: 'plate', has_fea: true, jobs: arguments[0] }).innerHTML)"""
+
+
+def test_a_table_without_error_bars_names_its_open_solves_and_links_to_them(browser):
+    browser.visit("#/terms")
+    at_work = browser.run(FEW_ROWS, {"waiting": 3, "running": 2, "done": 4})
+    assert '<a href="#/c/plate/jobs">3 waiting, 2 running</a>' in at_work
+    assert "Fill the table" not in at_work
+    assert "Fill the table" in browser.run(FEW_ROWS, {"waiting": 0, "done": 4})
+
+
+def test_a_query_beyond_the_range_names_the_range_once(browser, client):
+    browser.visit("#/c/plate/query")
+    browser.type("input[name=fx]", "1500")
+    browser.click("form button", "Ask")
+    browser.named(".note", "no solve is queued for it")
+    assert browser.one("main").text.count("is outside the load range") == 1
