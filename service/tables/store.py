@@ -96,7 +96,7 @@ class TableStore:
         except (PackedTableError, OSError):
             return False
         # A file that was built while the ledger could not be read may be of any rows.
-        sure = "ledger" in origin and "ledger" in packed.meta["provenance"].get("origin", {})
+        sure = "ledger" in origin and "ledger" in _origin_of(packed)
         return sure and is_of(packed, component.name, origin)
 
     def write_packed(self, name: str, version: int, content: bytes) -> None:
@@ -298,9 +298,14 @@ class TableStore:
 
 def is_of(packed: PackedTable, name: str, origin: dict[str, str]) -> bool:
     """Return whether a packed table belongs to a component and an origin."""
-    provenance = packed.meta.get("provenance", {})
-    built = provenance.get("origin") or {"setup": None}
-    return provenance.get("component") == name and built.items() <= origin.items()
+    built = _origin_of(packed) or {"setup": None}
+    component = packed.meta.get("provenance", {}).get("component")
+    return component == name and built.items() <= origin.items()
+
+
+def _origin_of(packed: PackedTable) -> dict[str, str]:
+    """Return the origin in a packed table; {} of a file without one."""
+    return packed.meta.get("provenance", {}).get("origin") or {}
 
 
 def setup_of(component: Component) -> str:

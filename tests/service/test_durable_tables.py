@@ -337,6 +337,17 @@ def test_a_packed_file_built_while_the_ledger_could_not_be_read_is_not_current(s
     assert not files.is_current(component, version, origin)
 
 
+def test_a_packed_file_without_an_origin_is_written_again(site):
+    """Its origin is null, which ended in a TypeError."""
+    site.insert(10)
+    component, version = site.library["rig"], site.ledger.last_seq("rig")
+    files = TableStore(site.folder / "tables", site.ledger)
+    files.write_packed(
+        "rig", version, packed_bytes(site.tables.surrogate("rig").surrogate(), component)
+    )
+    assert not files.is_current(component, version, files.origin(component, version))
+
+
 def test_a_packed_file_of_another_ledger_is_not_answered_from(site):
     """Its version is the same, its rows are not."""
     site.insert(30)

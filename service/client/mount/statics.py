@@ -12,7 +12,7 @@ from ..replies import Displacement
 from ..wrenches import Vector
 from .coupling import REMEDY, Relaxation, Scale, spectral_radius
 
-HALVINGS = 6  # halvings of a Newton step that leads further away: 1/64 of it is still a direction
+HALVINGS = 6  # attempts with a Newton step, each with half of the last: from the whole to 1/32
 RUNAWAY = 6  # residuals in a row that grow in the same direction: no equilibrium ahead
 STEP = 1.0  # tolerances: motion of a scene for its stiffness by differences
 STEP_WITHOUT_TOLERANCE = 1e-9  # m or rad: the same, and a tolerance, before answers give one
@@ -171,6 +171,13 @@ def by_newton(
             raise MountError(
                 f"{state.answer.component} has no derivative at this wrench, which Newton needs; "
                 "settle with relaxation='aitken'"
+            )
+        if not np.isfinite(np.nan_to_num(compliance) @ slope).all():
+            raise CouplingDiverged(
+                f"the scene's stiffness is not finite at {state.displacement} m and rad, so Newton "
+                "has no step: its wrench jumps there. Settle with relaxation='aitken', or give "
+                "stiffness=.",
+                loop.residuals,
             )
         radius = spectral_radius(np.nan_to_num(compliance), slope)
         try:

@@ -182,6 +182,13 @@ def test_without_load_and_tolerance_a_start_at_1_mm_returns_to_zero(relaxation):
     assert not mount.settle(lambda R, p: np.zeros(6)).displacement.any()
 
 
+def test_newton_names_a_scene_whose_stiffness_is_not_finite():
+    """Its spectral radius ended in "Array must not contain infs or NaNs"."""
+    mount = Mount(LinearTable(), "plate", *STILL, relaxation="newton")
+    with np.errstate(all="ignore"), pytest.raises(CouplingDiverged, match="is not finite at"):
+        mount.settle(lambda R, p: np.array([0, 0, 1e305 if p.any() else 10.0, 0, 0, 0]))
+
+
 def run(mount: Mount, read) -> None:
     """Sixty syncs of a scene that has no time of its own."""
     for _ in range(60):
