@@ -3,7 +3,7 @@
 import { Problem, get, of, send } from "./api.js";
 import { el, notify, put, table } from "./dom.js";
 import { empty, linkTo } from "./empty.js";
-import { count, plain, wrench, LOADS, unitOfLoad } from "./format.js";
+import { count, number, plain, wrench, LOADS, unitOfLoad } from "./format.js";
 import { choice } from "./dom.js";
 import { box } from "./load_box.js";
 import { draw } from "./plot.js";
@@ -68,14 +68,18 @@ function picture(about, reply, axis, shade, camera) {
 
 const wide = ([low, high]) => [low - 0.05 * (high - low), high + 0.05 * (high - low)];
 
+const OUTERMOST = 10; // cells from zero; that cell counts all queries farther away too (service/demand.py)
+
 const share = (times) => (times ? count(times) : "–");
 
 function most(reply) {
+  const isOutermost = (value, place) => value !== 0 && Math.abs(value) > (OUTERMOST - 0.5) * reply.cell_size[place];
+  const rounded = (value, place) => `${isOutermost(value, place) ? (value > 0 ? "≥ " : "≤ ") : ""}${number(value, 3)}`;
   const lines = [...reply.cells].sort((a, b) => b.count - a.count).slice(0, 15)
-    .map((one) => [share(one.thin), share(one.outside), el("span", { class: "small" }, wrench(one.wrench.slice(0, 3), one.wrench.slice(3)))]);
+    .map((one) => [share(one.thin), share(one.outside), el("span", { class: "small" }, wrench(one.wrench.slice(0, 3), one.wrench.slice(3), 3, rounded))]);
   const half = reply.cell_size.map((one) => one / 2);
   return [
     table(["#thin", "#outside", "loads, rounded"], lines, { scrolls: true }),
-    el("p", { class: "muted small" }, `Loads that are close are counted together: ± ${wrench(half.slice(0, 3), half.slice(3))}.${reply.elsewhere ? ` ${count(reply.elsewhere)} more were asked elsewhere.` : ""}`),
+    el("p", { class: "muted small" }, `Loads that are close are counted together: ± ${wrench(half.slice(0, 3), half.slice(3))}. Loads with ≥ or ≤ count with all that are farther out.${reply.elsewhere ? ` ${count(reply.elsewhere)} more were asked elsewhere.` : ""}`),
   ];
 }

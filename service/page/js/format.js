@@ -102,9 +102,9 @@ export function time(text) {
 const ACTORS = { "(anonymous)": "anonymous", "(local)": "a command", "(server)": "the server" };
 export const actorOf = (name) => ACTORS[name] || name || "";
 
-export function wrench(force, moment, digits = 3) {
-  const said = (values) => values.map((one) => number(one, digits)).join(",\u00a0"); // a line breaks between force and moment
-  return `F\u00a0(${said(force)})\u00a0N, M\u00a0(${said(moment)})\u00a0N·m`;
+export function wrench(force, moment, digits = 3, written = (value) => number(value, digits)) {
+  const said = (values, first) => values.map((one, place) => written(one, first + place)).join(",\u00a0"); // a line breaks between force and moment
+  return `F\u00a0(${said(force, 0)})\u00a0N, M\u00a0(${said(moment, 3)})\u00a0N·m`;
 }
 
 export const count = (value) => value.toLocaleString("en").replaceAll(",", "\u202f");

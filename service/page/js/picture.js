@@ -59,7 +59,7 @@ function fill(canvas, flat, order, axes = []) {
   const [low, high] = [Math.min, Math.max].map((end) => [0, 1].map((k) => end(...all.map((one) => one[k]))));
   const scale = 0.88 * Math.min(SIZE[0] / (high[0] - low[0] || 1), SIZE[1] / (high[1] - low[1] || 1));
   const at = (one) => [0, 1].map((k) => SIZE[k] / 2 + scale * (one[k] - (low[k] + high[k]) / 2));
-  const pen = penOf(canvas), [red, green, blue] = colours().accent.match(/[\d.]+/g).map(Number);
+  const pen = penOf(canvas), shade = colours(), [red, green, blue] = shade.accent.match(/[\d.]+/g).map(Number);
   for (const [corners, normal] of order) {
     const light = 0.45 + 0.55 * Math.max(0, dot(normal, LIGHT));
     pen.fillStyle = pen.strokeStyle = `rgb(${[red, green, blue].map((one) => Math.round(one * light + 60 * light)).join()})`;
@@ -69,15 +69,20 @@ function fill(canvas, flat, order, axes = []) {
     pen.fill();
     pen.stroke(); // closes the seams between triangles
   }
-  pen.strokeStyle = pen.fillStyle = colours().ink;
-  pen.lineWidth = 1.5;
-  for (const [from, ...ends] of axes) {
-    ends.forEach((end, k) => {
-      pen.beginPath();
-      pen.lineTo(...at(from));
-      pen.lineTo(...at(end));
-      pen.stroke();
-      pen.fillText("xyz"[k], at(end)[0] + 3, at(end)[1] - 2);
-    });
+  pen.lineJoin = "round";
+  for (const [colour, width] of [[shade.sunken, 4.5], [shade.ink, 1.5]]) { // a halo: in dark colours the part is nearly as light as the ink
+    pen.strokeStyle = pen.fillStyle = colour;
+    pen.lineWidth = width;
+    for (const [from, ...ends] of axes) {
+      ends.forEach((end, k) => {
+        pen.beginPath();
+        pen.lineTo(...at(from));
+        pen.lineTo(...at(end));
+        pen.stroke();
+        const text = ["xyz"[k], at(end)[0] + 3, at(end)[1] - 2];
+        if (colour === shade.ink) pen.fillText(...text);
+        else pen.strokeText(...text);
+      });
+    }
   }
 }

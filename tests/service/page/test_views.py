@@ -859,3 +859,13 @@ def test_a_query_beyond_the_range_names_the_range_once(browser, client):
     browser.click("form button", "Ask")
     browser.named(".note", "no solve is queued for it")
     assert browser.one("main").text.count("is outside the load range") == 1
+
+
+def test_loads_of_the_outermost_cell_of_the_demand_are_bounds(browser, client):
+    client.call_json(
+        "POST",
+        "/v1/components/plate/displacement",
+        {"force": [-3000, 0, 0], "on_thin": "estimate"},
+    )
+    browser.visit("#/c/plate/demand")
+    browser.named("td", "F (≤ −2000, 0, 0) N")
