@@ -338,7 +338,7 @@ def test_a_packed_file_built_while_the_ledger_could_not_be_read_is_not_current(s
 
 
 def test_a_packed_file_without_an_origin_is_written_again(site):
-    """Its origin is null, which ended in a TypeError."""
+    """An export has none."""
     site.insert(10)
     component, version = site.library["rig"], site.ledger.last_seq("rig")
     files = TableStore(site.folder / "tables", site.ledger)
