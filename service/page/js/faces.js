@@ -36,8 +36,8 @@ export async function facesIn(root, { faces, figure }, signal, ofDeck = false) {
     lines.say(`[mesh.groups]\n${group.value || "NAME"} = ${faces.find((one) => one.number === face).toml}`);
   };
   put(root, el("section", { class: "card" }, el("h2", {}, "Faces of the mesh"),
-    el("p", { class: "muted" }, ofDeck ? "Faces of the mesh in the deck, which solves this part with its own sets. The lines are for a component of the embedded solver with this mesh. Lengths are in m."
-      : "Click a face, or choose it in the list. Copy its lines into component.toml; supports and interfaces name the group. Lengths are in m."),
+    el("p", { class: "muted" }, ofDeck ? "Faces of the mesh in the deck, which solves this part with its own sets. The lines are for a component of the embedded solver with this mesh. Lengths in component.toml are in m."
+      : "Click a face, or choose it in the list. Copy its lines into component.toml; supports and interfaces name the group. Lengths in component.toml are in m."),
     view.root, el("div", { class: "halves" }, field(`Face (1 to ${faces.length})`, list), field("Name of the group", group)), lines.root));
   choose(faces[0].number);
   drawing = await draw(place, (shade) => ({ data: figure.data.map((trace) => painted(trace, chosen, shade, together.find(([first]) => first === trace))), layout: { scene: sceneOf(view, bodies) } }), signal, `${faces.length} numbered faces`);

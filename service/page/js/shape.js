@@ -116,7 +116,7 @@ function picture(shape, sizes, { factor, colour, edges }, shade, camera, narrow)
     type: "mesh3d", x: column(points, 0, MM), y: column(points, 1, MM), z: column(points, 2, MM),
     i: corners[0], j: corners[1], k: corners[2], intensity: values, colorscale: "Viridis", flatshading: false,
     lighting: { ambient: 0.62, diffuse: 0.55, specular: 0.08, roughness: 0.8 }, hovertemplate: "%{x:.4~g}, %{y:.4~g}, %{z:.4~g} mm<extra></extra>",
-    colorbar: { title: { text: "mm", side: narrow ? "bottom" : "top" }, thickness: 12, tickfont: { color: shade.muted }, outlinewidth: 0, ...(narrow ? { orientation: "h", len: 0.9, x: 0.5, y: 0, yanchor: "bottom" } : { len: 0.7, x: 1, xanchor: "right" }) },
+    colorbar: { title: { text: colour === "size" ? "|u|, mm" : `u${"xyz"[Number(colour)]}, mm`, side: narrow ? "bottom" : "top" }, thickness: 12, tickfont: { color: shade.muted }, outlinewidth: 0, ...(narrow ? { orientation: "h", len: 0.9, x: 0.5, y: 0, yanchor: "bottom" } : { len: 0.7, x: 1, xanchor: "right" }) },
   };
   const before = { type: "scatter3d", mode: "lines", ...lines(shape.vertices, edges, MM), line: { color: shade.muted, width: 3 }, hoverinfo: "skip", connectgaps: false };
   const after = { ...before, ...lines(points, edges, MM), line: { color: shade.ink, width: 3 } };
