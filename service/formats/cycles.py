@@ -112,7 +112,9 @@ def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> N
     """Return the mask, (n,), of the rows after the first `count` cycles of the main load, (n,)."""
     complete = int(passes.number[-1]) // 2
     if complete < count:
-        message = f"is {count}, but the main load {name} has {complete} complete cycles"
+        message = (
+            f"is {count}, but at most {complete} cycles of the main load {name} can be left out"
+        )
         raise _CycleError("skip_cycles", f"{message}; give at most {complete}")
     retained = passes.number >= 2 * count
     first = load[0]

@@ -157,6 +157,20 @@ def test_passes_of_one_row_are_averaged(start, options, means, deviation):
     assert np.isfinite(rows.uncertainty[-1]).all()
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_too_many_skipped_cycles_are_refused_with_how_many_can_be_left_out(count):
+    wrench = np.zeros((4 * count + 1, 6))
+    wrench[:, 2] = [0, *[5, 10, 5, 0] * count]
+    rows = Rows.of(wrench, wrench * 1e-6)
+    _, report = left(rows, skip_cycles=count)
+    (mistake,) = report.mistakes.listed()
+    words = f"is {count}, but at most {count - 1} cycles of the main load fz can be left out"
+    assert words in mistake.message
+    retained, report = left(rows, skip_cycles=count - 1)
+    assert len(retained)
+    assert not report.mistakes.listed()
+
+
 def test_passes_of_one_row_at_different_loads_have_no_mean():
     wrench = np.zeros((8, 6))
     wrench[:, 2] = [10, 0, 6, 0, 8, 0, 4, 0]
