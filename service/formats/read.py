@@ -194,7 +194,7 @@ class FindingsSample:
         """Take the next rows of the file."""
         self.parts.append(piece.take(np.arange(self._skip, len(piece), self._stride)))
         self._skip = (self._skip - len(piece)) % self._stride
-        if sum(map(len, self.parts)) > 2 * MAX_ROWS:
+        while sum(map(len, self.parts)) > 2 * MAX_ROWS:
             rows = joined(self.parts)
             self.parts = [rows.take(np.arange(0, len(rows), 2))]
             if len(rows) % 2:  # the last row is in the sample: the next is two strides on

@@ -71,7 +71,8 @@ def table_of(first, count):
 
 
 @pytest.mark.parametrize(
-    "sizes", [[1] * 200, [7] * 3000, [40_001, 3, 12_345], [2 * MAX_ROWS + 1] * 9]
+    "sizes",
+    [[1] * 200, [7] * 3000, [40_001], [40_001, 3, 12_345], [2 * MAX_ROWS + 1] * 9],
 )
 def test_of_many_pieces_rows_of_one_distance_are_kept(sizes):
     sample, first = FindingsSample(), 1
