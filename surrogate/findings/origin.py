@@ -163,9 +163,10 @@ def _posterior_by_noise(
     covariances = np.linalg.inv(normal)
     estimate = np.einsum("rab,rb->ra", covariances, weighted[:, b, -1])
     residual = weighted[:, -1, -1] - (estimate * weighted[:, b, -1]).sum(axis=1)
-    variance = np.maximum(residual, np.finfo(float).tiny) / max(n - count, 1)
+    freedom = max(n - count, 1)  # with fewer rows than terms, the prior of the terms decides
+    variance = np.maximum(residual, np.finfo(float).tiny) / freedom
     determinants = np.linalg.slogdet(normal)[1] - np.log(inverse).sum(axis=1)
-    value = 0.5 * ((n - count) * np.log(variance) + determinants)
+    value = 0.5 * (freedom * np.log(variance) + determinants)
 
     by_mean = np.eye(count)[:N_SLOPES] - weighted[:, k, b]  # R', with E the first rows of 1
     mean = weighted[:, k, -1] + np.einsum("rkb,rb->rk", by_mean, estimate)

@@ -34,6 +34,16 @@ def test_fifty_clean_measurements_have_no_finding():
     assert {seed: causes for seed, causes in result.items() if causes} == {}
 
 
+def test_a_linear_response_measured_at_few_loads_has_no_clearance():
+    span = np.full(6, 100.0)
+    for rng in map(np.random.default_rng, range(25)):
+        load = np.sort(rng.uniform(-100, 100, 8))
+        moved = np.full((8, 6), np.nan)
+        moved[:, 2] = 1e-6 * load + 1e-6 * rng.normal(size=8)
+        rows = Rows.of(np.outer(load, np.eye(6)[2]), moved)
+        assert find(rows, LoadRange(-span, span)) == []
+
+
 def test_readings_of_a_hold_with_a_common_error_are_correlated():
     rig = Rig(12, ("sweeps",))
     loads = np.concatenate((np.linspace(-1, 1, 12), np.linspace(1, -1, 12)))
