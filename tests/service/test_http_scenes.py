@@ -422,5 +422,6 @@ def test_an_option_that_is_given_twice_for_one_name_is_refused(option, load, fur
 def test_the_list_of_components_has_the_forces_by_interface():
     loads = {"force": [[-1, 1]] * 3, "moment": [[-2, 2]] * 3}
     named = {"name": "arm", "title": "An arm", "rows": 3, "has_fea": True, "linear": False}
+    named |= {"another_setup": {"rows": 0}, "pending_rows": 0}
     named["range"] = {"loads": {"left": loads, "right": loads}}
     assert list(render.component_table([named]).columns[4].cells) == ["left 1 1 1; right 1 1 1"]
