@@ -163,9 +163,9 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
     facet = np.repeat(np.arange(count), 4)
     surface = connected(facet, count + facets.corners.ravel(), count + len(bows))[:count]
     for members in members_of(surface):
-        bent = curved[members]
-        if bent.any():
-            usual = np.median(size[members][bent] / length[members][bent])
+        edges = curved[members]
+        if edges.any():
+            usual = np.median(size[members][edges] / length[members][edges])
             curved[members] &= offset[members].max() <= max(STRAIGHT, 0.5 * usual)
 
     # Of an edge's two facets the one with the larger bow counts: it is the last.

@@ -236,7 +236,7 @@ def _lengths(outputs: Sequence[str], values: Iterable[float | None]) -> tuple[st
     """Return displacements with SI prefixes, as "12.3 µm" or "1.20 mrad"."""
 
     def text(value: float, unit: str) -> str:
-        scale, prefix = next((one for one in PREFIXES if value >= one[0]), PREFIXES[-1])
+        scale, prefix = next((prefix for prefix in PREFIXES if value >= prefix[0]), PREFIXES[-1])
         return f"{_digits(value / scale)} {prefix}{unit}" if value >= scale else f"0 {unit}"
 
     units = ("m" if output.rpartition(".")[2].startswith("u") else "rad" for output in outputs)

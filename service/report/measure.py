@@ -52,8 +52,8 @@ def measure(
 
     levels = _solve_levels(bundle, wrenches, report)
     displacements = [level.pop("displacement") for level in levels]
-    own = [level["level"] for level in levels].index("own")
-    solved = np.isfinite(displacements[-1] + displacements[own]).all(axis=1)
+    part_level = [level["level"] for level in levels].index("own")
+    solved = np.isfinite(displacements[-1] + displacements[part_level]).all(axis=1)
     if not solved.any():
         kinds = {failure["kind"] for level in levels for failure in level["failures"]}
         raise ValueError(
@@ -62,7 +62,7 @@ def measure(
             "--force FX FY FZ"
         )
 
-    references = displacements[-1][solved], displacements[own][solved]
+    references = displacements[-1][solved], displacements[part_level][solved]
     # An error is relative to the range of its output, or to a minimum if that is near zero.
     span = np.ptp(references[0], axis=0)
     scale = np.maximum(span, NEAR_ZERO * space.largest_of_kind(span))
@@ -74,11 +74,11 @@ def measure(
     report(SOLVES_FRACTION, "measuring tables")
     linear = not bundle.analysis.nonlinear
     summary = build(rows, load_range, linear=linear).coverage_summary()
-    seconds = levels[own]["seconds_p50"]
+    seconds = levels[part_level]["seconds_p50"]
     tables = _measure_tables(rows, load_range, linear, wrenches[solved], references, scale, seconds)
     limit = bundle.tolerance
     limits = limit and np.where(space.is_rotation, limit.rotation, limit.translation).tolist()
-    is_finest = own == len(levels) - 1  # its error is unknown
+    is_finest = part_level == len(levels) - 1  # its error is unknown
     return {
         "component": bundle.name,
         "title": bundle.title,
@@ -94,7 +94,7 @@ def measure(
             "errors_left_out": summary["errors_left_out"],
             "full_wrench_rows": summary["full_wrench_rows"],
         },
-        "mesh_error": None if is_finest else levels[own]["largest_error"],
+        "mesh_error": None if is_finest else levels[part_level]["largest_error"],
         "fea": levels,
         "tables": tables,
         "pareto": pareto([*tables, *levels]),
