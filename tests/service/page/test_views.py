@@ -410,6 +410,13 @@ def test_a_view_without_a_connection_says_so_and_offers_a_retry(browser, client)
     assert browser.one("#state").text == "no answer"
 
 
+@pytest.mark.parametrize("number", ["999999", "none"])
+def test_an_unknown_job_leads_to_the_jobs(browser, client, number):
+    browser.visit(f"#/jobs/{number}")
+    browser.click("main a[href='#/jobs']", "Go to the jobs")
+    browser.named("h1", "Jobs")
+
+
 def test_a_direct_link_to_an_absent_view_is_explained(browser, client):
     browser.visit("#/c/link/response")
     browser.named(".note", "no view Response: it needs a component with one interface")
