@@ -674,6 +674,20 @@ def test_the_audit_leads_to_the_row_that_was_withdrawn(browser, client):
     browser.until(lambda: numbers(browser) == [row])
 
 
+def test_settings_in_the_audit_have_units(browser, client):
+    settings = {"table_memory": 700, "backup_every": 0.0, "keep_days": 30.0}
+    entry = {"id": 1, "time": "2026-01-01T00:00:00Z", "actor": "(server)", "action": "settings"}
+    entry |= {"component": "", "object": "serve", "before": None, "after": settings}
+    changed = entry | {"id": 2, "before": settings, "after": settings | {"table_memory": 900}}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["v1/audit", {"entries": [changed, entry], "next": None}]]))
+    browser.go("#/audit")
+    assert browser.one("#entry-2 td:last-child").text == "table memory 700 MB → 900 MB"
+    first = browser.one("#entry-1 td:last-child").text
+    assert first == "table memory 700 MB, backup every 0 h, keep days 30"
+
+
 def test_missing_loads_are_counted_as_zero_by_a_button(browser, rig):
     browser.visit("#/c/unmeasured/table")
     browser.drop(".drop", "pull.csv", "fz [N],uz [mm]\n100,0.1\n")
@@ -731,6 +745,29 @@ def test_a_compliance_has_one_power_of_ten_and_no_entry_is_cut_on_a_telephone(br
     wide = browser.one(".wide")
     assert browser.run("return arguments[0].scrollWidth - arguments[0].clientWidth", wide) <= 0
     assert "·10" not in wide.text
+
+
+def test_entries_and_eigenvalues_that_the_rows_do_not_determine_are_question_marks(browser, plate):
+    reply = plate.call_json("GET", "/v1/components/plate_thin/compliance")
+    reply["matrix"] = np.eye(6).tolist()
+    reply["matrix"][0][0] = -1.0
+    reply["matrix"][1][5], reply["matrix"][5][1] = 0.85, 1.0
+    reply["matrix"][2][4], reply["matrix"][4][2] = 0.95, 1.0
+    reply["checks"]["positive"] |= {"ok": True, "smallest_over_largest_eigenvalue": -0.01}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/compliance", reply]]))
+    browser.go(f"{PLATE}/checks")
+    mean = browser.named("section", "Mean compliance")
+    cells = mean.find_elements("css selector", "td")
+    unknown = {
+        divmod(k, 6): cell.get_attribute("title")
+        for k, cell in enumerate(cells)
+        if cell.text == "?"
+    }
+    assert set(unknown) == {(0, 0), (1, 5), (5, 1)}
+    assert all("the rows do not determine it yet" in title for title in unknown.values())
+    assert browser.named("tr", "positive work").text.startswith("unknown")
 
 
 def test_a_wrench_beyond_the_load_range_says_so_first_and_can_be_solved(browser, client):
