@@ -106,7 +106,7 @@ def test_the_old_report_stays_while_a_new_one_is_made_which_can_be_cancelled(bro
 
 def test_cards_show_the_part_and_an_error_bar_with_its_discretisation_error(browser, plate):
     browser.visit("#/")
-    card = browser.named("a.card", "plate_thin")
+    card = browser.named(".card.library", "plate_thin")
     browser.until(lambda: card.find_elements("css selector", "canvas.part:not([hidden])"))
     seen = (
         "return arguments[0].querySelector('canvas').getContext('2d').getImageData(160, 75, 1, 1)"
@@ -118,7 +118,7 @@ def test_cards_show_the_part_and_an_error_bar_with_its_discretisation_error(brow
 def card_of(browser, name):
     """The card of a component whose picture is drawn, and the label of the picture."""
     browser.visit("#/")
-    card = browser.named("a.card", name)
+    card = browser.named(".card.library", name)
     browser.until(lambda: card.find_elements("css selector", "canvas.part:not([hidden])"))
     return card, card.find_element("css selector", "canvas").get_attribute("aria-label")
 
@@ -169,7 +169,7 @@ def test_a_new_visitor_is_led_through_three_steps_by_keyboard_once(browser, plat
     browser.press(Keys.ESCAPE)
     browser.until(lambda: not browser.all("dialog.tour, .pointed"), "the end of the tour")
     browser.visit("#/")
-    browser.one("a.card")
+    browser.one(".card.library")
     assert not browser.all("dialog.tour")
 
 
@@ -248,7 +248,7 @@ def test_jobs_that_run_are_above_waiting_ones_in_the_order_of_their_start(browse
         "jobs?": {"jobs": [*waiting, running, done], "next": None},
     }
     browser.visit("#/")
-    browser.named("a.card", "plate_thin")
+    browser.named(".card.library", "plate_thin")
     browser.run(
         "const lists = JSON.parse(arguments[0].replaceAll('SOON', new Date().toISOString()));"
         "const own = window.fetch; window.fetch = (to, how) => {"
@@ -402,7 +402,7 @@ def test_the_page_of_a_job_shows_its_displacement_and_leads_to_its_query(browser
 
 def test_a_view_without_a_connection_says_so_and_offers_a_retry(browser, client):
     browser.visit("#/")
-    browser.one("a.card")
+    browser.one(".card.library")
     browser.run("window.fetch = () => Promise.reject(new TypeError('Failed to fetch'))")
     browser.go("#/jobs")
     browser.named(".note.outside", "No connection")
@@ -609,6 +609,86 @@ def test_measured_rows_are_drawn_beside_the_solves_and_beside_another_import(bro
     )
     browser.named("p", f"rows of import {number - 1}")
     browser.named("td", "1.1")
+    browser.resize(390, 900)
+    assert not overflow(browser)
+
+
+def overflow(browser):
+    """The width, px, of a table that a telephone does not show."""
+    wide = browser.one("table.folds.named").find_element("xpath", "..")
+    return browser.run("return arguments[0].scrollWidth - arguments[0].clientWidth", wide)
+
+
+def test_imports_are_cards_with_their_headings_on_a_telephone(browser, client):
+    measured(client, "folded", 100, 200)
+    browser.resize(390, 900)
+    browser.visit("#/c/folded/table")
+    browser.one("table.imports a")
+    assert not overflow(browser)
+    heading = "return getComputedStyle(arguments[0], '::before').content"
+    cell = browser.named("table.imports td", "2")
+    assert browser.run(heading, cell) == '"Rows"'
+
+
+LOW_LINKS = """return [...document.querySelectorAll('main :is(.crumb, td) a')]
+  .filter((one) => one.getBoundingClientRect().height < 24).map((one) => one.textContent)"""
+
+
+def test_links_of_lists_and_of_the_way_back_are_24_px_high_on_a_telephone(browser, plate):
+    browser.resize(390, 900)
+    for address in ("#/jobs", "#/audit", PLATE):
+        browser.visit(address)
+        browser.one("main td a" if address != PLATE else "main .crumb a")
+        assert browser.run(LOW_LINKS) == []
+
+
+def test_an_empty_table_in_the_library_links_to_its_query_and_its_fill(browser, client):
+    browser.visit("#/")
+    card = browser.named(".card.library", "hot_bracket")
+    browser.until(lambda: "empty table" in card.text)
+    links = {a.text: a.get_attribute("hash") for a in card.find_elements("tag name", "a")}
+    assert links["ask a query"] == "#/c/hot_bracket/query"
+    assert links["fill it"] == "#/c/hot_bracket/overview"
+    browser.click(".card.library a", "ask a query")
+    browser.named("h1", "hot_bracket")
+    browser.one("input[name='fx']")
+
+
+def test_a_gap_of_the_coverage_leads_to_its_query(browser, plate):
+    gaps = plate.call_json("GET", "/v1/components/plate_thin/coverage")["gaps"]
+    (gap,) = (one for one in gaps if one["axis"] == "z")
+    browser.visit(f"{PLATE}/coverage")
+    browser.click("section td a", "Query")
+    typed = browser.one("input[name=fz]").get_attribute("value")
+    assert float(typed) == gap["worst"][0]["loads"]["fz"]
+
+
+def test_the_key_of_the_coverage_names_what_is_drawn_alone(browser, plate):
+    drawing = plate.call_json("GET", "/v1/components/plate_thin/drawing?axis=z")
+    drawing["grid"]["coverage"] = [0] * len(drawing["grid"]["coverage"])
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/drawing", drawing], ["/demand", {"latest": []}]]))
+    browser.go(f"{PLATE}/coverage")
+    key = browser.one(".key-of-marks").text
+    assert "row with" in key
+    assert not re.search("thin|outside|queries", key)
+
+
+def test_the_coverage_is_drawn_again_where_rows_arrived_between_its_two_calls(browser, plate):
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(
+        "const own = window.fetch; window.drawn = 0; window.fetch = async (to, how) => {"
+        " const reply = await own(to, how); if (!String(to).includes('/drawing')) return reply;"
+        " const body = await reply.json(); window.drawn += 1;"
+        " if (window.drawn === 1) body.table_version -= 1;"
+        " return new Response(JSON.stringify(body)); }"
+    )
+    browser.go(f"{PLATE}/coverage")
+    browser.named("h2", "Coverage of this axis")
+    assert browser.run("return window.drawn") == 2
+    assert "Rows arrive" not in browser.one("main").text
 
 
 def test_an_import_is_withdrawn_and_restored_after_a_confirmation(browser, client):
@@ -854,7 +934,7 @@ def test_a_component_toml_alone_is_dropped_and_added(browser, client):
 
 def test_a_refused_key_leaves_the_one_that_worked(browser, client):
     browser.visit("#/")
-    browser.one("a.card")
+    browser.one(".card.library")
     before = browser.run("return sessionStorage.getItem('wrenchbook-key')")
     browser.run(
         "const own = window.fetch; window.fetch = (to, how) => how.headers.Authorization === "
