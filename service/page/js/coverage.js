@@ -118,5 +118,5 @@ function worst(about, gap) {
   const loads = Object.keys(gap.worst[0].loads);
   const query = (one) => el("a", { href: `#/c/${encodeURIComponent(about.name)}/query`, onclick: () => keepWrench(about.name, LOADS.map((load) => one.loads[load] ?? 0)) }, "Query");
   return table([...loads.map((load) => `#${plain(load)}, ${unitOfLoad(load)}`), "#of the range", ""],
-    gap.worst.map((one) => [...loads.map((load) => number(one.loads[load], 3)), percent(one.part_of_range), query(one)]), { scrolls: true });
+    gap.worst.map((one) => [...loads.map((load) => number(one.loads[load], 3)), percent(one.part_of_range), query(one)]), { scrolls: true, class: "folds named" });
 }

@@ -657,7 +657,10 @@ def test_an_empty_table_in_the_library_links_to_its_query_and_its_fill(browser, 
 def test_a_gap_of_the_coverage_leads_to_its_query(browser, plate):
     gaps = plate.call_json("GET", "/v1/components/plate_thin/coverage")["gaps"]
     (gap,) = (one for one in gaps if one["axis"] == "z")
+    browser.resize(390, 900)
     browser.visit(f"{PLATE}/coverage")
+    browser.one("section td a")
+    assert not overflow(browser)
     browser.click("section td a", "Query")
     typed = browser.one("input[name=fz]").get_attribute("value")
     assert float(typed) == gap["worst"][0]["loads"]["fz"]
