@@ -30,7 +30,7 @@ MAX_LATEST: Final = 200
 # Wrenches counted of a batch; in a larger one every k-th counts k times.
 MAX_OF_A_BATCH: Final = 10_000
 CELL: Final = 0.2  # part of half a load's range: five cells to each side of zero
-_BEYOND: Final = 10  # cells from zero; queries farther away count in the outermost one
+_BEYOND: Final = 10  # cells from zero, OUTERMOST in page/js/demand.js; that cell counts all beyond
 SAVE_S: Final = 1.0  # s between two additions of a process' counts to the database
 
 Cell = tuple[int, ...]

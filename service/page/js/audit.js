@@ -59,15 +59,19 @@ function objectOf({ action, component, object }) {
   return kind === "job" ? el("a", { href: `#/jobs/${object}` }, words) : words;
 }
 
+// Of settings whose names do not hold their units, as in service/settings.py.
+const UNITS = { table_memory: "MB", replicate_interval: "s", backup_every: "h" };
+const withUnit = (name, value) => `${wordsOf(value)}${name in UNITS && typeof value === "number" ? ` ${UNITS[name]}` : ""}`;
+
 // A state as words: "status waiting, priority 0".
 function wordsOf(state) {
   if (state === null || typeof state !== "object") return String(state).replace(/^([0-9a-f]{12})[0-9a-f]{52}$/, "$1"); // a digest, shortened
-  return Object.entries(state).filter(([, value]) => value !== null && value !== "").map(([name, value]) => (Array.isArray(state) ? wordsOf(value) : `${name.replaceAll("_", " ")} ${wordsOf(value)}`)).join(", ");
+  return Object.entries(state).filter(([, value]) => value !== null && value !== "").map(([name, value]) => (Array.isArray(state) ? wordsOf(value) : `${name.replaceAll("_", " ")} ${withUnit(name, value)}`)).join(", ");
 }
 
 // Of two states what differs, else the one there is.
 function states({ before, after }) {
   if (![before, after].every((one) => one && typeof one === "object")) return [before, after].filter((one) => one !== null).map(wordsOf).join(" → ");
   const changed = [...new Set([...Object.keys(before), ...Object.keys(after)])].filter((name) => JSON.stringify(before[name] ?? null) !== JSON.stringify(after[name] ?? null));
-  return changed.map((name) => `${name.replaceAll("_", " ")} ${wordsOf(before[name] ?? "none")} → ${wordsOf(after[name] ?? "none")}`).join(", ");
+  return changed.map((name) => `${name.replaceAll("_", " ")} ${withUnit(name, before[name] ?? "none")} → ${withUnit(name, after[name] ?? "none")}`).join(", ");
 }

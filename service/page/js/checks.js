@@ -9,11 +9,14 @@ import { LOADS, OUTPUTS, count, number, percent, scientific, sentence, superscri
 const CHECKS = {
   zero_at_zero_load: ["The displacement at zero load is zero", (one) => one.reason],
   symmetric: ["The compliance is symmetric (Maxwell, Betti)", (one) => `asymmetry ${percent(one.asymmetry)}, allowed ${percent(one.allowed)}${one.asymmetry_of_solves == null ? "" : `; of the tangents of solves ${number(one.asymmetry_of_solves, 2)}, allowed ${number(one.allowed_of_solves, 2)}`}`],
-  positive: ["Loads do positive work", (one) => `smallest eigenvalue over largest ${number(one.smallest_over_largest_eigenvalue, 3)}`],
+  positive: ["Loads do positive work", (one) => `smallest eigenvalue over largest ${number(one.smallest_over_largest_eigenvalue, 3)}${isOfFit(one) ? ", within the asymmetry of the fit: the rows do not determine its sign yet" : ""}`],
   linear: ["The response is linear (one 6 × 6 compliance)", (one) => one.says || one.reason],
   work: ["Work does not decrease from row to row", (one) => `${count(one.pairs_that_give_work_back ?? 0)} pairs of rows lose work`],
   tangents: ["Tangents agree with neighbouring rows", (one) => one.largest_miss === undefined || one.largest_miss === null ? one.reason : one.ok ? "all deviations are within half a step between rows, and the rows' error bars" : `largest deviation ${percent(one.largest_miss)} of the range: solve wrenches between these rows; if the deviation stays, a tangent is wrong`],
 };
+
+// A smallest eigenvalue that is negative by no more than the errors of the fit.
+const isOfFit = (one) => one.ok && one.smallest_over_largest_eigenvalue < -ROUNDING;
 
 // Checks whose failure breaks no law: strong curvature between rows bends tangents too.
 const FAILED = { linear: ["not linear", ""], tangents: ["deviates", "thin"] };
@@ -36,6 +39,8 @@ export async function show(root, about, signal) {
 
 const LEAST = 1e-4; // of the unit: smaller entries would need a power of ten of their own; their value is the title
 const NOISE = 1e-9; // of the largest entry of its unit: rounding of the solver
+const ASYMMETRY = 0.1; // of the larger of two mirror entries: rows in all loads differ by less, for Maxwell and Betti
+const ROUNDING = 1e-6; // of the largest eigenvalue: NEGATIVE in surrogate/table/physics_checks.py
 const ORIGINS = { row: "tangent of the row" };
 
 // Its columns are zero where no row tells a load.
@@ -51,8 +56,8 @@ function matrix(values, name, origin) {
     const made = el("td", {}, value === null ? "–" : noise ? "≈ 0" : value ? number(value / 10 ** power, size(value) < 0.1 * 10 ** power ? 2 : 3) : "0");
     if (noise) made.title = scientific(value, 3);
     const mirror = values[j][i], apart = size(value - (mirror ?? value));
-    const undetermined = !noise && value && mirror !== null && apart > 0.5 * Math.max(size(value), size(mirror)); // no symmetry: Maxwell and Betti
-    if (undetermined) { made.className = "muted"; made.textContent = "?"; made.title = `${scientific(value, 3)}, which differs from the mirror entry`; }
+    const negative = i === j && value < 0, undetermined = !noise && value && (negative || (mirror !== null && apart > ASYMMETRY * Math.max(size(value), size(mirror))));
+    if (undetermined) { made.className = "muted"; made.textContent = "?"; made.title = `${scientific(value, 3)}, ${negative ? "negative on the diagonal" : "more than 10 % off its mirror entry"}: the rows do not determine it yet`; }
     const part = largest(i, j) && !noise && !undetermined ? size(value) / largest(i, j) : 0;
     made.style.background = `color-mix(in srgb, var(--accent) ${Math.round(26 * part)}%, transparent)`;
     return made;
@@ -61,7 +66,7 @@ function matrix(values, name, origin) {
     el("div", { class: "wide", tabindex: "0", role: "region", "aria-label": `${name}, 6 by 6` }, el("table", { class: "matrix" },
       el("thead", {}, el("tr", {}, el("th", {}), LOADS.map((load) => el("th", { class: "number", scope: "col" }, symbol(load))))),
       el("tbody", {}, values.map((line, i) => el("tr", {}, el("th", { scope: "row" }, symbol(OUTPUTS[i])), line.map((value, j) => cell(value, i, j))))))),
-    el("p", { class: "muted small" }, `In ${power ? `10${superscript(power)} ` : ""}m or rad per N or N·m; ${origin}. Shades compare entries of one unit. The rows do not determine entries with ?: they differ from their mirror entries.`),
+    el("p", { class: "muted small" }, `In ${power ? `10${superscript(power)} ` : ""}m or rad per N or N·m; ${origin}. Shades compare entries of one unit. The rows do not determine entries with ? yet: they are negative on the diagonal, or more than 10 % off their mirror entries.`),
   ];
 }
 
@@ -69,7 +74,7 @@ function checks(reply, about) {
   if (!reply.rows_checked) return el("p", { class: "muted" }, "There are no rows with all six outputs to check.");
   const lines = Object.entries(reply.checks).map(([name, one]) => {
     const [title, words] = CHECKS[name] || [name, () => ""];
-    const verdict = one.ok === null ? pill("unknown", "") : one.ok ? pill("holds", "ok") : pill(...(FAILED[name] || ["broken", "wrong"]));
+    const verdict = one.ok === null || isOfFit(one) ? pill("unknown", "") : one.ok ? pill("holds", "ok") : pill(...(FAILED[name] || ["broken", "wrong"]));
     const rows = one.rows?.length && name !== "linear" ? el("span", { class: "muted small" }, rowLinks(about.name, one.rows, 12), one.rows.length > 12 ? " …" : "") : null;
     return el("tr", {}, el("td", {}, verdict), el("td", { class: "whole" }, title), el("td", { class: "muted small whole" }, sentence(words(one) || " ")), el("td", { class: "whole" }, rows));
   });

@@ -108,7 +108,7 @@ function factors(reply) {
         quantity(one.mean, unitOfOutput(name)), quantity(one.rms, unitOfOutput(name)), `${count(one.beyond_bars)} of ${count(one.compared)}`]);
     }
   }
-  return table(["Import", "Output", "#Measured / reference", "#95 % bound", "#from the reference", "#Mean residual", "#rms", "#Beyond the bars"], lines, { scrolls: true });
+  return table(["Import", "Output", "#Measured / reference", "#95 % bound", "#from the reference", "#Mean residual", "#rms", "#Beyond the bars"], lines, { scrolls: true, class: "folds named" });
 }
 
 function label({ reply, output, load }, k) {

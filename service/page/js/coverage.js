@@ -8,8 +8,10 @@ import { LOADS, count, number, percent, plain, symbol, unitOfLoad } from "./form
 import { box } from "./load_box.js";
 import { draw } from "./plot.js";
 import { figure } from "./view3d.js";
+import { keepWrench } from "./wrench_form.js";
 
 const AXES = [["x", "axis x"], ["y", "axis y"], ["z", "axis z"]];
+const TRIES = 3; // drawings until picture and figures are of one version: a fill adds rows faster
 
 export async function show(root, about, signal) {
   if (!about.rows) {
@@ -22,23 +24,28 @@ export async function show(root, about, signal) {
   await pick("z");
 }
 
-async function axisOf(stage, below, about, axis, signal) {
+// The picture and its figures come by two calls: where rows arrived between them, both are asked for again.
+async function axisOf(stage, below, about, axis, signal, tries = TRIES) {
   const [rows, latest] = await Promise.all([
     get(`${of(about.name)}/drawing?axis=${axis}&most=3000`, signal),
     latestOf(about, signal),
   ]);
   let gap = { hull: [], worst: [] };
   const place = el("div", { class: "plot", id: "coverage" });
-  const view = figure(place, `Rows of axis ${axis}`, marks());
+  const view = figure(place, `Rows of axis ${axis}`, marks(about, rows, latest));
   put(below, el("p", { class: "muted" }, "Computing the convex hull …"));
   put(stage, rows.shown < rows.of ? note("", `${count(rows.shown)} of ${count(rows.of)} rows are drawn, spread over the table.`) : null, view.root);
   const drawing = await draw(place, (shade) => picture(about, rows, gap, latest, shade, view.camera()), signal, `${rows.shown} rows of axis ${axis} over ${rows.inputs.join(", ")}`);
   view.hold(drawing);
   const cover = await get(`${of(about.name)}/coverage`, signal); // seconds for 100,000 rows
+  if (!stage.contains(place)) return; // another axis was chosen meanwhile
+  const differs = cover.table_version !== rows.table_version;
+  if (differs && tries > 1) { await axisOf(stage, below, about, axis, signal, tries - 1); return; }
   gap = cover.gaps.find((one) => one.axis === axis) || gap;
-  put(below, el("section", { class: "card" }, el("h2", {}, "Coverage of this axis"), holds(rows, cover.axes.find((one) => one.axis === axis))),
-    el("section", { class: "card" }, el("h2", {}, "Largest gaps between rows"), worst(gap)));
-  if (stage.contains(place)) await drawing.again();
+  put(below, differs ? note("thin", `Rows arrive: the picture is of table version ${rows.table_version}, the figures are of ${cover.table_version}.`) : null,
+    el("section", { class: "card" }, el("h2", {}, "Coverage of this axis"), holds(rows, cover.axes.find((one) => one.axis === axis))),
+    el("section", { class: "card" }, el("h2", {}, "Largest gaps between rows"), worst(about, gap)));
+  await drawing.again();
 }
 
 // What the server was asked and could not cover, if it keeps that, and what this tab asked.
@@ -48,14 +55,19 @@ async function latestOf(about, signal) {
   return [...own, ...(reply?.latest || []).map((one) => one.wrench)].slice(0, 100);
 }
 
-function marks() {
-  const one = (kind, colour, text) => {
+// The key of what is drawn, and of nothing else.
+function marks(about, rows, latest) {
+  const has = (code) => rows.grid.coverage.includes(code);
+  const kinds = [
+    [rows.clean.some(Boolean), "", "accent", "row with loads of this axis only"], [!rows.clean.every(Boolean), "hollow", "card", "row with other loads too"],
+    [has(1), "square", "thin", "loads that are thin"], [has(2), "square", "outside", "loads outside the rows"],
+    [latest.some((one) => isNear(about, one)), "diamond", "query", "latest queries, within twice the load range"],
+  ];
+  return el("ul", { class: "key-of-marks" }, kinds.filter(([drawn]) => drawn).map(([, kind, colour, text]) => {
     const mark = el("i", { class: kind });
     mark.style.background = `var(--${colour})`;
     return el("li", {}, mark, text);
-  };
-  return el("ul", { class: "key-of-marks" }, one("", "accent", "row with loads of this axis only"), one("hollow", "card", "row with other loads too"),
-    one("square", "thin", "loads that are thin"), one("square", "outside", "loads outside the rows"), one("diamond", "query", "latest queries, within twice the load range"));
+  }));
 }
 
 function picture(about, rows, gap, latest, shade, camera) {
@@ -101,9 +113,10 @@ function holds(rows, summary) {
   ];
 }
 
-function worst(gap) {
+function worst(about, gap) {
   if (!gap.worst.length) return el("p", {}, "There are no gaps.");
   const loads = Object.keys(gap.worst[0].loads);
-  return table([...loads.map((load) => `#${plain(load)}, ${unitOfLoad(load)}`), "#of the range"],
-    gap.worst.map((one) => [...loads.map((load) => number(one.loads[load], 3)), percent(one.part_of_range)]), { scrolls: true });
+  const query = (one) => el("a", { href: `#/c/${encodeURIComponent(about.name)}/query`, onclick: () => keepWrench(about.name, LOADS.map((load) => one.loads[load] ?? 0)) }, "Query");
+  return table([...loads.map((load) => `#${plain(load)}, ${unitOfLoad(load)}`), "#of the range", ""],
+    gap.worst.map((one) => [...loads.map((load) => number(one.loads[load], 3)), percent(one.part_of_range), query(one)]), { scrolls: true, class: "folds named" });
 }

@@ -52,15 +52,16 @@ export function facts(pairs) {
   return el("dl", { class: "facts" }, shown.map(([name, value]) => [el("dt", {}, name), el("dd", {}, value)]));
 }
 
-// A table from texts or elements; columns that start with "#" hold numbers.
+// A table from texts or elements; columns that start with "#" hold numbers. Of class "folds named" it becomes cards on a telephone, each cell after its heading.
 export function table(head, lines, attributes = {}) {
   const numeric = head.map((one) => one.startsWith("#"));
+  const heads = head.map((one) => one.replace("#", "").replace(/^[a-z](?=[a-z]{2}|o$|f )/, (first) => first.toUpperCase()));
   const cell = (tag) => (content, place) =>
-    el(tag, { class: numeric[place] ? "number" : null, scope: tag === "th" ? "col" : null }, content);
+    el(tag, { class: numeric[place] ? "number" : null, scope: tag === "th" ? "col" : null, "data-head": tag === "td" ? heads[place] || null : null }, content);
   return el("div", { class: "wide", tabindex: attributes.scrolls ? "0" : null },
     el("table", { class: attributes.class },
       attributes.caption ? el("caption", {}, attributes.caption) : null,
-      el("thead", {}, el("tr", {}, head.map((one) => one.replace("#", "").replace(/^[a-z](?=[a-z]{2}|o$|f )/, (first) => first.toUpperCase())).map(cell("th")))),
+      el("thead", {}, el("tr", {}, heads.map(cell("th")))),
       el("tbody", {}, lines.map((line) => el("tr", {}, line.map(cell("td")))))));
 }
 

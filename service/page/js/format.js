@@ -77,9 +77,9 @@ export function triple(values, unit) {
   return `(${values.map((one) => (one === null ? "–" : Math.abs(one) < least ? "0" : number(one / scale))).join(",\u00a0")})\u00a0${prefix}${unit}`;
 }
 
-export function stress(value) {
+export function stress(value, digits = value >= 1e6 ? 4 : 3) {
   if (value === null || value === undefined) return "–";
-  return value >= 1e6 ? `${number(value / 1e6, 4)} MPa` : `${number(value / 1e3, 3)} kPa`;
+  return value >= 1e6 ? `${number(value / 1e6, digits)} MPa` : `${number(value / 1e3, digits)} kPa`;
 }
 
 export function percent(fraction, digits = 2) {

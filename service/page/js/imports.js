@@ -25,7 +25,7 @@ function contents(about, imports, version, signal, again) {
     ["note", (one) => one.note, shown.some((one) => one.note)],
     ["rig", (one) => (one.rig ? el("details", {}, el("summary", {}, "rig"), el("pre", {}, one.rig)) : ""), shown.some((one) => one.rig)],
   ].filter(([, , used = true]) => used);
-  return [now, table(columns.map(([head]) => head), shown.map((one) => columns.map(([, cell]) => cell(one))), { scrolls: true, class: "imports" })];
+  return [now, table(columns.map(([head]) => head), shown.map((one) => columns.map(([, cell]) => cell(one))), { scrolls: true, class: "imports folds named" })];
 }
 
 // Buttons that withdraw an import's rows, and restore those that are withdrawn.

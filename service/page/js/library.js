@@ -54,8 +54,8 @@ function card(one) {
   const rows = el("span", { class: "muted small" }, rowsText(one.rows));
   const covered = el("div", { class: "muted small" }, "…");
   const picture = el("canvas", { class: "part", role: "img", "aria-label": `The part ${one.name}`, hidden: true });
-  const root = el("a", { class: "card", href: `#/c/${encodeURIComponent(one.name)}` },
-    el("div", { class: "line ends" }, el("h2", {}, one.name), el("span", { class: "line" }, one.archived ? pill("archived", "thin") : null, pill(kind, ""))),
+  const root = el("article", { class: "card library" },
+    el("div", { class: "line ends" }, el("h2", {}, el("a", { href: `#/c/${encodeURIComponent(one.name)}` }, one.name)), el("span", { class: "line" }, one.archived ? pill("archived", "thin") : null, pill(kind, ""))),
     picture, el("p", { class: "small" }, one.title),
     covered, rows);
   return { root, rows, covered, picture, about: one, all: one.rows, has_fea: one.has_fea };
@@ -67,7 +67,8 @@ async function refresh(name, cards, signal, rows) {
   const shown = cards.get(name);
   if (rows !== undefined) { shown.rows.textContent = rowsText(rows); shown.all = rows; }
   if (!shown.all) { // none, or none yet
-    put(shown.covered, shown.about.pending_rows ? `${beingBuilt(shown.about.pending_rows)} …` : `empty table: ${shown.has_fea ? "ask a query, or fill it" : "import rows"}`);
+    const to = (view, text) => el("a", { href: `#/c/${encodeURIComponent(name)}/${view}` }, text);
+    put(shown.covered, shown.about.pending_rows ? `${beingBuilt(shown.about.pending_rows)} …` : ["empty table: ", shown.has_fea ? [to("query", "ask a query"), ", or ", to("overview", "fill it")] : to("table", "import rows")]);
     return;
   }
   try {

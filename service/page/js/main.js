@@ -22,9 +22,10 @@ async function show() {
   const { signal } = leaving;
   markWhereWeAre(address);
   const [file, found] = viewOf(address);
+  const back = address.startsWith("/jobs/") ? el("a", { href: "#/jobs" }, "Go to the jobs") : el("a", { href: "#/" }, "Go to the library");
   document.title = "wrenchbook";
   if (!file) {
-    put(main, el("h1", {}, "No such page"), el("p", {}, el("a", { href: "#/" }, "Go to the library")));
+    put(main, el("h1", {}, "No such page"), el("p", {}, back));
     return;
   }
   try {
@@ -32,7 +33,7 @@ async function show() {
     if (!signal.aborted) await view.show(main, found.map((one, place) => one && (place < 2 ? decodeURIComponent(one) : one)), signal);
   } catch (error) {
     if (error.name === "AbortError" || signal.aborted) return;
-    put(main, el("h1", {}, "This view cannot be shown"), trouble(error), el("p", {}, el("a", { href: "#/" }, "Go to the library")));
+    put(main, el("h1", {}, "This view cannot be shown"), trouble(error), el("p", {}, back));
   }
 }
 

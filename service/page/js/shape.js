@@ -157,8 +157,8 @@ function measured(shape, sizes, largest) {
   return facts([
     ["Largest displacement", `${size.value}${bar === null ? "" : ` ${size.bar}`} at ${at(where)}`],
     ["Error bar", sharesOf(shape.error_parts)],
-    ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : found.error < 1e-3 * found.largest ? " (interpolation error negligible; the mesh's error is not included)" : ` ± ${stress(found.error)} (interpolation; the mesh's error is not included)`} at ${at(found.at)}` : "not known between the rows here"],
-    ["Yields", found && found.yields !== null ? (found.yields ? "yes" : `no (yield strength ${stress(found.yield_strength)})`) : ""],
+    ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : found.error < 1e-3 * found.largest ? " (interpolation error negligible; the mesh's error is not included)" : ` ± ${stress(found.error, 2)} (interpolation; the mesh's error is not included)`} at ${at(found.at)}` : "not known between the rows here"],
+    ["Yields", found && found.yields !== null ? (found.yields ? "yes" : `no (yield strength ${stress(found.yield_strength)}; the mesh's error is not included)`) : ""],
     ["Points", "In the axes of the mesh, undeformed; the mark in the drawing is at the largest displacement."],
     ["Surface", `${shape.vertices.length} points, ${shape.triangles.length} triangles${shape.simplified ? `, simplified from ${shape.simplified.from} points` : ""}`],
   ]);

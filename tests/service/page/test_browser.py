@@ -359,6 +359,23 @@ def test_the_deformed_plate_shows_the_parts_of_its_error_bar(browser, plate):
     )
 
 
+def test_the_stress_of_a_shape_has_a_bar_of_two_digits_and_names_the_missing_error(browser, plate):
+    browser.visit(f"{PLATE}/query")
+    browser.one("form button")
+    browser.run(
+        "const own = window.fetch; window.fetch = async (to, how) => { const reply = await own(to,"
+        " how);"
+        " if (!String(to).includes('/deformed')) return reply; const body = await reply.json();"
+        " Object.assign(body.stress, {largest: 123456789, error: 12345678, yields: false,"
+        " yield_strength: 240e6}); return new Response(JSON.stringify(body)); }"
+    )
+    browser.go(f"{PLATE}/shape")
+    browser.one("dl.facts")
+    shown = browser.one("dl.facts").text
+    assert "123.5 MPa ± 12 MPa (interpolation" in shown
+    assert "no (yield strength 240 MPa; the mesh's error is not included)" in shown
+
+
 def test_a_shape_beyond_the_tolerance_by_its_mesh_names_the_cause(browser, client, tmp_path):
     client.add_component(bundle(tmp_path, "strict", translation=1e-15))
     client.solve("strict", [0, 0, -60.0], [0, 0, 0], wait_s=120)
@@ -438,6 +455,16 @@ def test_the_calls_are_documented_without_another_host(browser):
     browser.named(".opblock-summary", "/v1/components/{name}/displacement")
     assert browser.hosts() == {browser.server.removeprefix("http://")}
     assert browser.mistakes() == []
+
+
+def test_methods_version_and_links_of_the_calls_stand_out_in_lines_of_80_characters(browser):
+    browser.visit("docs")
+    browser.named(".opblock-summary", "/v1/components/{name}/displacement")
+    results = browser.run((Path(__file__).parent / "contrast.js").read_text())
+    assert {"GET", "POST", "PUT", "DELETE", "OAS"} <= {result["text"] for result in results}
+    assert [result for result in results if result["ratio"] < 4.5] == []  # WCAG 2.2, level AA
+    widths = "return [...document.querySelectorAll('#calls p')].map((p) => p.clientWidth)"
+    assert max(browser.run(widths)) < 800  # 80 characters, px
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -106,7 +106,7 @@ def test_the_old_report_stays_while_a_new_one_is_made_which_can_be_cancelled(bro
 
 def test_cards_show_the_part_and_an_error_bar_with_its_discretisation_error(browser, plate):
     browser.visit("#/")
-    card = browser.named("a.card", "plate_thin")
+    card = browser.named(".card.library", "plate_thin")
     browser.until(lambda: card.find_elements("css selector", "canvas.part:not([hidden])"))
     seen = (
         "return arguments[0].querySelector('canvas').getContext('2d').getImageData(160, 75, 1, 1)"
@@ -118,7 +118,7 @@ def test_cards_show_the_part_and_an_error_bar_with_its_discretisation_error(brow
 def card_of(browser, name):
     """The card of a component whose picture is drawn, and the label of the picture."""
     browser.visit("#/")
-    card = browser.named("a.card", name)
+    card = browser.named(".card.library", name)
     browser.until(lambda: card.find_elements("css selector", "canvas.part:not([hidden])"))
     return card, card.find_element("css selector", "canvas").get_attribute("aria-label")
 
@@ -169,7 +169,7 @@ def test_a_new_visitor_is_led_through_three_steps_by_keyboard_once(browser, plat
     browser.press(Keys.ESCAPE)
     browser.until(lambda: not browser.all("dialog.tour, .pointed"), "the end of the tour")
     browser.visit("#/")
-    browser.one("a.card")
+    browser.one(".card.library")
     assert not browser.all("dialog.tour")
 
 
@@ -248,7 +248,7 @@ def test_jobs_that_run_are_above_waiting_ones_in_the_order_of_their_start(browse
         "jobs?": {"jobs": [*waiting, running, done], "next": None},
     }
     browser.visit("#/")
-    browser.named("a.card", "plate_thin")
+    browser.named(".card.library", "plate_thin")
     browser.run(
         "const lists = JSON.parse(arguments[0].replaceAll('SOON', new Date().toISOString()));"
         "const own = window.fetch; window.fetch = (to, how) => {"
@@ -402,12 +402,19 @@ def test_the_page_of_a_job_shows_its_displacement_and_leads_to_its_query(browser
 
 def test_a_view_without_a_connection_says_so_and_offers_a_retry(browser, client):
     browser.visit("#/")
-    browser.one("a.card")
+    browser.one(".card.library")
     browser.run("window.fetch = () => Promise.reject(new TypeError('Failed to fetch'))")
     browser.go("#/jobs")
     browser.named(".note.outside", "No connection")
     browser.one(".note button")
     assert browser.one("#state").text == "no answer"
+
+
+@pytest.mark.parametrize("number", ["999999", "none"])
+def test_an_unknown_job_leads_to_the_jobs(browser, client, number):
+    browser.visit(f"#/jobs/{number}")
+    browser.click("main a[href='#/jobs']", "Go to the jobs")
+    browser.named("h1", "Jobs")
 
 
 def test_a_direct_link_to_an_absent_view_is_explained(browser, client):
@@ -602,6 +609,89 @@ def test_measured_rows_are_drawn_beside_the_solves_and_beside_another_import(bro
     )
     browser.named("p", f"rows of import {number - 1}")
     browser.named("td", "1.1")
+    browser.resize(390, 900)
+    assert not overflow(browser)
+
+
+def overflow(browser):
+    """The width, px, of a table that a telephone does not show."""
+    wide = browser.one("table.folds.named").find_element("xpath", "..")
+    return browser.run("return arguments[0].scrollWidth - arguments[0].clientWidth", wide)
+
+
+def test_imports_are_cards_with_their_headings_on_a_telephone(browser, client):
+    measured(client, "folded", 100, 200)
+    browser.resize(390, 900)
+    browser.visit("#/c/folded/table")
+    browser.one("table.imports a")
+    assert not overflow(browser)
+    heading = "return getComputedStyle(arguments[0], '::before').content"
+    cell = browser.named("table.imports td", "2")
+    assert browser.run(heading, cell) == '"Rows"'
+
+
+LOW_LINKS = """return [...document.querySelectorAll('main :is(.crumb, td) a')]
+  .filter((one) => one.getBoundingClientRect().height < 24).map((one) => one.textContent)"""
+
+
+def test_links_of_lists_and_of_the_way_back_are_24_px_high_on_a_telephone(browser, plate):
+    browser.resize(390, 900)
+    for address in ("#/jobs", "#/audit", PLATE):
+        browser.visit(address)
+        browser.one("main td a" if address != PLATE else "main .crumb a")
+        assert browser.run(LOW_LINKS) == []
+
+
+def test_an_empty_table_in_the_library_links_to_its_query_and_its_fill(browser, client):
+    browser.visit("#/")
+    card = browser.named(".card.library", "hot_bracket")
+    browser.until(lambda: "empty table" in card.text)
+    links = {a.text: a.get_attribute("hash") for a in card.find_elements("tag name", "a")}
+    assert links["ask a query"] == "#/c/hot_bracket/query"
+    assert links["fill it"] == "#/c/hot_bracket/overview"
+    browser.click(".card.library a", "ask a query")
+    browser.named("h1", "hot_bracket")
+    browser.one("input[name='fx']")
+
+
+def test_a_gap_of_the_coverage_leads_to_its_query(browser, plate):
+    gaps = plate.call_json("GET", "/v1/components/plate_thin/coverage")["gaps"]
+    (gap,) = (one for one in gaps if one["axis"] == "z")
+    browser.resize(390, 900)
+    browser.visit(f"{PLATE}/coverage")
+    browser.one("section td a")
+    assert not overflow(browser)
+    browser.click("section td a", "Query")
+    typed = browser.one("input[name=fz]").get_attribute("value")
+    assert float(typed) == gap["worst"][0]["loads"]["fz"]
+
+
+def test_the_key_of_the_coverage_names_what_is_drawn_alone(browser, plate):
+    drawing = plate.call_json("GET", "/v1/components/plate_thin/drawing?axis=z")
+    drawing["grid"]["coverage"] = [0] * len(drawing["grid"]["coverage"])
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/drawing", drawing], ["/demand", {"latest": []}]]))
+    browser.go(f"{PLATE}/coverage")
+    key = browser.one(".key-of-marks").text
+    assert "row with" in key
+    assert not re.search("thin|outside|queries", key)
+
+
+def test_the_coverage_is_drawn_again_where_rows_arrived_between_its_two_calls(browser, plate):
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(
+        "const own = window.fetch; window.drawn = 0; window.fetch = async (to, how) => {"
+        " const reply = await own(to, how); if (!String(to).includes('/drawing')) return reply;"
+        " const body = await reply.json(); window.drawn += 1;"
+        " if (window.drawn === 1) body.table_version -= 1;"
+        " return new Response(JSON.stringify(body)); }"
+    )
+    browser.go(f"{PLATE}/coverage")
+    browser.named("h2", "Coverage of this axis")
+    assert browser.run("return window.drawn") == 2
+    assert "Rows arrive" not in browser.one("main").text
 
 
 def test_an_import_is_withdrawn_and_restored_after_a_confirmation(browser, client):
@@ -667,6 +757,20 @@ def test_the_audit_leads_to_the_row_that_was_withdrawn(browser, client):
     browser.until(lambda: numbers(browser) == [row])
 
 
+def test_settings_in_the_audit_have_units(browser, client):
+    settings = {"table_memory": 700, "backup_every": 0.0, "keep_days": 30.0}
+    entry = {"id": 1, "time": "2026-01-01T00:00:00Z", "actor": "(server)", "action": "settings"}
+    entry |= {"component": "", "object": "serve", "before": None, "after": settings}
+    changed = entry | {"id": 2, "before": settings, "after": settings | {"table_memory": 900}}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["v1/audit", {"entries": [changed, entry], "next": None}]]))
+    browser.go("#/audit")
+    assert browser.one("#entry-2 td:last-child").text == "table memory 700 MB → 900 MB"
+    first = browser.one("#entry-1 td:last-child").text
+    assert first == "table memory 700 MB, backup every 0 h, keep days 30"
+
+
 def test_missing_loads_are_counted_as_zero_by_a_button(browser, rig):
     browser.visit("#/c/unmeasured/table")
     browser.drop(".drop", "pull.csv", "fz [N],uz [mm]\n100,0.1\n")
@@ -724,6 +828,29 @@ def test_a_compliance_has_one_power_of_ten_and_no_entry_is_cut_on_a_telephone(br
     wide = browser.one(".wide")
     assert browser.run("return arguments[0].scrollWidth - arguments[0].clientWidth", wide) <= 0
     assert "·10" not in wide.text
+
+
+def test_entries_and_eigenvalues_that_the_rows_do_not_determine_are_question_marks(browser, plate):
+    reply = plate.call_json("GET", "/v1/components/plate_thin/compliance")
+    reply["matrix"] = np.eye(6).tolist()
+    reply["matrix"][0][0] = -1.0
+    reply["matrix"][1][5], reply["matrix"][5][1] = 0.85, 1.0
+    reply["matrix"][2][4], reply["matrix"][4][2] = 0.95, 1.0
+    reply["checks"]["positive"] |= {"ok": True, "smallest_over_largest_eigenvalue": -0.01}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/compliance", reply]]))
+    browser.go(f"{PLATE}/checks")
+    mean = browser.named("section", "Mean compliance")
+    cells = mean.find_elements("css selector", "td")
+    unknown = {
+        divmod(k, 6): cell.get_attribute("title")
+        for k, cell in enumerate(cells)
+        if cell.text == "?"
+    }
+    assert set(unknown) == {(0, 0), (1, 5), (5, 1)}
+    assert all("the rows do not determine it yet" in title for title in unknown.values())
+    assert browser.named("tr", "positive work").text.startswith("unknown")
 
 
 def test_a_wrench_beyond_the_load_range_says_so_first_and_can_be_solved(browser, client):
@@ -810,7 +937,7 @@ def test_a_component_toml_alone_is_dropped_and_added(browser, client):
 
 def test_a_refused_key_leaves_the_one_that_worked(browser, client):
     browser.visit("#/")
-    browser.one("a.card")
+    browser.one(".card.library")
     before = browser.run("return sessionStorage.getItem('wrenchbook-key')")
     browser.run(
         "const own = window.fetch; window.fetch = (to, how) => how.headers.Authorization === "
