@@ -110,6 +110,12 @@ def test_hyperparameters_are_their_logarithms() -> None:
     np.testing.assert_allclose(Hyperparameters.of_logarithms(PLACE).logarithms, PLACE, atol=1e-15)
 
 
+def test_equations_and_scalings_are_equal_to_themselves_only():
+    rows = TABLES["solved"]
+    assert _equations(rows) != _equations(rows)
+    assert scaling_of(rows, RANGE) != scaling_of(rows, RANGE)
+
+
 def test_a_minimum_on_a_bound_of_many_decimals_is_within_it():
     def slope(place: np.ndarray, upwards: float, _: KrigingSettings) -> tuple[float, np.ndarray]:
         return upwards * float(place[0]), np.array([upwards])
