@@ -66,8 +66,9 @@ def craig_bampton(
     inertia = Inertia(system, mass, np.zeros((count, count)))
     (_, origin, _), *moving = frames
     freedoms = inertia.active.size
-    if freedoms != PER_INTERFACE * len(moving):
-        locked = f"{PER_INTERFACE * len(moving) - freedoms} freedoms are locked"
+    needed = PER_INTERFACE * max(len(moving), 1)  # a single interface that is locked is the base
+    if freedoms != needed:
+        locked = f"{needed - freedoms} freedoms are locked"
         raise ValueError(f"{locked}, but a condensed mass needs all six; leave locked out")
     if not mass.nnz:
         raise ValueError("no material has a density; write density, in kg/m^3, in [[material]]")

@@ -180,6 +180,12 @@ def _lowest_mode_of_massless(inertia: Inertia) -> Array:
 
     With the compliance C = L L^T of the interface, 1 / omega^2 is an eigenvalue of L^T M L.
     """
+    carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
+    if not carried.diagonal().max(initial=0.0) > 0:
+        raise ValueError(
+            "nothing that can move has a mass; give materials a density in kg/m^3, or the "
+            "interface a mass along a freedom that is not locked"
+        )
     active = inertia.active.size
     rows = slice(inertia.first, inertia.first + active)
     units = np.zeros((active, inertia.size))
@@ -194,13 +200,7 @@ def _lowest_mode_of_massless(inertia: Inertia) -> Array:
             f"The compliance of the {active} free freedoms of the interface is not positive "
             f"definite: its diagonal is {compliance.diagonal()} (m/N, then rad/(N·m)).",
         ) from error
-    carried = inertia.interface_mass[np.ix_(inertia.active, inertia.active)]
-    values, vectors = np.linalg.eigh(lower.T @ carried @ lower)
-    if not values[-1] > 0:
-        raise ValueError(
-            "nothing that can move has a mass; give materials a density in kg/m^3, or the "
-            "interface a mass along a freedom that is not locked"
-        )
+    _, vectors = np.linalg.eigh(lower.T @ carried @ lower)
     return np.linalg.solve(compliance, lower @ vectors[:, -1]) @ moved.T
 
 
@@ -211,9 +211,11 @@ def condensed_mass(inertia: Inertia) -> Array:
     """
     active = inertia.active
     count = len(inertia.interface_mass)
+    matrix = np.zeros((count, count))
+    if not active.size:
+        return matrix
     shapes, _ = static_shapes(inertia)
     energies = shapes.T @ np.stack([inertia.times(shape) for shape in shapes.T], axis=1)
-    matrix = np.zeros((count, count))
     matrix[np.ix_(active, active)] = 0.5 * (energies + energies.T)
     return matrix
 

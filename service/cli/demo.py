@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli import progress
@@ -50,10 +51,10 @@ def run(out: Console, keep: Path | None = None) -> dict[str, Any]:
         steps = (_ask_an_empty_table, _solve_it, _fill, _refine, _compare)
         for number, step in enumerate(steps, start=1):
             heading = (step.__doc__ or "").rstrip(".")
-            out.rule(f"[bold]{number}. {heading}", align="left")
+            out.rule(Text(f"{number}. {heading}", style="bold"), align="left")
             complaint = step(out, client)
             if complaint:
-                out.print(f"[red]The demonstration failed:[/red] {complaint}")
+                out.print(Text("The demonstration failed:", style="red"), complaint)
                 break
         answer = client.displacement(COMPONENT, *WRENCH)
         component = client.component(COMPONENT)

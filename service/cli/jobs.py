@@ -9,7 +9,6 @@ from urllib.parse import urlencode
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Column, Table
 
 from wrenchbook.service.cli.connect import DEFAULT_SERVER, AsJson, Data, Server, connected
@@ -71,7 +70,7 @@ def audit(
     names = ("id", "time", "actor", "action", "component", "object")
     table = Table(*(Column(name, no_wrap=name in ("id", "time")) for name in names))
     for entry in entries:
-        table.add_row(*(escape(str(entry[name] or "")) for name in names))
+        table.add_row(*(str(entry[name] or "") for name in names))
     show(entries, as_json, lambda: [table])
 
 

@@ -68,8 +68,9 @@ def cancelled_on_interrupt(client: Client, jobs: Sequence[Job]) -> Iterator[None
 
 def _bar(out: Console, *columns: ProgressColumn) -> Progress:
     """Return a progress bar with its description before it, and `columns` and its note after it."""
-    front = TextColumn("{task.description}"), BarColumn()
-    return Progress(*front, *columns, TextColumn("{task.fields[note]}"), console=out)
+    front = TextColumn("{task.description}", markup=False), BarColumn()
+    note = TextColumn("{task.fields[note]}", markup=False)
+    return Progress(*front, *columns, note, console=out)
 
 
 def follow(
@@ -87,7 +88,7 @@ def follow(
     """
     deadline = time.monotonic() + seconds
     done: dict[int, Job] = {}
-    columns = TextColumn("{task.completed:.0f}/{task.total}"), TimeElapsedColumn()
+    columns = TextColumn("{task.completed:.0f}/{task.total}", markup=False), TimeElapsedColumn()
     with cancelled_on_interrupt(client, jobs), _bar(out, *columns) as progress:
         task = progress.add_task("solving", total=len(jobs), note="")
         while len(done) < len(jobs):

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console, Group, RenderableType
-from rich.markup import escape
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -33,6 +32,9 @@ UNITS = {name: "m" if name[0] == "u" else "rad" for name in OUTPUTS}
 
 class Screen(Console):
     """A console that prints texts literally, without markup."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(markup=False, emoji=False, **options)
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Render a text, with a symbol in place of each control character."""
@@ -227,7 +229,7 @@ def component_table(components: Sequence[dict[str, Any]]) -> Table:
             rows += f" (and {others} of another setup)"
         if pending := component["pending_rows"]:
             rows += f" ({pending} more are being built)"
-        table.add_row(component["name"], escape(component["title"]), rows, kind, force, moment)
+        table.add_row(component["name"], component["title"], rows, kind, force, moment)
     return table
 
 
@@ -244,8 +246,8 @@ def job_table(jobs: Sequence[Job]) -> Table:
         inputs = [_after_name(name, wrench_of(wrench)) for name, wrench in loads.items()]
         inputs += [_after_name(name, [value]) for name, value in job.raw.get("inputs", {}).items()]
         attempt = str(job.raw["attempt"])
-        state = escape(job_state(job))
-        actor = escape(job.raw.get("actor") or "")
+        state = job_state(job)
+        actor = job.raw.get("actor") or ""
         wrench = ", ".join(inputs)
         table.add_row(str(job.id), job.component, actor, job.status, attempt, wrench, state)
     return table
@@ -288,7 +290,7 @@ def plan_lines(plans: Mapping[str, ComponentPlan]) -> Iterator[Table | str]:
             saved = [f"{size:.2g} {unit}" for size, unit in pairs if size > 0] or ["nothing"]
         solves = f"{plan.solves['scene']} of {plan.solves['whole']}"
         cells = (axes or ["none"]), bounds, [solves], saved
-        table.add_row(escape(name), plan.decision, *map("\n".join, cells))
+        table.add_row(name, plan.decision, *map("\n".join, cells))
     yield table
     for name, plan in plans.items():
         yield f"{name}: {plan.reason}."

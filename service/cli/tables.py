@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
 import typer
-from rich.markup import escape
 from rich.table import Table
 
 from wrenchbook.service.cli.connect import (
@@ -410,7 +409,7 @@ def rig(
 
     table = Table("name", "origin", "title")
     for profile in body["rigs"]:
-        table.add_row(profile["name"], profile["origin"], escape(profile["title"]))
+        table.add_row(profile["name"], profile["origin"], profile["title"])
     show(body, as_json, lambda: [table])
 
 

@@ -267,7 +267,7 @@ class ReadReport:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ParsedTable(Rows):
     """Rows of a table file; `seq` are positions in the file, see `FileMistake.row`."""
 

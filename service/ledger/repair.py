@@ -328,8 +328,9 @@ def rewrite(db: Connection, component: str, seq: int, copy: Rows) -> bool:
     rows.write_anew(db, record)
     # Readers have passed this number; a withdrawal and its restoring make them read it again.
     withdrawn = rows.is_withdrawn(db, seq)
+    single = withdrawn and seq not in rows.withdrawn(db, component, with_single=False)
     rows.edit(db, component, [seq], withdrawn=not withdrawn, now=now)
-    rows.edit(db, component, [seq], withdrawn=withdrawn, now=now)
+    rows.edit(db, component, [seq], withdrawn=withdrawn, now=now, single=single)
     audit.note(db, "row.rewrite", seq, component)
     return True
 

@@ -21,7 +21,14 @@ from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.build import build_table, packed_bytes
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Mapped, Status
 from wrenchbook.service.tables.rows import unsolved
-from wrenchbook.service.tables.store import PackedFile, TableStore, drop_least_used, is_of, setup_of
+from wrenchbook.service.tables.store import (
+    PackedFile,
+    TableStore,
+    drop_least_used,
+    is_of,
+    origin_of,
+    setup_of,
+)
 from wrenchbook.surrogate.answer import BY_AXES, allowed_by
 from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
@@ -404,7 +411,7 @@ class MappedTables:
 
 def _mark(table: ServedTable) -> list[int | str]:
     """Return a table's version, and the setup from which its file was built."""
-    return [table.version, table.packed.meta["provenance"]["origin"].get("setup", "")]
+    return [table.version, origin_of(table.packed).get("setup", "")]
 
 
 def row_table(

@@ -96,7 +96,7 @@ class TableStore:
         except (PackedTableError, OSError):
             return False
         # A file that was built while the ledger could not be read may be of any rows.
-        sure = "ledger" in origin and "ledger" in _origin_of(packed)
+        sure = "ledger" in origin and "ledger" in origin_of(packed)
         return sure and is_of(packed, component.name, origin)
 
     def write_packed(self, name: str, version: int, content: bytes) -> None:
@@ -298,12 +298,12 @@ class TableStore:
 
 def is_of(packed: PackedTable, name: str, origin: dict[str, str]) -> bool:
     """Return whether a packed table belongs to a component and an origin."""
-    built = _origin_of(packed) or {"setup": None}
+    built = origin_of(packed) or {"setup": None}
     component = packed.meta.get("provenance", {}).get("component")
     return component == name and built.items() <= origin.items()
 
 
-def _origin_of(packed: PackedTable) -> dict[str, str]:
+def origin_of(packed: PackedTable) -> dict[str, str]:
     """Return the origin in a packed table; {} of a file without one."""
     return packed.meta.get("provenance", {}).get("origin") or {}
 

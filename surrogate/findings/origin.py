@@ -44,10 +44,14 @@ class Slopes(NamedTuple):
     """Slopes and jumps of rows at zero load."""
 
     matrix: Floats  # (6, 6), SI: compliance; row output, column load; 0 where unknown
-    # (6, 6, 6), SI: covariance of each output's row of `matrix`; 0 where that is 0, or exact
+    # (6, 6, 6), SI: covariance of each output's row of `matrix`. For a load that the rows do not
+    # vary it has the prior's width, so that no check takes the 0 in `matrix` for a known slope; 0
+    # for an output that was not measured.
     covariance: Floats
     jump: Floats  # (6,), m and rad: jump of each output where its own load changes its sign
-    jump_deviation: Floats  # (6,), m and rad: standard deviation of `jump`
+    # (6,), m and rad: standard deviation of `jump`; the prior's where a load keeps its sign, and 0
+    # for an output that was not measured
+    jump_deviation: Floats
 
 
 def slopes_at_zero(rows: Rows, load_range: LoadRange, response: RobustFit) -> Slopes:

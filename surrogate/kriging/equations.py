@@ -24,7 +24,7 @@ class TooFewRowsError(RowError):
     """A table with too few rows in its load range for a kriging."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scaling:
     """Conversion between SI and the dimensionless numbers of a kriging."""
 
@@ -48,7 +48,7 @@ class Scaling:
         return self.centre + points * self.half
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Equations:
     """Values and derivatives of a table's rows, scaled, row by row: all are dimensionless."""
 

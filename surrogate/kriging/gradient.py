@@ -38,7 +38,8 @@ def minimised(
     run = minimize(function, start, (*arguments, settings), options=options, **search)
     # Rounded, so that the rounding of another unit does not change the result; the likelihood is
     # flat.
-    return np.round(run.x, settings.decimals), run.fun
+    rounded = np.round(run.x, settings.decimals)
+    return np.clip(rounded, *np.transpose(bounds)), run.fun  # a bound may have more decimals
 
 
 def contracted(

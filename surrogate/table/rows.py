@@ -49,7 +49,7 @@ class RowError(ValueError):
     """A row, a load range or a tolerance that cannot be used; the message has place and cause."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LoadRange:
     """The expected loads of a component.
 
@@ -157,7 +157,7 @@ class Tolerance:
                 raise RowError(f"tolerance: {name} must be above 0 {unit}, not {limit:g}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Rows:
     """The rows of a table as columns.
 
@@ -331,8 +331,20 @@ def is_unknown(column: NDArray[Any]) -> bool:
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
-    """Return the rows of several tables, at least one, in this order."""
+    """Return the rows of several tables in this order.
+
+    Raises RowError if there is no table, or if tables with rows differ in inputs or outputs.
+    """
+    if not parts:
+        raise RowError("joined rows need at least one table; give an empty one for no rows")
     filled = [part for part in parts if len(part)]
+    names = [(part.space.input_names, part.space.output_names) for part in filled]
+    for other in names[1:]:
+        if other != names[0]:
+            raise RowError(
+                f"rows of inputs and outputs {other} cannot be joined with rows of {names[0]}; "
+                "join only tables of the same inputs and outputs"
+            )
     if len(filled) < 2:
         return filled[0] if filled else parts[0]
     merged: dict[str, NDArray[Any]] = {}

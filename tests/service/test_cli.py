@@ -9,9 +9,11 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 import typer
@@ -24,12 +26,14 @@ from tests.service.live import served
 from tests.service.stub_server import Answer, Stub
 from tests.service.test_client_calls import COVERED, QUEUED
 from wrenchbook.fea.bundle.shipped import SHIPPED
+from wrenchbook.service.cli import demo
 from wrenchbook.service.cli.jobs import event_line
 from wrenchbook.service.cli.main import main
-from wrenchbook.service.cli.progress import Pace, cancelled_on_interrupt
+from wrenchbook.service.cli.progress import Pace, _bar, cancelled_on_interrupt
 from wrenchbook.service.cli.render import Screen, answer_shown, matrix_table
 from wrenchbook.service.client import Client, Displacement, Event, Job, ServerUnreachable
 from wrenchbook.service.contract import LOADS, OUTPUTS
+from wrenchbook.service.workers import private
 from wrenchbook.service.workers.supervisor import in_use
 
 Run = Callable[..., tuple[int, str, str]]
@@ -269,6 +273,34 @@ def test_a_text_of_others_steers_no_terminal(text):
     reported = screen.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
     assert text not in reported
     assert reported.count("\N{REPLACEMENT CHARACTER}") >= 2
+
+
+MARKED = "[bold]plate[/] :smile:"
+
+
+def test_markup_in_a_text_is_printed_literally():
+    screen = Screen(file=io.StringIO(), width=60)
+    table = Table(MARKED, title=MARKED)
+    table.add_row(MARKED)
+    screen.print(MARKED, table)
+    assert screen.file.getvalue().count(MARKED) == 4  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_markup_in_the_note_of_a_bar_is_printed_literally():
+    screen = Screen(file=io.StringIO(), width=120)
+    with _bar(screen) as progress:
+        progress.add_task("solving", note=MARKED)
+    assert MARKED in screen.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_a_demonstration_has_styles_and_no_markup(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(private, "private_server", lambda *_: nullcontext(MagicMock()))
+    monkeypatch.setattr(demo, "_ask_an_empty_table", lambda *_: MARKED)
+    screen = Screen(file=io.StringIO(), width=120)
+    demo.run(screen)
+    reported = screen.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
+    assert reported.replace(MARKED, "").count("[") == 0
+    assert f"The demonstration failed: {MARKED}" in reported
 
 
 def test_the_reason_of_an_answer_steers_no_terminal():

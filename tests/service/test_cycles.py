@@ -219,6 +219,11 @@ def test_cycles_that_do_not_allow_an_option_are_refused(change, options, words):
     assert (len(rows), report.mistakes.of_file, words in mistake.message) == (0, True, True)
 
 
+def test_parsed_tables_are_equal_to_themselves_only():
+    first, second = (ParsedTable(**vars(Loop(5).rows), note=[]) for _ in range(2))
+    assert first != second
+
+
 def test_a_file_of_more_rows_than_cycles_take_is_refused():
     report = ReadReport(read=MAX_CYCLE_ROWS + 1)
     piece = ParsedTable(**vars(Loop(5).rows), note=[])

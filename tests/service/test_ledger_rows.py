@@ -163,6 +163,17 @@ def test_a_flipped_bit_in_a_record_of_several_rows_takes_its_own_row_alone(ledge
     assert insert(ledger, "plate", "f1", full) == (0, 10)
 
 
+def test_a_repaired_row_that_was_withdrawn_alone_stays_so_when_its_import_is_restored(ledger):
+    new = noted(ROWS[:3], "f1")
+    number = ledger.import_rows("rig", [new], ImportOrigin())[2]
+    ledger.withdraw("rig", 2)
+    damage(ledger, "displacement", 2)
+    assert ledger.rewrite("rig", 2, new.rows.take([1]))
+    ledger.edit_import("rig", number, withdrawn=True)
+    ledger.edit_import("rig", number, withdrawn=False)
+    assert [row.seq for row in stored(ledger, "rig")] == [1, 3]
+
+
 def test_a_damaged_row_of_a_job_is_solved_again_when_it_is_asked_for(ledger):
     wrench, displacement = ROWS[1].wrench, ROWS[1].displacement
     job, _ = ledger.accept("plate", "f1", wrench)

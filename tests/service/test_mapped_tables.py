@@ -70,6 +70,12 @@ def both(tmp_path):
         yield builder, reader
 
 
+def test_a_file_without_an_origin_is_published_as_of_no_setup(both):
+    table = both[1].tables.surrogate("new")
+    del table.packed.meta["provenance"]["origin"]
+    assert mapped._mark(table) == [table.version, ""]
+
+
 def test_a_version_replaces_the_one_before_and_its_file(both, tmp_path):
     _, reader = both
     insert(reader.ledger, "new", "", new_rows(2, 4))

@@ -13,7 +13,15 @@ from wrenchbook.surrogate.table import rows as limits
 from wrenchbook.surrogate.table.axes import AXES, axis_rows, single_axis_rows
 from wrenchbook.surrogate.table.compliance import fit_compliance
 from wrenchbook.surrogate.table.merging import NEAR, close_groups, merge
-from wrenchbook.surrogate.table.rows import LoadRange, RowError, Rows, Tolerance, unknown_column
+from wrenchbook.surrogate.table.rows import (
+    LoadRange,
+    RowError,
+    Rows,
+    Tolerance,
+    joined,
+    unknown_column,
+)
+from wrenchbook.surrogate.table.space import Input, space_of
 
 HEADER = Path(limits.__file__).resolve().parents[1] / "kernel" / "wb_internal.h"
 
@@ -81,6 +89,24 @@ def test_rows_joined_with_others_keep_their_third_derivatives() -> None:
     both = bare + known
     assert np.isnan(both.curvature[0]).all()
     assert both.curvature[1:].tobytes() == known.curvature.tobytes()
+
+
+def test_joined_rows_of_no_table_or_of_other_inputs_are_refused() -> None:
+    warm = space_of(scalars=(Input("temperature", "K", "scalar"),))
+    cold = Rows.of(np.eye(6)[:1], np.eye(6)[:1])
+    with pytest.raises(RowError, match="at least one table"):
+        joined([])
+    with pytest.raises(RowError, match=r"'temperature'.* cannot be joined"):
+        joined([cold, Rows.of(np.eye(7)[:1], np.eye(6)[:1], warm)])
+    assert joined([Rows.empty(warm), cold]) is cold
+
+
+def test_values_with_arrays_are_equal_to_themselves_only() -> None:
+    columns = np.eye(6)
+    first, second = (LoadRange(-np.ones(6), np.ones(6)) for _ in range(2))
+    assert first != second
+    assert len({first, second}) == 2
+    assert Rows.of(columns, columns) != Rows.of(columns, columns)
 
 
 def test_rows_without_third_derivatives_take_no_memory_for_them() -> None:

@@ -7,6 +7,8 @@ from scipy.spatial.transform import Rotation
 from tests.surrogate.findings.rigs import CAUSES, DIRECTED, Rig
 from wrenchbook.surrogate.findings.contract import named_unit
 from wrenchbook.surrogate.findings.find import find
+from wrenchbook.surrogate.findings.origin import slopes_at_zero
+from wrenchbook.surrogate.findings.response import response_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.space import LOADS
 
@@ -32,6 +34,22 @@ def test_the_cause_is_named_in_nine_of_ten_measurements(error):
 def test_fifty_clean_measurements_have_no_finding():
     result = {seed: causes_of(Rig(seed).measured(), Rig(seed)) for seed in CLEAN}
     assert {seed: causes for seed, causes in result.items() if causes} == {}
+
+
+@pytest.mark.parametrize("load", [1, 5])
+def test_a_load_that_is_not_varied_has_a_wide_slope_and_makes_no_asymmetry(load):
+    rig = Rig(4300)
+    wrench = rig.measured().wrench.copy()
+    wrench[:, load] = 0.0
+    moved = rig.respond(wrench)
+    moved += rig.rng.normal(size=moved.shape) * 0.003 * np.ptp(moved, axis=0)
+    rows = Rows.of(wrench, moved, source=["measured"] * len(wrench))
+    slopes = slopes_at_zero(rows, rig.range, response_of(rows, rig.range))
+    assert not slopes.matrix[:, load].any()
+    widths = np.sqrt(slopes.covariance[:, load, load]) * rig.range.scale[load]
+    assert (widths > np.ptp(moved, axis=0)).all()
+    assert slopes.jump_deviation[load] > np.ptp(moved[:, load])
+    assert find(rows, rig.range) == []
 
 
 def test_a_linear_response_measured_at_few_loads_has_no_clearance():

@@ -16,6 +16,7 @@ from wrenchbook.surrogate.kriging.equations import (
     scaling_of,
 )
 from wrenchbook.surrogate.kriging.factor import OutputGroup, output_groups
+from wrenchbook.surrogate.kriging.gradient import minimised
 from wrenchbook.surrogate.kriging.likelihood import maximise, negative_log_likelihood, spread_rows
 from wrenchbook.surrogate.kriging.settings import KrigingSettings
 from wrenchbook.surrogate.table.merging import merge
@@ -107,3 +108,19 @@ def test_no_more_equations_estimate_than_the_limit_allows() -> None:
 
 def test_hyperparameters_are_their_logarithms() -> None:
     np.testing.assert_allclose(Hyperparameters.of_logarithms(PLACE).logarithms, PLACE, atol=1e-15)
+
+
+def test_equations_and_scalings_are_equal_to_themselves_only():
+    rows = TABLES["solved"]
+    assert _equations(rows) != _equations(rows)
+    assert scaling_of(rows, RANGE) != scaling_of(rows, RANGE)
+
+
+def test_a_minimum_on_a_bound_of_many_decimals_is_within_it():
+    def slope(place: np.ndarray, upwards: float, _: KrigingSettings) -> tuple[float, np.ndarray]:
+        return upwards * float(place[0]), np.array([upwards])
+
+    low, high = -1.23456, 1.23456  # three decimals of each are beyond it
+    for upwards, end in ((1.0, low), (-1.0, high)):
+        place, _ = minimised(slope, np.zeros(1), [(low, high)], KrigingSettings(), upwards)
+        assert place.tolist() == [end]
