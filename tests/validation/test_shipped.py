@@ -39,7 +39,7 @@ def test_every_shipped_compliance_is_symmetric_positive_and_energetic(name):
     built = Solver(read_bundle(SHIPPED / name))
     assert built.linear.asymmetry < 1e-9
     assert built.linear.energy_gap < 1e-9
-    active = built._active
+    active = built.component.active
     compliance = built.compliance[np.ix_(active, active)]
     scale = 1 / np.sqrt(np.diagonal(compliance))
     assert np.linalg.eigvalsh(compliance * np.outer(scale, scale)).min() > 0

@@ -644,13 +644,13 @@ def test_links_of_lists_and_of_the_way_back_are_24_px_high_on_a_telephone(browse
 
 def test_an_empty_table_in_the_library_links_to_its_query_and_its_fill(browser, client):
     browser.visit("#/")
-    card = browser.named(".card.library", "hot_bracket")
+    card = browser.named(".card.library", "plate_ccx")
     browser.until(lambda: "empty table" in card.text)
     links = {a.text: a.get_attribute("hash") for a in card.find_elements("tag name", "a")}
-    assert links["ask a query"] == "#/c/hot_bracket/query"
-    assert links["fill it"] == "#/c/hot_bracket/overview"
+    assert links["ask a query"] == "#/c/plate_ccx/query"
+    assert links["fill it"] == "#/c/plate_ccx/overview"
     browser.click(".card.library a", "ask a query")
-    browser.named("h1", "hot_bracket")
+    browser.named("h1", "plate_ccx")
     browser.one("input[name='fx']")
 
 
