@@ -30,7 +30,7 @@ from .calibration import LEVEL
 from .findings.comparison import MAX_COMPARED_ROWS, beyond_noise
 from .findings.find import without_effects
 from .kriging import Kriging, SingularCovarianceError, TooFewRowsError
-from .kriging.effects import sessions_of
+from .kriging.readings import sessions_of
 from .kriging.serial import dependence_of
 from .methods import MethodChoice, choose
 from .solver_error import SolverError, bars_are_complete

@@ -11,7 +11,7 @@ from scipy.signal import find_peaks
 from scipy.special import stdtrit
 
 from ..calibration import LEVEL
-from ..kriging.effects import sessions_of
+from ..kriging.readings import sessions_of
 from ..table.rows import Floats, LoadRange, Rows
 
 TURN = 0.1  # part of the load's range: smaller reversals are noise, and no turning points

@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..kriging.effects import Effects, Indices, effects_of
+from ..kriging.effects import Effects, effects_of
+from ..kriging.readings import Indices
 from ..kriging.serial import dependence_of
 from ..table.rows import Floats, LoadRange, Rows
 from ..table.space import OUTPUTS

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..table.polynomial import terms_of
 from ..table.rows import Floats, LoadRange, Rows
-from .effects import PLACE, RANK, Indices, positions_of, sessions_of
+from .effects import RANK
+from .readings import PLACE, Indices, positions_of, sessions_of
 
 # Pairs of rows: fewer show no correlation below 0.6.
 MIN_PAIRS = 30

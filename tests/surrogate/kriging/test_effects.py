@@ -10,7 +10,8 @@ import pytest
 from tests.surrogate.findings.rigs import Rig
 from tests.surrogate.responses import HIGH, RANGE, kinked
 from wrenchbook.surrogate.findings.find import without_effects
-from wrenchbook.surrogate.kriging.effects import Effects, effects_of, sessions_of
+from wrenchbook.surrogate.kriging.effects import Effects, effects_of
+from wrenchbook.surrogate.kriging.readings import sessions_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.space import space_of
 
