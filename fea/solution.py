@@ -107,7 +107,7 @@ def _in_order(
     for name in wrench:
         if name not in every:
             known = ", ".join(filter(None, every)) or "six numbers in a list, without a name"
-            raise ValueError(f'"{name}" is no input here; give {known}{suggest(name, every)}')
+            raise ValueError(f'"{name}" is no input here; give {known}{suggest(str(name), every)}')
     values: list[object] = []
     for name in names:
         loads = np.ravel(np.asarray(wrench.get(name, np.zeros(PER_INTERFACE)), dtype=object))

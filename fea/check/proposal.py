@@ -86,11 +86,14 @@ class _Proposal:
             there = f"name one of {names}" if names else "it has no steps, so leave --case out"
             raise BundleError([BundleProblem("case", f'the deck has no case "{name}"; {there}')])
         case = self.deck.cases[-1]
-        alike: dict[str, list[str]] = {}
+        alike: dict[str, list[LoadCase]] = {}
         for other in self.deck.cases:
-            alike.setdefault(other.summary(), []).append(f'"{other.name}"')
+            alike.setdefault(other.conditions(), []).append(other)
         if len(alike) > 1:
-            parts = [f"{', '.join(names)} {summary}" for summary, names in alike.items()]
+            parts = [
+                f"{', '.join(_text(each.name) for each in cases)} {cases[0].summary()}"
+                for cases in alike.values()
+            ]
             if (more := len(parts) - _MAX_CASES) > 0:
                 parts[_MAX_CASES:] = [f"{more} more"]
             self.decide.append(
@@ -155,6 +158,11 @@ class _Proposal:
             lines += ["", "[[material]]", f"region = {_text(region)}"]
             for key, value in constants.items():
                 lines.append(f"{key} = {_numbers(value, in_si(key, self.unit))}")
+            if "thermal_expansion" in constants and self.unit in ("in", "ft"):
+                self.decide.append(
+                    f"thermal_expansion of {name or region} is taken per K; if the deck's is per "
+                    "degree Fahrenheit, multiply it by 1.8"
+                )
             lines += self.directions(section)
             lacking = [key for key in _ELASTIC if key not in constants]
             if lacking:

@@ -7,12 +7,12 @@ length unit and the usual force unit of that length unit.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from wrenchbook.fea.spec.mesh_source import UNITS
-from wrenchbook.fea.spec.schema import Tie
+from wrenchbook.fea.spec.schema import FREEDOMS, Tie
 
 Array = np.ndarray
 
@@ -121,11 +121,21 @@ class LoadCase:
     loads: dict[str, list[float]] = field(default_factory=dict)
     nonlinear: bool = False
 
+    def conditions(self) -> str:
+        """Supports, couplings, springs and loads with all digits, to tell cases apart."""
+        supports = sorted((held.group, held.directions, held.axes) for held in self.supports)
+        couplings = [replace(coupled, where="") for coupled in self.couplings]
+        springs = [
+            ([replace(end, where="") for end in spring.ends], spring.stiffness.tolist())
+            for spring in self.springs
+        ]
+        return repr((supports, couplings, springs, sorted(self.loads.items()), self.nonlinear))
+
     def summary(self) -> str:
-        """Supports and loads in the deck's units; cases with the same summary are the same."""
+        """Supports and loads in words, in the deck's units."""
         held = [f"{support.group} ({support.directions})" for support in self.supports]
         held += [
-            f"{coupled.group} ({len(coupled.held)} of 6)"
+            f"{coupled.group} ({', '.join(FREEDOMS[at] for at in sorted(coupled.held))})"
             for coupled in self.couplings
             if coupled.held
         ]

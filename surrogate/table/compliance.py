@@ -6,8 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
-from ..calibration import conformal_factor
+from ..calibration import LEVEL, conformal_factor
 from .rows import SMALLEST, Floats, LoadRange, Rows
 
 RANK = 1e-9  # relative singular value below which the rows do not determine a direction
@@ -47,7 +48,7 @@ class ComplianceFit:
 
 
 def fit_compliance(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
-    """Return the 6x6 compliance of the rows.
+    """Return the compliance of the rows, whose displacements are all known (no NaN).
 
     A linear component's stored compliances determine it. A nonlinear one has another
     tangent at each row, and common to its rows is the least-squares secant; tangents only fill
@@ -123,7 +124,13 @@ def _from_displacements(rows: Rows, load_range: LoadRange, *, linear: bool) -> C
     # With as many rows as unknowns there is no residual. An FEA solve is repeatable and then needs
     # no bar; for measured rows a tenth of the largest displacement is assumed.
     if linear and spare > 0:
-        error = 2 * np.sqrt((residual**2).sum(axis=0) / spare) + stored
+        # The interval of a further reading at full loads, the mean over their signs: the noise of
+        # the reading and of the columns (Student's t). A part that is not quite linear is in it.
+        full = np.maximum(np.abs(load_range.low - zero), np.abs(load_range.high - zero))
+        inverse = spanned / sizes[: len(spanned), None]
+        leverage = ((inverse * full / load_range.scale) ** 2).sum()
+        deviation = np.sqrt((residual**2).sum(axis=0) / spare * (1.0 + leverage))
+        error = stdtrit(spare, (1 + LEVEL) / 2) * deviation + stored
     elif linear and (rows.is_solved.all() or stored.any()):
         error = stored
     elif linear:

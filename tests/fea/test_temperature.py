@@ -281,6 +281,8 @@ def test_inputs_without_the_temperature_are_refused(tmp_path):
         match='"temprature" is no input here; give temperature; did you mean "temperature"',
     ):
         own.solve({"": LOADS, "temprature": 20.0})
+    with pytest.raises(ValueError, match='"7" is no input here'):
+        own.solve({"": LOADS, 7: 20.0})
 
 
 def test_a_measured_part_may_have_a_temperature_without_a_field(tmp_path):
@@ -390,6 +392,13 @@ def test_the_input_is_the_temperature_of_the_hottest_point(tmp_path):
     other.mkdir()
     write(other, points, 100.0 * points[:, 2] / SIZE[2])
     assert warmed(bar(tmp_path)) == pytest.approx(warmed(bar(other)), rel=1e-12, abs=1e-18)
+
+
+def test_a_field_with_a_mark_of_its_encoding_and_units_is_read_as_without(tmp_path):
+    nodes = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.25], [0.0, 0.0, 1.0]])
+    file = tmp_path / "hot.csv"
+    file.write_text("x [m],y (m),z,T\n0,0,0,20\n0,0,1,120\n", encoding="utf-8-sig")
+    np.testing.assert_allclose(shape_on(nodes, file, 20.0), [0.0, 0.25, 1.0], atol=1e-15)
 
 
 def test_a_field_that_is_the_same_everywhere_answers_as_none(tmp_path):

@@ -13,6 +13,7 @@ from tests.surrogate.responses import (
     table,
 )
 from wrenchbook.surrogate.answer import METHODS
+from wrenchbook.surrogate.table.compliance import fit_compliance
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 COMPLIANCE = np.diag([1e-8, 2e-8, 3e-8, 1e-7, 2e-7, 3e-7])
@@ -70,6 +71,19 @@ def test_the_bar_of_a_fitted_compliance_holds_its_residual() -> None:
     answer = surrogate.answer([10.0, 20, 30, 4, 5, 6])
     assert answer.method == "linear"
     assert 1.5e-6 < min(answer.error or ()) < 3e-6
+
+
+@pytest.mark.parametrize("count", [7, 8, 12, 36])
+def test_the_bar_of_a_fitted_compliance_holds_at_full_loads_with_few_readings(count) -> None:
+    rng = np.random.default_rng(20260)
+    held = []
+    for _ in range(200):
+        wrench = rng.uniform(-1.0, 1.0, (count, 6)) * HIGH
+        moved = wrench @ COMPLIANCE + 1e-6 * rng.normal(size=(count, 6))
+        fit = fit_compliance(Rows.of(wrench, moved, source=["rig"] * count), RANGE, linear=True)
+        full = rng.choice([-1.0, 1.0], (50, 6)) * HIGH
+        held.append(np.abs(full @ (fit.matrix.T - COMPLIANCE)) <= fit.error)
+    assert np.mean(held) >= 0.95
 
 
 def test_the_linear_method_can_be_asked_of_any_table_and_says_what_no_row_tells() -> None:

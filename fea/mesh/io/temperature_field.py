@@ -6,6 +6,7 @@ largest, is the shape of the field; the input is the temperature where the rise 
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,9 @@ from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 Array = np.ndarray
 
 _COLUMNS = 4  # x, y, z, m, and the temperature
+# A name of the head, and its unit in brackets, such as "x [m]".
+_NAME = re.compile(r"\s*\"?\s*(?P<name>\w*)[^[(]*(?:[\[(]\s*(?P<unit>[^])]*?)\s*[\])])?")
+_ENCODING = "utf-8-sig"  # spreadsheets write a mark of the encoding before the first name
 _SAME = 1e-6  # part of the mesh's size: a node this near to a point of the file has its temperature
 _KEY = "inputs.temperature.field"
 
@@ -84,20 +88,22 @@ def _interpolated(points: Array, values: Array, nodes: Array) -> Array:
 
 def _table(field: Path) -> Array:
     """Return x, y, z and temperature of each point, (p, 4); raise BundleError for a wrong file."""
-    with field.open(encoding="utf-8", errors="replace") as file:
+    with field.open(encoding=_ENCODING, errors="replace") as file:
         head = file.readline().strip()
-    names = [name.strip().strip('"').lower()[:1] for name in head.split(",")]
-    if names[:3] != ["x", "y", "z"]:
+    names = [each for name in head.split(",")[:3] if (each := _NAME.match(name))]
+    if [each["name"].lower()[:1] for each in names] != ["x", "y", "z"]:
         example = "such as x,y,z,temperature"
         raise _wrong(f'must begin with a line of names, {example}, but begins with "{head[:60]}"')
+    if units := [each["unit"] for each in names if each["unit"] not in (None, "m")]:
+        raise _wrong(f"its first line has {units[0]} as the unit of a point; write x, y and z in m")
     try:
-        table = np.loadtxt(field, delimiter=",", skiprows=1, ndmin=2)
+        table = np.loadtxt(field, delimiter=",", skiprows=1, ndmin=2, encoding=_ENCODING)
         is_complete = table.shape[1:] == (_COLUMNS,) and table.size and np.isfinite(table).all()
     except (ValueError, UnicodeDecodeError):
         table = np.empty(0)
         is_complete = False
     if not is_complete:
-        with field.open(encoding="utf-8", errors="replace") as file:
+        with field.open(encoding=_ENCODING, errors="replace") as file:
             lines = ((number, line.strip()) for number, line in enumerate(file, 1) if number > 1)
             bad = (f'"{line[:60]}" in line {number}' for number, line in lines if _is_bad(line))
             first = next(bad, "no such line")

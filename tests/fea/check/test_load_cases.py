@@ -131,6 +131,29 @@ def test_loads_add_up_within_a_step_and_replace_those_of_an_earlier_one(tmp_path
     assert force == pytest.approx(100 * second / first, rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("*BOUNDARY\nROOT, 1, 3\n9000, 1, 2\n", "*BOUNDARY, OP=NEW\nROOT, 1, 3\n9000, 2, 3\n"),
+        ("*BOUNDARY\nROOT, 1, 3\n*CLOAD\n9000, 3, 100.00001\n", PULL),
+    ],
+)
+def test_steps_that_differ_in_a_held_freedom_or_the_last_digit_of_a_load_are_listed(
+    tmp_path, first, second
+):
+    result = proposal(tmp_path, HEAD + RIGID + step(first) + step(second))
+    line = next(words for words in result["decide"] if words.startswith("case:"))
+    assert "the deck has several" in line
+
+
+@pytest.mark.parametrize("unit", ["in", "mm"])
+def test_an_expansion_of_an_inch_deck_is_to_decide_as_it_may_be_in_fahrenheit(tmp_path, unit):
+    text = HEAD.replace("70000., 0.3\n", "70000., 0.3\n*EXPANSION\n1.3e-5\n")
+    (tmp_path / "deck.inp").write_text(text + RIGID + step(f"*BOUNDARY\nROOT, 1, 3\n{PULL}"))
+    result = propose(tmp_path / "deck.inp", tmp_path / "new", unit, None)
+    assert any("Fahrenheit" in line for line in result["decide"]) == (unit == "in")
+
+
 @pytest.mark.parametrize("kind", ["NODE", "ELEMENT"])
 def test_a_coupling_reaches_the_nodes_within_its_influence_radius(tmp_path, kind):
     points = BAR.points[np.array(TIP) - 1]
