@@ -47,11 +47,9 @@ class RecoveredError(NamedTuple):
 
     # Shape (k, k), SI, symmetric: the first 6 i rows are displacements of i interfaces
     total: Array
-    # cells, centres, sizes: each cell's part of the diagonal, (k, cells), its centre, (cells, 3),
-    # and diameter, m.
-    cells: Array
-    centres: Array
-    sizes: Array
+    cells: Array  # (k, cells): each cell's part of the diagonal
+    centres: Array  # (cells, 3), m
+    sizes: Array  # (cells,), m: the cells' diameters
 
     def coarsening(self, other: Mesh) -> Array:
         """Ratio of another mesh's cell sizes to this mesh's, weighted by each input's error, (k,).
@@ -142,9 +140,7 @@ def _pieces(solver: Solver) -> Iterator[_Piece]:
 def _corner_functions(kind: str, integration: str) -> Array:
     """Return the linear shape functions of a cell's corners at its points, (points, corners)."""
     points = reference_element(kind, integration).values @ node_coordinates(kind)
-    functions = tabulate(FIRST.get(kind, kind), points)[0]
-    assert functions.shape[1] == corners_of_cell(kind)
-    return functions
+    return tabulate(FIRST.get(kind, kind), points)[0]
 
 
 def _energy(piece: _Piece, smooth: Array) -> tuple[Array, Array]:

@@ -79,9 +79,8 @@ class HeldGroup:
 class CoupledGroup:
     """A group that a reference point moves, or whose mean motion is the point's."""
 
-    # where, group: line and keyword, and the name of a facet or node group
-    where: str
-    group: str
+    where: str  # line and keyword
+    group: str  # a facet or node group
     kind: str  # "rigid" or "distributed"
     # Position of the reference point, in the deck's length unit; empty if it has no node
     point: tuple[float, ...] = ()

@@ -38,8 +38,8 @@ _LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is 
 
 def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
     """Refuse coefficients, 1/K, that lack their factor of 1e-6."""
-    if (most := max(map(abs, expansion))) > _LARGEST_EXPANSION:
-        end = f"{_LARGEST_EXPANSION:g} 1/K, not {most:g}"
+    if abs(most := max(expansion, key=abs)) > _LARGEST_EXPANSION:
+        end = f"{_LARGEST_EXPANSION:g} 1/K in size, not {most:g}"
         raise ValueError(f"must be at most {end}; for aluminium write 23e-6")
     return expansion
 
@@ -240,7 +240,7 @@ class Orthotropic(Solid):
 
     @property
     def _compliance(self) -> Array:
-        """Strains (11, 22, 33, 12, 13, 23) by stresses, the shears 2 E_ij: shape (6, 6), 1/Pa."""
+        """Strains (11, 22, 33) by stresses (11, 22, 33): shape (3, 3), 1/Pa."""
         e1, e2, e3 = self.youngs_moduli
         nu12, nu13, nu23 = self.poisson_ratios
         return np.array(

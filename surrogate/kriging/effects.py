@@ -66,10 +66,8 @@ class Effects(NamedTuple):
 
     zero: Floats  # (m,): displacement at zero load, at the beginning of sessions
     loop: Floats  # (m,): distance from the unloading to the loading branch
-    # drift, session: (s, m): of each session from its first row to its last, and off the mean of
-    # the sessions
-    drift: Floats
-    session: Floats
+    drift: Floats  # (s, m): of each session from its first row to its last
+    session: Floats  # (s, m): of each session off the mean of the sessions
     # (2 s, m): drift and session of the scale, at the largest displacement from that at zero load
     scale: Floats
     # (m,): how far the part may be from rows without these effects, which are in the middle of the

@@ -120,11 +120,11 @@ def positions_of(loads: Floats, sessions: list[Indices]) -> Indices:
 def _means_at_positions(
     loads: Floats, moved: Floats, good: Indices, place: Indices
 ) -> tuple[Indices, Floats, Floats]:
-    """Return the first good row of each place, loads (n, 6) and displacements (n, m).
+    """Return the first row of each place with good rows, loads (n, 6) and displacements (n, m).
 
-    At these rows loads and displacements are the mean over the good rows of the place; all other
-    rows are unchanged. Further readings at a place show the noise alone; counted as rows of their
-    own they would make effects seem surer.
+    At these rows, good or not, loads and displacements are the mean over the good rows of the
+    place; all other rows are unchanged. Further readings at a place show the noise alone; counted
+    as rows of their own they would make effects seem surer.
 
     `good` (k,): indices of the rows that the means are made of.
     `place` (n,): see `positions_of`.

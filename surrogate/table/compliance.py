@@ -1,4 +1,8 @@
-"""The 6x6 compliance of a table: stored by a linear solve, or fitted to its rows."""
+"""The compliance of a table: stored by a linear solve, or fitted to its rows.
+
+Shapes are those of m outputs and k inputs: six of each for one interface, six more for each further
+one, and one input for a temperature or an acceleration.
+"""
 
 from __future__ import annotations
 
@@ -27,16 +31,16 @@ UNCHECKED = 0.1
 class ComplianceFit:
     """A linear map from wrench to displacement."""
 
-    # (6, 6), m/N, m/(N·m), rad/N, rad/(N·m): a column is zero where the rows do not determine the
+    # (m, k), m/N, m/(N·m), rad/N, rad/(N·m): a column is zero where the rows do not determine the
     # load's influence
     matrix: Floats
-    known: NDArray[np.bool_]  # (6,): which loads' columns the rows determine
-    error: Floats  # (6,), m and rad: 95 % error bar of `matrix @ wrench` on the rows
+    known: NDArray[np.bool_]  # (k,): which loads' columns the rows determine
+    error: Floats  # (m,), m and rad: 95 % error bar of `offset + matrix @ wrench` at full loads
     # "stored": mean of the rows' compliances. "fitted": least squares of their displacements.
     # "none": no row is loaded. In the last two, columns of loads that no row determines come from
     # the mean of the stored tangents, if there are any.
     origin: str
-    # (6,), m and rad, or () for none: the displacement where all inputs are 0. It is the
+    # (m,), m and rad, or () for none: the displacement where all inputs are 0. It is the
     # displacement by the component's weight, if a linear solve stored it, and by a reference
     # temperature that is not 0.
     offset: Floats = field(default_factory=lambda: np.zeros(()))
@@ -80,7 +84,7 @@ def _fit(rows: Rows, load_range: LoadRange, *, linear: bool) -> ComplianceFit:
 
 def _stored(rows: Rows, load_range: LoadRange) -> ComplianceFit:
     """Return the rows' mean compliance; its error bar is half their spread at full loads."""
-    # The displacement at zero load, (6,), is taken from the row whose loads move it least. Values
+    # The displacement at zero load, (m,), is taken from the row whose loads move it least. Values
     # within `SAME_LINE` of the row's motion are its rounding.
     moved = (rows.compliance @ rows.wrench[:, :, None])[:, :, 0]
     sizes = (np.abs(rows.compliance) @ np.abs(rows.wrench)[:, :, None])[:, :, 0]
@@ -136,7 +140,7 @@ def _from_displacements(rows: Rows, load_range: LoadRange, *, linear: bool) -> C
     elif linear:
         error = UNCHECKED * np.abs(rows.displacement).max(axis=0)
     else:
-        # The error bar of the secant of a nonlinear table, (6,), m and rad. It holds 95 % of the
+        # The error bar of the secant of a nonlinear table, (m,), m and rad. It holds 95 % of the
         # rows, each predicted from the others (PRESS residuals: Allen 1974). A row outside the span
         # of the others has no such residual: its bar is its displacement.
         free = 1.0 - (basis**2).sum(axis=1)[:, None]
