@@ -175,6 +175,17 @@ def test_another_deck_in_the_folder_is_left_as_it_is(tmp_path):
     assert (tmp_path / "calculix.inp").read_text() == "** mine\n"
 
 
+@pytest.mark.parametrize(
+    "change", [("*ELEMENT, TYPE=C3D20", "*ELEMENT, TYPE=C3D99"), ("--case", "none")]
+)
+def test_a_deck_or_case_that_is_refused_leaves_no_folder(tmp_path, change):
+    (tmp_path / "steps.inp").write_text(HELD.replace(*change))
+    case = change[1] if change[0] == "--case" else None
+    with pytest.raises(BundleError, match="C3D99R|no case"):
+        propose(tmp_path / "steps.inp", tmp_path / "new", "mm", case)
+    assert [path.name for path in tmp_path.iterdir()] == ["steps.inp"]
+
+
 def test_a_folder_that_cannot_be_made_and_a_deck_that_cannot_be_read_are_named(tmp_path, capsys):
     (tmp_path / "file").write_text("no folder")
     assert main(["new", str(cards.HERE / "calculix.inp"), str(tmp_path / "file")]) == 1
