@@ -143,6 +143,9 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     # All sets are known now: give groups their final names.
     regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
     faces = set_names(deck, deck.surfaces)
+    content.left_out = {
+        name: deck.left_out[key] for key, name in set_names(deck, deck.left_out).items()
+    }
     for where, key, material, orientation in reader.sections:
         axes = reader.orientations.get(orientation, GLOBAL)
         content.sections.append(SolidSection(where, regions[key], material, axes))
@@ -223,6 +226,14 @@ def _finish(
             content.missing[coupled.where] = _PARTLY
         if not is_fixed and id(coupled) not in on_springs:
             case.couplings.append(coupled)
+
+
+def _take_surface(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Note a surface that is left out."""
+    key = keyword.frame.key(keyword.option("NAME"))
+    if key in deck.left_out:
+        reader.lack(keyword, deck.left_out[key])
+        deck.left_out[key] = f"{keyword.where} {deck.left_out[key]}"
 
 
 def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
@@ -526,6 +537,7 @@ _TAKERS: dict[str, Callable[[Reader, Deck, Keyword], None]] = {
     "DISTRIBUTING": _take_coupling_kind,
     "DISTRIBUTING COUPLING": _take_weighted,
     "RIGID BODY": _take_rigid,
+    "SURFACE": _take_surface,
     "SPRING": lambda reader, _, keyword: reader.spring_sections.append(keyword),
     "TIE": _take_tie,
     "EQUATION": take_equations,

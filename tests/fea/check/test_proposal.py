@@ -181,7 +181,7 @@ def test_another_deck_in_the_folder_is_left_as_it_is(tmp_path):
 def test_a_deck_or_case_that_is_refused_leaves_no_folder(tmp_path, change):
     (tmp_path / "steps.inp").write_text(HELD.replace(*change))
     case = change[1] if change[0] == "--case" else None
-    with pytest.raises(BundleError, match="C3D99R|no case"):
+    with pytest.raises(BundleError, match=r"C3D99R|no case"):
         propose(tmp_path / "steps.inp", tmp_path / "new", "mm", case)
     assert [path.name for path in tmp_path.iterdir()] == ["steps.inp"]
 
