@@ -127,14 +127,18 @@ class _Proposal:
         ]
 
     def integration(self, first: bool) -> list[str]:
-        """Return full integration for cells that are stacked singly, else nothing.
+        """Return full integration for cells of both kinds or stacked singly, else nothing.
 
         first: whether cells are of first order, and so get midside nodes.
         """
-        is_full = any(re.match("C3D20(?!R)", kind) for kind in self.deck.elements)
-        if is_full or not len(stacked_singly(second_order(self.mesh) if first else self.mesh)):
+        of_deck = {"R" in kind for kind in self.deck.elements if kind.startswith("C3D20")}
+        mesh = second_order(self.mesh) if first else self.mesh
+        if len(of_deck) > 1:
+            why = "C3D20 is full in the deck, C3D20R reduced; here both are full, or both reduced"
+        elif False not in of_deck and len(stacked_singly(mesh)):
+            why = "cells follow each other singly; reduced integration allows hourglass motions"
+        else:
             return []
-        why = "cells follow each other singly; by reduced integration they have hourglass motions"
         self.decide.append(f'integration = "full": {why}')
         return ['integration = "full"']
 
