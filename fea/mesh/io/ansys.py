@@ -6,7 +6,6 @@ import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from wrenchbook.fea.mesh.io.abaqus_keywords import real, whole
 from wrenchbook.fea.mesh.io.translated import Case, Translated
@@ -34,9 +33,34 @@ _PYRAMID = [*range(5), *range(8, 12), *range(16, 20)]
 _TETRAHEDRON = [0, 1, 2, 4, 8, 9, 11, 16, 17, 18]
 
 
-class _Type(NamedTuple):
+_OPTIONS = {
+    **dict.fromkeys(itertools.product(("185", "186", "187", "285"), "236"), ("0",)),
+    ("185", "2"): ("0", "1", "2", "3"),
+    ("186", "2"): ("0", "1"),
+}
+"""Values of element options that are taken over, by element and number: 2 is the integration (of
+SOLID185 any, since its cells get midside nodes), 3 makes layers, 6 gives pressures of their own."""
+
+
+@dataclass
+class _Type:
     name: str  # element number such as 186
-    is_full: bool  # whether its option 2 is full integration
+    options: dict[str, str]  # values by number, each as text
+
+    @property
+    def is_full(self) -> bool:
+        """Whether its hexahedra of 20 nodes are integrated fully."""
+        if self.name == "95":  # 14 points, or 2 x 2 x 2
+            return self.options.get("11") != "1"
+        return self.options.get("2") == "1"
+
+    def others(self) -> list[str]:
+        """Name the options that are not taken over."""
+        return [
+            f"SOLID{self.name} with KEYOPT({number}) = {self.options[number]}, taken as 0"
+            for (name, number), values in _OPTIONS.items()
+            if name == self.name and self.options.get(number, "0") not in values
+        ]
 
 
 @dataclass
@@ -112,10 +136,10 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
     if word == "*SET":  # *SET,Par,VALUE
         archive.parameters[fields[0]] = "".join(values[1:2])
     elif word == "ET":  # ET,ITYPE,Ename,KOP1,KOP2,...
-        archive.types[values[0]] = _Type(re.sub(r"\D", "", values[1]), values[3:4] == ["1"])
-    elif word.startswith("KEYOP") and values[1:2] == ["2"]:  # KEYOPT,ITYPE,KNUM,VALUE
-        is_full = values[2:3] == ["1"]
-        archive.types[values[0]] = archive.type_of(values[0])._replace(is_full=is_full)
+        archive.types[values[0]] = _Type(re.sub(r"\D", "", values[1]), _options(values[2:]))
+    elif word.startswith("KEYOP"):  # KEYOPT,ITYPE,KNUM,VALUE
+        if values[0] in archive.types or values[1] == "2":
+            archive.type_of(values[0]).options[values[1]] = "".join(values[2:3]) or "0"
     elif word in ("MP", "MPDATA"):
         _take_constant(archive, word, values)
     elif word in ("D", "F", "DDELE", "FDELE"):
@@ -170,7 +194,12 @@ def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
         number, *fields = _fixed(row, int(widths[0]))
         if number == "-1":
             return
-        archive.types[number] = _Type(fields[0], fields[2:3] == ["1"])
+        archive.types[number] = _Type(fields[0], _options(fields[1:]))
+
+
+def _options(values: list[str]) -> dict[str, str]:
+    """Return element options by number, from 1."""
+    return {str(number): value or "0" for number, value in enumerate(values, start=1)}
 
 
 def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
@@ -204,6 +233,7 @@ def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: 
     if kind.name not in (*_HEX, *_TET):
         archive.skipped[f"elements of type {kind.name}"] += 1
         return
+    archive.skipped.update(kind.others())
     archive.sections[region] = region
     if kind.name in _HEX:
         nodes = _without_repeated(nodes)
