@@ -190,7 +190,7 @@ def _coordinates(row: list[str]) -> list[float]:
     """Return the three coordinates of a row of *NODE, in the deck's unit; a missing one is 0."""
     texts = row[1:4]
     try:
-        coordinates = [float(text or 0.0) for text in texts]
+        coordinates = [real(text or "0") for text in texts]
     except ValueError:
         at = ", ".join(texts)
         raise MeshFileError(f"has node {row[0]} at ({at}); write three numbers") from None
@@ -378,7 +378,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
         if not re.fullmatch(f"|S[1-6]|{_SHELL_FACES}", face):
             raise MeshFileError(f'has "{face}" as face of {name}; write S1 to S6 of a solid')
         is_of_shells = re.fullmatch(_SHELL_FACES, face)
-        if is_of_shells or not all(_may_be_solid(deck, element) for element in labels):
+        if is_of_shells or not all(may_be_solid(deck, element) for element in labels):
             cause = f"has faces of shells or beams ({', '.join([name, *fields])})"
         faces += [(element, face) for element in labels]
         _require_at_most(deck.n_members + len(faces))
@@ -390,7 +390,7 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
         deck.surfaces.setdefault(_new_key(deck, keyword.frame, surface), []).extend(faces)
 
 
-def _may_be_solid(deck: Deck, element: int) -> bool:
+def may_be_solid(deck: Deck, element: int) -> bool:
     """Return whether an element is a solid, or defined below."""
     return element not in deck.where or deck.kinds[deck.where[element][0]] in NODES_PER_CELL
 

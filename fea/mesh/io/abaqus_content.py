@@ -22,6 +22,7 @@ from wrenchbook.fea.mesh.io.abaqus import (
     add_weighted,
     axes_through,
     kind_of,
+    may_be_solid,
     named,
     parsed,
     radial_axes,
@@ -96,6 +97,11 @@ _ON_AXIS = (
     "both or neither there"
 )
 
+_NO_SOLID = (
+    "has trusses or plane elements, which have no stiffness here; mesh them with solids, or write "
+    "[[supports.bushing]] or [[spring]]"
+)
+
 _MEAN_HELD = (
     "holds the mean of its nodes, which may deform; here they are fixed, which is stiffer: write "
     'an [[interface]] of the group with held = true and coupling = "distributed"'
@@ -149,7 +155,9 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     for where, key, material, orientation in reader.sections:
         axes = reader.orientations.get(orientation, GLOBAL)
         content.sections.append(SolidSection(where, regions[key], material, axes))
-        if orientation and orientation not in reader.orientations:
+        if not all(may_be_solid(deck, element) for element in deck.element_sets[key]):
+            content.missing[where] = _NO_SOLID
+        elif orientation and orientation not in reader.orientations:
             message = "which is not imported; write axes under [[material]]"
             content.missing[where] = f'has the orientation "{orientation}", {message}'
     for case in content.cases:
