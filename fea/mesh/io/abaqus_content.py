@@ -68,7 +68,15 @@ _MISSING = {
     "CONNECTOR SECTION": "is not supported; write [[supports.bushing]] or [[spring]]",
     "CONTACT": "is not supported; solve the parts bonded and separate for two bounds",
     "CONTACT PAIR": "is not supported; solve the parts bonded and separate for two bounds",
+    "CYCLIC SYMMETRY MODEL": "is not supported; model the whole part",
     "EMBEDDED ELEMENT": "is not supported; the elements inside are left out, so mesh them in",
+    "FOUNDATION": "is not imported; write [[supports.bushing]]",
+    "IMPERFECTION": "is not imported; move the nodes themselves",
+    "MATRIX ASSEMBLE": "is not supported, so its stiffness is left out; mesh that part",
+    "NO COMPRESSION": "is not supported; a material here is alike in tension and compression",
+    "NO TENSION": "is not supported; a material here is alike in tension and compression",
+    "REBAR": "is not supported, so its stiffness is left out; mesh it with solids",
+    "SUBSTRUCTURE PROPERTY": "is not supported, so its stiffness is left out; mesh that part",
     "PRE-TENSION SECTION": "is not imported; write a [[bolt]]",
     "SHELL TO SOLID COUPLING": "is not supported; mesh the shell with solid cells",
     "SHELL SECTION": "is not supported; shells become groups of faces, so mesh them with solids",
@@ -130,6 +138,9 @@ def _take(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         reader.lack(keyword, f"is not imported, because it {UNREADABLE}")
     if keyword.word in _MISSING:
         reader.lack(keyword, _MISSING[keyword.word])
+    kind = keyword.options.get("TYPE", "").upper()
+    if keyword.word == "INITIAL CONDITIONS" and kind != "TEMPERATURE":
+        reader.lack(keyword, f"of {kind} is not imported; the component begins without it")
     if keyword.word not in _QUIET:
         known = keyword.word in TAKERS or (taker is not None and keyword.word not in _PROPOSED)
         lines = reader.content.taken if known else reader.content.ignored

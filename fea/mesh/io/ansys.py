@@ -240,6 +240,11 @@ def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: 
     if len(nodes) not in NODES_PER_CELL.values():
         raise MeshFileError(f"has element {number} with {len(nodes)} nodes; write 20 at most")
     corners = {10: 4, 13: 5, 15: 6, 20: 8}.get(len(nodes), len(nodes))
+    if len({*nodes[:corners]}) < corners:
+        raise MeshFileError(
+            f"has element {number} with a corner twice; repeat corner 3 as 4 and 7 as 8 of a wedge,"
+            " 5 as 6 to 8 of a pyramid, both of a tetrahedron"
+        )
     if "0" in nodes[:corners]:
         raise MeshFileError(f"has node 0 at a corner of element {number}; write a node's number")
     if set(nodes[corners:]) == {"0"}:
@@ -250,7 +255,7 @@ def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: 
 
 def _without_repeated(nodes: list[str]) -> list[str]:
     """Return the nodes of a hexahedron, or of the cell to which repeated nodes reduce it."""
-    lower, upper = nodes[2] == nodes[3], nodes[4] == nodes[5]
+    lower, upper = nodes[2] == nodes[3], len({*nodes[4:8]}) == 1
     if lower and upper:
         indices = _TETRAHEDRON
     elif lower:
@@ -258,7 +263,7 @@ def _without_repeated(nodes: list[str]) -> list[str]:
     elif upper:
         indices = _PYRAMID
     else:
-        return nodes
+        indices = [*range(20)]
     return [nodes[i] for i in indices if i < len(nodes)]
 
 

@@ -219,6 +219,14 @@ def test_collapsed_hexahedra_of_an_archive_are_wedges_and_tetrahedra(tmp_path, k
     assert not folded_cells(mesh.points, mesh.blocks[0]).size
 
 
+def test_a_hexahedron_of_an_archive_with_an_edge_in_place_of_its_top_is_refused(tmp_path):
+    source = box("wedge15", (1, 1, 2), (20.0, 20.0, 60.0))
+    ridge = [0, 1, 4, 3, 2, 2, 5, 5, 6, 10, 9, 11, 2, 14, 5, 14, 8, 7, 10, 11]
+    (tmp_path / "a.cdb").write_text(cards.archive(source, "", ridge))
+    with pytest.raises(BundleError, match="has element 1 with a corner twice; repeat corner 3"):
+        propose(tmp_path / "a.cdb", tmp_path / "new", "mm")
+
+
 def test_a_wedge_of_nastran_keeps_its_midside_nodes(tmp_path):
     source = box("wedge15", (1, 1, 2), (20.0, 20.0, 60.0))
     lines = ["BEGIN BULK"]
