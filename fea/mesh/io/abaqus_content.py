@@ -105,6 +105,11 @@ _ON_AXIS = (
     "both or neither there"
 )
 
+_AT_REFERENCE = (
+    "acts on rotations of a reference node whose body has a ROT NODE: here as written, but "
+    "CalculiX ignores it; write freedoms 1 to 3 of the ROT NODE"
+)
+
 _NO_SOLID = (
     "has trusses or plane elements, which have no stiffness here; mesh them with solids, or write "
     "[[supports.bushing]] or [[spring]]"
@@ -400,7 +405,15 @@ def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
                 message = "has a prescribed displacement other than 0, which is taken as 0"
                 reader.lack(keyword, f"{message}; apply its load at an interface instead")
         key, labels = _target(deck, target, keyword.frame)
+        _check_rotations(reader, keyword, labels, max(held, default=0))
         step.motions.rows.append(Motion(keyword.where, key, labels, held))
+
+
+def _check_rotations(reader: Reader, keyword: Keyword, labels: list[int], freedom: int) -> None:
+    """Note a rotation, a freedom from 3, of a reference node whose rotations are another node's."""
+    references = {coupled.ref for coupled in reader.couplings if coupled.rot is not None}
+    if freedom > 2 and not references.isdisjoint(labels):
+        reader.lack(keyword, _AT_REFERENCE)
 
 
 def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
@@ -498,6 +511,7 @@ def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         key, labels = _target(deck, target, keyword.frame)
         if not 1 <= whole(freedom) <= 6:
             raise MeshFileError(f"acts on freedom {freedom} of {target}; write 1 to 6")
+        _check_rotations(reader, keyword, labels, whole(freedom) - 1)
         for label in labels:
             entry = label, whole(freedom) - 1
             # The forces of one step add up.
