@@ -7,7 +7,7 @@ before a solve.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -15,9 +15,11 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.mesh.bodies import Bodies, bodies_of, coincident_nodes, stacked_singly
 from wrenchbook.fea.mesh.bolts import BoltCut
 from wrenchbook.fea.mesh.facets import TRIANGLES, facets_within, outer_surface
+from wrenchbook.fea.mesh.groups import group_nodes
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.quality import quality, quality_warnings
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
+from wrenchbook.fea.spec.schema import Joint
 
 Array = np.ndarray
 
@@ -52,7 +54,7 @@ def warnings_of(component: ComponentModel) -> list[BundleProblem]:
     mesh = component.uncut_mesh
     bodies, pairs = bodies_of(mesh), coincident_nodes(mesh)
     shape = [BundleProblem("mesh", message) for message in quality_warnings(quality(mesh))]
-    unmerged = coincidence_warnings(mesh, bodies, pairs)
+    unmerged = coincidence_warnings(mesh, bodies, pairs, component.bundle.joints)
     return [*shape, *unmerged, *set_up_warnings(component), *stack_problems(component)]
 
 
@@ -144,12 +146,18 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
     return [BundleProblem("analysis.integration", message)]
 
 
-def coincidence_warnings(mesh: Mesh, bodies: Bodies, pairs: Array) -> Iterator[BundleProblem]:
+def coincidence_warnings(
+    mesh: Mesh, bodies: Bodies, pairs: Array, joints: Sequence[Joint]
+) -> Iterator[BundleProblem]:
     """Yield a warning for the unmerged nodes of each two bodies, and of slits within a body.
 
     mesh, bodies: a mesh, and its connected bodies.
     pairs: shape (k, 2), int64: indices of coincident nodes (`fea.mesh.bodies.coincident_nodes`).
+    joints: of the bundle; nodes of both groups of one need not be merged.
     """
+    for joint in joints:
+        first, second = (np.isin(pairs, group_nodes(mesh, "", name, [])) for name in joint.groups)
+        pairs = pairs[~(first & second[:, ::-1]).any(axis=1)]
     owner = np.zeros(len(mesh.points), dtype=np.int64)
     for number, nodes in enumerate(bodies.nodes):
         owner[nodes] = number

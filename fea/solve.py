@@ -151,7 +151,8 @@ class Solver:
         bodies = bodies_of(mesh)
         if failure.kind != "mechanism" or bodies.count == 1:
             return failure
-        touching = [*coincidence_warnings(mesh, bodies, coincident_nodes(mesh))]
+        joints = self.component.bundle.joints
+        touching = [*coincidence_warnings(mesh, bodies, coincident_nodes(mesh), joints)]
         if not touching:
             return failure
         remedy = (

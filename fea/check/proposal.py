@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -129,14 +130,18 @@ class _Proposal:
         ]
 
     def integration(self, first: bool) -> list[str]:
-        """Return full integration for cells that are stacked singly, else nothing.
+        """Return full integration for cells of both kinds or stacked singly, else nothing.
 
         first: whether cells are of first order, and so get midside nodes.
         """
-        is_full = any(re.match("C3D20(?!R)", kind) for kind in self.deck.elements)
-        if is_full or not len(stacked_singly(second_order(self.mesh) if first else self.mesh)):
+        of_deck = {"R" in kind for kind in self.deck.elements if kind.startswith("C3D20")}
+        mesh = second_order(self.mesh) if first else self.mesh
+        if len(of_deck) > 1:
+            why = "C3D20 is full in the deck, C3D20R reduced; here both are full, or both reduced"
+        elif False not in of_deck and len(stacked_singly(mesh)):
+            why = "cells follow each other singly; reduced integration allows hourglass motions"
+        else:
             return []
-        why = "cells follow each other singly; by reduced integration they have hourglass motions"
         self.decide.append(f'integration = "full": {why}')
         return ['integration = "full"']
 
@@ -322,17 +327,10 @@ def propose(
         )
     text, skipped, decide = _deck_text(file)
     deck = folder / f"{file.stem}.inp"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if deck.exists() and deck.read_bytes() != text.encode():  # a second run writes the same
-            message = f"has another {deck.name}, which is left as it is; name a new folder"
-            raise BundleError([BundleProblem(str(folder), message)])
-        deck.write_text(text, encoding="utf-8")
-    except OSError as error:
-        message = f"cannot be written ({error.strerror}); name a new folder"
-        raise BundleError([BundleProblem(str(folder), message)]) from None
-
-    proposal = _Proposal(read_mesh(deck, unit or "m"), unit or "m", case)
+    with TemporaryDirectory() as scratch:  # a deck that cannot be used leaves no folder
+        copy = Path(scratch) / deck.name
+        copy.write_text(text, encoding="utf-8")
+        proposal = _Proposal(read_mesh(copy, unit or "m"), unit or "m", case)
     proposal.decide += decide
     if unit is None:
         proposal.unit, why = _guessed_unit(proposal.deck)
@@ -344,7 +342,16 @@ def propose(
     skipped += [*proposal.skipped, *(f"{prefix}{note}" for note in proposal.deck.notes)]
     notes = [f"# DECIDE: {note}" for note in proposal.decide]
     notes += [f"# not taken over: {note}" for note in skipped]
-    (folder / FILE_NAME).write_text("\n".join([*lines, "", *notes, ""]), encoding="utf-8")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if deck.exists() and deck.read_bytes() != text.encode():  # a second run writes the same
+            message = f"has another {deck.name}, which is left as it is; name a new folder"
+            raise BundleError([BundleProblem(str(folder), message)])
+        deck.write_text(text, encoding="utf-8")
+        (folder / FILE_NAME).write_text("\n".join([*lines, "", *notes, ""]), encoding="utf-8")
+    except OSError as error:
+        message = f"cannot be written ({error.strerror}); name a new folder"
+        raise BundleError([BundleProblem(str(folder), message)]) from None
     files = [str(folder / FILE_NAME), str(deck)]
     return {"files": files, "left": skipped, "decide": proposal.decide, "check": report(folder)}
 

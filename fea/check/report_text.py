@@ -156,7 +156,7 @@ def _joints(report: Mapping[str, Any]) -> Iterator[str]:
             f"mean stress {bolt['stress'] / 1e6:.4g} MPa{of_yield}"
         )
     for spring in report.get("springs", []):
-        kind = "rigid joint" if spring["rigid"] else f"spring, {spring['coupling']}"
+        kind = "rigid joint" if spring["rigid"] else f"spring with {spring['coupling']} ends"
         nodes = " and ".join(map(str, spring["nodes"]))
         groups = " and ".join(spring["groups"])
         at = _vector(spring["point"])

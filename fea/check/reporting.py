@@ -187,7 +187,7 @@ def _inspect_mesh(
     finally:  # warn of unmerged nodes that no tie joins, also if the build fails
         pairs = coincident_nodes(mesh)
         summary["coincident_nodes"] = len(pairs)
-        warnings += coincidence_warnings(mesh, bodies, pairs)
+        warnings += coincidence_warnings(mesh, bodies, pairs, bundle.joints)
     warnings += contradictions(component) + polygon_warnings(component)
     _inspect_component(component, bodies, pairs, summary)
     # Find failures of every solve before its errors.

@@ -167,6 +167,7 @@ class DeckContent:
     ignored: dict[str, list[int]] = field(default_factory=dict)  # lines of all other keywords
     # By line and keyword: contents that matter and cannot be imported, and the remedy
     missing: dict[str, str] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)  # by surface, its line and the cause
     ties: list[tuple[str, Tie]] = field(default_factory=list)  # with line and keyword, deck's unit
 
     @property

@@ -35,6 +35,8 @@ def group_nodes(mesh: Mesh, key: str, name: str, problems: list[BundleProblem]) 
 
 def no_facets(mesh: Mesh, key: str, name: str, *, or_nodes: bool = False) -> BundleProblem:
     """Return the problem of a name that is no facet group, nor a node group with `or_nodes`."""
+    if mesh.deck is not None and name in mesh.deck.left_out:
+        return BundleProblem(key, f'"{name}" is not there: {mesh.deck.left_out[name]}')
     kind = "facet or node group" if or_nodes else "facet group"
     groups = [*mesh.facet_groups, *(mesh.node_groups if or_nodes else ())]
     for members, named in (("cells", mesh.regions), ("nodes", mesh.node_groups)):

@@ -7,6 +7,7 @@ face centres and the body centre. The arrays are not copied; treat them as read-
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
@@ -79,7 +80,7 @@ class Mesh:
     """Points, cells and the named groups of both."""
 
     points: Array  # shape (n, 3), metres
-    blocks: tuple[CellBlock, ...]  # the cells, one block for each kind
+    blocks: tuple[CellBlock, ...]  # the cells; several blocks may have the same kind
     # For each cell group one array of cell indices, shape (m,), int64, per block of `blocks` (empty
     # where the block has none of its cells). Regions may overlap; a cell may be in none.
     regions: Mapping[str, tuple[Array, ...]] = field(default_factory=dict)
@@ -102,8 +103,11 @@ class Mesh:
 
     @property
     def cell_counts(self) -> dict[str, int]:
-        """Number of cells of each kind."""
-        return {block.kind: len(block) for block in self.blocks}
+        """Number of cells of each kind, of which there may be several blocks."""
+        counts = Counter[str]()
+        for block in self.blocks:
+            counts[block.kind] += len(block)
+        return dict(counts)
 
 
 def row_numbers(rows: Array) -> Array:

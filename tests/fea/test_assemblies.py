@@ -221,6 +221,15 @@ def test_the_groups_of_a_spring_move_by_its_weights():
     assert all(np.ptp(end.section.weights) > 0 for end in by_area)
 
 
+@pytest.mark.parametrize("joint", [{"stiffness": SPRING}, {"rigid": True}])
+def test_surfaces_that_touch_and_are_joined_by_a_spring_need_no_merging(joint):
+    loose = assembly(blocks(), supports={"fixed": ["a0"]}, interface={"section": "b1"})
+    merging = [
+        str(warnings_of(own)).count("same coord") for own in (joined(joint, blocks()), loose)
+    ]
+    assert merging == [0, 1]
+
+
 def test_the_check_reports_a_bolt_and_what_only_it_holds(tmp_path):
     """A rod that is fixed in its middle, so that its end is loose as the bolt is tightened."""
     folder = rod_between_loads(tmp_path)

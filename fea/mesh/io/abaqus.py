@@ -55,6 +55,9 @@ _WEDGE_FACES = ("123", "465", "1452", "2563", "3641")
 SOLID_FACES = {"hex": _HEX_FACES, "tet": _TET_FACES, "wedge": _WEDGE_FACES}
 SOLID_FACES["pyramid"] = ("1234", "152", "253", "354", "451")
 
+_SHELL_FACES = "SPOS|SNEG|E[1-4]|EDGE|END[12]"
+_MADE = {"COMBINE", "CROP"}  # options of *SURFACE that make a surface of others
+
 _REFUSED = {
     **dict.fromkeys(("NGEN", "NFILL", "NCOPY"), "*NODE"),
     **dict.fromkeys(("ELGEN", "ELCOPY"), "*ELEMENT"),
@@ -76,7 +79,9 @@ class Deck:
     where: dict[int, tuple[int, int]] = field(default_factory=dict)
     node_sets: dict[str, list[int]] = field(default_factory=dict)
     element_sets: dict[str, list[int]] = field(default_factory=dict)
-    surfaces: dict[str, list[tuple[int, str]]] = field(default_factory=dict)  # element and face
+    # Element and face, such as S1; empty until the end of the deck: its free faces
+    surfaces: dict[str, list[tuple[int, str]]] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)  # cause by surface that is not read
     names: dict[str, str] = field(default_factory=dict)  # names of sets, as the deck spells them
     frames: dict[str, Frame] = field(default_factory=dict)  # instances by their names in capitals
     # For each *NODE, the number of nodes before it and its line; for each *ELEMENT, its line
@@ -148,6 +153,7 @@ def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
             raise keyword.wrong(error) from None
         except (ValueError, LookupError, OverflowError):
             raise keyword.wrong(UNREADABLE) from None
+    _complete_surfaces(deck)
     return deck
 
 
@@ -184,7 +190,7 @@ def _coordinates(row: list[str]) -> list[float]:
     """Return the three coordinates of a row of *NODE, in the deck's unit; a missing one is 0."""
     texts = row[1:4]
     try:
-        coordinates = [float(text or 0.0) for text in texts]
+        coordinates = [real(text or "0") for text in texts]
     except ValueError:
         at = ", ".join(texts)
         raise MeshFileError(f"has node {row[0]} at ({at}); write three numbers") from None
@@ -340,9 +346,14 @@ def set_key(deck: Deck, sets: Mapping[str, object], name: str, frame: Frame) -> 
     """
     instance, _, last = name.rpartition(".")
     in_frame = deck.frames.get(instance.upper())
-    for key in (in_frame.key(last) if in_frame else "", frame.key(name), name.upper()):
+    keys = (in_frame.key(last) if in_frame else "", frame.key(name), name.upper())
+    for key in keys:
         if key in sets:
             return key
+    if not deck.left_out.keys().isdisjoint(keys):
+        raise MeshFileError(
+            f'names the surface "{name}", which is left out above; correct it there'
+        )
     names = [deck.names.get(key, key) for key in sets]
     raise MeshFileError(
         f'names the set "{name}", which is not defined above; move it up, or correct the name'
@@ -351,20 +362,74 @@ def set_key(deck: Deck, sets: Mapping[str, object], name: str, frame: Frame) -> 
 
 
 def _take_surface(deck: Deck, keyword: Keyword) -> None:
-    """Add the faces, or by TYPE=NODE the nodes, of *SURFACE."""
-    by_node = keyword.options.get("TYPE", "ELEMENT").upper() == "NODE"
+    """Add the faces, or by TYPE=NODE the nodes, of *SURFACE; leave out other surfaces."""
     surface = keyword.option("NAME")
-    for name, *fields in keyword.rows:
-        if by_node:
+    kind = keyword.options.get("TYPE", "ELEMENT").upper()
+    cause = "" if kind in ("NODE", "ELEMENT") else f"has TYPE={kind}"
+    if made := _MADE & keyword.options.keys():
+        cause = f"is made of other surfaces ({min(made)})"
+    faces: list[tuple[int, str]] = []
+    for name, *fields in () if cause else keyword.rows:
+        if kind == "NODE":
             add_weighted(deck, keyword.frame, surface, name, *fields[:1])
             continue
-        face = fields[0].upper() if fields else ""
-        if not re.fullmatch(r"S[1-6]", face):
+        face = "".join(fields[:1]).upper()
+        labels = named(deck, deck.element_sets, name, keyword.frame)
+        if not re.fullmatch(f"|S[1-6]|{_SHELL_FACES}", face):
             raise MeshFileError(f'has "{face}" as face of {name}; write S1 to S6 of a solid')
-        entries = [(e, face) for e in named(deck, deck.element_sets, name, keyword.frame)]
-        deck.n_members += len(entries)
-        _require_at_most(deck.n_members)
-        deck.surfaces.setdefault(_new_key(deck, keyword.frame, surface), []).extend(entries)
+        is_of_shells = re.fullmatch(_SHELL_FACES, face)
+        if is_of_shells or not all(may_be_solid(deck, element) for element in labels):
+            cause = f"has faces of shells or beams ({', '.join([name, *fields])})"
+        faces += [(element, face) for element in labels]
+        _require_at_most(deck.n_members + len(faces))
+    if cause:
+        cause = f"{cause}, so it is left out; write faces S1 to S6 of solids"
+        deck.left_out[_new_key(deck, keyword.frame, surface)] = cause
+    elif faces:
+        deck.n_members += len(faces)
+        deck.surfaces.setdefault(_new_key(deck, keyword.frame, surface), []).extend(faces)
+
+
+def may_be_solid(deck: Deck, element: int) -> bool:
+    """Return whether an element is a solid, or defined below."""
+    return element not in deck.where or deck.kinds[deck.where[element][0]] in NODES_PER_CELL
+
+
+def _complete_surfaces(deck: Deck) -> None:
+    """Give elements without a face in surfaces their free faces: those of no other element.
+
+    Raises MeshFileError if a surface has an element that is not defined, or lacks the face.
+    """
+    times: Counter[frozenset[int]] = Counter()
+    if not all(face for faces in deck.surfaces.values() for _, face in faces):
+        times.update(frozenset(face) for e in deck.where for face in _corners(deck, e))
+    for key, faces in deck.surfaces.items():
+        complete: list[tuple[int, str]] = []
+        for element, face in faces:
+            if element not in deck.where:
+                raise MeshFileError(
+                    f'has a surface on element {element % STRIDE} ("{deck.names[key]}"), which no '
+                    "*ELEMENT defines; remove it from the surface, or add it"
+                )
+            table = _corners(deck, element)
+            if int(face[1:] or "1") > len(table):
+                kind = deck.kinds[deck.where[element][0]]
+                there = f"has faces S1 to S{len(table)}" if table else "is no solid"
+                raise MeshFileError(
+                    f"has a surface on face {face or 'S1'} of element {element % STRIDE}, a "
+                    f'{kind}, which {there}; correct the surface "{deck.names[key]}"'
+                )
+            free = (f"S{i}" for i, nodes in enumerate(table, 1) if times[frozenset(nodes)] == 1)
+            complete += [(element, each) for each in ([face] if face else free)]
+        deck.surfaces[key] = complete
+
+
+def _corners(deck: Deck, element: int) -> list[list[int]]:
+    """Return the labels of the corners of each face of an element; none if it is no solid."""
+    block, row = deck.where[element]
+    cell = deck.cells[block][row]
+    table = SOLID_FACES.get(deck.kinds[block].rstrip("0123456789"), ())
+    return [[cell[int(corner) - 1] for corner in face] for face in table]
 
 
 def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str = "") -> None:
@@ -458,7 +523,7 @@ def raw_mesh(deck: Deck) -> RawMesh:
             groups[key]: np.array([row[node] for node in ids if node in row], dtype=np.int64)
             for key, ids in deck.node_sets.items()
         },
-        {name: _faces(deck, row, name, deck.surfaces[key]) for key, name in faces.items()},
+        {name: _faces(deck, row, deck.surfaces[key]) for key, name in faces.items()},
         node_weights={
             groups[key]: (np.array([row.get(node, -1) for node in of]), np.array([*of.values()]))
             for key, of in deck.weights.items()
@@ -476,24 +541,10 @@ def _by_block(deck: Deck, ids: list[int]) -> list[Array]:
     return [np.array(rows, dtype=np.int64) for rows in chosen]
 
 
-def _faces(deck: Deck, row: dict[int, int], name: str, faces: list[tuple[int, str]]) -> list[Block]:
+def _faces(deck: Deck, row: dict[int, int], faces: list[tuple[int, str]]) -> list[Block]:
     """Return the facets of a surface, `row` the index of each node by its label."""
     by_kind: dict[str, list[list[int]]] = {}
     for element, face in faces:
-        if element not in deck.where:
-            raise MeshFileError(
-                f'has a surface on element {element % STRIDE} ("{name}"), which no *ELEMENT '
-                "defines; remove it from the surface, or add it"
-            )
-        block, cell = deck.where[element]
-        shape = deck.kinds[block].rstrip("0123456789")
-        table = SOLID_FACES.get(shape, ())
-        if int(face[1]) > len(table):
-            there = f"has faces S1 to S{len(table)}" if table else "is no solid"
-            raise MeshFileError(
-                f"has a surface on face {face} of element {element % STRIDE}, a "
-                f'{deck.kinds[block]}, which {there}; correct the surface "{name}"'
-            )
-        corners = [row[deck.cells[block][cell][int(c) - 1]] for c in table[int(face[1]) - 1]]
-        by_kind.setdefault("quad4" if len(corners) == 4 else "tri3", []).append(corners)
+        nodes = [row[label] for label in _corners(deck, element)[int(face[1]) - 1]]
+        by_kind.setdefault("quad4" if len(nodes) == 4 else "tri3", []).append(nodes)
     return [(kind, np.array(nodes, dtype=np.int64)) for kind, nodes in by_kind.items()]

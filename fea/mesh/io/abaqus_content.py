@@ -22,6 +22,7 @@ from wrenchbook.fea.mesh.io.abaqus import (
     add_weighted,
     axes_through,
     kind_of,
+    may_be_solid,
     named,
     parsed,
     radial_axes,
@@ -67,7 +68,15 @@ _MISSING = {
     "CONNECTOR SECTION": "is not supported; write [[supports.bushing]] or [[spring]]",
     "CONTACT": "is not supported; solve the parts bonded and separate for two bounds",
     "CONTACT PAIR": "is not supported; solve the parts bonded and separate for two bounds",
+    "CYCLIC SYMMETRY MODEL": "is not supported; model the whole part",
     "EMBEDDED ELEMENT": "is not supported; the elements inside are left out, so mesh them in",
+    "FOUNDATION": "is not imported; write [[supports.bushing]]",
+    "IMPERFECTION": "is not imported; move the nodes themselves",
+    "MATRIX ASSEMBLE": "is not supported, so its stiffness is left out; mesh that part",
+    "NO COMPRESSION": "is not supported; a material here is alike in tension and compression",
+    "NO TENSION": "is not supported; a material here is alike in tension and compression",
+    "REBAR": "is not supported, so its stiffness is left out; mesh it with solids",
+    "SUBSTRUCTURE PROPERTY": "is not supported, so its stiffness is left out; mesh that part",
     "PRE-TENSION SECTION": "is not imported; write a [[bolt]]",
     "SHELL TO SOLID COUPLING": "is not supported; mesh the shell with solid cells",
     "SHELL SECTION": "is not supported; shells become groups of faces, so mesh them with solids",
@@ -94,6 +103,16 @@ _PARTLY = (
 _ON_AXIS = (
     "has nodes on its axis, where radial is no direction: 1 and 2 are any across the axis; hold "
     "both or neither there"
+)
+
+_AT_REFERENCE = (
+    "acts on rotations of a reference node whose body has a ROT NODE: here as written, but "
+    "CalculiX ignores it; write freedoms 1 to 3 of the ROT NODE"
+)
+
+_NO_SOLID = (
+    "has trusses or plane elements, which have no stiffness here; mesh them with solids, or write "
+    "[[supports.bushing]] or [[spring]]"
 )
 
 _MEAN_HELD = (
@@ -124,6 +143,9 @@ def _take(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         reader.lack(keyword, f"is not imported, because it {UNREADABLE}")
     if keyword.word in _MISSING:
         reader.lack(keyword, _MISSING[keyword.word])
+    kind = keyword.options.get("TYPE", "").upper()
+    if keyword.word == "INITIAL CONDITIONS" and kind != "TEMPERATURE":
+        reader.lack(keyword, f"of {kind} is not imported; the component begins without it")
     if keyword.word not in _QUIET:
         known = keyword.word in TAKERS or (taker is not None and keyword.word not in _PROPOSED)
         lines = reader.content.taken if known else reader.content.ignored
@@ -143,10 +165,15 @@ def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     # All sets are known now: give groups their final names.
     regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)
     faces = set_names(deck, deck.surfaces)
+    content.left_out = {
+        name: deck.left_out[key] for key, name in set_names(deck, deck.left_out).items()
+    }
     for where, key, material, orientation in reader.sections:
         axes = reader.orientations.get(orientation, GLOBAL)
         content.sections.append(SolidSection(where, regions[key], material, axes))
-        if orientation and orientation not in reader.orientations:
+        if not all(may_be_solid(deck, element) for element in deck.element_sets[key]):
+            content.missing[where] = _NO_SOLID
+        elif orientation and orientation not in reader.orientations:
             message = "which is not imported; write axes under [[material]]"
             content.missing[where] = f'has the orientation "{orientation}", {message}'
     for case in content.cases:
@@ -223,6 +250,14 @@ def _finish(
             content.missing[coupled.where] = _PARTLY
         if not is_fixed and id(coupled) not in on_springs:
             case.couplings.append(coupled)
+
+
+def _take_surface(reader: Reader, deck: Deck, keyword: Keyword) -> None:
+    """Note a surface that is left out."""
+    key = keyword.frame.key(keyword.option("NAME"))
+    if key in deck.left_out:
+        reader.lack(keyword, deck.left_out[key])
+        deck.left_out[key] = f"{keyword.where} {deck.left_out[key]}"
 
 
 def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
@@ -370,7 +405,15 @@ def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
                 message = "has a prescribed displacement other than 0, which is taken as 0"
                 reader.lack(keyword, f"{message}; apply its load at an interface instead")
         key, labels = _target(deck, target, keyword.frame)
+        _check_rotations(reader, keyword, labels, max(held, default=0))
         step.motions.rows.append(Motion(keyword.where, key, labels, held))
+
+
+def _check_rotations(reader: Reader, keyword: Keyword, labels: list[int], freedom: int) -> None:
+    """Note a rotation, a freedom from 3, of a reference node whose rotations are another node's."""
+    references = {coupled.ref for coupled in reader.couplings if coupled.rot is not None}
+    if freedom > 2 and not references.isdisjoint(labels):
+        reader.lack(keyword, _AT_REFERENCE)
 
 
 def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
@@ -468,6 +511,7 @@ def _take_force(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         key, labels = _target(deck, target, keyword.frame)
         if not 1 <= whole(freedom) <= 6:
             raise MeshFileError(f"acts on freedom {freedom} of {target}; write 1 to 6")
+        _check_rotations(reader, keyword, labels, whole(freedom) - 1)
         for label in labels:
             entry = label, whole(freedom) - 1
             # The forces of one step add up.
@@ -526,6 +570,7 @@ _TAKERS: dict[str, Callable[[Reader, Deck, Keyword], None]] = {
     "DISTRIBUTING": _take_coupling_kind,
     "DISTRIBUTING COUPLING": _take_weighted,
     "RIGID BODY": _take_rigid,
+    "SURFACE": _take_surface,
     "SPRING": lambda reader, _, keyword: reader.spring_sections.append(keyword),
     "TIE": _take_tie,
     "EQUATION": take_equations,

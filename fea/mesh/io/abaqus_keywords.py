@@ -204,12 +204,12 @@ def numbers(keyword: Keyword, row: int, count: int) -> Array:
 
 
 def real(text: str) -> float:
-    """Return the number of a field.
+    """Return the number of a field, also with Fortran's exponent, as 7.D4.
 
     Raises MeshFileError if it is no number.
     """
     try:
-        return float(text)
+        return float(text.lower().replace("d", "e"))
     except ValueError:
         raise MeshFileError(f'has "{text}" where a number must be; write a number') from None
 

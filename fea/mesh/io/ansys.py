@@ -6,7 +6,6 @@ import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from wrenchbook.fea.mesh.io.abaqus_keywords import real, whole
 from wrenchbook.fea.mesh.io.translated import Case, Translated
@@ -22,6 +21,8 @@ _SKIPPED |= {"BF", "BFA", "BFE", "BFK", "BFL", "BFUNIF", "BFV", "TUNIF"}  # temp
 _SKIPPED |= {"ACEL", "CMACEL", "CMOMEGA", "DOMEGA", "OMEGA"}  # acceleration and rotation
 _SKIPPED |= {"DCUM", "DSCALE", "FCUM", "FSCALE"}  # factors of later loads
 _SKIPPED |= {"EKILL", "INISTATE", "TB"}  # no stiffness, initial stresses, further laws
+_SKIPPED |= {"N", "NDELE", "NGEN", "NMODIF", "NSCALE", "NSYM", "NUMMRG"}  # nodes beside NBLOCK
+_SKIPPED |= {"E", "EDELE", "EGEN", "EMODIF", "EN", "ENGEN", "ESYM", "MPCHG", "MPDELE"}  # elements
 _SELECTIONS = {"NSEL", "NSLE", "NSLA", "NSLL", "NSLK", "NSLV", "CMSEL", "ALLSEL"}
 _CONSTANTS = {"EX": "E", "NUXY": "NU", "PRXY": "NU", "DENS": "DENSITY", "ALPX": "EXPANSION"}
 _FREEDOMS = {"UX": "1", "UY": "2", "UZ": "3", "ROTX": "4", "ROTY": "5", "ROTZ": "6"}
@@ -34,9 +35,34 @@ _PYRAMID = [*range(5), *range(8, 12), *range(16, 20)]
 _TETRAHEDRON = [0, 1, 2, 4, 8, 9, 11, 16, 17, 18]
 
 
-class _Type(NamedTuple):
+_OPTIONS = {
+    **dict.fromkeys(itertools.product(("185", "186", "187", "285"), "236"), ("0",)),
+    ("185", "2"): ("0", "1", "2", "3"),
+    ("186", "2"): ("0", "1"),
+}
+"""Values of element options that are taken over, by element and number: 2 is the integration (of
+SOLID185 any, since its cells get midside nodes), 3 makes layers, 6 gives pressures of their own."""
+
+
+@dataclass
+class _Type:
     name: str  # element number such as 186
-    is_full: bool  # whether its option 2 is full integration
+    options: dict[str, str]  # values by number, each as text
+
+    @property
+    def is_full(self) -> bool:
+        """Whether its hexahedra of 20 nodes are integrated fully."""
+        if self.name == "95":  # 14 points, or 2 x 2 x 2
+            return self.options.get("11") != "1"
+        return self.options.get("2") == "1"
+
+    def others(self) -> list[str]:
+        """Name the options that are not taken over."""
+        return [
+            f"SOLID{self.name} with KEYOPT({number}) = {self.options[number]}, taken as 0"
+            for (name, number), values in _OPTIONS.items()
+            if name == self.name and self.options.get(number, "0") not in values
+        ]
 
 
 @dataclass
@@ -112,10 +138,10 @@ def _take_command(archive: _Archive, word: str, fields: list[str]) -> None:
     if word == "*SET":  # *SET,Par,VALUE
         archive.parameters[fields[0]] = "".join(values[1:2])
     elif word == "ET":  # ET,ITYPE,Ename,KOP1,KOP2,...
-        archive.types[values[0]] = _Type(re.sub(r"\D", "", values[1]), values[3:4] == ["1"])
-    elif word.startswith("KEYOP") and values[1:2] == ["2"]:  # KEYOPT,ITYPE,KNUM,VALUE
-        is_full = values[2:3] == ["1"]
-        archive.types[values[0]] = archive.type_of(values[0])._replace(is_full=is_full)
+        archive.types[values[0]] = _Type(re.sub(r"\D", "", values[1]), _options(values[2:]))
+    elif word.startswith("KEYOP"):  # KEYOPT,ITYPE,KNUM,VALUE
+        if values[0] in archive.types or values[1] == "2":
+            archive.type_of(values[0]).options[values[1]] = "".join(values[2:3]) or "0"
     elif word in ("MP", "MPDATA"):
         _take_constant(archive, word, values)
     elif word in ("D", "F", "DDELE", "FDELE"):
@@ -170,7 +196,12 @@ def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
         number, *fields = _fixed(row, int(widths[0]))
         if number == "-1":
             return
-        archive.types[number] = _Type(fields[0], fields[2:3] == ["1"])
+        archive.types[number] = _Type(fields[0], _options(fields[1:]))
+
+
+def _options(values: list[str]) -> dict[str, str]:
+    """Return element options by number, from 1."""
+    return {str(number): value or "0" for number, value in enumerate(values, start=1)}
 
 
 def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) -> None:
@@ -204,12 +235,18 @@ def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: 
     if kind.name not in (*_HEX, *_TET):
         archive.skipped[f"elements of type {kind.name}"] += 1
         return
+    archive.skipped.update(kind.others())
     archive.sections[region] = region
     if kind.name in _HEX:
         nodes = _without_repeated(nodes)
     if len(nodes) not in NODES_PER_CELL.values():
         raise MeshFileError(f"has element {number} with {len(nodes)} nodes; write 20 at most")
     corners = {10: 4, 13: 5, 15: 6, 20: 8}.get(len(nodes), len(nodes))
+    if len({*nodes[:corners]}) < corners:
+        raise MeshFileError(
+            f"has element {number} with a corner twice; repeat corner 3 as 4 and 7 as 8 of a wedge,"
+            " 5 as 6 to 8 of a pyramid, both of a tetrahedron"
+        )
     if "0" in nodes[:corners]:
         raise MeshFileError(f"has node 0 at a corner of element {number}; write a node's number")
     if set(nodes[corners:]) == {"0"}:
@@ -220,7 +257,7 @@ def _take_cell(archive: _Archive, kind: _Type, region: str, number: str, nodes: 
 
 def _without_repeated(nodes: list[str]) -> list[str]:
     """Return the nodes of a hexahedron, or of the cell to which repeated nodes reduce it."""
-    lower, upper = nodes[2] == nodes[3], nodes[4] == nodes[5]
+    lower, upper = nodes[2] == nodes[3], len({*nodes[4:8]}) == 1
     if lower and upper:
         indices = _TETRAHEDRON
     elif lower:
@@ -228,7 +265,7 @@ def _without_repeated(nodes: list[str]) -> list[str]:
     elif upper:
         indices = _PYRAMID
     else:
-        return nodes
+        indices = [*range(20)]
     return [nodes[i] for i in indices if i < len(nodes)]
 
 

@@ -196,9 +196,9 @@ def _facet_groups(
         by_kind: dict[str, list[Array]] = {}
         for kind, nodes in (face for faces, _ in results for face in faces):
             by_kind.setdefault(kind, []).append(nodes)
-        groups[name] = FacetGroup(
-            tuple(FacetBlock(kind, np.concatenate(nodes)) for kind, nodes in by_kind.items())
-        )
+        if by_kind:
+            parts = [FacetBlock(kind, np.concatenate(nodes)) for kind, nodes in by_kind.items()]
+            groups[name] = FacetGroup(tuple(parts))
     return groups
 
 

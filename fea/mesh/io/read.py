@@ -14,7 +14,7 @@ from meshio import _mesh
 
 from wrenchbook.fea.mesh.io.abaqus_content import read_deck
 from wrenchbook.fea.mesh.io.raw import Block, RawMesh, to_mesh
-from wrenchbook.fea.mesh.mesh import Mesh
+from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, Mesh
 from wrenchbook.fea.spec.mesh_source import UNITS
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError
 
@@ -65,7 +65,13 @@ def read_mesh(path: Path, unit: str) -> Mesh:
         if path.suffix.lower() != ".inp":
             return to_mesh(_read_meshio(path), UNITS[unit])
         raw, content = read_deck(path)
-        return replace(to_mesh(raw, UNITS[unit]), deck=content)
+        mesh = to_mesh(raw, UNITS[unit])
+        cells = sum(len(nodes) for kind, nodes in raw.blocks if kind in NODES_PER_CELL)
+        if twins := cells - sum(mesh.cell_counts.values()):
+            message = f"has {twins} elements on the nodes of others, left out here; remove them"
+            for line in content.taken["ELEMENT"]:
+                content.missing.setdefault(f"line {line}: *ELEMENT", message)
+        return replace(mesh, deck=content)
     except MeshFileError as error:
         raise BundleError([BundleProblem("mesh.file", f'"{path.name}" {error}')]) from None
 

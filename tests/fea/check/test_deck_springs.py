@@ -18,6 +18,7 @@ from tests.fea.check.test_load_cases import (
     tips_by_calculix,
 )
 from wrenchbook.fea.bundle.read import read_bundle
+from wrenchbook.fea.check import as_text
 from wrenchbook.fea.check import report as check
 from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
@@ -102,6 +103,11 @@ def test_the_exported_deck_has_the_springs(tmp_path, name):
     rows = calculix.printed([text], tmp_path)[-2:]
     moved = np.array([row[1:] for row in rows], dtype=float).ravel()
     np.testing.assert_allclose(moved, expected, rtol=1e-4 if nonlinear else 1e-5, atol=1e-9)
+
+
+def test_the_check_names_a_spring_by_its_ends_and_not_as_rigid(tmp_path):
+    result = proposal(tmp_path, DECKS["between bodies, turned"])
+    assert "\nspring with rigid ends between A and B: 21 and 21 nodes" in as_text(result["check"])
 
 
 @pytest.mark.parametrize("kind", ["CBUSH", "CELAS1", "CELAS2"])

@@ -175,6 +175,17 @@ def test_another_deck_in_the_folder_is_left_as_it_is(tmp_path):
     assert (tmp_path / "calculix.inp").read_text() == "** mine\n"
 
 
+@pytest.mark.parametrize(
+    "change", [("*ELEMENT, TYPE=C3D20", "*ELEMENT, TYPE=C3D99"), ("--case", "none")]
+)
+def test_a_deck_or_case_that_is_refused_leaves_no_folder(tmp_path, change):
+    (tmp_path / "steps.inp").write_text(HELD.replace(*change))
+    case = change[1] if change[0] == "--case" else None
+    with pytest.raises(BundleError, match=r"C3D99R|no case"):
+        propose(tmp_path / "steps.inp", tmp_path / "new", "mm", case)
+    assert [path.name for path in tmp_path.iterdir()] == ["steps.inp"]
+
+
 def test_a_folder_that_cannot_be_made_and_a_deck_that_cannot_be_read_are_named(tmp_path, capsys):
     (tmp_path / "file").write_text("no folder")
     assert main(["new", str(cards.HERE / "calculix.inp"), str(tmp_path / "file")]) == 1
@@ -206,6 +217,14 @@ def test_collapsed_hexahedra_of_an_archive_are_wedges_and_tetrahedra(tmp_path, k
     assert mesh.cell_counts == source.cell_counts
     assert volumes(mesh.points, mesh.blocks[0]).sum() == pytest.approx(24e-6, rel=1e-9)
     assert not folded_cells(mesh.points, mesh.blocks[0]).size
+
+
+def test_a_hexahedron_of_an_archive_with_an_edge_in_place_of_its_top_is_refused(tmp_path):
+    source = box("wedge15", (1, 1, 2), (20.0, 20.0, 60.0))
+    ridge = [0, 1, 4, 3, 2, 2, 5, 5, 6, 10, 9, 11, 2, 14, 5, 14, 8, 7, 10, 11]
+    (tmp_path / "a.cdb").write_text(cards.archive(source, "", ridge))
+    with pytest.raises(BundleError, match="has element 1 with a corner twice; repeat corner 3"):
+        propose(tmp_path / "a.cdb", tmp_path / "new", "mm")
 
 
 def test_a_wedge_of_nastran_keeps_its_midside_nodes(tmp_path):

@@ -276,6 +276,25 @@ def test_surfaces_are_facet_groups(tmp_path, name, area, centre):
     np.testing.assert_allclose(section.centre, centre, atol=1e-12)
 
 
+def test_a_surface_of_elements_without_faces_has_their_free_faces(tmp_path):
+    mesh = read(tmp_path, DECK.replace(" Right, S4", " Right,"))
+    ((kind, nodes),) = mesh.facet_groups["Tip"].blocks
+    assert (kind, len(nodes)) == ("quad4", 5)
+    assert (mesh.points[nodes][:, :, 0] > 1.0).any(axis=1).all()
+
+
+def test_a_surface_of_shells_that_nothing_names_is_left_out_with_a_note(tmp_path):
+    mesh = read(tmp_path, DECK.replace(" 7, S2", " 50, SPOS"))
+    assert set(mesh.facet_groups) == {"Tip"}
+    (note,) = [note for note in mesh.deck.notes if "SURFACE" in note]
+    assert note.startswith("line 42: *SURFACE has faces of shells or beams (50, SPOS), so it is")
+
+
+def test_a_face_that_a_tetrahedron_has_not_is_refused(tmp_path):
+    with pytest.raises(BundleError, match="face S5 of element 1, a tet4, which has faces S1 to S4"):
+        read(tmp_path, f"{cell_deck('C3D4', '000 100 010 001')}*SURFACE, NAME=F\n1, S5\n")
+
+
 def cell_deck(kind, points):
     """Return the deck of one cell, by the places of its corners."""
     nodes = [f"{i},{','.join(point)}" for i, point in enumerate(points.split(), 1)]

@@ -108,6 +108,13 @@ def test_second_order_cells_stay_as_they_are():
     assert not first_order_problems(mesh)
 
 
+def test_cells_of_two_blocks_of_one_kind_are_counted_together():
+    mesh = box("hex20", (1, 1, 3))
+    cells = box("hex8", (1, 1, 2)).blocks[0].nodes
+    both = replace(mesh, blocks=(*mesh.blocks, CellBlock("hex8", cells)), regions={})
+    assert second_order(both).cell_counts == {"hex20": 5}
+
+
 CUBE = Path(__file__).with_name("cube.inp").read_text("utf-8")
 
 
