@@ -110,12 +110,17 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
 
 def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> NDArray[np.bool_]:
     """Return the mask, (n,), of the rows after the first `count` cycles of the main load, (n,)."""
-    complete = int(passes.number[-1]) // 2
-    if complete < count:
-        message = (
-            f"is {count}, but at most {complete} cycles of the main load {name} can be left out"
-        )
-        raise _CycleError("skip_cycles", f"{message}; give at most {complete}")
+    most = int(passes.number[-1]) // 2
+    while most and not _is_after(load, passes, most).any():
+        most -= 1
+    if count > most:
+        message = f"is {count}, but at most {most} cycles of the main load {name} can be left out"
+        raise _CycleError("skip_cycles", f"{message}; give at most {most}")
+    return _is_after(load, passes, count)
+
+
+def _is_after(load: Array, passes: Passes, count: int) -> NDArray[np.bool_]:
+    """Return whether a row is after the first `count` cycles of the main load, (n,)."""
     retained = passes.number >= 2 * count
     first = load[0]
     margin = TURN * np.ptp(load)
@@ -123,9 +128,6 @@ def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> N
         # A test to both sides begins within its range: its cycles end at the load of its first row.
         direction = np.sign(load[passes.number == 0][-1] - first)
         retained &= (passes.number > 2 * count) | (direction * (load - first) >= 0)
-        if not retained.any():
-            message = f"no row is left after {count} cycles of {name}; give at most {count - 1}"
-            raise _CycleError("skip_cycles", message)
     return retained
 
 

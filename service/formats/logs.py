@@ -66,10 +66,11 @@ def _applied_lag(
         return None
 
     applied = lag.seconds if is_auto and lag else applied
+    shown = lag if lag and not lag.others else None
     report.clock = {
         "applied_s": applied,
-        "lag_s": lag and lag.seconds,
-        "uncertainty_s": lag and lag.error,
+        "lag_s": shown and shown.seconds,
+        "uncertainty_s": shown and shown.error,
     }
     report.findings += clock_findings(lag, applied)
     return applied

@@ -22,6 +22,7 @@ MIN_CHANNEL_ROWS = 12  # readings: fewer do not show the channel's normal behavi
 MIN_EQUAL = 3  # rows of one value: two may be equal by rounding of the written digits
 DIGITS = 3  # values of a channel at rest: its converter may alternate between neighbouring digits
 TAIL = 5  # per cent of the rows at either end that count as the end, as single rows may be wrong
+MAX_BY_CHANCE = 0.5  # part of the variance: a channel with half of it by its loads follows them
 ROWS_A_TERM = 2  # rows for each term of the response that must remain beside the suspected rows
 
 
@@ -207,10 +208,15 @@ def _constant_rows(values: Floats, equal: float) -> list[NDArray[np.intp]]:
 
 
 def _is_explained(terms: Floats, y: Floats) -> bool:
-    """Return whether the terms (n, t) explain more of the variance of y (n,) than of pure noise."""
-    y = y.clip(*np.percentile(y, [TAIL, 100 - TAIL]))
-    y = y - y.mean()
+    """Return whether the terms (n, t) explain more of the variance of y (n,) than of pure noise.
+
+    True as well where the rows are too few to show it. The ends of y are clipped against single
+    wrong rows, or kept, since the response to a load of few rows lies in them alone.
+    """
     free = terms.shape[1] - 1
-    residual = y - terms @ np.linalg.lstsq(terms, y, rcond=RANK)[0]
     by_chance = (free + CONFIDENT * np.sqrt(2 * free)) / len(y)
-    return float(residual @ residual) < (1 - min(by_chance, 1.0)) * float(y @ y) or by_chance >= 1
+    both = np.column_stack((y, y.clip(*np.percentile(y, [TAIL, 100 - TAIL]))))
+    both -= both.mean(axis=0)
+    residual = both - terms @ np.linalg.lstsq(terms, both, rcond=RANK)[0]
+    is_explained = (residual**2).sum(axis=0) < (1 - by_chance) * (both**2).sum(axis=0)
+    return bool(is_explained.any()) or by_chance > MAX_BY_CHANCE

@@ -152,14 +152,19 @@ def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
         return [RigFinding("clock", message, (), {"rate": lag.rate})]
     if lag is None or not lag.named or abs(applied - lag.seconds) <= lag.error:
         return []
+    if lag.others:
+        message = (
+            f"{repeated(lag)}, but not with {applied:g} s (misfit {lag.misfit_applied:.1%} instead "
+            f"of {lag.misfit:.1%}). Withdraw this import, and import again with the lag that fits "
+            "a load that occurs once"
+        )
+        return [RigFinding("clock", message, (), {"lags": sorted((lag.seconds, *lag.others))})]
     message = (
         f"the displacement log needs {lag.seconds:.4g} +- {lag.error:.1g} s added to its times, "
         f"not {applied:g} s: the misfit falls from {lag.misfit_applied:.1%} to {lag.misfit:.1%}. "
         f"Withdraw this import, and import again with lag={lag.seconds:.4g} "
         f"(--lag {lag.seconds:.4g})"
     )
-    if lag.others:
-        message += f". But {repeated(lag)}: use the lag that fits a load that occurs once"
     return [RigFinding("clock", message, (), {"lag": lag.seconds, "uncertainty": lag.error})]
 
 

@@ -9,10 +9,12 @@ covariance is P, and E the terms of the mean that are slopes or jumps (Morris, M
 Ylvisaker 1993),
 
     b = (B' D B)^-1 B' D U' y,   slopes = E b + k' D (U' y - B b),
-    covariance s^2 (P - k' D k + R' (B' D B)^-1 R),   R = E' - B' D k.
+    covariance s^2 (P - k' D k + R' (B' D B)^-1 R) + Q,   R = E' - B' D k.
 
-The result is the average over kernels and noises, weighted by their restricted likelihood
-(Patterson and Thompson 1971). So curvature between the rows widens the uncertainty of a slope.
+In directions that the readings do not determine, as where a load has few levels, b is 0, and Q has
+a deviation by the range of the readings, whatever their noise s. The result is the average over
+kernels and noises, weighted by their restricted likelihood (Patterson and Thompson 1971). So
+curvature between the rows widens the uncertainty of a slope.
 """
 
 from __future__ import annotations
@@ -34,9 +36,13 @@ KERNELS = tuple((theta, weight) for theta in (1.4, 0.0, -1.4, -2.8) for weight i
 RATIOS = np.exp(np.arange(-14.0, 8.0))  # noise over process variance: from 1e-6 to 1e3
 USUAL_STEP = 90  # percentile of an output's changes from row to row that counts as its usual step
 MIN_STEP = 0.05  # part of the usual step: smaller steps have no sure direction
-# Deviation of the prior of the mean's coefficients, over that of the readings: so wide that the
-# readings decide, and finite, so that a term that they do not vary gives no singular matrix.
-PRIOR = 1e3
+# Deviation of a direction of the terms that the readings do not determine, in ranges of them.
+PRIOR = 2.0
+# Part of the largest singular value of the terms: smaller ones are the scatter of repeated levels.
+DETERMINED = 1e-3
+EXACT = 1e-9  # part of an output's range: smaller deviations are rounding
+# Degrees of freedom that must remain for a noise: the variance of Student's t is finite above 2.
+MIN_FREEDOM = 3
 N_SLOPES = 12  # numbers of an output: six slopes, then the jumps of six loads
 
 
@@ -79,7 +85,7 @@ def slopes_at_zero(rows: Rows, load_range: LoadRange, response: RobustFit) -> Sl
             load = x[:, output]  # a cubic response and one of 5th degree are no jump
             further = np.ones(len(x)), time[pattern], loop, load**3, load**5
             columns.append(np.column_stack((x, signs, *further)))
-        size = np.maximum(y.std(axis=0), np.finfo(float).tiny)
+        size = np.maximum(np.ptp(y, axis=0), np.finfo(float).tiny)
         scaled_mean, scaled = _posterior(x, (y - y.mean(axis=0)) / size, columns)
         mean[outputs] = scaled_mean * size[:, None]
         covariances[outputs] = scaled * size[:, None, None] ** 2
@@ -110,7 +116,7 @@ def _posterior(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Flo
     """Return the mean of slopes and jumps, (k, 12), and their covariance, (k, 12, 12).
 
     `x` (n, 6): loads, half ranges.
-    `y` (n, k): readings of k outputs, over their standard deviations.
+    `y` (n, k): readings of k outputs, over their ranges.
     `columns`: the terms of each output's mean at the readings, (n, c); the first 12 of them are
     the loads and their signs.
     """
@@ -119,11 +125,12 @@ def _posterior(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Flo
     slopes = np.ones((1, 7), dtype=bool)
     slopes[:, 0] = False
     zero_load = np.zeros((1, 6))
+    means_of_terms = [_Mean.of(terms, y[:, output]) for output, terms in enumerate(columns)]
     # One entry for each kernel, noise and output.
     shape = len(KERNELS), len(RATIOS), y.shape[1]
     negative_log_likelihoods = np.empty(shape)
     means = np.empty((*shape, N_SLOPES))
-    second_moments = np.empty((*shape, N_SLOPES, N_SLOPES))
+    covariances = np.empty((*shape, N_SLOPES, N_SLOPES))
     for number, (theta, weight) in enumerate(KERNELS):
         kernel = Hyperparameters.of_logarithms(np.array([theta] * 6 + [weight]))
         roots, vectors = np.linalg.eigh(covariance(x, values, x, values, kernel))
@@ -131,28 +138,59 @@ def _posterior(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Flo
         across, prior = np.zeros((n, N_SLOPES)), np.zeros((N_SLOPES, N_SLOPES))
         across[:, :6] = vectors.T @ covariance(x, values, zero_load, slopes, kernel)
         prior[:6, :6] = covariance(zero_load, slopes, zero_load, slopes, kernel)
-        for output, terms in enumerate(columns):
-            factors = np.column_stack((vectors.T @ terms, across, vectors.T @ y[:, output]))
-            result = _posterior_by_noise(factors, inverse, prior)
+        for output, of_terms in enumerate(means_of_terms):
+            data = vectors.T @ np.column_stack((of_terms.basis, of_terms.residual))
+            factors = np.column_stack((data[:, :-1], across, data[:, -1]))
+            result = _posterior_by_noise(factors, inverse, prior, of_terms)
             negative_log_likelihoods[number, :, output] = result[0]
-            means[number, :, output], second_moments[number, :, output] = result[1:]
+            means[number, :, output], covariances[number, :, output] = result[1:]
 
     # The average over kernels and noises; letters: kernel, ratio, output, entry, entry.
     weights = np.exp(negative_log_likelihoods.min(axis=(0, 1)) - negative_log_likelihoods)
     weights /= weights.sum(axis=(0, 1))
     mean = np.einsum("kro,kroe->oe", weights, means)
-    second_moment = np.einsum("kro,kroef->oef", weights, second_moments)
-    return mean, second_moment - mean[:, :, None] * mean[:, None]
+    off = means - mean
+    spread = np.einsum("kro,kroe,krof->oef", weights, off, off)
+    spread += np.einsum("kro,kroef->oef", weights, covariances)
+    spread += np.stack([of_terms.undetermined for of_terms in means_of_terms])
+    variances = np.einsum("oee->oe", spread)
+    np.maximum(variances, 0.0, out=variances)  # rounding of exact readings
+    return mean, spread
+
+
+class _Mean(NamedTuple):
+    """The terms of an output's mean, in an orthonormal basis that keeps the digits of the data."""
+
+    basis: Floats  # (n, t): of the terms that the readings determine
+    along: Floats  # (t,): the readings in this basis
+    residual: Floats  # (n,): the readings less their part along the basis
+    slopes: Floats  # (12, t): slopes and jumps by these coefficients
+    undetermined: Floats  # (12, 12): covariance of slopes and jumps that no reading shows
+
+    @classmethod
+    def of(cls, terms: Floats, y: Floats) -> _Mean:
+        """Return the basis of terms (n, c) for readings (n,) over their range."""
+        largest = np.abs(terms).max(axis=0)
+        largest = np.where(largest > ZERO_LOAD, largest, 1.0)
+        left, sizes, right = np.linalg.svd(terms / largest)
+        known = np.count_nonzero(sizes > DETERMINED * sizes[0])
+        basis, parts = left[:, :known], right[:known].T / sizes[:known]
+        along = basis.T @ y
+        scale = largest[:N_SLOPES]
+        slopes = parts[:N_SLOPES] / scale[:, None]
+        others = PRIOR * right[known:, :N_SLOPES] / scale
+        undetermined = others.T @ others
+        return cls(basis, along, y - basis @ along, slopes, undetermined)
 
 
 def _posterior_by_noise(
-    factors: Floats, inverse: Floats, prior: Floats
+    factors: Floats, inverse: Floats, prior: Floats, of_terms: _Mean
 ) -> tuple[Floats, Floats, Floats]:
-    """Return half the negative log likelihood, (r,), mean and second moment of slopes and jumps.
+    """Return half the negative log likelihood, (r,), mean and covariance of slopes and jumps.
 
     They are those of one output by one kernel for each of r noises, (r, 12) and (r, 12, 12).
 
-    `factors` (n, c + 13): B, k and U' y side by side.
+    `factors` (n, t + 13): B, k and U' y side by side, of the basis and the residual of the terms.
     `inverse` (r, n): D of each noise; `prior` (12, 12): P.
     """
     n = len(factors)
@@ -163,17 +201,19 @@ def _posterior_by_noise(
     b = slice(0, count)
     k = slice(count, count + N_SLOPES)
 
-    normal = weighted[:, b, b] + np.eye(count) / PRIOR**2
+    normal = weighted[:, b, b]
     covariances = np.linalg.inv(normal)
     estimate = np.einsum("rab,rb->ra", covariances, weighted[:, b, -1])
     residual = weighted[:, -1, -1] - (estimate * weighted[:, b, -1]).sum(axis=1)
-    freedom = max(n - count, 1)  # with fewer rows than terms, the prior of the terms decides
-    variance = np.maximum(residual, np.finfo(float).tiny) / freedom
+    free = n - count
+    variance = np.maximum(residual / max(free, 1), EXACT**2)
     determinants = np.linalg.slogdet(normal)[1] - np.log(inverse).sum(axis=1)
-    value = 0.5 * (freedom * np.log(variance) + determinants)
+    value = 0.5 * (free * np.log(variance) + determinants)
 
-    by_mean = np.eye(count)[:N_SLOPES] - weighted[:, k, b]  # R', with E the first rows of 1
-    mean = weighted[:, k, -1] + np.einsum("rkb,rb->rk", by_mean, estimate)
+    by_mean = of_terms.slopes - weighted[:, k, b]  # R'
+    mean = of_terms.slopes @ of_terms.along + weighted[:, k, -1]
+    mean += np.einsum("rkb,rb->rk", by_mean, estimate)
     spread = prior - weighted[:, k, k] + by_mean @ covariances @ by_mean.transpose(0, 2, 1)
-    second_moment = variance[:, None, None] * spread + mean[:, :, None] * mean[:, None]
-    return value, mean, second_moment
+    # The variance of Student's t; the range of the readings where no noise can be estimated.
+    certain = variance * free / (free - 2) if free >= MIN_FREEDOM else np.ones(len(inverse))
+    return value, mean, certain[:, None, None] * spread

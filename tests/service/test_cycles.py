@@ -171,6 +171,21 @@ def test_too_many_skipped_cycles_are_refused_with_how_many_can_be_left_out(count
     assert not report.mistakes.listed()
 
 
+def test_too_many_skipped_cycles_of_a_test_to_both_sides_are_refused_with_the_right_number():
+    """The message of 5 gave 4, and that of 4 gave 3."""
+    wrench = np.outer(300 * np.sin(np.linspace(0, 8 * np.pi, 400)), np.eye(6)[2])
+    rows = Rows.of(wrench, wrench * 1e-6)
+    _, report = left(rows, skip_cycles=5)
+    (mistake,) = report.mistakes.listed()
+    most = int(mistake.message.split("give at most ")[1])
+    assert [
+        bool(left(rows, skip_cycles=count)[1].mistakes.listed()) for count in (most, most + 1)
+    ] == [
+        False,
+        True,
+    ]
+
+
 def test_passes_of_one_row_at_different_loads_have_no_mean():
     wrench = np.zeros((8, 6))
     wrench[:, 2] = [10, 0, 6, 0, 8, 0, 4, 0]

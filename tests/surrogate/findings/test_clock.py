@@ -137,6 +137,16 @@ def test_loads_that_repeat_have_several_lags_and_no_lag_auto(frequency, shift):
     assert "lag=auto" not in finding.message
 
 
+def test_a_finding_names_all_lags_where_loads_repeat_and_recommends_none():
+    time, when = np.arange(0, 20, 0.01), np.arange(0.3, 19.7, 0.05)
+    wrench = np.outer(800 * np.sin(2.6 * np.pi * time), np.eye(6)[2])
+    moved = np.outer(800e-6 * np.sin(2.6 * np.pi * when), np.eye(6)[2])
+    lag = estimate_lag(Logs(time, wrench, when + 0.2, moved))
+    (finding,) = clock_findings(lag, 0.0)
+    assert finding.numbers == {"lags": sorted((lag.seconds, *lag.others))}
+    assert "lag=" not in finding.message
+
+
 def test_noise_of_the_loads_is_no_difference_of_clock_rates():
     """Interpolation averages the noise of two loads, but not where displacements fall on one."""
     for seed in range(8400, 8412):
