@@ -153,8 +153,11 @@ def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[s
         errors = error.errors(include_url=False, include_context=False, include_input=False)
     mistakes = []
     for mistake in islice(errors, MAX_ERRORS):
-        path = mistake["loc"][1:] if mistake["loc"][:1] == ("body",) else mistake["loc"]
-        loc = ".".join(map(str, path))[:MAX_PLACE] or "body"
+        path = mistake["loc"]
+        part = str(*path[:1])
+        if part in ("body", "query"):  # a parameter has the name that the caller has sent
+            path = path[1:]
+        loc = ".".join(map(str, path))[:MAX_PLACE] or part or "body"
         text = _PLAIN.get(mistake["type"]) or mistake["msg"].removeprefix("Value error, ")
         text = text.replace("Input should be", "must be")
         sent = mistake.get("input")

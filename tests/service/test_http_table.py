@@ -224,7 +224,7 @@ def test_the_packed_table_that_answers_is_exported_of_the_newest_version_alone(r
     assert newest.content != before.content
     earlier = {"format": "packed", "table_version": first}
     refused = rig.get(CALL, params=earlier)
-    assert (refused.status_code, refused.json()["errors"][0]["loc"]) == (422, "query.table_version")
+    assert (refused.status_code, refused.json()["errors"][0]["loc"]) == (422, "table_version")
 
 
 KEPT = {"inserted", "existing", "errors", "dry_run", "in_use", "table_version"}

@@ -130,7 +130,7 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
                 "lists the faces of a bundle's mesh: send the zip as the file 'bundle' of "
                 "multipart/form-data, or leave faces out to add a table-only component"
             )
-            raise bad_body([{"loc": "query.faces", "msg": message}])
+            raise bad_body([{"loc": "faces", "msg": message}])
         body = read_body(TableOnlyComponent, await read_limited(request.receive))
         fields = body.model_dump(exclude_none=True)
         component = await run_in_threadpool(lambda: workspace.library.add_table_only(**fields))
