@@ -27,7 +27,7 @@ from wrenchbook.service.http.body import (
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.permission import permission_of
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.routes import Newest, Opened, json_reply, next_page
+from wrenchbook.service.http.routes import Opened, WaitSeconds, json_reply, next_page
 from wrenchbook.service.http.routes.scenes import need_from
 from wrenchbook.service.library.bundles import MAX_BUNDLE_BYTES
 from wrenchbook.service.library.component import (
@@ -95,8 +95,9 @@ def list_components(
     response_description="the component",
     responses=refused(404, 422),
 )
-def get_component(name: str, workspace: Opened, _: Newest) -> dict[str, Any]:
-    return component_body(workspace, workspace.library[name])
+async def get_component(name: str, workspace: Opened, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
+    await workspace.newest(name, wait_s)
+    return await run_in_threadpool(component_body, workspace, workspace.library[name])
 
 
 @router.post(
