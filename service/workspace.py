@@ -261,11 +261,15 @@ class Workspace:
     async def caught_up(self, name: str, seconds: float) -> bool:
         """Return whether a table has all present rows, after at most `seconds`.
 
-        It waits on asyncio's own few threads: on those that queue a loop's wrenches, forty such
-        readers would block the loop while a table is built.
+        No thread waits, so that no number of waiting callers delays another request.
         """
+        deadline = time.monotonic() + seconds
         loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(None, self.tables.catch_up, name, seconds)
+        progress = await loop.run_in_executor(None, self.tables.progress, name)
+        # No event: the versions of other web workers are in files.
+        while (caught_up := progress()) is None and time.monotonic() < deadline:  # noqa: ASYNC110
+            await asyncio.sleep(POLL_S)
+        return caught_up is True
 
     def deformed(self, name: str, wrench: NDArray[np.float64]) -> Deformed:
         """Return a component's deformed surface under a wrench (6,), N and N·m, from files.

@@ -108,7 +108,7 @@ def _filled(
     for number, job in enumerate(jobs):
         report(0.7 * number / len(jobs), f"solve {number + 1} of {len(jobs)}")
         client.wait(job, SOLVE_S)
-    rows = client.component(name)["rows"]  # which waits for them
+    rows = client.component(name, wait_s=60)["rows"]  # which waits for them
     return recorded, {"wrenches": len(recorded.times), "solves": len(jobs), "rows": rows}
 
 

@@ -42,7 +42,7 @@ def tip_load(client: Client, effort: Effort, report: ProgressCallback) -> PaperP
     component = shipped("bar")
     compliances = euler(component), Solver(component).compliance
     client.displacement("bar", [0, 0, -50.0], on_thin="wait", wait_s=120)  # its one solve
-    client.component("bar")  # which waits for the row
+    client.component("bar", wait_s=60)  # which waits for the row
     for number, lever in enumerate(LEVERS):
         report(number / len(LEVERS), f"bar, lever {lever:g} m")
         loads = np.array(effort.tip_loads)

@@ -135,7 +135,7 @@ def _record(client: Client, effort: Effort) -> None:
     press(client, "spring", effort.spring_rows, mode="record")
     for job in client.start_recording("spring").jobs:
         client.wait(job, SOLVE_S)
-    client.component("spring")  # which waits for the rows
+    client.component("spring", wait_s=60)  # which waits for the rows
 
 
 def _pressed(displacements: Vector) -> Vector:

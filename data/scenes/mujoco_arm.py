@@ -29,7 +29,7 @@ def main(server: str, seconds: float) -> float:
     data.qpos[:], data.ctrl[:] = START, START
     with Client(server, timeout=120) as client:
         client.displacement("bar", [0, 0, -80.0], on_thin="wait", wait_s=100)  # its one solve
-        client.component("bar")  # which waits for the row to be in use
+        client.component("bar", wait_s=60)  # which waits for the row to be in use
         mount = MujocoMount(model, data, source=client.download("bar"), component="bar", sync=0.005)
         mount.settle()
         largest = 0.0

@@ -47,7 +47,7 @@ def main(server: str, seconds: float) -> tuple[float, float]:
     """Run the scene, and return the lowest and the highest vertical force on the bar, N."""
     with Client(server, timeout=120) as client:
         client.displacement("bar", [0, 0, -80.0], on_thin="wait", wait_s=100)  # its one solve
-        vibration = client.component("bar")["vibration"]  # which waits for the row to be in use
+        vibration = client.component("bar", wait_s=60)["vibration"]  # waits for the row
         table = client.download("bar")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.xml"

@@ -103,7 +103,7 @@ def main(server: str, seconds: float) -> None:
     """Let it swing, every step answered by the downloaded table."""
     with Client(server, timeout=120) as client:
         client.displacement("bar", [0, 0, -20.0], on_thin="wait", wait_s=100)  # its one solve
-        client.component("bar")  # which waits for the row to be in use
+        client.component("bar", wait_s=60)  # which waits for the row to be in use
         mount = Mount(client.download("bar"), "bar", np.eye(3), P0)
     on, engine = scene(mount)
     for _ in range(round(seconds / 1e-3)):

@@ -92,7 +92,7 @@ def read_bundle(folder: str | Path) -> Bundle:
         message = "has a dotted name of more than 32 parts, which no key has; shorten the name"
         raise BundleError([BundleProblem(f"line {line}", message)])
     try:
-        table = tomllib.loads(content.decode("utf-8"))
+        table = tomllib.loads(content.decode("utf-8-sig"))  # some editors write a BOM
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         message = "is not UTF-8 text; save the file as UTF-8"
@@ -101,7 +101,7 @@ def read_bundle(folder: str | Path) -> Bundle:
         message = "nests lists or tables too deeply, which no key does; remove the inner brackets"
         raise BundleError([BundleProblem(FILE_NAME, message)]) from None
     except ValueError as error:
-        raise BundleError([_syntax_problem(str(error), content.decode("utf-8"))]) from None
+        raise BundleError([_syntax_problem(str(error), content.decode("utf-8-sig"))]) from None
     return bundle_of(table, folder)
 
 

@@ -128,7 +128,7 @@ def surface_in(folder: Path, problems: list[BundleProblem] | None = None) -> Sur
     """
     problems = [] if problems is None else problems
     try:
-        content = tomllib.loads((folder / FILE_NAME).read_text("utf-8"))
+        content = tomllib.loads((folder / FILE_NAME).read_text("utf-8-sig"))
         deck = content.get("deck", {})
         table = content.get("mesh") or {"unit": deck.get("unit", "m"), "file": deck["file"]}
         keys = {key: value for key, value in table.items() if key not in ("groups", "regions")}
@@ -151,7 +151,7 @@ def listed(surface: Surface, face: Face) -> dict[str, Any]:
 def _geometry_named_in(folder: Path) -> Path | None:
     """Return the STEP file of a bundle with mistakes: its faces help to complete the bundle."""
     try:
-        name = tomllib.loads((folder / FILE_NAME).read_text("utf-8"))["mesh"]["file"]
+        name = tomllib.loads((folder / FILE_NAME).read_text("utf-8-sig"))["mesh"]["file"]
         path = (folder / name).resolve()
     except (OSError, ValueError, RecursionError, LookupError, TypeError):
         return None

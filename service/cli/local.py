@@ -122,7 +122,9 @@ def _refused(message: str) -> typer.Exit:
 
 
 def _make_folder(folder: Path) -> None:
-    """Make the data directory; refuse one that cannot be made or written."""
+    """Make the data directory; refuse one that cannot be written, or is not restored."""
+    from wrenchbook.service.ledger.connection import unfinished_restore
+    from wrenchbook.service.ops.backup import LEDGER
     from wrenchbook.service.ops.checks import not_writable
 
     try:
@@ -132,6 +134,8 @@ def _make_folder(folder: Path) -> None:
             f"the data directory {folder} cannot be created: {error.strerror}; name another with "
             "--data, or create it and give it to the user that runs the server"
         ) from error
+    if problem := unfinished_restore(folder.absolute() / LEDGER):
+        raise _refused(problem)
     if paths := not_writable(folder):
         raise _refused(
             f"this user cannot read and write {paths[0]}; name another data directory with "

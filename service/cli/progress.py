@@ -16,6 +16,7 @@ from wrenchbook.service.cli.render import Screen, job_state, plain
 from wrenchbook.service.client import Client, Job, ProblemError, ServerTimeout, ServerUnreachable
 
 POLL_S = 0.2
+BUILD_S = 25.0  # s that the last rows of a fill are waited for
 INTERRUPTED = 130  # exit status of shells after Ctrl-C: 128 + SIGINT
 
 
@@ -158,7 +159,8 @@ def fill(
 
         pace.ended = spent = spent + len(ended)
         now = client.component(name)
-        parts = f"{spent} solves", pace.note(), f"{now['rows']} rows"
+        rows = now["rows"] + now["pending_rows"]
+        parts = f"{spent} solves", pace.note(), f"{rows} rows"
         plain(out, "; ".join(filter(None, parts)))
         failed = [job for job in ended if job.status == "failed"]
         failures += len(failed)
@@ -170,7 +172,7 @@ def fill(
                 f"the jobs: wrenchbook jobs --component {name} --status failed"
             )
 
-    now = client.component(name)
+    now = client.component(name, wait_s=BUILD_S)
     out.print(f"{spent} solves; {name} has {now['rows']} rows.")
     for warning in now.get("warnings", ()):
         # The solver's own error is over the tolerance, for a table of any size.

@@ -75,15 +75,22 @@ class LibraryCalls(Connection):
             next_page = page.get("next")
         return components
 
-    def component(self, name: str) -> Document:
+    def component(self, name: str, wait_s: float = 0.0) -> Document:
         """Return a component: its wrench contract, load range, rows and coverage.
+
+        Parameters
+        ----------
+        wait_s : float
+            Longest wait, s, until the table has all present rows; else ``pending_rows`` counts the
+            others.
 
         Raises
         ------
         ProblemError
             If there is no such component (404).
         """
-        return self.call_json("GET", component_path(name))
+        query = {"wait_s": wait_s or None}
+        return self.call_json("GET", component_path(name), query=query, wait_s=wait_s)
 
     def compliance(self, name: str) -> Document:
         """Return a component's 6x6 compliance and checks of its rows against physics.

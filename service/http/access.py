@@ -24,7 +24,7 @@ from wrenchbook.service.keys import MAX_KEYS, OWN_KEY, Key, Keyring, Scope, dige
 from wrenchbook.service.tables.rows import iso_time
 
 _LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
-_READING: Final = ("GET", "HEAD", "OPTIONS")
+_READING: Final = ("GET", "OPTIONS")  # HEAD is read as GET
 # Open to every site and without a key, as are the files of the page: none has content of tables.
 _PUBLIC: Final = frozenset({"/", "/docs", "/openapi.json", "/favicon.ico", "/health/live"})
 _ADMIN: Final = ("/v1/keys", "/v1/audit")
@@ -163,7 +163,7 @@ class AccessControl:
         permitted; its body was not read then.
         """
         self._check_host(head)
-        if method in ("GET", "HEAD") and (path in _PUBLIC or path.startswith("/page/")):
+        if method == "GET" and (path in _PUBLIC or path.startswith("/page/")):
             return OPEN
         self._check_origin(head)
         permission = self._permission(head)

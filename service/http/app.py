@@ -69,7 +69,7 @@ _PARTS = (
 access_log = logging.getLogger("wrenchbook.access")
 # Route name of a request that is no call of the API, or was refused before the router.
 NO_ROUTE: Final = "none"
-_METHODS: Final = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
+_METHODS: Final = frozenset({*problems.METHODS, "OPTIONS"})
 # Calls that a replica answers although they are sent by POST; such queries refuse to add jobs.
 _QUERIES: Final = ("/displacement", "/displacements", "/scenes/plan")
 # The caller until the access control has identified it.
@@ -89,8 +89,9 @@ class Application(FastAPI):
 
     The id is the header X-Request-ID of the request (1 to 128 visible ASCII characters), else a
     random one. The reply has it, but for a displacement with status 200 to a request without the
-    header: the fast path sends the same reply. `fast_path` answers queries of the main call from
-    their bytes; it is None if requests are `logged`, each in a line of the access log, or traced.
+    header: the fast path sends the same reply. HEAD is answered as GET, without the body.
+    `fast_path` answers queries of the main call from their bytes; it is None if requests are
+    `logged`, each in a line of the access log, or traced.
     """
 
     fast_path: FastPath | None = None
@@ -105,6 +106,8 @@ class Application(FastAPI):
 
         started = perf_counter()
         status = CLIENT_GONE
+        method = scope["method"]
+        scope, send = _as_get(scope, send)
         sent_id = id_of(scope["headers"])
         request_id = sent_id or secrets.token_hex(8).encode()
         REQUEST_ID.set(request_id.decode())  # each request runs in a context of its own
@@ -132,13 +135,12 @@ class Application(FastAPI):
                 answer = with_security_headers(send_with_id, scope["path"], None)
                 await _STOPPING.response()(scope, receive, answer)
         finally:
-            self._count(scope, status, perf_counter() - started)
+            self._count(scope, method, status, perf_counter() - started)
 
-    def _count(self, scope: Scope, status: int, seconds: float) -> None:
+    def _count(self, scope: Scope, method: str, status: int, seconds: float) -> None:
         """Count an answered request, and write its line of the access log."""
         # The template of the route, such as ``/v1/jobs/{job_id}``, without the caller's words.
         route = getattr(scope.get("route"), "path", NO_ROUTE)
-        method = scope["method"]
         known = method if method in _METHODS else "other"
         self.state.counts.add_request(route, known, status, seconds)
         if self.logged:
@@ -152,9 +154,22 @@ class Application(FastAPI):
             access_log.info('%s %s "%s %s" %d %.1f ms', *record, extra={"actor": actor})
 
 
+def _as_get(scope: Scope, send: Send) -> tuple[Scope, Send]:
+    """Return the scope of GET for a HEAD, and a `send` without the reply's body."""
+    if scope["method"] != "HEAD":
+        return scope, send
+
+    async def send_head(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            await send(message)
+            await send({"type": "http.response.body"})  # the end: a stream of events ends with it
+
+    return {**scope, "method": "GET"}, send_head
+
+
 def _reads(scope: Scope) -> bool:
     """Return whether a request writes nothing by itself; queries refuse to add jobs."""
-    if scope["method"] in ("GET", "HEAD", "OPTIONS"):
+    if scope["method"] in ("GET", "OPTIONS"):
         return True
     return scope["path"].endswith(_QUERIES) or scope["path"].startswith("/umbridge/")
 

@@ -341,4 +341,4 @@ def refuse_query(query: QueryParams) -> None:
     """Refuse the query parameters of a call that takes none: 422 with the name of each."""
     if query:
         message = "this call has no query parameters; send its options in the body"
-        raise bad_body([{"loc": f"query.{name}", "msg": message} for name in query])
+        raise bad_body([{"loc": name, "msg": message} for name in query])

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import Response
+from starlette.routing import Match
 
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.service import keys, ledger
@@ -38,6 +39,7 @@ from wrenchbook.surrogate.answer import UnknownMethodError
 MEDIA_TYPE = "application/problem+json"
 # Status as nginx counts it: the caller disconnected before its request was complete.
 CLIENT_GONE = 499
+METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 MAX_ERRORS = 1000
 MAX_TEXT = 1000  # characters of a message: longer ones are cut
 MAX_PLACE = 200  # characters of a path or a key, which a caller may send at any length
@@ -151,8 +153,11 @@ def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[s
         errors = error.errors(include_url=False, include_context=False, include_input=False)
     mistakes = []
     for mistake in islice(errors, MAX_ERRORS):
-        path = mistake["loc"][1:] if mistake["loc"][:1] == ("body",) else mistake["loc"]
-        loc = ".".join(map(str, path))[:MAX_PLACE] or "body"
+        path = mistake["loc"]
+        part = str(*path[:1])
+        if part in ("body", "query"):  # a parameter has the name that the caller has sent
+            path = path[1:]
+        loc = ".".join(map(str, path))[:MAX_PLACE] or part or "body"
         text = _PLAIN.get(mistake["type"]) or mistake["msg"].removeprefix("Value error, ")
         text = text.replace("Input should be", "must be")
         sent = mistake.get("input")
@@ -199,6 +204,16 @@ def _retry_after(error: Exception) -> dict[str, str] | None:
     return {"Retry-After": _BUILT_S} if isinstance(error, TableBehindError) else None
 
 
+def _methods_of(app: FastAPI, path: str) -> list[str]:
+    """Return the methods that a path accepts; HEAD is answered as GET."""
+
+    def is_accepted(method: str) -> bool:
+        scope = {"type": "http", "path": path, "method": method.replace("HEAD", "GET")}
+        return any(route.matches(scope)[0] is Match.FULL for route in app.routes)
+
+    return [method for method in METHODS if is_accepted(method)]
+
+
 def install(app: FastAPI) -> None:
     """Make every error of ``app`` a problem reply."""
 
@@ -211,6 +226,8 @@ def install(app: FastAPI) -> None:
         text = f"{call}: {error.detail}. See /openapi.json for all calls."
         response = HttpProblemError(error.status_code, "http", str(error.detail), text).response()
         response.headers.update(error.headers or {})
+        if error.status_code == 405:  # the error has the methods of one of the path's routes
+            response.headers["Allow"] = ", ".join(_methods_of(app, request.scope["path"]))
         return response
 
     def crash(request: Request, _: Exception) -> Response:

@@ -54,6 +54,7 @@ RETRY_SECONDS = 0.001  # pause between attempts: a tenth of a short transaction
 # The log is moved into the file each 1000 pages (4 MB) unless a reader prevents it; a longer log,
 # after a large import, is then truncated to this size.
 LOG_BYTES = 16 * 1024 * 1024
+RESTORING = ".restoring"  # folder of a restore within the data directory, which may be a mount
 
 
 class Connection(sqlite3.Connection):
@@ -146,6 +147,18 @@ def begin(connection: Connection, statement: str = "BEGIN IMMEDIATE") -> None:
         connection.execute(f"PRAGMA busy_timeout = {round(1000 * BUSY_SECONDS)}")
 
 
+def unfinished_restore(path: Path) -> str:
+    """Return the text on a restore that has not put the ledger `path` in place, with a remedy."""
+    folder = path.parent
+    if path.exists() or not (folder / RESTORING).exists():
+        return ""
+    return (
+        f"a restore into {folder} was interrupted, or is running: {RESTORING} is there, but no "
+        f"{path.name}. Repeat it with: wrenchbook restore FILE --overwrite --data {folder}; its "
+        "former files, if there were any, are in .before-restore-*"
+    )
+
+
 def open_file(path: Path) -> Connection:
     """Open an intact ledger, or a new one, and upgrade its schema.
 
@@ -166,6 +179,8 @@ def open_file(path: Path) -> Connection:
                 "this file back; if it is lost, create it from the tables with: wrenchbook "
                 f"doctor --repair --data {path.parent}"
             )
+        if problem := unfinished_restore(path):
+            raise LedgerFileError(problem)
         with suppress(FileExistsError):
             os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
         # Earlier versions let everybody read it. A group that was let in stays.

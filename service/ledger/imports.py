@@ -328,7 +328,8 @@ def _counts_by_import(db: Connection, component: str, seqs: Iterable[int]) -> Co
 def restore_confirmed(db: Connection, component: str, keys: Sequence[bytes]) -> int:
     """Restore the withdrawn rows with these keys, which a later import has confirmed.
 
-    Return their number. As after a solve, a row that comes again counts again.
+    Return their number. As after a solve, a row that comes again counts again, except for a row
+    that was withdrawn by itself.
     """
     known = rows.stored(db, rows.withdrawn_keys(db, component, keys))
     seqs = sorted(known.values())

@@ -484,8 +484,11 @@ def known_rows(db: Connection, keys: Iterable[bytes]) -> set[bytes]:
 
 
 def withdrawn_keys(db: Connection, component: str, keys: Iterable[bytes]) -> list[bytes]:
-    """Return the given keys whose rows are withdrawn; without any such row no key is read."""
-    gone = withdrawn(db, component)
+    """Return the given keys whose rows are withdrawn, but not one by one.
+
+    Without any such row no key is read.
+    """
+    gone = withdrawn(db, component, with_single=False)
     known = stored(db, list(keys)) if gone else {}
     return [key for key, seq in known.items() if seq in gone]
 

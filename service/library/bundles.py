@@ -13,6 +13,7 @@ import re
 import shutil
 import tomllib
 import zipfile
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -21,12 +22,17 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 
 from wrenchbook.fea.bundle.read import BundleError, BundleProblem, read_bundle
+from wrenchbook.fea.spec.problems import STEERING
 from wrenchbook.service.files.redact import redact
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.sandbox import MIB, Limits, Part, Sandbox, SandboxError, run
 from wrenchbook.surrogate.table.hdf5 import TableFileError, leads_out
 
 MAX_BUNDLE_BYTES: Final = 512 * 1024 * 1024  # bytes: a mesh of some million cells
+# Unpacked bytes by those of the zip, beyond the bytes of any zip: a mesh packs 3 to 20 times, a
+# file of zeros 1,000 times.
+MAX_RATIO: Final = 100
+MIN_BUNDLE_BYTES: Final = 16 * 1024 * 1024
 # Files: a component is its component.toml, a mesh, and files that a deck includes.
 MAX_FILES: Final = 1000
 MAX_PROBLEMS: Final = 1000
@@ -46,7 +52,9 @@ _CANNOT_UNPACK: Final = (
     "The zip cannot be unpacked: {why}. Zip the folder again, without a password, with the usual "
     "compression (deflate) and with short file names."
 )
-_TOO_LARGE: Final = "The unpacked zip is larger than the limit of {} MiB. Leave large files out."
+_TOO_LARGE: Final = (
+    "The zip unpacks to more than {} MiB, the limit for a zip of its size. Leave large files out."
+)
 _NO_REPORT: Final = "The mesh check stopped ({why}). Check it with: wrenchbook check FOLDER"
 # Patterns of a component.toml: the first table, below the top-level keys; the lines of these keys.
 _FIRST_TABLE = re.compile(r"^\s*\[", re.MULTILINE)
@@ -147,7 +155,7 @@ def copy_bundle(component: Component, name: str, title: str | None, folder: Path
     Raises BundleError, and leaves no folder, if the name or the title cannot be edited line by line
     in the file.
     """
-    text = (component.folder / "component.toml").read_text(encoding="utf-8")
+    text = (component.folder / "component.toml").read_text(encoding="utf-8-sig")
     begins = _FIRST_TABLE.search(text)
     end = begins.start() if begins else len(text)
     head = text[:end]
@@ -293,8 +301,9 @@ def extract(archive: Path, target: Path) -> Path:
     the disk is full or cannot be written.
     """
     try:
+        limit = MAX_RATIO * archive.stat().st_size
         with zipfile.ZipFile(archive) as bundle:
-            _unpack(bundle, target)
+            _unpack(bundle, target, min(max(limit, MIN_BUNDLE_BYTES), MAX_BUNDLE_BYTES))
     except zipfile.BadZipFile as error:
         raise problem_at(
             "bundle",
@@ -320,24 +329,20 @@ def extract(archive: Path, target: Path) -> Path:
     return folders[0]
 
 
-def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
-    """Refuse a hostile archive, then write each member and count its bytes."""
+def _unpack(bundle: zipfile.ZipFile, target: Path, limit: int) -> None:
+    """Refuse a hostile archive, then write each member, together at most `limit` bytes."""
     entries = bundle.infolist()
+    too_large = problem_at("bundle", _TOO_LARGE.format(limit >> 20))
     if len(entries) > MAX_FILES:
         message = f"The zip holds {len(entries)} files, more than {MAX_FILES}; leave files out."
         raise problem_at("bundle", message)
-    if sum(info.file_size for info in entries) > MAX_BUNDLE_BYTES:
-        raise problem_at("bundle", _TOO_LARGE.format(MAX_BUNDLE_BYTES >> 20))
+    if sum(info.file_size for info in entries) > limit:
+        raise too_large
+    counts = Counter(bundle.namelist())
     for info in entries:
-        name = info.filename[:200]
-        parts = Path(info.filename).parts
-        if info.filename.startswith(("/", "\\")) or ".." in parts or ":" in info.filename:
-            message = f"The zip holds the path {name!r}, which is outside the bundle; remove it."
+        if message := _refusal(info, counts[info.filename]):
             raise problem_at("bundle", message)
-        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            why = f"{name!r} is compressed by method {info.compress_type}"
-            raise problem_at("bundle", _CANNOT_UNPACK.format(why=why))
-    remaining = MAX_BUNDLE_BYTES  # counted here: the size in a header may be wrong
+    remaining = limit  # counted here: the size in a header may be wrong
     for info in entries:
         path = target.joinpath(*Path(info.filename).parts)
         if info.is_dir():
@@ -348,5 +353,23 @@ def _unpack(bundle: zipfile.ZipFile, target: Path) -> None:
             while piece := packed.read(_PIECE):
                 remaining -= len(piece)
                 if remaining < 0:
-                    raise problem_at("bundle", _TOO_LARGE.format(MAX_BUNDLE_BYTES >> 20))
+                    raise too_large
                 written.write(piece)
+
+
+def _refusal(info: zipfile.ZipInfo, count: int) -> str:
+    """Return why a member that is there `count` times is refused, with the remedy; or nothing."""
+    name = info.filename[:200]
+    if (
+        info.filename.startswith(("/", "\\"))
+        or ".." in Path(info.filename).parts
+        or ":" in info.filename
+    ):
+        return f"The zip holds the path {name!r}, which is outside the bundle; remove it."
+    if STEERING.search(info.filename):
+        return f"The zip holds the file name {name!r}, which has control characters; rename it."
+    if count > 1:
+        return f"The zip holds {count} files {name!r}; leave exactly one."
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        return _CANNOT_UNPACK.format(why=f"{name!r} is compressed by method {info.compress_type}")
+    return ""

@@ -15,6 +15,7 @@ from wrenchbook.service.fields.record import DamagedFieldsError, read_geometry, 
 from wrenchbook.service.files.durable import interrupted_writes
 from wrenchbook.service.keys import Keyring, KeysError
 from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ledger.connection import RESTORING
 from wrenchbook.service.ops.backup import LEDGER
 
 COMMAND = "wrenchbook doctor --repair"
@@ -110,7 +111,7 @@ def find_leftovers(folder: Path, ledger: Ledger) -> Iterator[DataFinding]:
     unfinished = [
         *(folder / "tables").glob(".*.tmp"),
         *(folder / "components").glob(".incoming-*"),
-        *folder.glob(".restoring"),
+        *folder.glob(RESTORING),
         *interrupted_writes(folder),
     ]
     jobs = folder / "jobs"

@@ -16,6 +16,7 @@ import numpy as np
 
 from wrenchbook.service.files.durable import sync
 from wrenchbook.service.ledger import Ledger, LedgerDamagedError, LedgerError
+from wrenchbook.service.ledger.connection import unfinished_restore
 from wrenchbook.service.ledger.repair import Acknowledged, salvage
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
@@ -50,6 +51,8 @@ def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
         return [
             DataFinding("fault", f"there is no data directory {folder}", "name another with --data")
         ]
+    if problem := unfinished_restore(folder / LEDGER):
+        return [DataFinding("fault", problem)]
     findings = [*check_disk(folder), *check_side_files(folder, repair=repair)]
     if copies := trouble_of(read_status(folder)):
         remedy = "check that the target exists, has room and can be written; the server tries again"

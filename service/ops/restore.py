@@ -14,15 +14,14 @@ from wrenchbook.service.files.durable import sync, sync_tree
 from wrenchbook.service.keys import FILE as KEYS
 from wrenchbook.service.keys import USED
 from wrenchbook.service.ledger import Ledger, LedgerError
-from wrenchbook.service.ledger.connection import with_remedy
+from wrenchbook.service.ledger.connection import RESTORING, with_remedy
 from wrenchbook.service.ops import replica
 from wrenchbook.service.ops.backup import LEDGER, BackupError, Manifest, unpack, verify
 from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
 from wrenchbook.service.tables.coordinator_state import LOCK
 
-_DRAFT = ".restoring"  # folder of a restore within the data directory, which may be a mount
 # Keys and settings are no part of a backup: those of the directory stay after any restore.
-_STAYS = (_DRAFT, KEYS, f"{KEYS}.lock", USED, "wrenchbook.toml")
+_STAYS = (RESTORING, KEYS, f"{KEYS}.lock", USED, "wrenchbook.toml")
 
 
 def restore(
@@ -41,7 +40,7 @@ def restore(
     folder = folder.absolute()
     if isinstance(source, Path):
         verify(source)
-    draft = folder / _DRAFT
+    draft = folder / RESTORING
     aside = None
     state = "Nothing was changed"
     is_new = not folder.exists()

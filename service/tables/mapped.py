@@ -40,7 +40,7 @@ from wrenchbook.surrogate.table.rows import Floats, LoadRange, Rows, Tolerance
 
 log = logging.getLogger(__name__)
 
-POLL_S = 0.005  # s between polls of other web workers' versions, while a caller waits
+POLL_S = 0.005  # s between polls of the web workers' versions, while a caller waits
 MEMORY_S = 0.1  # s between checks of the memory of tables
 # A folder's time advances in steps of up to 10 ms (a kernel's tick). The checks of this time after
 # a change find changes within the step of the last check.
@@ -286,33 +286,38 @@ class MappedTables:
         """Return the components that have no table yet: they answer 503 if they have rows."""
         return [name for name in self._library.names() if name not in self._tables]
 
+    def progress(self, name: str) -> Callable[[], bool | None]:
+        """Return a function that shows whether every web worker's table has all present rows.
+
+        It returns None while a table may still get them, and False if it cannot be built: see
+        `faults`.
+        """
+        goal = self._ledger.last_seq(name)
+        wanted = setup_of(self._library[name])
+
+        def progress() -> bool | None:
+            # A file that does not fit a component that was just added is written again.
+            table, failed = self._tables.get(name), False
+            if table is not None and table.version >= goal and _mark(table)[1] == wanted:
+                others = (mapped.get(name, [0, ""]) for mapped in self._state.others())
+                if all(int(at) >= goal and setup == wanted for at, setup in others):
+                    return True
+            else:
+                failed = name in self._status.faults and self._status.failed.get(name, -1) >= goal
+            return False if failed or self._stopping.is_set() else None
+
+        return progress
+
     def catch_up(self, name: str, timeout: float) -> bool:
         """Wait until every web worker's table has all rows committed at the time of the call.
 
         Return False after the timeout, or if the table cannot be built: see `faults`.
         """
-        goal = self._ledger.last_seq(name)
-        end = time.monotonic() + timeout
-        wanted = setup_of(self._library[name])
-
-        def holds() -> bool:
-            # A file that does not fit a component that was just added is written again.
-            table = self._tables.get(name)
-            return table is not None and table.version >= goal and _mark(table)[1] == wanted
-
-        def ended() -> bool:
-            failed = name in self._status.faults and self._status.failed.get(name, -1) >= goal
-            return holds() or failed
-
-        with self._changed:
-            self._changed.wait_for(ended, timeout)
-        while holds():
-            others = (mapped.get(name, [0, ""]) for mapped in self._state.others())
-            if all(int(version) >= goal and setup == wanted for version, setup in others):
-                return True
-            if time.monotonic() >= end or self._stopping.wait(POLL_S):
-                break
-        return False
+        progress, end = self.progress(name), time.monotonic() + timeout
+        while (caught_up := progress()) is None and (left := end - time.monotonic()) > 0:
+            with self._changed:  # notified by this process alone
+                self._changed.wait(min(left, POLL_S))
+        return caught_up is True
 
     def caught_up(self, name: str, timeout: float) -> ServedTable:
         """Return the table with all rows committed by now.

@@ -24,7 +24,7 @@ def send_rows(client, first):
 
 def rows_of(client):
     """Rows by their content; what a table says of its rows is in test_one_law.py."""
-    client.component("rig")  # waits until the table holds all rows there are
+    client.component("rig", wait_s=60)  # waits until the table holds all rows there are
     table = orjson.loads(client.export_table("rig", "json"))
     return [(row["wrench"], row["displacement"]) for row in table["rows"]]
 

@@ -93,7 +93,7 @@ def test_a_calculix_deck_with_node_sets_becomes_a_covered_table(server, tmp_path
     first = client.displacement("cantilever", [0, 0, -50.0], [0, 5.0, 0])
     assert first.coverage != "covered"
     assert client.wait(first.job).status == "done"
-    assert client.component("cantilever")["rows"] == 1  # it waits for the row
+    assert client.component("cantilever", wait_s=60)["rows"] == 1  # it waits for the row
     reported = client.displacement("cantilever", [20.0, 0, -80.0], [1.0, 2.0, 3.0])
     assert (reported.coverage, reported.source, reported.method) == ("covered", "table", "linear")
     bent = client.displacement("cantilever", [0, 0, 1.0], [0, 0, 0]).translation[2]

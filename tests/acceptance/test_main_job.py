@@ -11,7 +11,7 @@ def test_a_linear_component_needs_one_solve_for_its_whole_range(server):
     first = client.displacement("bar", *WRENCH)
     assert first.job is not None
     assert client.wait(first.job).status == "done"
-    assert client.component("bar")["rows"] >= 1  # it waits for the row
+    assert client.component("bar", wait_s=60)["rows"] >= 1  # it waits for the row
     again = client.displacement("bar", [12.0, -7.0, 3.0], [1.0, 2.0, 3.0], on_thin="wait")
     assert (again.coverage, again.source, again.method) == ("covered", "table", "linear")
     inertia, young, length = 0.02**4 / 12, 210e9, 1.0
@@ -40,7 +40,7 @@ def test_a_restarted_server_answers_as_before(server):
     client.solve("bar", *WRENCH, wait_s=60)
     for job in client.jobs("bar"):  # the solve asks for the whole compliance besides
         client.wait(job)
-    client.component("bar")
+    client.component("bar", wait_s=60)
     before = client.displacement("bar", [1, 2, 3], [4, 5, 6])
     server.stop()
     after = server.start().displacement("bar", [1, 2, 3], [4, 5, 6])

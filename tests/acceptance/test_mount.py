@@ -38,7 +38,7 @@ def test_a_loop_goes_on_over_an_empty_table_and_has_its_wrenches_solved(server):
         mount.step([0, 0, -60.0], [0, 5.0, 0])
     assert not mount.displacement.any()
     client.wait(mount.last.job, timeout=600)
-    client.component("plate_thin")
+    client.component("plate_thin", wait_s=60)
     mount.step([0, 0, -60.0], [0, 5.0, 0])
     assert mount.coverage.covered == 1
     assert mount.displacement[2] < 0

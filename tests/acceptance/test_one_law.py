@@ -84,7 +84,7 @@ def kinds(tmp_path_factory) -> Iterator[dict[str, Kind]]:
         for name, one in result.items():
             (folder / name).mkdir()
             for client in several:
-                version = client.component(name)["table_version"]  # it waits for all rows
+                version = client.component(name, wait_s=60)["table_version"]
                 assert version == one.table.version
         yield result
 

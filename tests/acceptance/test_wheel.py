@@ -37,7 +37,7 @@ with Client(sys.argv[1], timeout=600) as client:
                           "range": {"force": [9, 9, 9], "moment": [9, 9, 9]}})
     loaded = client.import_table("rig", "Fz [N],ux [m],uy [m],uz [m],rx [rad],ry [rad],rz [rad]\\n"
                                  "0,0,0,0,0,0,0\\n2,0,0,2e-3,0,0,0\\n", missing_loads="zero")
-    client.component("rig")  # which waits for the rows
+    client.component("rig", wait_s=60)  # which waits for the rows
     measured = client.displacement("rig", [0, 0, 1], on_thin="estimate")
     table = client.download("rig")
     here = table.answer([0, 0, 1])

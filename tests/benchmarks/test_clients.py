@@ -65,13 +65,13 @@ def test_eight_clients_at_once_get_right_answers_about_as_fast_as_one(tmp_path: 
         address = f"http://127.0.0.1:{server.port}"
         with multiprocessing.get_context("spawn").Pool(CLIENTS) as pool:
             idle, _, _ = pool.apply(ask, (address, 0, IDLE_SECONDS, True))
-            rows = server.client.component("big")["rows"]
+            rows = server.client.component("big", wait_s=60)["rows"]
             results = pool.starmap(
                 ask, [(address, seed, SECONDS, False) for seed in range(CLIENTS)]
             )
         calls = [item for each, _, _ in results for item in each]
         imported, solved = (sum(result[place] for result in results) for place in (1, 2))
-        assert server.client.component("big")["rows"] == rows + imported
+        assert server.client.component("big", wait_s=60)["rows"] == rows + imported
     alone, together = np.percentile(idle, 99), np.percentile(calls, 99)
     print(
         f"\n{len(calls)} queries, {imported} rows imported, {solved} wrenches solved, all right; "

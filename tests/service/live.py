@@ -71,7 +71,7 @@ def add_rows(client: Client, name: str, rows: list[dict]) -> None:
     import orjson
 
     reply = client.import_table(name, orjson.dumps({"rows": rows}), format="json")
-    assert client.component(name)["table_version"] >= reply["table_version"]  # it waits for them
+    assert client.component(name, wait_s=60)["table_version"] >= reply["table_version"]
 
 
 def as_rows(

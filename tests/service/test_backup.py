@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from tests.service.test_durable_tables import Site
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.keys import Keyring
-from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ledger import Ledger, LedgerError
 from wrenchbook.service.ops.backup import MANIFEST, BackupError, back_up, verify
 from wrenchbook.service.ops.restore import restore
 from wrenchbook.service.tables.solver_errors import SolverErrors
@@ -350,6 +350,43 @@ def test_a_restore_that_fails_half_way_says_where_the_former_files_are(
     (aside,) = folder.glob(".before-restore-*")
     assert str(aside) in str(reported.value)
     assert (aside / "ledger.sqlite").read_bytes() == before
+
+
+@pytest.fixture
+def interrupted(backup, tmp_path, monkeypatch):
+    """A directory whose restore was killed before it had moved a file."""
+    folder = tmp_path / "again"
+    with monkeypatch.context() as patched:
+        patched.setattr(shutil, "rmtree", lambda *_, **__: None)
+        patched.setattr("wrenchbook.service.ops.restore.sync_tree", lambda _: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            restore(backup, folder)
+    assert [entry.name for entry in folder.iterdir()] == [".restoring"]
+    return folder
+
+
+@pytest.mark.parametrize("command", ["doctor", "doctor --repair", "serve"])
+def test_an_interrupted_restore_is_named_and_no_empty_ledger_is_made(interrupted, command):
+    """The doctor named it as an unfinished file, made an empty ledger and said: in order."""
+    words = [*command.split(), "--data", str(interrupted)]
+    result = CliRunner().invoke(app, words, env={"COLUMNS": "1000"})
+    assert result.exit_code
+    assert f"a restore into {interrupted} was interrupted" in result.output
+    assert "in order" not in result.output
+    assert [entry.name for entry in interrupted.iterdir()] == [".restoring"]
+
+
+def test_an_interrupted_restore_is_repeated_by_the_command_that_its_message_has(
+    interrupted, backup, folder
+):
+    restore(backup, interrupted, overwrite=True)
+    assert answers(interrupted) == answers(folder)
+
+
+def test_a_program_that_opens_the_ledger_of_an_interrupted_restore_makes_no_new_one(interrupted):
+    with pytest.raises(LedgerError, match="was interrupted"):
+        Ledger(interrupted / "ledger.sqlite")
+    assert not (interrupted / "ledger.sqlite").exists()
 
 
 def test_a_directory_whose_jobs_are_being_run_is_not_restored_into(backup, tmp_path):

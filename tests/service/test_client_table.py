@@ -64,7 +64,7 @@ def test_refresh_takes_new_rows_and_withdrawals_and_tells_whether_there_were_any
     add_rows(client, "growing", as_rows(rows[20:], moved(rows[20:]), tangents(rows[20:])))
     for own in (table, again):
         assert own.refresh()
-        assert own.version == client.component("growing")["table_version"] > before
+        assert own.version == client.component("growing", wait_s=60)["table_version"] > before
     client.invalidate_row("growing", table.version)
     assert table.refresh()
     assert not table.refresh()

@@ -7,6 +7,7 @@ import struct
 import tomllib
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import meshio
@@ -90,6 +91,43 @@ def test_an_archive_that_lies_about_its_size_is_cut_off_where_the_limit_is(tmp_p
     with pytest.raises(BundleError):
         bundles.extract(path, tmp_path / "out")
     assert sum(item.stat().st_size for item in (tmp_path / "out").iterdir()) <= 2 << 20
+
+
+def test_a_small_zip_of_a_large_file_that_nothing_names_is_refused(tmp_path):
+    """300 MB of zeros in a zip of 0.3 MB were added, and stored once more by each copy."""
+    bomb = zipped(("component.toml", BAR), ("zeros", bytes(32 << 20)))
+    assert "unpacks to more than 16 MiB, the limit for a zip" in told(bomb, tmp_path / "in")
+
+
+def test_a_zip_of_a_mesh_of_ordinary_size_is_unpacked(tmp_path):
+    """Any text of numbers packs less than the limit allows."""
+    text = "".join(f"{n}, {n % 97 * 0.5:.6f}, {n // 97 * 0.5:.6f}\n" for n in range(900_000))
+    assert len(text) > bundles.MIN_BUNDLE_BYTES
+    folder, _ = unpack(io.BytesIO(zipped(("component.toml", BAR), ("a.inp", text))), tmp_path)
+    assert (folder / "a.inp").stat().st_size == len(text)
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+@pytest.mark.parametrize(
+    ("members", "said"),
+    [
+        ((("component.toml", BAR),) * 2, "The zip holds 2 files 'component.toml'; leave exactly"),
+        (
+            (("component.toml", BAR), ("a\x1b[2J.inp", "")),
+            r"the file name 'a\x1b[2J.inp', which has control characters; rename it",
+        ),
+    ],
+)
+def test_a_zip_with_a_name_that_no_folder_has_is_refused_by_it(tmp_path, members, said):
+    assert said in told(zipped(*members), tmp_path / "in")
+
+
+def test_a_component_toml_with_a_byte_order_mark_is_read(tmp_path):
+    """Windows' editors write one; the parser refused an invalid statement in line 1."""
+    folder, _ = unpack(io.BytesIO(zipped(("component.toml", "\ufeff" + BAR))), tmp_path)
+    assert read_bundle(folder).name == "beam"
+    bundles.copy_bundle(SimpleNamespace(folder=folder, name="beam"), "two", None, tmp_path / "two")
+    assert read_bundle(tmp_path / "two").name == "two"
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ def test_a_test_that_was_appended_answers_as_an_import_of_its_rows(live):
     live.post(
         "/v1/components/file/table", json=[row for some in blocks for row in some], params=query
     )
-    table = live.get("/v1/components/live").json()["table_version"]
+    table = live.get("/v1/components/live?wait_s=60").json()["table_version"]
     wait_for_version(live, "live", table)
     replies = [
         live.post(f"/v1/components/{name}/displacement", json={"force": [0, 0, 61.0]}).json()

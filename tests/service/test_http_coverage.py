@@ -138,7 +138,7 @@ def test_the_component_says_what_no_row_holds(rig):
 def test_a_component_says_which_method_answers_and_why_and_detail_says_how(http):
     wrenches = full_wrenches(30)
     load(http, "solved", as_rows(wrenches, moved(wrenches), tangents(wrenches)))
-    coverage = http.get("/v1/components/solved").json()["coverage"]
+    coverage = http.get("/v1/components/solved?wait_s=60").json()["coverage"]
     assert coverage["method"] == "kriging"
     assert "left-out rows" in coverage["method_reason"]
     assert "more rows help" not in coverage["method_reason"]

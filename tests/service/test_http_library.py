@@ -75,7 +75,7 @@ def test_a_copy_has_the_setup_and_the_rows_and_goes_its_own_way(http):
         "rig",
     )
     load(http, rows(5, 9), "rig2")
-    assert http.get("/v1/components/rig").json()["rows"] == 20
+    assert http.get("/v1/components/rig?wait_s=60").json()["rows"] == 20
     bare = http.post("/v1/components/rig/copy", json={"name": "rig3", "rows": False})
     assert bare.json()["rows"] == 0
 
@@ -95,7 +95,7 @@ def test_a_renamed_component_has_its_rows_and_the_old_name_says_so(http):
     assert "bracket" in names(http)
     assert "rig" not in names(http)
     assert http.get("/v1/components/rig").json()["renamed_to"] == "bracket"
-    assert http.get("/v1/components/bracket").json()["rows"] == 20
+    assert http.get("/v1/components/bracket?wait_s=60").json()["rows"] == 20
     again = http.post("/v1/components/rig/rename", json={"name": "other"})
     assert again.status_code == 409
     assert "'bracket' now" in again.json()["detail"]

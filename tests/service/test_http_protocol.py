@@ -424,6 +424,40 @@ def test_head_has_no_body(wire):
     assert wire.ask(request())[0] == 200
 
 
+@pytest.mark.parametrize("path", ["/", "/v1/components", "/v1/jobs", "/docs"])
+def test_head_is_answered_as_get_without_the_body(wire, path):
+    """The page and each list refused it with 405; monitors and link checkers send it."""
+    status, fields, body = wire.ask(request(b"", verb="GET", path=path))
+    wire.send(request(b"", verb="HEAD", path=path))
+    head_status, head_fields, _ = wire.reply(bodyless=True)
+    assert (head_status, head_fields["content-length"]) == (status, str(len(body)))
+    assert head_fields["content-type"] == fields["content-type"]
+    assert wire.ask(request())[0] == 200
+
+
+def test_head_of_the_events_ends_at_once_and_frees_its_listener(wire):
+    for _ in range(300):  # more than there are places for listeners
+        wire.send(request(b"", verb="HEAD", path="/v1/events"))
+        status, fields, _ = wire.reply(bodyless=True)
+        assert (status, fields["content-type"]) == (200, "text/event-stream; charset=utf-8")
+
+
+@pytest.mark.parametrize(
+    ("verb", "path", "allowed"),
+    [
+        ("PUT", "/v1/components", "GET, HEAD, POST"),
+        ("PUT", "/", "GET, HEAD"),
+        ("GET", PATH, "POST"),
+        ("POST", "/v1/components/solved/notes", "PUT"),
+        ("HEAD", PATH, "POST"),
+    ],
+)
+def test_a_refused_method_is_answered_with_all_methods_of_the_path(wire, verb, path, allowed):
+    wire.send(request(b"", verb=verb, path=path))
+    status, fields, _ = wire.reply(bodyless=verb == "HEAD")
+    assert (status, fields["allow"]) == (405, allowed)
+
+
 def test_a_body_without_its_length_is_an_empty_one(wire):
     wire.send(f"POST {PATH} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
     assert wire.reply()[0] == 422

@@ -254,7 +254,7 @@ def test_where_the_point_matters_an_import_without_it_is_refused(http, solved, q
     largest = product[np.unravel_index(share.argmax(), share.shape)]
     assert f": {largest:.3g} N*m," in error["message"]
     assert f"{100 * share.max():.2g} %)" in error["message"]
-    assert http.get("/v1/components/rig").json()["rows"] == 0
+    assert http.get("/v1/components/rig?wait_s=60").json()["rows"] == 0
 
 
 def test_where_translation_x_force_is_small_nothing_is_asked(http, solved):

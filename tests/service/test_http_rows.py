@@ -53,13 +53,13 @@ def test_a_withdrawn_row_leaves_table_and_export_and_restore_brings_it_back(http
     gone = http.delete(f"/v1/components/rig/table/{rig[2]}")
     assert gone.status_code == 200, gone.text
     assert gone.json()["status"] == "withdrawn"
-    assert http.get("/v1/components/rig").json()["rows"] == 4
+    assert http.get("/v1/components/rig?wait_s=60").json()["rows"] == 4
     assert exported(http) == before - 1
     again = http.delete(f"/v1/components/rig/table/{rig[2]}")
     assert (again.status_code, "already withdrawn" in again.json()["detail"]) == (409, True)
     back = http.post(f"/v1/components/rig/table/{rig[2]}/restore")
     assert back.json()["table_version"] > gone.json()["table_version"]
-    assert http.get("/v1/components/rig").json()["rows"] == 5
+    assert http.get("/v1/components/rig?wait_s=60").json()["rows"] == 5
     assert exported(http) == before
 
 

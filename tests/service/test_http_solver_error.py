@@ -36,7 +36,7 @@ def client(tmp_path_factory):
     with served(tmp_path_factory.mktemp("solved"), solvers=1) as client:
         assert "error_parts" not in json.loads(ask(client, "bar", DETAIL).content)
         client.solve("bar", WRENCH, wait_s=60)
-        assert client.component("bar")["rows"] >= 1
+        assert client.component("bar", wait_s=60)["rows"] >= 1
         yield client
 
 

@@ -63,7 +63,7 @@ def hanging(tmp_path_factory):
     with served(folder / "data", solvers=1) as client:
         solver = add(client, folder, **HANGS)
         client.displacement("hanging", FORCE, MOMENT, on_thin="wait", wait_s=120)
-        client.component("hanging")  # which waits for the row
+        client.component("hanging", wait_s=60)  # which waits for the row
         yield client, solver
 
 

@@ -231,7 +231,7 @@ def test_a_killed_process_is_started_again_and_the_others_answer_meanwhile(sever
     victim = min(before)
     os.kill(victim, signal.SIGKILL)
     with several.client() as client:
-        assert client.component("clean")["rows"] > 0
+        assert client.component("clean", wait_s=60)["rows"] > 0
         until(
             lambda: (
                 len({worker.pid for worker in several.workers("webworker")} - {victim})

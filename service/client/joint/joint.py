@@ -436,14 +436,15 @@ class Joint:
         rotations = self.displacement.reshape(-1, FREEDOMS)[:, 3:]
         turn = math.degrees(float(np.linalg.norm(rotations, axis=1).max()))
         if turn >= LARGEST_TURN * ranges * (1.0 - ROUNDING):
-            return f"the pose rotates by {turn:.3g} degrees, beyond the {LARGEST_TURN:g} of tables"
+            return f"the pose rotates by {turn:.6g} degrees, beyond the {LARGEST_TURN:g} of tables"
         low, high = self._packed.load_range[:, self._at]
         loads = self._static_wrench.ravel()
         excess = np.maximum(loads - high, low - loads) / self._packed.load_scale[self._at]
         load = int(excess.argmax())
+        more = 100.0 * (ranges - 1.0)
         return (
-            f"the pose is outside the load range: it needs {ranges:.3g} times the range, with "
-            f"{self._symbols[load]} = {loads[load]:.4g}, beyond {low[load]:g} to {high[load]:g} "
+            f"the pose is outside the load range: it needs {more:.3g} % more than the range, with "
+            f"{self._symbols[load]} = {loads[load]:.6g}, beyond {low[load]:g} to {high[load]:g} "
             f"{LOAD_UNITS[load % FREEDOMS]}"
         )
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from urllib.parse import urlencode
 
 import orjson
-from fastapi import Depends, Request
+from fastapi import Depends, Query, Request
 from fastapi.routing import APIRoute
 from starlette.responses import Response
 
@@ -22,6 +22,9 @@ async def _workspace(request: Request) -> Workspace:
 
 Opened = Annotated[Workspace, Depends(_workspace)]
 """A route parameter: the workspace of the server."""
+
+
+WaitSeconds = Annotated[float, Query(ge=0, le=600)]
 
 
 async def _newest(name: str, request: Request) -> ServedTable:

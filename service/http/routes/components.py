@@ -27,7 +27,7 @@ from wrenchbook.service.http.body import (
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.permission import permission_of
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.routes import Newest, Opened, json_reply, next_page
+from wrenchbook.service.http.routes import Opened, WaitSeconds, json_reply, next_page
 from wrenchbook.service.http.routes.scenes import need_from
 from wrenchbook.service.library.bundles import MAX_BUNDLE_BYTES
 from wrenchbook.service.library.component import (
@@ -95,8 +95,9 @@ def list_components(
     response_description="the component",
     responses=refused(404, 422),
 )
-def get_component(name: str, workspace: Opened, _: Newest) -> dict[str, Any]:
-    return component_body(workspace, workspace.library[name])
+async def get_component(name: str, workspace: Opened, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
+    await workspace.newest(name, wait_s)
+    return await run_in_threadpool(component_body, workspace, workspace.library[name])
 
 
 @router.post(
@@ -130,7 +131,7 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
                 "lists the faces of a bundle's mesh: send the zip as the file 'bundle' of "
                 "multipart/form-data, or leave faces out to add a table-only component"
             )
-            raise bad_body([{"loc": "query.faces", "msg": message}])
+            raise bad_body([{"loc": "faces", "msg": message}])
         body = read_body(TableOnlyComponent, await read_limited(request.receive))
         fields = body.model_dump(exclude_none=True)
         component = await run_in_threadpool(lambda: workspace.library.add_table_only(**fields))

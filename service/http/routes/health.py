@@ -21,7 +21,6 @@ router = APIRouter(tags=["health"])
 TableState = Literal["ready", "building", "degraded", "broken"]
 
 
-@router.head("/health/live", include_in_schema=False)
 @router.get(
     "/health/live", summary="Liveness of the server; needs no key", openapi_extra={"security": []}
 )
@@ -29,7 +28,6 @@ async def live() -> dict[str, str]:
     return {"status": "live"}
 
 
-@router.head("/health/ready", include_in_schema=False)
 @router.get(
     "/health/ready",
     summary="Readiness of jobs and tables",
@@ -97,7 +95,6 @@ def table_states(workspace: Workspace, pending: Mapping[str, int]) -> dict[str, 
     return states
 
 
-@router.head("/metrics", include_in_schema=False)
 @router.get(
     "/metrics",
     summary="Counts and states for Prometheus",

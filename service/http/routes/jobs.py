@@ -20,7 +20,7 @@ from wrenchbook.service.contract import by_part
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.http.routes import Opened, next_page
+from wrenchbook.service.http.routes import Opened, WaitSeconds, next_page
 from wrenchbook.service.jobs.attempt import LOG, pieces_of, read_progress, zipped
 from wrenchbook.service.jobs.waiting import why_waiting
 from wrenchbook.service.ledger import JobRecord, LedgerRow, Status, UnknownJobError
@@ -57,7 +57,6 @@ def _within(job_id: int) -> int:
 
 
 JobId = Annotated[int, Path(ge=1), AfterValidator(_within)]
-WaitSeconds = Annotated[float, Query(ge=0, le=600)]
 
 
 def job_body(

@@ -272,7 +272,7 @@ def get_stiffness(
     for word, names, place in ((axis, loads, "axis"), (of, ("", *space.output_names), "of")):
         if word not in names:
             message = f"must be one of {', '.join(filter(None, names))}, not {word[:40]!r}"
-            raise bad_body([{"loc": f"query.{place}", "msg": message}])
+            raise bad_body([{"loc": place, "msg": message}])
     load = loads.index(axis)
     output = space.output_names.index(of) if of else load  # each interface has six of both
     reply = {
@@ -311,7 +311,7 @@ def _two_loads(between: str) -> tuple[float, float]:
     except ValueError:
         pass
     why = f"must be two different numbers separated by a comma, such as 100,500, not {between!r}"
-    raise bad_body([{"loc": "query.between", "msg": why}])
+    raise bad_body([{"loc": "between", "msg": why}])
 
 
 @router.get("/demand", summary="Demand map of queries that were not covered", response_model=Demand)

@@ -120,7 +120,7 @@ async def get_table(
     if format == "packed":
         if table_version is not None:
             message = "is not possible for a packed table, which always is the newest; leave it out"
-            raise bad_body([{"loc": "query.table_version", "msg": message}])
+            raise bad_body([{"loc": "table_version", "msg": message}])
         return await _packed(workspace, name, if_none_match)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     export = ExportRequest(format, units, table_version, comments)
@@ -206,7 +206,7 @@ async def import_table(
         alone = query.model_fields_set & {"time_offset_s", "max_gap_s"}
         if len(sent.files) == 1 and alone:
             message = "needs two logs; send the second one (--displacements FILE), or leave it out"
-            raise bad_body([{"loc": f"query.{min(alone)}", "msg": message}])
+            raise bad_body([{"loc": min(alone), "msg": message}])
 
         key = permission_of(request.scope).key
         origin = ImportOrigin(

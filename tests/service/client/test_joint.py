@@ -360,6 +360,13 @@ def test_beyond_the_range_the_wrench_goes_on_linearly_with_one_warning():
         joint.state(C[:3] @ [0, 0, 13, 0, 0, 0], C[3:] @ [0, 0, 13, 0, 0, 0])
 
 
+def test_a_pose_a_little_beyond_the_range_is_not_said_to_need_once_the_range():
+    joint = Joint(linear_table(high=HIGH / 100))
+    moved = C @ [0, 0, 8.0008, 0, 0, 0]
+    with pytest.warns(JointWarning, match=r"needs 0\.01 % more than .* F_z = 8\.0008, beyond -8"):
+        joint.state(moved[:3], moved[3:])
+
+
 @pytest.mark.parametrize("corner", [[0, 0, -1, 0, 0, 0], [1, 1, 1, 1, 1, 1], [-1, 1, -1, 1, -1, 1]])
 def test_a_pose_on_the_boundary_of_the_range_is_not_beyond_it(corner):
     wrench = np.array(corner) * HIGH
@@ -384,7 +391,7 @@ def test_a_range_that_holds_no_state_without_load_has_a_joint_that_starts_there(
 
 def test_a_pose_beyond_twice_the_range_is_raised_by_name():
     joint = Joint(linear_table(high=HIGH / 100))
-    with pytest.raises(JointRangeError, match=r"bar: .* needs 3 times the range, with F_z = 24"):
+    with pytest.raises(JointRangeError, match=r"bar: .* needs 200 % more than .* F_z = 24"):
         joint.state(C[:3] @ [0, 0, 24, 0, 0, 0], C[3:] @ [0, 0, 24, 0, 0, 0])
 
 

@@ -40,7 +40,7 @@ MEASURED = f"""{LOADS},ux [mm],uy [mm],uz [mm],rx [deg],ry [deg],rz [deg]
 def plate(client):
     """`plate_thin` with one row, and so with a surface."""
     client.solve("plate_thin", [0, 0, -900.0], [0, 0, 0], wait_s=120)
-    assert client.component("plate_thin")["rows"] == 1
+    assert client.component("plate_thin", wait_s=60)["rows"] == 1
     return client
 
 
@@ -79,7 +79,7 @@ def test_an_uploaded_part_is_queued_solved_and_then_covered(browser, client, tmp
     assert job["status"] == "done"
     reported = browser.one("table.answer").text
     assert "± " in reported
-    assert client.component("rod")["rows"] >= 1
+    assert client.component("rod", wait_s=60)["rows"] >= 1
     assert browser.mistakes() == []
 
 
@@ -316,7 +316,7 @@ def test_rows_of_another_setup_are_told_and_solved_again_by_one_button(
     assert "1 rows belong to another setup" in browser.named(".note", "another setup").text
     browser.click(".note button", "Solve them again")
     browser.until(lambda: not client.component("reworked")["another_setup"]["wrenches"])
-    assert client.component("reworked")["rows"] > 0
+    assert client.component("reworked", wait_s=60)["rows"] > 0
     browser.visit("#/c/reworked")
     browser.named("h2", "Method and rows")
     assert not [item for item in browser.all(".note") if "another setup" in item.text]

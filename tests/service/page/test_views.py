@@ -701,7 +701,7 @@ def test_an_import_is_withdrawn_and_restored_after_a_confirmation(browser, clien
         browser.click("table.imports button", verb)
         browser.click("dialog button", verb)
         browser.until(lambda: not browser.all("dialog"), "the end of the dialog")
-        assert client.component("edited")["rows"] == rows
+        assert client.component("edited", wait_s=60)["rows"] == rows
         browser.click("#notices button")
     assert "anonymous" in browser.named("table.imports tr", "Withdraw").text
     assert browser.mistakes() == []
@@ -717,12 +717,12 @@ def test_a_row_is_withdrawn_found_by_its_state_and_restored_in_the_list_of_rows(
     browser.visit("#/c/listed/rows")
     browser.click("table.rows button", "Withdraw")
     browser.named("table.rows .pill", "withdrawn")
-    assert client.component("listed")["rows"] == 2
+    assert client.component("listed", wait_s=60)["rows"] == 2
     browser.click("option[value='withdrawn']")
     browser.until(lambda: len(numbers(browser)) == 1)
     browser.click("table.rows button", "Restore")
     browser.named("table.rows .pill", "in the table")
-    assert client.component("listed")["rows"] == 3
+    assert client.component("listed", wait_s=60)["rows"] == 3
 
 
 def test_the_list_of_rows_is_paged_over_solves_and_imports_newest_first(browser, client):
