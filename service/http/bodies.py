@@ -19,7 +19,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
-from wrenchbook.service.contract import MAX_BATCH, MAX_BLOCK, OnThin
+from wrenchbook.service.contract import MAX_BATCH, MAX_BLOCK, QUERY_WAIT_S, OnThin
 from wrenchbook.service.query import Query
 from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.table.rows import Tolerance
@@ -133,7 +133,7 @@ class QueryOptions(Body):
     """Options of a query."""
 
     on_thin: OnThin = "queue"
-    wait_s: Seconds = 30.0
+    wait_s: Seconds = QUERY_WAIT_S
     tolerance: ToleranceBody | None = None
     method: Method = None
     beyond_range: Flag = False
