@@ -198,7 +198,7 @@ class DisplacementCalls(Connection):
 
 
 def _server_wait(chosen: Document) -> float:
-    """Return the seconds for which the server may wait: `wait_s`; its default waits with ``wait``."""
+    """Return the seconds for which the server may wait: `wait_s`, or its default with ``wait``."""
     if "on_thin" not in chosen:
         return chosen.get("wait_s", 0.0)
     return chosen.get("wait_s", QUERY_WAIT_S) if chosen["on_thin"] == "wait" else 0.0

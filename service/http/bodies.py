@@ -290,14 +290,12 @@ class BlockKey(Body):
 
 
 class BlockBody(BlockKey):
-    """Block of wrenches of a simulation, each force then moment."""
+    """Block of wrenches of a simulation, each with a number for each input."""
 
     # Any size is allowed: a recording stores each wrench of a loop; only a start checks which can
     # be solved.
     wrenches: Annotated[
-        list[Annotated[list[Finite], Field(min_length=6, max_length=6)]],
-        FailFast(),
-        Field(max_length=MAX_BLOCK),
+        list[Annotated[list[Finite], FailFast()]], FailFast(), Field(max_length=MAX_BLOCK)
     ]
 
 
