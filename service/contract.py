@@ -14,7 +14,10 @@ OUTPUTS, OUTPUT_UNITS = space.OUTPUTS, space.OUTPUT_UNITS
 
 Coverage = Literal["covered", "thin", "outside"]
 OnThin = Literal["queue", "wait", "estimate", "reject"]
+ImportFormat = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat", "lvm", "tdms", "xls"]
+ExportFormat = Literal["csv", "xlsx", "parquet", "hdf5", "json", "packed", "bushing"]
 
+QUERY_WAIT_S: Final = 30.0  # s that a query waits for its solve without `wait_s`
 MAX_BATCH: Final = 1_000_000  # wrenches of a batch: 48 MB as float64
 MAX_BLOCK: Final = 10_000  # wrenches of a block: the most that a recording keeps
 

@@ -19,7 +19,7 @@ from starlette.concurrency import run_in_threadpool
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.client.replies import EXACT, ROUNDED
-from wrenchbook.service.contract import OnThin, by_part
+from wrenchbook.service.contract import QUERY_WAIT_S, OnThin, by_part
 from wrenchbook.service.ledger import JobRecord, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.submission import Placement
@@ -50,7 +50,7 @@ class Query(NamedTuple):
 
     wrench: tuple[float, ...]
     on_thin: Wanted = "queue"
-    wait_s: float = 30.0
+    wait_s: float = QUERY_WAIT_S
     tolerance: Tolerance | None = None
     method: str | None = None
     detail: bool = False

@@ -12,7 +12,7 @@ from urllib.parse import urlencode
 
 from numpy.typing import ArrayLike
 
-from ..contract import LOADS, OnThin
+from ..contract import LOADS, QUERY_WAIT_S, OnThin
 from ..messages import DeformedShape
 from .errors import Document, ProblemError, ServerUnreachable
 from .job import JobCalls
@@ -198,10 +198,10 @@ class DisplacementCalls(Connection):
 
 
 def _server_wait(chosen: Document) -> float:
-    """Return the seconds for which the server may wait: `wait_s`, by default 30 with ``wait``."""
+    """Return the seconds for which the server may wait: `wait_s`, or its default with ``wait``."""
     if "on_thin" not in chosen:
         return chosen.get("wait_s", 0.0)
-    return chosen.get("wait_s", 30.0) if chosen["on_thin"] == "wait" else 0.0
+    return chosen.get("wait_s", QUERY_WAIT_S) if chosen["on_thin"] == "wait" else 0.0
 
 
 def deformed_format(file: str | Path) -> str:
@@ -318,6 +318,7 @@ class EventCalls(Connection):
             try:
                 query = {"component": component}
                 stream = self._listen("/v1/events", query, headers, min(SILENCE_S, remaining))
+                first = False
                 try:
                     parser = EventParser()
                     while line := stream.readline():

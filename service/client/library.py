@@ -9,15 +9,15 @@ import secrets
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
+from ..contract import ExportFormat, ImportFormat
 from .errors import Document, InvalidArgument, Json, ProblemError, ServerTimeout, ServerUnreachable
 from .transport import BINARY, Connection, component_path
 from .wrenches import require_one_of
 
-_FORMATS = ("csv", "xlsx", "parquet", "hdf5", "json", "packed", "bushing")
 _TEXTS = ("csv", "json", "bushing")
 _ENDINGS = {
     ".csv": "csv",
@@ -200,7 +200,7 @@ class LibraryCalls(Connection):
             If the file cannot be read; if rows have mistakes (422), which ``errors`` names.
         """
         if format is not None:
-            require_one_of("format", format, _FORMATS)
+            require_one_of("format", format, get_args(ImportFormat))
         if isinstance(table, str) and not _JSON.match(table) and len(table.splitlines()) <= 1:
             table = Path(table)
         if isinstance(table, Path):
@@ -266,7 +266,7 @@ class LibraryCalls(Connection):
         """
         many = [rows] if isinstance(rows, Mapping) else list(rows)
         in_si = any("wrench" in row for row in many)
-        content = json.dumps({"rows": many} if in_si else many).encode()
+        content = json.dumps({"rows": many} if in_si else many, default=_plain).encode()
         return self.import_table(name, content, append=test, **columns)
 
     def comparison(
@@ -332,7 +332,7 @@ class LibraryCalls(Connection):
         str or bytes
             What `import_table` loads again, but packed and bushing: they are derived from the rows.
         """
-        require_one_of("format", format, _FORMATS)
+        require_one_of("format", format, get_args(ExportFormat))
         query = {"format": format, "table_version": table_version, **(units or {}), **curves}
         content = self.call("GET", component_path(name, "table"), query=query).content
         return content.decode() if format in _TEXTS else content
@@ -488,6 +488,13 @@ class LibraryCalls(Connection):
 def _named_file(file: str | Path) -> tuple[str, bytes]:
     check_readable(file)
     return Path(file).name, Path(file).read_bytes()
+
+
+def _plain(value: Any) -> Json:
+    """Return numpy's array or number as Python's lists and numbers."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise InvalidArgument(f"{value!r:.80} in rows is no JSON value; give numbers and texts")
 
 
 def _profile(rig: str | Path) -> str:

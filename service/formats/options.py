@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wrenchbook.service.contract import ImportFormat
 from wrenchbook.service.formats.columns import Columns, columns_of
 from wrenchbook.surrogate.findings.response import RigFinding
 from wrenchbook.surrogate.table.rows import LoadRange, Rows, is_unknown, unknown_column
@@ -20,7 +21,6 @@ Problem = tuple[int, str, str]  # the index of a row in the arrays, its column, 
 
 FEA = "fea"  # the source of solves
 MEASURED = "measured"  # the source of rows without a source
-Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat", "lvm", "tdms", "xls"]
 Role = Literal["table", "loads", "displacements"]
 
 MAX_ROWS = 5_000_000  # rows of a file: 0.6 GB as arrays without tangents
@@ -57,7 +57,7 @@ class Options:
     solves in `solved`, with which findings compare rows; whether it is `linear`.
     """
 
-    format: Format | None = None
+    format: ImportFormat | None = None
     decimal: Literal[".", ","] | None = None
     ignore: tuple[str, ...] = ()
     ignore_extra: bool = False

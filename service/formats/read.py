@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from wrenchbook.service.contract import ImportFormat
 from wrenchbook.service.formats.cells import ContentError
 from wrenchbook.service.formats.columnar import read_hdf5, read_parquet
 from wrenchbook.service.formats.csv import read_csv
@@ -30,7 +31,6 @@ from wrenchbook.service.formats.lvm import MAGIC, read_lvm
 from wrenchbook.service.formats.mat import read_mat
 from wrenchbook.service.formats.options import (
     MEASURED,
-    Format,
     Options,
     ParsedTable,
     ReadReport,
@@ -68,7 +68,7 @@ _TEXT_FORMATS = {"csv", "json"}  # a damaged file of one can look like the other
 _BLOCK = 1 << 20
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HDF5_OFFSETS = (0, 512, 1024, 2048)  # behind a user block
-_MAGIC: dict[bytes, Format] = {
+_MAGIC: dict[bytes, ImportFormat] = {
     b"PAR1": "parquet",
     b"MATLAB 5.0 MAT-file": "mat",
     b"TDSm": "tdms",
@@ -322,7 +322,7 @@ def unpack(path: Path, target: Path, max_bytes: int = MAX_BYTES) -> None:
         raise ContentError("is gzipped twice; gzip it once, or not at all")
 
 
-def _format_of(path: Path) -> Format:
+def _format_of(path: Path) -> ImportFormat:
     """Return the format of a file from its content; raises ContentError."""
     with path.open("rb") as file:
         head = file.read(4096)
@@ -357,7 +357,7 @@ def _format_of(path: Path) -> Format:
     return "json" if text[:1] in (b"{", b"[") else "csv"
 
 
-def _format_of_zip(path: Path) -> Format:
+def _format_of_zip(path: Path) -> ImportFormat:
     try:
         with zipfile.ZipFile(path) as archive:
             names = {name for name in archive.namelist() if len(name) < 100}

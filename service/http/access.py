@@ -16,7 +16,7 @@ from starlette.types import Scope as HttpScope
 from wrenchbook.service.actors import ANY, CALLER, LOCAL, USER, Caller
 from wrenchbook.service.events import Listener
 from wrenchbook.service.http.body import counted, too_large
-from wrenchbook.service.http.headers import send_preflight, with_security_headers
+from wrenchbook.service.http.headers import QUERY, send_preflight, with_security_headers
 from wrenchbook.service.http.permission import OPEN, PERMISSION, Permission, Rates, permission_of
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.proxy import PEER, PEER_FIELD, ProxyTrust
@@ -34,7 +34,6 @@ _LIMITED: Final = ("/v1/components", "/v1/jobs", "/v1/events", "/v1/scenes/plan"
 _LIMITED_NAMED: Final = ("/v1/components/", "/v1/jobs/", "/umbridge/")
 _JSON: Final = b"application/json"
 _BYTES: Final = b"application/octet-stream"
-_QUERIES: Final = ("/displacement", "/displacements")
 _BINARY: Final = ("/displacements", "/recording", "/envelope")
 _RIGS: Final = "/v1/rigs/"  # TOML by PUT, which pages of another site send only after a preflight
 # Calls that check content types themselves: files of many kinds.
@@ -169,8 +168,7 @@ class AccessControl:
         permission = self._permission(head)
 
         # Whether a displacement queues anything depends on its body, which is read later.
-        is_query = path.startswith("/v1/components/") and path.endswith(_QUERIES)
-        reads = method in _READING or (method == "POST" and is_query)
+        reads = method in _READING or (method == "POST" and QUERY.fullmatch(path) is not None)
         needed: Scope = "read" if reads else "write"
         if any(path == call or path.startswith(f"{call}/") for call in _ADMIN):
             needed = "admin"

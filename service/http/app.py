@@ -22,7 +22,7 @@ from wrenchbook.service.events import Events
 from wrenchbook.service.http import openapi, problems
 from wrenchbook.service.http.access import AccessControl, SecuritySettings
 from wrenchbook.service.http.batch import AT_ONCE
-from wrenchbook.service.http.headers import with_security_headers
+from wrenchbook.service.http.headers import MAIN_CALL, QUERY, with_security_headers
 from wrenchbook.service.http.problems import CLIENT_GONE, HttpProblemError
 from wrenchbook.service.http.protocol import HEADER, FastPath, id_of
 from wrenchbook.service.http.routes import (
@@ -70,8 +70,6 @@ access_log = logging.getLogger("wrenchbook.access")
 # Route name of a request that is no call of the API, or was refused before the router.
 NO_ROUTE: Final = "none"
 _METHODS: Final = frozenset({*problems.METHODS, "OPTIONS"})
-# Calls that a replica answers although they are sent by POST; such queries refuse to add jobs.
-_QUERIES: Final = ("/displacement", "/displacements", "/scenes/plan")
 # The caller until the access control has identified it.
 _UNKNOWN: Final = Caller("-", (), admin=False)
 _STOPPING: Final = HttpProblemError(
@@ -117,7 +115,7 @@ class Application(FastAPI):
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
-                is_displacement = status == 200 and scope["path"].endswith("/displacement")
+                is_displacement = status == 200 and MAIN_CALL.fullmatch(scope["path"])
                 if not (is_displacement and sent_id == b""):  # else as on the fast path
                     fields = [*message.get("headers", ()), (HEADER, request_id)]
                     message = {**message, "headers": fields}
@@ -169,9 +167,14 @@ def _as_get(scope: Scope, send: Send) -> tuple[Scope, Send]:
 
 def _reads(scope: Scope) -> bool:
     """Return whether a request writes nothing by itself; queries refuse to add jobs."""
-    if scope["method"] in ("GET", "OPTIONS"):
-        return True
-    return scope["path"].endswith(_QUERIES) or scope["path"].startswith("/umbridge/")
+    method, path = scope["method"], scope["path"]
+    if method != "POST":
+        return method in ("GET", "OPTIONS")
+    return (
+        QUERY.fullmatch(path) is not None
+        or path == "/v1/scenes/plan"
+        or path.startswith("/umbridge/")
+    )
 
 
 @asynccontextmanager

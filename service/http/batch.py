@@ -20,7 +20,7 @@ from starlette.responses import Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
-from wrenchbook.service.contract import COVERAGE, MAX_BATCH, OUTPUTS
+from wrenchbook.service.contract import COVERAGE, MAX_BATCH, OUTPUTS, QUERY_WAIT_S
 from wrenchbook.service.http.bodies import BatchBody, Body, Method, OnThin, query_of
 from wrenchbook.service.http.body import (
     Spooled,
@@ -182,7 +182,7 @@ class BinaryOptions(Body):
     """The options of a binary batch, which are query parameters."""
 
     on_thin: OnThin = "queue"
-    wait_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = 30.0
+    wait_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = QUERY_WAIT_S
     method: Method = None
     translation: _Bar | None = None
     rotation: _Bar | None = None

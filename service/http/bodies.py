@@ -19,7 +19,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
-from wrenchbook.service.contract import MAX_BATCH, MAX_BLOCK, OnThin
+from wrenchbook.service.contract import MAX_BATCH, MAX_BLOCK, QUERY_WAIT_S, OnThin
 from wrenchbook.service.query import Query
 from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.table.rows import Tolerance
@@ -133,7 +133,7 @@ class QueryOptions(Body):
     """Options of a query."""
 
     on_thin: OnThin = "queue"
-    wait_s: Seconds = 30.0
+    wait_s: Seconds = QUERY_WAIT_S
     tolerance: ToleranceBody | None = None
     method: Method = None
     beyond_range: Flag = False
@@ -290,14 +290,12 @@ class BlockKey(Body):
 
 
 class BlockBody(BlockKey):
-    """Block of wrenches of a simulation, each force then moment."""
+    """Block of wrenches of a simulation, each with a number for each input."""
 
     # Any size is allowed: a recording stores each wrench of a loop; only a start checks which can
     # be solved.
     wrenches: Annotated[
-        list[Annotated[list[Finite], Field(min_length=6, max_length=6)]],
-        FailFast(),
-        Field(max_length=MAX_BLOCK),
+        list[Annotated[list[Finite], FailFast()]], FailFast(), Field(max_length=MAX_BLOCK)
     ]
 
 

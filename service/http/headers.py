@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
 from starlette.types import Message, Send
 
 PLAIN: Final = b"x-content-type-options: nosniff\r\n"
 """Header fields of a reply of the fast path: JSON that no browser requests by itself."""
+MAIN_CALL: Final = re.compile(r"/v1/components/[^/]+/displacement")
+QUERY: Final = re.compile(MAIN_CALL.pattern + "s?")  # by POST, but it writes nothing by itself
 
 Fields = tuple[tuple[bytes, bytes], ...]
 
@@ -53,7 +56,7 @@ def with_security_headers(send: Send, path: str, origin: bytes | None) -> Send:
 
     `origin` is a listed site, whose pages may read the reply.
     """
-    is_main = path.endswith("/displacement")
+    is_main = MAIN_CALL.fullmatch(path) is not None
     # The main call's reply is the same on both paths.
     common = _ALWAYS[:1] if is_main and origin is None else _ALWAYS
     readers = () if is_main else _SAME_ORIGIN

@@ -10,9 +10,9 @@ import orjson
 from pydantic import Field, field_validator, model_validator
 from typing_extensions import TypedDict
 
+from wrenchbook.service.contract import ImportFormat
 from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.formats.options import MAX_ZERO_ROWS, Options
-from wrenchbook.service.formats.options import Format as FileFormat
 from wrenchbook.service.formats.read import MAX_PREVIEW
 from wrenchbook.service.formats.rig import MAX_RIG, NAME, Rig, RigError, rig_text
 from wrenchbook.service.http.bodies import Body
@@ -33,7 +33,7 @@ _Text = Annotated[str, Field(max_length=1000)]
 class ImportQuery(Body):
     """The query of an import; unknown parameters are refused."""
 
-    format: FileFormat | None = None
+    format: ImportFormat | None = None
     dry_run: bool = False
     partial: bool = False
     preview: Annotated[int, Field(ge=0, le=MAX_PREVIEW)] = 0

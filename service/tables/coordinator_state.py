@@ -1,13 +1,13 @@
 """Lock and status of the single process that builds tables, for processes that map them.
 
-Both are in a folder of the data directory that the process removes when it ends.
+Both are in a folder of the data directory. The lock file stays when the process ends: a process
+that waits for a removed one would lock it beside the holder of a new one.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -62,9 +62,10 @@ class CoordinatorState:
         return is_locked(self._folder / LOCK)
 
     def release(self) -> None:
-        """Release the lock and remove the folder."""
+        """Remove the status and release the lock."""
         if self._lock is not None:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            with suppress(OSError):
+                (self._folder / _STATUS).unlink()
             os.close(self._lock)
             self._lock = None
 

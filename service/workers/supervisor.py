@@ -298,7 +298,7 @@ def supervise(settings: Settings, *, as_json: bool = False) -> None:
         raise WorkerFailedError(in_use(settings.data))
     os.truncate(lock, 0)
     os.write(lock, f"the server at {address} (process {os.getpid()})".encode())
-    for path in shared.iterdir():  # counts and rates of a killed server
+    for path in shared.iterdir():  # counts and rates of an earlier server
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
     kinds = [WEB_WORKER, _builder_kind(settings), *_copier_kinds(settings)]

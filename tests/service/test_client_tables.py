@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from urllib.parse import parse_qsl
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -36,6 +37,31 @@ def test_a_table_is_imported_from_a_file_a_text_or_bytes(stub: Stub, client, tmp
         client.import_table("bar", text, format="png")
     with pytest.raises(FileNotFoundError):
         client.import_table("bar", "no such file.csv")
+
+
+@pytest.mark.parametrize("kind", ["lvm", "tdms", "xls", "mat"])
+def test_a_format_that_the_server_reads_is_sent(stub: Stub, client: Client, kind: str):
+    stub.answers(Answer({}))
+    client.import_table("bar", b"content", format=kind)
+    assert stub.seen[-1].path == f"/v1/components/bar/table?format={kind}"
+
+
+@pytest.mark.parametrize("kind", ["packed", "bushing"])
+def test_a_format_that_is_only_exported_is_not_sent(stub: Stub, client: Client, kind: str):
+    with pytest.raises(InvalidArgument, match=f"not '{kind}'"):
+        client.import_table("bar", b"content", format=kind)
+
+
+def test_rows_of_numpy_are_appended_as_lists(stub: Stub, client: Client):
+    stub.answers(Answer({}))
+    row = {"wrench": np.arange(6.0), "displacement": np.zeros(6), "note": "first"}
+    client.append("bar", "run 17", row)
+    assert stub.seen[-1].body["rows"][0]["wrench"] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+
+
+def test_a_row_that_json_cannot_have_is_not_sent(stub: Stub, client: Client):
+    with pytest.raises(InvalidArgument, match="no JSON value; give numbers and texts"):
+        client.append("bar", "run 17", {"fz [N]": 1j})
 
 
 MISTAKE = {"row": 2, "field": "ux [mm]", "message": "'x' is not a number"}

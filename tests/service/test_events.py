@@ -3,6 +3,7 @@
 import asyncio
 import json
 import socket
+import struct
 import threading
 import types
 
@@ -260,6 +261,31 @@ def test_after_a_break_it_goes_on_where_it_was(tmp_path):
         client.displacement("plate_thin", [0, 0, -5])
         assert [next(again).kind, next(again).kind] == ["hello", "job"]
         again.close()
+
+
+def test_a_first_stream_that_is_reset_is_connected_again():
+    """The iteration raised ConnectionResetError until a first stream had ended by itself."""
+    head = b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\n\r\n"
+    heard_one = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve():
+            for number in (1, 2):
+                peer, _ = server.accept()
+                peer.recv(65_536)
+                peer.sendall(head + b"event: job\ndata: {}\nid: %d\n\n" % number)
+                assert heard_one.wait(60)
+                peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                peer.close()
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        with Client(f"http://127.0.0.1:{server.getsockname()[1]}") as client:
+            events = client.events(timeout_s=60)
+            assert next(events).id == "1"
+            heard_one.set()
+            assert next(events).id == "2"
+        thread.join()
 
 
 def test_an_iteration_ends_after_its_time_without_an_event_for_all_heartbeats(

@@ -216,3 +216,24 @@ def test_a_job_has_loads_and_displacements_by_interface(solved):
     assert job["loads"]["left"]["moment"] == [0.0] * 3
     assert job["displacements"]["left"]["translation"] == [0.0] * 3
     assert job["displacements"]["right"]["translation"][1] != 0.0
+
+
+def test_a_block_of_the_longest_numbers_of_12_inputs_is_taken(solved):
+    """The limit of its bytes was that of six inputs."""
+    wrenches = [[-0.12345678901234567] * 12] * 10_000
+    reply = solved.post(f"{URL}/envelope", json={"wrenches": wrenches})
+    assert reply.json()["recorded"] == 10_000
+
+
+@pytest.mark.parametrize(
+    ("wrench", "where", "why"),
+    [
+        ([0.0] * 11 + ["1"], "wrenches.0.11", "number"),
+        ([0.0] * 6, "wrenches.0", "has 6 numbers, but the component has 12 inputs"),
+    ],
+)
+def test_a_mistake_in_a_block_of_12_inputs_has_its_place(solved, wrench, where, why):
+    reply = solved.post(f"{URL}/recording", json={"wrenches": [wrench]})
+    (mistake,) = reply.json()["errors"]
+    assert mistake["loc"] == where
+    assert why in mistake["msg"]

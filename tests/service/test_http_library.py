@@ -252,3 +252,11 @@ def test_a_demand_map_that_cannot_be_written_goes_on_counting(ledger):
     ledger._writer.execute("PRAGMA query_only = OFF")
     demand.save()
     assert QueryStatistics(ledger).map_of("rig", span)["asked"] == 3
+
+
+def test_a_component_that_is_named_as_a_call_is_answered_as_any_other(http):
+    spans = {"force": [100] * 3, "moment": [10] * 3}
+    http.post("/v1/components", json={"name": "displacement", "title": "A name", "range": spans})
+    headers = http.get("/v1/components/displacement").headers
+    assert "x-request-id" in headers
+    assert headers["cache-control"] == "no-store"

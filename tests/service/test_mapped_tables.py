@@ -9,6 +9,7 @@ import pytest
 from tests.service.ledger_rows import insert, new_rows, stored
 from tests.service.test_durable_tables import Site
 from tests.until import until
+from wrenchbook.service.files import lock
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import build, mapped, store
@@ -219,6 +220,23 @@ def test_a_second_builder_is_refused(tmp_path):
     one, other = CoordinatorState(tmp_path), CoordinatorState(tmp_path)
     assert one.take()
     assert not other.take()
+
+
+def test_a_builder_that_waits_while_another_ends_is_the_only_one(tmp_path, monkeypatch):
+    """The end removed the lock file, so that a third process locked a new one."""
+    one, waiting, third = (CoordinatorState(tmp_path / "shared") for _ in range(3))
+    assert one.take()
+    monkeypatch.setattr(lock.time, "sleep", lambda _: one.release())
+    assert waiting.take()
+    monkeypatch.undo()
+    assert not third.take()
+
+
+def test_a_builder_can_take_the_place_of_one_that_has_ended(tmp_path):
+    one, other = (CoordinatorState(tmp_path / "shared") for _ in range(2))
+    assert one.take()
+    one.release()
+    assert other.take()
 
 
 def test_what_the_builder_says_is_wrong_is_known_to_all(tmp_path, monkeypatch):

@@ -337,6 +337,15 @@ def test_a_read_only_server_refuses_writes_and_names_the_main_server(tmp_path, p
         assert answer.status_code == 200
 
 
+@pytest.mark.parametrize("path", ["/v1/rigs/displacement", "/v1/keys/displacement"])
+def test_a_read_only_server_deletes_nothing_that_is_named_as_a_call(tmp_path, path):
+    replica.write_status(tmp_path, followed={"server": "https://main", "checked": 0.0})
+    settings = Settings(tmp_path, solvers=0, read_only="file:///replica")
+    with TestClient(create_app(settings)) as http:
+        reply = http.delete(path)
+        assert (reply.status_code, reply.json()["type"].rpartition(":")[2]) == (403, "read-only")
+
+
 # -- the process ---------------------------------------------------------------------------------
 
 

@@ -42,8 +42,7 @@ from wrenchbook.surrogate.table.rows import NEAR
 Floats = NDArray[np.float64]
 Positive = Annotated[float | None, Query(gt=0, allow_inf_nan=False)]
 
-# Size of a block: each wrench has six numbers of 17 digits and a comma, and some blanks.
-MAX_BLOCK_BYTES = MAX_BLOCK * 6 * 40
+NUMBER_BYTES = 40  # largest mean size of a block's numbers: 17 digits, a comma, some blanks
 
 router = component_router("recording", route=JsonRoute)
 # These calls read their own bodies.
@@ -192,7 +191,8 @@ def _store(request: Request) -> RecordingStore:
 async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] | None]:
     """Return a block's wrenches, shape (n, inputs), SI, and its key if there is one."""
     space = request.app.state.workspace.library.as_read(name).space
-    body = await read_limited(request.receive, MAX_BLOCK_BYTES)
+    limit = MAX_BLOCK * len(space.inputs) * NUMBER_BYTES
+    body = await read_limited(request.receive, limit)
     key: BlockKey
     if is_binary(request):
         wrenches = read_wrenches(body, MAX_BLOCK, np.inf, space)
@@ -237,7 +237,7 @@ def _counts(tally: Tally) -> dict[str, Any]:
 
 
 def _thinning(tally: Tally) -> str:
-    """Return the sentence on merged and thinned wrenches; empty if there are none."""
+    """Return the sentence on thinned wrenches; empty if there are none."""
     if not tally.thinned:
         return ""
     near = f"each differs by at most {tally.within:.2g} of the load range from one kept"

@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 from weakref import WeakValueDictionary
 
 from fastapi import Header, Query, Request
@@ -19,6 +19,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.responses import FileResponse, Response
 
+from wrenchbook.service.contract import ExportFormat
 from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.imports import Imported, ImportQuery
 from wrenchbook.service.http.openapi import BODIES, BYTES, answers, component_router, refused, takes
@@ -45,7 +46,6 @@ _MAX_APPENDED_BYTES: Final = 1 << 20  # bytes of a block: 1,000 rows of 1 KiB as
 _FORM_BYTES: Final = 64 * 1024  # bytes of a form around its files
 _reader_locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
-Format = Literal["csv", "xlsx", "parquet", "hdf5", "json", "packed", "bushing"]
 MEDIA_TYPES = {
     "csv": "text/csv",
     "json": "application/json",
@@ -97,7 +97,7 @@ _TAKEN = frozenset(
 async def get_table(
     name: str,
     workspace: Opened,
-    format: Format = "json",  # noqa: A002 (the contract's word)
+    format: ExportFormat = "json",  # noqa: A002 (the contract's word)
     force: str = "N",
     moment: str = "N*m",
     translation: str = "m",
