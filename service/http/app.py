@@ -7,13 +7,14 @@ import logging
 import secrets
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import version
 from time import perf_counter
 from typing import Final
 
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from starlette.concurrency import run_in_threadpool
+from starlette.routing import BaseRoute
 from starlette.types import Message, Receive, Scope, Send
 
 from wrenchbook.service.actors import CALLER, Caller
@@ -205,6 +206,18 @@ async def _opened(app: FastAPI) -> AsyncIterator[None]:
         await run_in_threadpool(workspace.close)
 
 
+@cache
+def _routes() -> list[BaseRoute]:
+    """Return the routes that all applications share: FastAPI prepares each only once."""
+    router = APIRouter(**openapi.ROUTER_OPTIONS)
+    router.include_router(umbridge.router)  # a protocol with its own form of errors
+    router.include_router(health.router, responses=openapi.refused(403, 500))
+    for part in _PARTS:
+        router.include_router(part.router, responses=openapi.refused(403, 500, 503, 507))
+    router.include_router(page.router)
+    return router.routes
+
+
 def create_app(settings: Settings, security: SecuritySettings | None = None) -> Application:
     """Return the application; its workspace is open while the server runs.
 
@@ -217,7 +230,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         description=f"The wrench contract:\n\n{CONTRACT_TEXT}",
         lifespan=_opened,
         redirect_slashes=False,
-        strict_content_type=False,  # programs may leave it out, see `access`
+        routes=_routes(),
         **openapi.OPTIONS,
     )
     app.state.settings = settings
@@ -226,11 +239,6 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
     app.state.access = AccessControl(Keyring(settings.data), security or SecuritySettings())
 
     problems.install(app)
-    app.include_router(umbridge.router)  # a protocol with its own form of errors
-    app.include_router(health.router, responses=openapi.refused(403, 500))
-    for part in _PARTS:
-        app.include_router(part.router, responses=openapi.refused(403, 500, 503, 507))
-    app.include_router(page.router)
     openapi.install(app)
 
     app.read_only = bool(settings.read_only)

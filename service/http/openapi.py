@@ -47,12 +47,15 @@ _DEFAULT: Final = "Successful Response"
 _OWN_ERRORS: Final = "/umbridge/"  # a protocol with its own form of errors
 
 
-# Options of the application.
+# Options of the application, and of the router of its calls.
 OPTIONS: Final[dict[str, Any]] = {
     "openapi_url": None,  # `install` serves it with an ETag
     # Service/http/routes/page.py has the documentation without another host's files.
     "docs_url": None,
     "redoc_url": None,
+}
+ROUTER_OPTIONS: Final[dict[str, Any]] = {
+    "strict_content_type": False,  # programs may leave it out, see `access`
     # Generated clients name a call after its function; the calls of UM-Bridge begin with its name,
     # since it has an `info` and a `gradient` too.
     "generate_unique_id_function": lambda route: (

@@ -20,7 +20,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 
 from wrenchbook.service.client import Client
 
-WAIT_S = 600  # a limit for hung pages; what is waited for comes as soon as it is there
+WAIT_S = 120  # a limit for hung pages: the longest that pages wait for is one small solve, seconds
 OPTIONS = (
     "--headless=new",
     "--no-sandbox",  # CI runs as root
