@@ -78,7 +78,7 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
     main = int(np.argmax(np.ptp(rows.wrench[:, :loads], axis=0) / size[:loads]))
     name = options.columns.wrench[main]
     load = rows.wrench[:, main]
-    passes = passes_of(load)
+    passes = all_passes = passes_of(load)
 
     omitted = report.omitted
     retained = _after_first_cycles(load, passes, options.skip_cycles, name)
@@ -101,9 +101,15 @@ def _retained_rows(rows: ParsedTable, options: Options, report: ReadReport) -> P
             message = f"needs two or more cycles of {name}, but there is only one{after}"
             raise _CycleError("mean_cycles", f"{message}; leave mean_cycles out")
         size[main] = np.ptp(load)
-        branches = [_branch_mean(rows, passes, loading, main, size) for loading in (True, False)]
-        measured = [branch for branch in branches if len(branch)]
-        rows = _joined(sorted(measured, key=lambda branch: branch.seq[0]))
+        begins = bool(passes.loading[0])
+        first, other = (
+            _branch_mean(rows, passes, loading, main, size) for loading in (begins, not begins)
+        )
+        # In the order of a measured cycle, which begins at the load of the test's first row: from
+        # turning point to turning point, a loop and a drift of the readings would look alike.
+        direction = _direction(load, all_passes) if len(other) else 0.0
+        is_last = direction * (first.wrench[:, main] - load[0]) < 0
+        rows = _joined([first.take(~is_last), other, first.take(is_last)])
     omitted["averaged"] = count_before_means - len(rows)
     return rows
 
@@ -121,14 +127,19 @@ def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> N
 
 def _is_after(load: Array, passes: Passes, count: int) -> NDArray[np.bool_]:
     """Return whether a row is after the first `count` cycles of the main load, (n,)."""
-    retained = passes.number >= 2 * count
-    first = load[0]
+    is_later = passes.number > 2 * count
+    is_beyond = _direction(load, passes) * (load - load[0]) >= 0
+    return (passes.number >= 2 * count) & (is_later | is_beyond | (count == 0))
+
+
+def _direction(load: Array, passes: Passes) -> float:
+    """Return the sign of the first pass of a test whose cycles end at the load of its first row.
+
+    Such a test, to both sides, begins within its range; 0 for one that begins at an end of it.
+    """
     margin = TURN * np.ptp(load)
-    if count and load.min() + margin < first < load.max() - margin:
-        # A test to both sides begins within its range: its cycles end at the load of its first row.
-        direction = np.sign(load[passes.number == 0][-1] - first)
-        retained &= (passes.number > 2 * count) | (direction * (load - first) >= 0)
-    return retained
+    is_within = load.min() + margin < load[0] < load.max() - margin
+    return float(np.sign(load[passes.number == 0][-1] - load[0])) if is_within else 0.0
 
 
 def _thinned(rows: ParsedTable, passes: Passes, place: Array) -> tuple[ParsedTable, Passes]:

@@ -11,7 +11,8 @@ from tests.surrogate.findings.rigs import cantilever
 from wrenchbook.service.formats.cycles import MAX_CYCLE_ROWS, with_cycles
 from wrenchbook.service.formats.options import Options, ParsedTable, ReadReport
 from wrenchbook.surrogate.findings.cycles import passes_of
-from wrenchbook.surrogate.table.rows import Rows
+from wrenchbook.surrogate.findings.find import find
+from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 FORCE, MOMENT = 500.0, 50.0
 SEEDS = (911, 922, 933)
@@ -184,6 +185,18 @@ def test_too_many_skipped_cycles_of_a_test_to_both_sides_are_refused_with_the_ri
         False,
         True,
     ]
+
+
+def test_the_mean_of_cycles_with_a_loop_has_a_finding_of_hysteresis_alone():
+    """It had findings of a drift, a scale and a zero."""
+    turns = np.linspace(0, 8 * np.pi, 400)
+    load = 300 * np.sin(turns)
+    moved = np.full((400, 6), np.nan)
+    moved[:, 2] = load / 2e6 - np.sign(np.cos(turns)) * 3e-6 * np.cos(turns) ** 2
+    rows, _ = left(Rows.of(np.outer(load, np.eye(6)[2]), moved), mean_cycles=True)
+    bound = np.array([300.0] * 3 + [30.0] * 3)
+    findings = find(Rows.of(rows.wrench, rows.displacement), LoadRange(-bound, bound))
+    assert [finding.cause for finding in findings] == ["hysteresis"]
 
 
 def test_passes_of_one_row_at_different_loads_have_no_mean():
