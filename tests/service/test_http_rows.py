@@ -213,7 +213,7 @@ def read_only(folder, http, rig, unused):
 
 @contextmanager
 def serving(folder, unused, before):
-    environment = dict(os.environ, PYTHONPATH=str(ROOT))
+    environment = dict(os.environ, PYTHONPATH=str(ROOT / "src"))
     command = [sys.executable, "-c", before + BECOME, SERVE, str(folder), str(unused)]
     server = subprocess.Popen(command, env=environment, stdout=-1, stderr=subprocess.STDOUT)
     log = []
