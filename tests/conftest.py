@@ -22,7 +22,10 @@ settings.load_profile("shared-ci" if os.environ.get("CI") else "shared")
 # Files of 15 s or more, the longest first: one that begins last leaves the other workers of
 # `make test` with nothing to do. They hold few tests, by which xdist would have them last.
 LONGEST = (
+    "surrogate/findings/test_find.py",
+    "test_docs.py",
     "service/page/test_browser.py",
+    "service/page/test_views.py",
     "surrogate/test_error_bars.py",
     "acceptance/test_main_job.py",
     "acceptance/test_nothing_lost.py",
@@ -43,8 +46,10 @@ LONGEST = (
     "fea/deck/test_deck_ccx.py",
     "service/test_http_rows.py",
     "service/test_http_displacement.py",
-    "surrogate/test_composition.py",
     "surrogate/test_honesty.py",
+    "surrogate/kriging/test_bars.py",
+    "surrogate/findings/test_clock.py",
+    "surrogate/test_composition.py",
     "service/test_http_components.py",
     "service/test_client_async.py",
     "fuzz/test_document.py",

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import find_peaks
 from scipy.special import stdtrit
 
 from ..calibration import LEVEL
@@ -40,6 +39,9 @@ class Passes(NamedTuple):
 
 def passes_of(load: Floats) -> Passes:
     """Return the passes of a load, (n,), in the order of its measurement."""
+    # Imported here, as it takes 0.9 s of a server's start.
+    from scipy.signal import find_peaks
+
     span = np.ptp(load)
     number = np.zeros(len(load), dtype=np.intp)
     sure = np.ones(len(load), bool)

@@ -196,6 +196,10 @@ IMPORTS = {
     "table files leave pint for its first use": (
         "import sys, wrenchbook.service.formats; print([x for x in ['pint'] if x in sys.modules])"
     ),
+    "a server leaves the signals and statistics of scipy for their first use": (
+        "import sys, wrenchbook.service.http.app\n"
+        "print([name for name in ('scipy.signal', 'scipy.stats') if name in sys.modules])"
+    ),
     "a packed table loads numpy and the standard library alone": (
         "import sys, wrenchbook.surrogate.kernel.binding, wrenchbook.surrogate.kernel.format\n"
         "roots = {name.partition('.')[0] for name in sys.modules}\n"
