@@ -49,12 +49,13 @@ def write_atomically(
 def interrupted_writes(folder: Path) -> Iterator[Path]:
     """Yield the partial files that writes into a folder left, by processes that have ended."""
     for path in folder.glob(".*.*.*"):  # .name.process.thread
-        process = path.name.split(".")[-2]
-        if process.isdecimal() and not _is_running(int(process)):
+        process, thread = path.name.split(".")[-2:]
+        if process.isdecimal() and thread.isdecimal() and not is_running(int(process)):
             yield path
 
 
-def _is_running(process: int) -> bool:
+def is_running(process: int) -> bool:
+    """Return whether a process of this machine, of any user, is running."""
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):  # no process has a number above 2^31

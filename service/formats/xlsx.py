@@ -15,6 +15,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from datetime import datetime, timedelta
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -36,6 +37,7 @@ _SAVE_AGAIN = "save it again from a spreadsheet program"
 _ENCRYPTED = 1  # the flag of an encrypted member (APPNOTE.TXT, 4.4.4)
 # ST_Xstring (ECMA-376, 22.9.2.19): characters that XML 1.0 lacks, and texts that look like escapes.
 _UNFIT = re.compile("[\x00-\x08\x0b-\x0d\x0e-\x1f\ufffe\uffff]|_(?=x[0-9A-Fa-f]{4}_)")
+_CLOCK_DAY = datetime(1900, 1, 1)
 _ESCAPE = re.compile(r"_x([0-9A-Fa-f]{4})_")
 
 
@@ -229,6 +231,9 @@ def _text(value: Any) -> str:
         return Digits(value)
     if isinstance(value, str):
         return unescape(value)
+    if isinstance(value, timedelta) and value.days:  # a shorter one is a clock time already
+        with suppress(OverflowError):
+            value = _CLOCK_DAY + value
     return str(value)  # dates and times as ISO 8601, with a space between them
 
 
@@ -239,7 +244,9 @@ def escape(text: str) -> str:
 
 def unescape(text: str) -> str:
     """Return the argument of `escape` from its result."""
-    return _ESCAPE.sub(lambda match: chr(int(match[1], 16)), text)
+    units = _ESCAPE.sub(lambda match: chr(int(match[1], 16)), text)
+    # The escapes are of UTF-16: a character has two, and one alone is none.
+    return units.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
 
 
 def _check_entries(entries: Sequence[zipfile.ZipInfo]) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import importlib
 import json
+import math
 import re
 import shutil
 import tomllib
@@ -131,11 +132,19 @@ def surface_of(folder: Path, _fingerprint: str) -> dict[str, Any]:
     check, or too many others are built.
     """
     (part,) = _checks.run(f"{_MODULE}:surface", folder, None, CHECK)
-    return {name: np.array(array) for name, array in part.arrays.items()}
+    arrays = {name: np.array(array) for name, array in part.arrays.items()}
+    for array in arrays.values():
+        array.setflags(write=False)  # all callers have the same
+    return arrays
 
 
 @lru_cache(maxsize=8)
-def faces_of(folder: Path, _fingerprint: str = "") -> bytes:
+def known_faces_of(folder: Path, _fingerprint: str) -> bytes:
+    """Return `faces_of` a component's folder, which stays."""
+    return faces_of(folder)
+
+
+def faces_of(folder: Path) -> bytes:
     """Return as JSON the numbered ``faces`` of a bundle's mesh, and their plotly ``figure``.
 
     Raises BundleError if no surface can be read or drawn, SandboxBusyError as `surface_of`.
@@ -209,7 +218,9 @@ def toml_value(value: Any) -> str:
 
 
 def toml_text(text: str) -> str:
-    """Return a TOML basic string."""
+    """Return a TOML basic string; raises ValueError for a text that no UTF-8 has."""
+    if any("\ud800" <= c <= "\udfff" for c in text):
+        raise ValueError(f"{text!r} has an unpaired surrogate (invalid Unicode); remove it")
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'
 
@@ -264,7 +275,9 @@ def surface(folder: Path) -> Iterator[Part]:
     unit = deck and deck.unit
     mesh = sources.mesh_of(source) if source else reader.read_mesh(deck and deck.file, unit)
     outside = recovery.surface_of(mesh, PICTURE_VERTICES)
-    points = np.round(mesh.points[outside.nodes], 6)  # µm: short JSON
+    points = mesh.points[outside.nodes]
+    decimals = 5 - math.floor(math.log10(np.ptp(points, axis=0).max()))  # short JSON
+    points = np.round(points, decimals)
     yield Part({}, {"vertices": points, "triangles": outside.triangles})
 
 

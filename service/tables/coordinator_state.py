@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from wrenchbook.service.files.durable import write_atomically
+from wrenchbook.service.files.durable import is_running, write_atomically
 from wrenchbook.service.files.lock import is_locked, take
 
 FOLDER = "shared"  # name of the folder in the data directory
@@ -97,7 +97,7 @@ class CoordinatorState:
     def others(self) -> Iterator[Mapped]:
         """Yield the tables from which each other running process answers."""
         for path in self._folder.glob("*.mapped"):
-            with suppress(OSError):  # that process has just ended
-                os.kill(int(path.name.partition("-")[0]), 0)
-                if path != self._mapped:
+            # That process has just ended, or a power failure cut the file off.
+            with suppress(OSError, ValueError):
+                if path != self._mapped and is_running(int(path.name.partition("-")[0])):
                     yield json.loads(path.read_bytes())

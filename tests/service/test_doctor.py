@@ -316,6 +316,13 @@ def test_a_partial_file_of_a_running_process_is_no_leftover(folder, monkeypatch)
         assert path.name not in words(list(find_leftovers(folder, ledger)))
 
 
+def test_a_file_whose_name_has_a_date_is_no_leftover(folder):
+    path = folder / ".backup.20240101.tar"
+    path.touch()
+    with closing(Ledger(folder / "ledger.sqlite")) as ledger:
+        assert path.name not in words(list(find_leftovers(folder, ledger)))
+
+
 def test_a_foreign_ledger_is_told_and_not_mended(folder):
     path = folder / "ledger.sqlite"
     path.unlink()

@@ -20,7 +20,7 @@ from wrenchbook.fea.mesh.io.abaqus_content import read_deck
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.spec.problems import MeshFileError
 from wrenchbook.service.library import bundles
-from wrenchbook.service.library.bundles import check_mesh, toml_text, toml_value, unpack
+from wrenchbook.service.library.bundles import check_mesh, surface_of, toml_text, toml_value, unpack
 
 BAR = (SHIPPED / "bar" / "component.toml").read_text().replace('"bar"', '"beam"', 1)
 
@@ -222,6 +222,27 @@ def test_a_title_that_plays_with_a_terminal_or_a_page_is_refused(tmp_path, title
 @pytest.mark.parametrize("title", ['"', "\\", "é", "\U0001f4a9", "\U000f0000 for private use"])
 def test_a_title_of_any_letters_comes_back_from_the_component_toml_it_is_kept_in(title):
     assert tomllib.loads(f"title = {toml_text(title)}") == {"title": title}
+
+
+def test_a_title_with_half_a_character_is_no_toml():
+    with pytest.raises(ValueError, match="unpaired surrogate"):
+        toml_text("half \ud83d")
+
+
+@pytest.mark.parametrize("size", [5e-5, 0.4, 40.0])
+def test_the_picture_of_a_part_of_any_size_has_its_shape(tmp_path, size):
+    bar = f'generator = "bar"\nlength = {size}\nwidth = {size / 30}\nheight = {size / 30}\n'
+    text = re.sub(r"(?s)\[mesh\].*?\n\[", f"[mesh]\n{bar}cells_along = 10\n[", BAR, count=1)
+    (tmp_path / "component.toml").write_text(text)
+    (part,) = bundles.surface(tmp_path)
+    assert np.ptp(part.arrays["vertices"], axis=0) / size == pytest.approx(
+        [1, 1 / 30, 1 / 30], abs=2e-5
+    )
+
+
+def test_the_surface_of_a_part_cannot_be_changed_for_other_callers():
+    surface = surface_of(SHIPPED / "bar", "a test")
+    assert not any(array.flags.writeable for array in surface.values())
 
 
 @pytest.fixture

@@ -19,6 +19,7 @@ from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.routes.jobs import MAX_LOG_BYTES
 from wrenchbook.service.http.routes.page import FOLDER, router
 from wrenchbook.service.jobs.attempt import LOG
+from wrenchbook.service.library.bundles import known_faces_of
 from wrenchbook.service.workspace import Settings
 
 RIG = "/v1/components/rig"
@@ -199,6 +200,13 @@ def test_a_bundle_shows_its_faces_before_the_rest_is_written_and_is_not_added(ht
     assert reported.status_code == 200
     assert reported.json()["faces"][0]["toml"] == '{plane = "x", at = 0.0}'
     assert http.get("/v1/components/half").status_code == 404
+
+
+def test_the_faces_of_a_bundle_that_is_not_added_take_no_place_of_a_components(http):
+    known = known_faces_of.cache_info()
+    toml = 'name = "half"\n[mesh]\ngenerator = "bar"\nlength = 1.0\nwidth = 0.1\nheight = 0.1\n'
+    assert faces_of(http, {"component.toml": f"{toml}cells_along = 4\n"}).status_code == 200
+    assert known_faces_of.cache_info() == known
 
 
 def test_faces_of_a_table_only_component_are_refused_and_it_is_not_added(http):

@@ -239,6 +239,22 @@ def test_a_builder_can_take_the_place_of_one_that_has_ended(tmp_path):
     assert other.take()
 
 
+def test_a_process_of_another_user_is_one_of_the_others(tmp_path, monkeypatch):
+    one, other = CoordinatorState(tmp_path), CoordinatorState(tmp_path)
+    one.publish({"new": [3, "setup"]})
+
+    def refuse(process, signal):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "kill", refuse)
+    assert list(other.others()) == [{"new": [3, "setup"]}]
+
+
+def test_a_file_of_published_tables_that_was_cut_off_is_passed_over(tmp_path):
+    (tmp_path / f"{os.getpid()}-1.mapped").write_text('{"new": [3,')
+    assert list(CoordinatorState(tmp_path).others()) == []
+
+
 def test_what_the_builder_says_is_wrong_is_known_to_all(tmp_path, monkeypatch):
     monkeypatch.setattr(mapped, "START_S", 0.2)
     state = CoordinatorState(tmp_path / "shared")

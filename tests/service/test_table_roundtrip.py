@@ -10,6 +10,7 @@ import resource
 import tempfile
 import zipfile
 from dataclasses import replace
+from datetime import timedelta
 from decimal import Decimal
 from functools import partial
 
@@ -22,7 +23,7 @@ from hypothesis import strategies as st
 
 from tests.service import table_files
 from tests.service.table_files import ReadTable, read, write_csv, write_hdf5, write_json, written
-from wrenchbook.service.formats.cells import guard_formula, unguard_formula
+from wrenchbook.service.formats.cells import guard_formula, time_seconds, unguard_formula
 from wrenchbook.service.formats.columnar import write_parquet
 from wrenchbook.service.formats.units import (
     QUANTITIES,
@@ -31,7 +32,7 @@ from wrenchbook.service.formats.units import (
     scaled,
     si_factor,
 )
-from wrenchbook.service.formats.xlsx import escape, unescape, write_xlsx
+from wrenchbook.service.formats.xlsx import _text, escape, unescape, write_xlsx
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange
 
@@ -134,6 +135,24 @@ def test_an_export_in_any_unit_is_read_back_to_rounding(table: ReadTable, units)
 def test_texts_survive_the_guards_of_spreadsheets(text):
     assert unguard_formula(guard_formula(text)) == text
     assert unescape(escape(text)) == text
+
+
+@pytest.mark.parametrize(
+    ("escaped", "text"),
+    [("_xD83D__xDE00_", "\U0001f600"), ("_xD83D_", "\ufffd"), ("_xDE00__xD83D_", "\ufffd\ufffd")],
+)
+def test_escapes_of_utf_16_are_read_as_characters(escaped, text):
+    assert unescape(escaped) == text
+
+
+def test_a_duration_beyond_a_day_goes_on_after_the_clock_times_of_the_first():
+    durations = [timedelta(hours=23), timedelta(hours=26, seconds=0.5)]
+    first, second = (time_seconds(_text(duration), None, comma=False) for duration in durations)
+    assert second - first == 3 * 3600 + 0.5
+
+
+def test_a_duration_beyond_all_dates_stays_a_text():
+    assert _text(timedelta(days=999_999_999)) == "999999999 days, 0:00:00"
 
 
 @pytest.mark.parametrize("note", ["=1+1", "+1", "-1", "@SUM(A1)", "'=1", "''=1", "＝1"])

@@ -17,7 +17,7 @@ from wrenchbook.service.contract import COVERAGE, LOADS, OUTPUTS
 from wrenchbook.service.http.openapi import answers, component_router, refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Newest, Opened, json_reply
-from wrenchbook.service.library.bundles import faces_of, surface_of
+from wrenchbook.service.library.bundles import known_faces_of, surface_of
 from wrenchbook.service.library.component import require_single_wrench
 from wrenchbook.service.messages import Matrix, Message, Six, Slopes
 from wrenchbook.service.tables.mapped import ServedTable
@@ -174,7 +174,7 @@ def surface(name: str, workspace: Opened) -> Response:
 def faces(name: str, workspace: Opened) -> Response:
     folder, fingerprint = _meshed(workspace, name)
     try:
-        return Response(faces_of(folder, fingerprint), media_type="application/json")
+        return Response(known_faces_of(folder, fingerprint), media_type="application/json")
     except BundleError as error:
         raise HttpProblemError(404, "no-mesh", "No faces can be shown", str(error)) from error
 
