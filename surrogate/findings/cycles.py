@@ -66,9 +66,9 @@ def _leading(mask: NDArray[np.bool_]) -> int:
 
 
 def line_through(displacement: Floats, load: Floats) -> dict[str, float] | None:
-    """Return the least-squares line load = slope * displacement + offset; None with too few rows.
+    """Return the least-squares line load = slope * displacement + offset, if it has a slope.
 
-    Displacements, (n,), are in m or rad, loads, (n,), in N or N·m. The displacement is x and the
+    It is None with fewer than three rows too. Displacements, (n,), are in m or rad, loads, (n,), in N or N·m. The displacement is x and the
     load is y, as in ``numpy.polyfit(displacement, load, 1)``: noise of the displacement lowers the
     slope by its part of the variance. ``unloaded`` is the displacement at zero load, ``residual``
     the standard deviation of the load; half widths are of 95 %.
@@ -77,6 +77,8 @@ def line_through(displacement: Floats, load: Floats) -> dict[str, float] | None:
     if free < 1 or np.ptp(displacement) == 0.0 or np.ptp(load) == 0.0:
         return None
     (slope, offset), covariance = np.polyfit(displacement, load, 1, cov=True)
+    if slope == 0.0:  # no displacement is that at zero load
+        return None
     squares = ((load - slope * displacement - offset) ** 2).sum()
     gradient = np.array([offset / slope**2, -1.0 / slope])
     variances = covariance[0, 0], gradient @ covariance @ gradient

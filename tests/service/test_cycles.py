@@ -10,7 +10,7 @@ from tests.service.test_import_findings import CALL, csv_of, send
 from tests.surrogate.findings.rigs import cantilever
 from wrenchbook.service.formats.cycles import MAX_CYCLE_ROWS, with_cycles
 from wrenchbook.service.formats.options import Options, ParsedTable, ReadReport
-from wrenchbook.surrogate.findings.cycles import passes_of
+from wrenchbook.surrogate.findings.cycles import line_through, passes_of
 from wrenchbook.surrogate.findings.find import find
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
@@ -81,6 +81,10 @@ def test_bars_of_a_loaded_branch_hold_it_in_nine_of_ten(http, seed, loop, noise)
     counts = load(http, created.rows, branch="unloading", skip_cycles=1)
     assert counts["branch"] > counts["skipped"] > 0
     assert created.held(http, 1) >= 0.9
+
+
+def test_a_line_without_a_slope_has_no_displacement_at_zero_load():
+    assert line_through(np.array([-1.0, 0.0, 1.0, 0.0]), np.array([1.0, 0.0, 1.0, 2.0])) is None
 
 
 @pytest.mark.parametrize("seed", SEEDS)
