@@ -36,7 +36,13 @@ from wrenchbook.service.cli.local import LOCAL_COMMANDS, PROGRAMS, keys, run_pro
 from wrenchbook.service.cli.recording import RECORDING_COMMANDS
 from wrenchbook.service.cli.render import Screen, plain, print_answer, print_json, show
 from wrenchbook.service.cli.tables import TABLE_COMMANDS
-from wrenchbook.service.client import ProblemError, Scene, ServerUnreachable
+from wrenchbook.service.client import (
+    Client,
+    Displacement,
+    ProblemError,
+    Scene,
+    ServerUnreachable,
+)
 from wrenchbook.service.client.client import deformed_format
 from wrenchbook.service.client.errors import InvalidArgument, mistake_line
 from wrenchbook.service.contract import OnThin
@@ -116,11 +122,17 @@ AtInterface = Annotated[
 ]
 ToleranceTranslation = Annotated[
     float | None,
-    typer.Option(help="largest error bar of a translation, m; by default the component's"),
+    typer.Option(
+        help="tolerance of a translation, m: coverage and fill compare the interpolation error "
+        "with it, within_tolerance the whole error bar; by default the component's"
+    ),
 ]
 ToleranceRotation = Annotated[
     float | None,
-    typer.Option(help="largest error bar of a rotation, rad; by default the component's"),
+    typer.Option(
+        help="tolerance of a rotation, rad: coverage and fill compare the interpolation error "
+        "with it, within_tolerance the whole error bar; by default the component's"
+    ),
 ]
 Former = Annotated[float | None, typer.Option(hidden=True)]  # names of version 0.2
 
@@ -152,7 +164,11 @@ def query(
         str | None, typer.Option(help="interpolation, such as griddata; by default the component's")
     ] = None,
     detail: Annotated[
-        bool, typer.Option("--detail", help="add each axis, with its rows, to what --json prints")
+        bool,
+        typer.Option(
+            "--detail",
+            help="add the parts of the error bar, and each axis with its rows, to --json",
+        ),
     ] = False,
     derivatives: Annotated[
         bool, typer.Option("--derivatives", help="add du/dw, 6 x 6, to what --json prints")
@@ -173,11 +189,12 @@ def query(
             wait_s=wait_s,
             tolerance=tolerance,
             method=method,
-            detail=detail,
+            detail=detail or not as_json,
             derivatives=derivatives,
             beyond_range=beyond_range,
         )
-    print_answer(answer, as_json, data)
+        tolerance = _tolerance_of(client, answer, tolerance)
+    print_answer(answer, as_json, data, tolerance)
 
 
 @app.command(cls=NumbersCommand)
@@ -200,7 +217,8 @@ def solve(
         if answer.job is not None and answer.job.status != "done":
             progress.follow(Screen(stderr=as_json), client, [answer.job], wait_s)
             answer = client.solve(name, **loads, beyond_range=beyond_range)
-    print_answer(answer, as_json, data)
+        tolerance = _tolerance_of(client, answer, None)
+    print_answer(answer, as_json, data, tolerance)
 
 
 @app.command(cls=NumbersCommand)
@@ -246,7 +264,9 @@ def fill(
     ] = None,
     output: Annotated[
         list[str] | None,
-        typer.Option(help="an output whose error bar counts, such as uz; repeatable; default all"),
+        typer.Option(
+            help="an output whose interpolation error counts, such as uz; repeatable; default all"
+        ),
     ] = None,
     for_joint: Annotated[
         bool, typer.Option("--for-joint", help="until a joint can invert the table")
@@ -257,7 +277,7 @@ def fill(
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Solve the wrenches where the table's error bar is largest, in rounds of 24."""
+    """Solve the wrenches where the table's interpolation error is largest, in rounds of 24."""
     tolerance = _tolerance(
         translation if tolerance_translation is None else tolerance_translation,
         rotation if tolerance_rotation is None else tolerance_rotation,
@@ -383,6 +403,15 @@ def _tolerance(translation: float | None, rotation: float | None) -> dict[str, f
         sizes = f"{translation:g} m and {rotation:g} rad"
         raise typer.BadParameter(f"a tolerance must be above 0, not {sizes}; give larger numbers")
     return {"translation": translation, "rotation": rotation}
+
+
+def _tolerance_of(
+    client: Client, answer: Displacement, requested: dict[str, float] | None
+) -> dict[str, float] | None:
+    """Return the tolerance that an answer exceeds, m and rad: the request's or component's."""
+    if requested or answer.within_tolerance is not False:
+        return requested
+    return client.component(answer.component)["tolerance"]
 
 
 def _loads(

@@ -23,10 +23,6 @@ from wrenchbook.service.contract import OUTPUTS
 # Control characters except tab and line end: a note or a log with them could move the cursor,
 # rename the window or type into some terminals.
 _CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
-_OVER = (
-    "The solver's own error (such as its mesh) makes the error bar larger than the tolerance, and "
-    "more solves do not reduce it. See the warnings of the component."
-)
 UNITS = {name: "m" if name[0] == "u" else "rad" for name in OUTPUTS}
 
 
@@ -77,15 +73,45 @@ def show(reply: Any, as_json: bool, shown: str | Callable[[], Iterable[Renderabl
         Screen().print(part)
 
 
-def answer_shown(answer: Displacement, interface: str = "") -> Group:
-    """Return one answer with its error bar, at a named interface if there are several."""
+def _remedy(answer: Displacement, interface: str, tolerance: Mapping[str, float] | None) -> str:
+    """Return what lowers a covered answer's error bar beyond the tolerance, m and rad, or ""."""
+    if not answer.covered or answer.within_tolerance is not False:
+        return ""
+    over = "The error bar is larger than the tolerance."
+    if tolerance is None or answer.error_vector is None:
+        return over
+    limits = np.repeat([tolerance["translation"], tolerance["rotation"]], 3)
+    if not (answer.error_vector > limits).any():
+        return ""  # another interface has the larger error bar
+    # Without parts it is the answer of a solve, which has no interpolation error.
+    table = (answer.raw.get("error_parts") or {}).get("table") or {}
+    table = table.get(interface, table)
+    of_rows = [*table.get("translation", [0.0] * 3), *table.get("rotation", [0.0] * 3)]
+    if (answer.error_vector - np.array(of_rows, dtype=float) > limits).any():
+        return (
+            f"{over} The sum of its parts other than the interpolation error (such as that of the "
+            "mesh) is too, and more solves do not reduce it. See the warnings of the component."
+        )
+    return (
+        f"{over} The sum of its parts other than the interpolation error is not, so more rows "
+        f"help: wrenchbook fill {answer.component} with a smaller tolerance, or an import."
+    )
+
+
+def answer_shown(
+    answer: Displacement, interface: str = "", tolerance: Mapping[str, float] | None = None
+) -> Group:
+    """Return one answer with its error bar, at a named interface if there are several.
+
+    `tolerance`, m and rad, is that of `within_tolerance`, if it is known.
+    """
     title = [f"{answer.component} {interface}".strip(), answer.coverage]
     title += [f"source: {answer.source}"] if answer.source else []
     title += [f"method: {answer.method}"] if answer.method else []
     title += [f"{answer.elapsed_us:.0f} µs"] if answer.elapsed_us is not None else []
     title += [f"job {answer.job.id}: {answer.job.status}"] if answer.job is not None else []
-    over = [_OVER] if answer.covered and answer.within_tolerance is False else []
-    notes = "\n".join([answer.reason, *over, *answer.raw.get("notes", ())]).strip()
+    remedy = _remedy(answer, interface, tolerance)
+    notes = "\n".join(filter(None, [answer.reason, remedy, *answer.raw.get("notes", ())]))
     table = Table()
     for heading in ("", "value", "error bar", "unit"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
@@ -100,13 +126,21 @@ def answer_shown(answer: Displacement, interface: str = "") -> Group:
     return Group(lines[0], table, *lines[1:] if notes else ())
 
 
-def print_answer(answer: Displacement, as_json: bool, data: Path | None) -> None:
+def print_answer(
+    answer: Displacement,
+    as_json: bool,
+    data: Path | None,
+    tolerance: Mapping[str, float] | None,
+) -> None:
     """Print an answer, at each interface, and the state of its open job.
 
-    `data` is the data directory whose private server has ended, if one had been started.
+    `tolerance`, m and rad, is that of `within_tolerance`; `data` is the data directory whose
+    private server has ended, if one had been started.
     """
     interfaces = answer.interfaces or {"": answer}
-    shown: list[RenderableType] = [answer_shown(at, name) for name, at in interfaces.items()]
+    shown: list[RenderableType] = [
+        answer_shown(at, name, tolerance) for name, at in interfaces.items()
+    ]
     if answer.job is not None and not answer.job.ended:
         value = "No estimate yet" if answer.vector is None else "The values are an estimate"
         state = f"Its state: wrenchbook jobs --component {answer.component}"

@@ -231,7 +231,7 @@ class JobCalls(Connection):
             Which of ux uy uz rx ry rz are needed; all otherwise.
         for_joint : bool
             Whether a joint will use the table: it is then also filled until the compliance is
-            positive definite and the error of a wrench at most 5 % of the load range.
+            positive definite and the error of each load at most 5 % of half its range.
 
         Raises
         ------

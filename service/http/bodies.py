@@ -26,6 +26,7 @@ from wrenchbook.surrogate.table.rows import Tolerance
 
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Load = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST_LOAD, le=LARGEST_LOAD)]
 Vector = Annotated[list[Load], Field(min_length=3, max_length=3)]
 Wrench = list[Load]
@@ -165,7 +166,7 @@ class SolveBody(LoadsBody):
 
 Span = Annotated[
     Annotated[Annotated[list[Finite], Field(min_length=2, max_length=2)], Tag("pair")]
-    | Annotated[Positive, Tag("number")],
+    | Annotated[NotNegative, Tag("number")],
     # A mistake in a span is reported for its own form alone.
     Discriminator(lambda span: "pair" if isinstance(span, list) else "number"),
 ]
@@ -177,7 +178,7 @@ Spans = Annotated[list[Span], Field(min_length=3, max_length=3)]
 
 
 class RangeBody(Body):
-    """Expected loads: per direction a positive number (plus and minus) or ``[low, high]``."""
+    """Expected loads: per direction a number (plus and minus; 0: no load) or ``[low, high]``."""
 
     force: Spans
     moment: Spans

@@ -68,10 +68,11 @@ def _leading(mask: NDArray[np.bool_]) -> int:
 def line_through(displacement: Floats, load: Floats) -> dict[str, float] | None:
     """Return the least-squares line load = slope * displacement + offset, if it has a slope.
 
-    It is None with fewer than three rows too. Displacements, (n,), are in m or rad, loads, (n,), in N or N·m. The displacement is x and the
-    load is y, as in ``numpy.polyfit(displacement, load, 1)``: noise of the displacement lowers the
-    slope by its part of the variance. ``unloaded`` is the displacement at zero load, ``residual``
-    the standard deviation of the load; half widths are of 95 %.
+    It is None with fewer than three rows too. Displacements, (n,), are in m or rad, loads, (n,), in
+    N or N·m. The displacement is x and the load is y, as in
+    ``numpy.polyfit(displacement, load, 1)``: noise of the displacement lowers the slope by its part
+    of the variance. ``unloaded`` is the displacement at zero load, ``residual`` the standard
+    deviation of the load; half widths are of 95 %.
     """
     free = len(load) - 2
     if free < 1 or np.ptp(displacement) == 0.0 or np.ptp(load) == 0.0:

@@ -57,6 +57,12 @@ def test_a_component_tells_contract_range_rows_and_coverage(http):
     assert "axes" in body["coverage"]
 
 
+def test_a_load_of_a_measured_part_that_does_not_act_has_the_range_0(http):
+    span = {"force": [0, 0, 300], "moment": [0, 0, 0]}
+    body = http.post("/v1/components", json=TABLE_ONLY | {"name": "strut", "range": span}).json()
+    assert body["range"]["force"] == [[0.0, 0.0], [0.0, 0.0], [-300.0, 300.0]]
+
+
 def test_a_table_only_component_is_made_by_one_post(http):
     reply = http.post("/v1/components", json=TABLE_ONLY)
     assert reply.status_code == 201

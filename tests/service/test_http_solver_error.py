@@ -9,6 +9,7 @@ import pytest
 from tests.service.live import add_table, as_rows, full_wrenches, moved, served
 from tests.service.test_runjob_evidence import BUNDLE
 from wrenchbook.service.cli.render import answer_shown
+from wrenchbook.service.client import Displacement
 from wrenchbook.service.jobs import solver
 from wrenchbook.service.jobs.attempt import Attempt, prepare, read_outcome
 from wrenchbook.service.ledger import Ledger, LedgerFullError
@@ -221,9 +222,40 @@ def test_the_component_warns_once_of_what_more_rows_cannot_mend(client):
     assert "nonlinear = true" in linearity
 
 
-def test_an_answer_whose_bar_is_over_the_tolerance_is_shown_with_a_word_of_it(client):
-    *_, notes = answer_shown(client.displacement("bar", WRENCH, on_thin="estimate")).renderables
-    assert "the tolerance, and more solves do not" in str(notes)
+@pytest.mark.parametrize(
+    ("error", "mesh", "remedy"),
+    [
+        (1.3e-5, 6e-6, "so more rows help"),
+        (1.3e-5, 1.1e-5, "more solves do not reduce"),
+        (9e-6, 6e-6, ""),
+    ],
+)
+def test_the_remedy_of_a_wide_error_bar_follows_from_the_sum_of_the_parts_besides_the_rows(
+    error, mesh, remedy
+):
+    zeros = {"translation": [0.0] * 3, "rotation": [0.0] * 3}
+    body = zeros | {
+        "component": "bar",
+        "coverage": "covered",
+        "within_tolerance": False,
+        "error": {"translation": [0.0, 0.0, error], "rotation": [0.0] * 3},
+        "error_parts": {"table": {"translation": [0.0, 0.0, error - mesh], "rotation": [0.0] * 3}},
+        "source": "table",
+        "method": "kriging",
+        "table_version": 9,
+        "elapsed_us": 1.0,
+    }
+    shown = answer_shown(Displacement.read(body), "", {"translation": 1e-5, "rotation": 1e-5})
+    notes = " ".join(str(line) for line in shown.renderables[2:])
+    assert remedy in notes
+    assert bool(notes) == bool(remedy)
+
+
+def test_a_solve_whose_mesh_exceeds_the_tolerance_is_shown_with_the_remedy(client):
+    tolerance = client.component("bar")["tolerance"]
+    solved = client.solve("bar", WRENCH, wait_s=60)
+    *_, notes = answer_shown(solved, "", tolerance).renderables
+    assert "more solves do not reduce" in str(notes)
 
 
 def test_nobody_is_told_that_a_bar_without_the_solvers_share_is_within_the_tolerance(

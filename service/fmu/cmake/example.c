@@ -12,8 +12,11 @@ int main(int count, char **words) {
     if (!table || count != 2 + wb_inputs(table))
         return fprintf(stderr, "%s (loads: %d)\n", why, table ? wb_inputs(table) : 0), 1;
     for (int k = 0; k < wb_inputs(table); k++) loads[k] = strtod(words[2 + k], NULL);
-    if (wb_answer(table, NULL, loads, &reply, malloc(wb_scratch(table)))) return 2;
+    void *scratch = malloc(wb_scratch(table)); /* one for each thread, for all its answers */
+    if (!scratch || wb_answer(table, NULL, loads, &reply, scratch)) return 2;
     printf("%s %s\n", COVERAGE[reply.coverage], METHOD[reply.method]);
     for (int k = 0; k < wb_outputs(table); k++)
         printf("%.17g %.17g\n", reply.outputs[k], reply.error[k]);
+    free(scratch);
+    wb_close(table);
 }
