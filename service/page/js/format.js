@@ -94,9 +94,7 @@ export function seconds(value) {
 
 export function time(text) {
   if (!text) return "–";
-  const when = new Date(text);
-  const today = when.toDateString() === new Date().toDateString();
-  return when.toLocaleString(undefined, today ? { timeStyle: "medium" } : { month: "short", day: "numeric", hour: "numeric", minute: "2-digit", year: when.getFullYear() === new Date().getFullYear() ? undefined : "numeric" });
+  return new Date(text).toLocaleString("en-GB", { day: "numeric", month: "short", year: "numeric", hour: "2-digit", minute: "2-digit", timeZoneName: "short" }); // 24 hours
 }
 
 const ACTORS = { "(anonymous)": "anonymous", "(local)": "a command", "(server)": "the server" };
