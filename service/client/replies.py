@@ -62,7 +62,7 @@ class Displacement(messages.Displacement):
         Why it is not covered, or has no job; may be empty.
     within_tolerance : bool or None
         Whether the total error bar is within the tolerance. If it is false of a covered answer,
-        the error is that of the mesh, the linearity or the rig, which no row lowers. None if
+        interpolation and the parts that no row lowers (mesh, linearity, rig) exceed it. None if
         unknown.
     derivative : numpy.ndarray or None
         du/dw, shape (6, 6), m/N, m/(N·m), rad/N, rad/(N·m), a line an output, if it was requested

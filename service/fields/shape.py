@@ -147,7 +147,7 @@ class Deformed:
     within_tolerance: bool | None = None  # None without a tolerance or a discretisation error
 
     def without_bars(self, reason: str) -> Deformed:
-        """The surface outside the rows, where no row shows its error: without bars and verdict."""
+        """Return the surface outside the rows, where none shows its error: no bars, no verdict."""
         stress = self.stress and self.stress._replace(error=None, yields=None)
         unknown = {"error": None, "parts": None, "within_tolerance": None, "stress": stress}
         return replace(self, coverage="outside", reason=reason, **unknown)

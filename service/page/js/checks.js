@@ -28,8 +28,8 @@ export async function show(root, about, signal) {
     return;
   }
   put(root, working("The checks are computed …"));
-  const reply = await get(`${of(about.name)}/compliance`, signal);
-  const beyond = about.coverage?.beyond_range;
+  const [reply, { coverage }] = await Promise.all([get(`${of(about.name)}/compliance`, signal), get(of(about.name), signal)]);
+  const beyond = coverage.beyond_range;
   const beside = await get(`${of(about.name)}/disagreement`, signal).catch(() => null);
   put(root,
     el("section", { class: "card" }, el("h2", {}, "Compliance at zero load"),

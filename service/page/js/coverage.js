@@ -37,7 +37,7 @@ async function axisOf(stage, below, about, axis, signal, tries = TRIES) {
   const place = el("div", { class: "plot", id: "coverage" });
   const view = figure(place, `Rows of axis ${axis}`, marks(about, rows, latest));
   put(below, working("The convex hull is computed …"));
-  put(stage, rows.shown < rows.of ? note("", `${count(rows.shown)} of ${count(rows.of)} rows are drawn, spread over the table.`) : null, far ? note("", `${counted(far, "row")} ${OUTSIDE}, nor drawn.`) : null, view.root);
+  put(stage, rows.shown < rows.of ? note("", `${count(rows.shown)} of ${count(rows.of)} rows are drawn, spread over the table.`) : null, far ? note("", `${counted(far, "row")} ${OUTSIDE} and not drawn.`) : null, view.root);
   const drawing = await draw(place, (shade) => picture(about, rows, gap, latest, shade, view.camera()), signal, `${rows.shown} rows of axis ${axis} over ${rows.inputs.join(", ")}`);
   view.hold(drawing);
   const cover = await get(`${of(about.name)}/coverage`, signal); // seconds for 100,000 rows
@@ -64,7 +64,7 @@ function marks(about, rows, latest) {
   const kinds = [
     [rows.clean.some(Boolean), "", "accent", "row with loads of this axis only"], [!rows.clean.every(Boolean), "hollow", "card", "row with other loads too"],
     [has(1), "square", "thin", "loads that are thin"], [has(2), "square", "outside", "loads outside the rows"],
-    [true, "hollow square", "card", "frame: the load range"], [rows.of > 3, "square", "accent-soft", "convex hull of the rows"],
+    [true, "hollow square", "card", "frame: the load range"], [rows.of > 3, "square pale", "accent", "convex hull of the rows"],
     [latest.some((one) => isNear(about, one)), "diamond", "query", "latest queries, within twice the load range"],
   ];
   return el("ul", { class: "key-of-marks" }, kinds.filter(([drawn]) => drawn).map(([, kind, colour, text]) => {

@@ -61,7 +61,7 @@ async function ask(about, state, signal) {
 function labelOf({ sweep, rows, output, load, rest }) {
   const thin = sweep.coverage.filter((one) => one > 0).length;
   const share = Math.round(100 * (1 - thin / sweep.coverage.length));
-  const drawn = rows ? `${rows.shown === 1 ? "1 row lies" : `${rows.shown || "no"} rows lie`} on this line${rows.outside ? ` (${counted(rows.outside, "row")} ${OUTSIDE}, nor drawn)` : ""}` : "rows are not drawn, since other loads act";
+  const drawn = rows ? `${rows.shown === 1 ? "1 row lies" : `${rows.shown || "no"} rows lie`} on this line${rows.outside ? ` (${counted(rows.outside, "row")} ${OUTSIDE} and not drawn)` : ""}` : "rows are not drawn, since other loads act";
   const k = OUTPUTS.indexOf(output), bars = sweep.error.map((one) => one[k] ?? 0);
   const unit = unitOfOutput(output), place = bars.indexOf(Math.max(...bars)), widest = quantity(bars[place], unit, 2), inner = sweep.interpolation[place]?.[k] ?? 0;
   const unknown = Math.round(100 * sweep.error.filter((one) => one[k] === null).length / sweep.error.length);
