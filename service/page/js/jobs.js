@@ -46,8 +46,8 @@ const isYield = (text) => text.includes("above its yield strength");
 // That a job's loads are outside the load range, and how far; empty for others.
 function outsideOf(job, about) {
   if (!about.range || !(job.force || job.loads)) return "";
-  const values = valuesOf(about, job), outside = beyondRange(about, values);
-  return outside && `${outside} The wrench is ${number(timesRange(about, values), 3)} times the load range.`;
+  const values = valuesOf(about, job), outside = beyondRange(about, values), times = timesRange(about, values);
+  return outside && times > 1 ? `${outside} The wrench is ${number(times, 3)} times the load range.` : outside;
 }
 
 // What a solve found, with links to the views that show it.

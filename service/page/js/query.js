@@ -59,7 +59,7 @@ export async function show(root, about, signal) {
 async function query(place, about, wrench, options, signal, watched = null) {
   const body = { ...named(about, wrench), on_thin: options.onThin };
   if (options.method) body.method = options.method;
-  if (options.beyond) body.beyond_range = true;
+  if (options.beyond) Object.assign(body, { on_thin: "wait", wait_s: 0, beyond_range: true }); // a solve of exactly this wrench
   let answer;
   try {
     answer = await post(`${of(about.name)}/displacement`, body, signal);
