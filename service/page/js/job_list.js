@@ -4,7 +4,7 @@ import { get, post, send, trouble } from "./api.js";
 import { el, note, notify, pill, put, save } from "./dom.js";
 import { empty as emptyState } from "./empty.js";
 import { listen } from "./events.js";
-import { actorOf, seconds, sentence, time } from "./format.js";
+import { actorOf, counted, seconds, sentence, time } from "./format.js";
 import { saidOf } from "./inputs.js";
 import { rowLink } from "./rows.js";
 
@@ -69,7 +69,7 @@ function hear(list, kind, body, fresh, status) {
 
 async function cancelWaiting(component) {
   const { cancelled } = await (await send("DELETE", `v1/jobs?status=waiting${component ? `&component=${encodeURIComponent(component)}` : ""}`)).json();
-  notify(`${cancelled} jobs were cancelled.`);
+  notify(`${counted(cancelled, "job")} cancelled.`);
 }
 
 function rowOf(list, job) {
