@@ -284,9 +284,11 @@ class Workspace:
         shares = {} if table.solver_error is None else {"mesh": reply.discretisation}
         if table.solver_error is not None and "linearity" in table.solver_error.values:
             shares["linearity"] = reply.linearity
-        return self.shapes.answer(
+        shape = self.shapes.answer(
             component, table.rows, wrench, table.hyperparameters, solver, shares
         )
+        is_unknown = reply.coverage == "outside" and None in (reply.error or (None,))
+        return shape.without_bars(reply.reason) if is_unknown and shape.source == "rows" else shape
 
     def fill(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -145,6 +145,12 @@ class Deformed:
     follows: Floats | None = None
     parts: ErrorParts | None = None
     within_tolerance: bool | None = None  # None without a tolerance or a discretisation error
+
+    def without_bars(self, reason: str) -> Deformed:
+        """Return the surface outside the rows, where none shows its error: no bars, no verdict."""
+        stress = self.stress and self.stress._replace(error=None, yields=None)
+        unknown = {"error": None, "parts": None, "within_tolerance": None, "stress": stress}
+        return replace(self, coverage="outside", reason=reason, **unknown)
 
 
 def rounding(displacement: Floats) -> Floats:

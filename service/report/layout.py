@@ -20,6 +20,8 @@ UNKNOWN = "-"  # stands for a number that a table lacks
 CONFIDENCE: Final = 0.95  # of the share of true errors within their bars: the level of the bars
 LEAST_PERCENT: Final = 0.001  # smaller errors are rounding of linear solves
 PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))  # smaller ones are rounding
+ACCEPTED: Final = 0.9  # share of true errors within their bars; as in the plot
+FEW_WRENCHES: Final = 20  # with fewer one miss is more than 5 %
 STAR = " ★"  # follows the name of an entry that no other beats in both error and run time
 
 
@@ -50,20 +52,47 @@ def summary_of(report: dict[str, Any]) -> str:
 
 def advice_of(report: dict[str, Any]) -> str:
     """Return advice on the table in one sentence."""
-    mesh = report["mesh_error"]
     table = next(
         entry
         for entry in _complete_tables(report)
         if entry["method"] == report["default"]["method"]
     )
-    error = table["largest_interpolation_error"]
+    return _advice_on_bars(report, table) + _advice_on_rows(report, table)
 
+
+def _bars_are_too_small(table: dict[str, Any]) -> bool:
+    beyond = table["beyond_error_bar"]
+    return beyond["missed"] > (1 - ACCEPTED) * beyond["of"]
+
+
+def _advice_on_bars(report: dict[str, Any], table: dict[str, Any]) -> str:
+    """Return a warning of error bars that hold too few true errors, or ""."""
+    if not _bars_are_too_small(table):
+        return ""
+    beyond, compared = table["beyond_error_bar"], report["wrenches"]["compared"]
+    few = ""
+    if compared < FEW_WRENCHES:
+        few = f" (few wrenches were compared: {compared}; compare {FEW_WRENCHES} or more)"
+    return (
+        f"The error bars of {table['method']} were too small for {beyond['missed']} of "
+        f"{beyond['of']} answers{few}. Do not rely on them; fill the table further. "
+    )
+
+
+def _advice_on_rows(report: dict[str, Any], table: dict[str, Any]) -> str:
+    """Return whether more rows or a finer mesh lowers the error; as in the plots, of the finest."""
+    mesh, error, total = (
+        report["mesh_error"],
+        table["largest_interpolation_error"],
+        table["largest_error"],
+    )
     sentence = f"the table ({table['name']}) does not answer all outputs"
-    if error is not None:
-        sentence = f"the table ({table['name']}) errs by {_percent(error)} of the range"
+    if total is not None:
+        sentence = f"the table ({table['name']}) errs by {_percent(total)} of the range"
+        sentence += " against the finest mesh"
     if None not in (mesh, error) and error <= mesh:
         return (
-            f"The mesh decides: {sentence}, its mesh by {_percent(mesh)}, so that more rows "
+            f"Result: {sentence}, its mesh by {_percent(mesh)}, so that more rows "
             "change nothing; if that is too much, refine the mesh."
         )
 
@@ -78,8 +107,11 @@ def advice_of(report: dict[str, Any]) -> str:
     if mesh is not None:
         sentence += f", its mesh by {_percent(mesh)}"
     if report["tolerance"]:
-        sentence += "; its interpolation error is within the tolerance: it needs no more rows"
-    return f"The table decides: {sentence}."
+        sentence += "; its interpolation error is within the tolerance"
+        sentence += (
+            " at these wrenches" if _bars_are_too_small(table) else ": it needs no more rows"
+        )
+    return f"Result: {sentence}."
 
 
 def sections_of(report: dict[str, Any]) -> list[ReportSection]:
@@ -89,7 +121,7 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
     omitted = tuple((name, _percent(error)) for name, error in default["errors_left_out"].items())
     failed = "".join(map(_failures_in, report["fea"]))
     unsolved = " Failed solves: see Finite elements." if failed else ""
-    of_tables = ("method", "rows", "FEA spent, s", "build, s", "p50, µs", "p99, µs", "MB")
+    of_tables = ("method", "rows", "FEA spent, s", "build, s", "median, µs", "99 %, µs", "MB")
 
     return [
         ReportSection(
@@ -103,7 +135,7 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
             "Finite elements",
             f"Direct solves, one thread; processor times.{STAR}: no other entry is both better and "
             f"faster.{failed}",
-            ("mesh", "unknowns", "set-up, s", "solve p50, s", "p95, s", *outputs),
+            ("mesh", "unknowns", "set-up, s", "solve median, s", "95 %, s", *outputs),
             _mesh_lines(report),
         ),
         ReportSection(

@@ -196,12 +196,13 @@ def _compare_method(
 
     answers = table.batch(wrenches, method=method)
     error = np.abs(answers.outputs - same_mesh)
-    inside, ratios = [], []
+    inside, ratios, missed, judged = [], [], 0, 0
     for bars, true in zip(answers.errors.T, error.T, strict=True):
         known = np.isfinite(bars)
         bars, true = bars[known], true[known]
         median = float(np.median(true)) if len(true) else 0.0
         inside.append(float(np.mean(true <= bars)) if len(true) else None)
+        missed, judged = missed + int(np.sum(true > bars)), judged + len(true)
         # None if the error is zero.
         ratios.append(float(np.median(bars)) / median if median > 0.0 else None)
 
@@ -218,6 +219,7 @@ def _compare_method(
         "lookup_error": of_mesh,
         "largest_interpolation_error": _largest(of_mesh),
         "inside_error_bar": inside,
+        "beyond_error_bar": {"missed": missed, "of": judged},
         "bar_over_error": ratios,
     }
 

@@ -445,10 +445,14 @@ def note_on_other_rows(name: str, table: ServedTable) -> str:
     if not table.other_wrenches:
         return ""
     return (
-        f"{table.other_rows} rows belong to another setup of {name!r} and are not in its table; "
-        f"solve their {table.other_wrenches} wrenches again with POST "
+        f"{_belong(table)} to another setup of {name!r} and not to its table; wrenches to "
+        f"solve again: {table.other_wrenches}, with POST "
         f"/v1/components/{name}/table/resolve or: wrenchbook resolve {name}"
     )
+
+
+def _belong(table: ServedTable) -> str:
+    return "1 row belongs" if table.other_rows == 1 else f"{table.other_rows} rows belong"
 
 
 def warning_of(component: Component, table: ServedTable) -> str:
@@ -456,7 +460,7 @@ def warning_of(component: Component, table: ServedTable) -> str:
     if component.has_fea or not table.other_rows:
         return note_on_other_rows(component.name, table)
     return (
-        f"{table.other_rows} rows belong to another setup of {component.name!r}, which has no "
-        "finite-element setup now, so they are not in its table. Put its files back, or export the "
+        f"{_belong(table)} to another setup of {component.name!r}, which has no "
+        "finite-element setup now, and not to its table. Put its files back, or export the "
         "rows and load them as measured, without a fingerprint"
     )

@@ -39,12 +39,13 @@ MAX_LISTED = 50  # rows that a check lists
 def check_physics(
     rows: Rows, load_range: LoadRange, fit: ComplianceFit, tolerance: Tolerance | None = None
 ) -> dict[str, Any]:
-    """Return all checks of the rows that have every output, as JSON-able values.
+    """Return all checks of the rows in the load range with every output, as JSON-able values.
 
     Deviations below the uncertainty of a row, and below the tolerance, violate no law: by default
     the tolerance is `ZERO` of the largest translation or rotation.
     """
-    complete = rows.take(np.isfinite(rows.displacement).all(axis=1))
+    used = load_range.holds(rows.wrench)  # as for answers
+    complete = rows.take(used & np.isfinite(rows.displacement).all(axis=1))
     if not len(complete):
         return {"rows_checked": 0, "ok": None, "checks": {}}
     space = load_range.space

@@ -94,6 +94,16 @@ def test_elsewhere_it_is_flagged(served, solve):
     assert refused(client.deformed, "sheet", [1e300, 0, 0]).status == 409
 
 
+def test_outside_where_an_answer_has_no_bar_the_surface_has_none_and_no_verdict(served, solve):
+    client, *_ = served
+    for fz in (-200.0, 300.0):
+        client.solve("sheet", [0, 0, fz], [0, 0, 0], wait_s=120)
+    assert client.displacement("sheet", [1500, 0, 0], on_thin="estimate").error is None
+    result = client.deformed("sheet", [1500, 0, 0])
+    assert (result.source, result.coverage, result.error) == ("rows", "outside", None)
+    assert (result.stress.error, result.stress.yields) == (None, None)
+
+
 def test_the_reply_tells_the_frame(served, solve):
     client, *_ = served
     raw = client.deformed("sheet", FORCE, MOMENT).raw

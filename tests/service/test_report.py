@@ -143,6 +143,26 @@ def test_the_advice_says_within_the_tolerance_of_the_interpolation_error_alone(r
     )
 
 
+def test_the_advice_says_first_that_error_bars_were_too_small(report):
+    figures = deepcopy(report)
+    for table in figures["tables"]:
+        table["beyond_error_bar"] = {"missed": 9, "of": 30}
+        table["lookup_error"]["p95"] = [1e-6] * 6
+    figures["mesh_error"], figures["tolerance"] = None, [1e-6] * 6
+    assert advice_of(figures).startswith(
+        "The error bars of linear were too small for 9 of 30 answers"
+    )
+    assert "few wrenches were compared: 5" in advice_of(figures)
+    assert "needs no more rows" not in advice_of(figures)
+
+
+def test_the_advice_has_the_error_that_the_plots_show(report):
+    figures = deepcopy(report)
+    for table in figures["tables"]:
+        table["largest_error"], table["largest_interpolation_error"] = 0.0043, 0.0054
+    assert "errs by 0.43 % of the range against the finest mesh" in advice_of(figures)
+
+
 def test_errors_are_rms_quantile_and_largest():
     result = errors(np.array([[1.0] * 6, [2.0] * 6, [np.nan] * 6]), np.full(6, 10.0))
     assert result["rms"] == pytest.approx([2.5**0.5] * 6)

@@ -1,17 +1,18 @@
 // The fitted compliance and what physics says about the rows.
 
 import { get, of } from "./api.js";
-import { el, facts, note, pill, put } from "./dom.js";
+import { el, facts, note, pill, put, working } from "./dom.js";
 import { emptyTable } from "./empty.js";
+import { OUTSIDE } from "./inputs.js";
 import { rowLinks } from "./rows.js";
-import { LOADS, OUTPUTS, count, number, percent, scientific, sentence, superscript, symbol } from "./format.js";
+import { LOADS, OUTPUTS, count, counted, number, percent, scientific, sentence, superscript, symbol } from "./format.js";
 
 const CHECKS = {
   zero_at_zero_load: ["The displacement at zero load is zero", (one) => one.reason],
   symmetric: ["The compliance is symmetric (Maxwell, Betti)", (one) => `asymmetry ${percent(one.asymmetry)}, allowed ${percent(one.allowed)}${one.asymmetry_of_solves == null ? "" : `; of the tangents of solves ${number(one.asymmetry_of_solves, 2)}, allowed ${number(one.allowed_of_solves, 2)}`}`],
   positive: ["Loads do positive work", (one) => `smallest eigenvalue over largest ${number(one.smallest_over_largest_eigenvalue, 3)}${isOfFit(one) ? ", within the asymmetry of the fit: the rows do not determine its sign yet" : ""}`],
   linear: ["The response is linear (one 6 × 6 compliance)", (one) => one.says || one.reason],
-  work: ["Work does not decrease from row to row", (one) => `${count(one.pairs_that_give_work_back ?? 0)} pairs of rows lose work`],
+  work: ["Work does not decrease from row to row", (one) => `pairs of rows that lose work: ${count(one.pairs_that_give_work_back ?? 0)}`],
   tangents: ["Tangents agree with neighbouring rows", (one) => one.largest_miss === undefined || one.largest_miss === null ? one.reason : one.ok ? "all deviations are within half a step between rows, and the rows' error bars" : `largest deviation ${percent(one.largest_miss)} of the range: solve wrenches between these rows; if the deviation stays, a tangent is wrong`],
 };
 
@@ -26,13 +27,15 @@ export async function show(root, about, signal) {
     put(root, emptyTable(about, "There are no rows to check yet."));
     return;
   }
-  const reply = await get(`${of(about.name)}/compliance`, signal);
+  put(root, working("The checks are computed …"));
+  const [reply, { coverage }] = await Promise.all([get(`${of(about.name)}/compliance`, signal), get(of(about.name), signal)]);
+  const beyond = coverage.beyond_range;
   const beside = await get(`${of(about.name)}/disagreement`, signal).catch(() => null);
   put(root,
     el("section", { class: "card" }, el("h2", {}, "Compliance at zero load"),
       reply.tangent_origin === "none" ? el("p", { class: "muted" }, "Not known yet: there are no rows.") : matrix(reply.tangent, "Tangent at zero load", `${ORIGINS[reply.tangent_origin] || `du/dw of ${reply.tangent_origin}`} at zero load`)),
     reply.origin === "none" ? null : el("section", { class: "card" }, el("h2", {}, "Mean compliance over the load range"),
-      matrix(mean(reply), "Mean compliance", `${reply.origin} from ${count(reply.rows_checked)} rows`)),
+      matrix(mean(reply), "Mean compliance", `${reply.origin} from ${counted(reply.rows_checked, "row")}${beyond ? `; ${counted(beyond, "row")} ${OUTSIDE}` : ""}`)),
     el("section", { class: "card" }, el("h2", {}, "Physical checks of the rows"), checks(reply, about)),
     beside?.compared ? el("section", { class: "card" }, el("h2", {}, "Measured against solved rows"), disagreement(beside, about)) : null);
 }
@@ -66,7 +69,7 @@ function matrix(values, name, origin) {
     el("div", { class: "wide", tabindex: "0", role: "region", "aria-label": `${name}, 6 by 6` }, el("table", { class: "matrix" },
       el("thead", {}, el("tr", {}, el("th", {}), LOADS.map((load) => el("th", { class: "number", scope: "col" }, symbol(load))))),
       el("tbody", {}, values.map((line, i) => el("tr", {}, el("th", { scope: "row" }, symbol(OUTPUTS[i])), line.map((value, j) => cell(value, i, j))))))),
-    el("p", { class: "muted small" }, `In ${power ? `10${superscript(power)} ` : ""}m or rad per N or N·m; ${origin}. Shades compare entries of one unit. The rows do not determine entries with ? yet: they are negative on the diagonal, or more than 10 % off their mirror entries.`),
+    el("p", { class: "muted small" }, `In ${power ? `10${superscript(power)} ` : ""}m or rad per N or N·m; ${origin}. By blocks: u by F in m/N, u by M in m/(N·m), r by F in rad/N, r by M in rad/(N·m). Shades compare entries of one unit. The rows do not determine entries with ? yet: they are negative on the diagonal, or more than 10 % off their mirror entries.`),
   ];
 }
 

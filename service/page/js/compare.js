@@ -3,7 +3,7 @@
 import { get, of, send, trouble } from "./api.js";
 import { choice, el, field, put, save, select, table, working } from "./dom.js";
 import { empty, emptyTable, linkTo } from "./empty.js";
-import { LOADS, OUTPUTS, count, number, plain, prefixOf, quantity, symbol, unitOfLoad, unitOfOutput } from "./format.js";
+import { LOADS, OUTPUTS, count, counted, number, plain, prefixOf, quantity, rounded, symbol, unitOfLoad, unitOfOutput } from "./format.js";
 import { draw, faint } from "./plot.js";
 
 const PLOTS = ["over-load", "over-order", "over-expected"];
@@ -103,8 +103,9 @@ function factors(reply) {
     for (const [name, one] of Object.entries(part.outputs)) {
       if (!one.compared) continue;
       const sure = one.half_width !== null && one.half_width < Math.abs(one.factor);
+      const factor = rounded(one.factor ?? 0, one.half_width);
       lines.push([part.import === null ? "none" : String(part.import), symbol(name),
-        sure || one.half_width === null ? number(one.factor, 5) : "not determined", one.half_width === null ? "unknown" : `± ${number(one.half_width, 2)}`, one.of_reference === null ? "unknown" : `± ${number(one.of_reference, 2)}`,
+        one.half_width === null ? number(one.factor, 5) : sure ? factor.value : "not determined", one.half_width === null ? "unknown" : `± ${factor.bar}`, one.of_reference === null ? "unknown" : `± ${number(one.of_reference, 2)}`,
         quantity(one.mean, unitOfOutput(name)), quantity(one.rms, unitOfOutput(name)), `${count(one.beyond_bars)} of ${count(one.compared)}`]);
     }
   }
@@ -113,7 +114,7 @@ function factors(reply) {
 
 function label({ reply, output, load }, k) {
   const over = [plain(load), "the order of the rows", "the reference's answer"][k];
-  return `${k === 2 ? "Measured" : "Residual of"} ${plain(output)} over ${over}, ${reply.compared} rows`;
+  return `${k === 2 ? "Measured" : "Residual of"} ${plain(output)} over ${over}, ${counted(reply.compared, "row")}`;
 }
 
 function picture({ reply, output, load }, k, shade) {

@@ -2,9 +2,10 @@
 
 import { asked } from "./asked.js";
 import { get, of, trouble } from "./api.js";
-import { choice, el, note, put, table } from "./dom.js";
+import { choice, el, note, put, table, working } from "./dom.js";
 import { emptyTable } from "./empty.js";
-import { LOADS, count, number, percent, plain, symbol, unitOfLoad } from "./format.js";
+import { LOADS, count, counted, number, percent, plain, symbol, unitOfLoad } from "./format.js";
+import { OUTSIDE, beyondRange } from "./inputs.js";
 import { box } from "./load_box.js";
 import { draw } from "./plot.js";
 import { figure } from "./view3d.js";
@@ -30,11 +31,13 @@ async function axisOf(stage, below, about, axis, signal, tries = TRIES) {
     get(`${of(about.name)}/drawing?axis=${axis}&most=3000`, signal),
     latestOf(about, signal),
   ]);
+  const inside = rows.wrench.map((one) => !beyondRange(about, one)), far = inside.filter((one) => !one).length; // rows far out would shrink all else to a point
+  for (const column of ["wrench", "clean"]) rows[column] = rows[column].filter((_, place) => inside[place]);
   let gap = { hull: [], worst: [] };
   const place = el("div", { class: "plot", id: "coverage" });
   const view = figure(place, `Rows of axis ${axis}`, marks(about, rows, latest));
-  put(below, el("p", { class: "muted" }, "Computing the convex hull …"));
-  put(stage, rows.shown < rows.of ? note("", `${count(rows.shown)} of ${count(rows.of)} rows are drawn, spread over the table.`) : null, view.root);
+  put(below, working("The convex hull is computed …"));
+  put(stage, rows.shown < rows.of ? note("", `${count(rows.shown)} of ${count(rows.of)} rows are drawn, spread over the table.`) : null, far ? note("", `${counted(far, "row")} ${OUTSIDE} and not drawn.`) : null, view.root);
   const drawing = await draw(place, (shade) => picture(about, rows, gap, latest, shade, view.camera()), signal, `${rows.shown} rows of axis ${axis} over ${rows.inputs.join(", ")}`);
   view.hold(drawing);
   const cover = await get(`${of(about.name)}/coverage`, signal); // seconds for 100,000 rows
@@ -61,6 +64,7 @@ function marks(about, rows, latest) {
   const kinds = [
     [rows.clean.some(Boolean), "", "accent", "row with loads of this axis only"], [!rows.clean.every(Boolean), "hollow", "card", "row with other loads too"],
     [has(1), "square", "thin", "loads that are thin"], [has(2), "square", "outside", "loads outside the rows"],
+    [true, "hollow square", "card", "frame: the load range"], [rows.of > 3, "square pale", "accent", "convex hull of the rows"],
     [latest.some((one) => isNear(about, one)), "diamond", "query", "latest queries, within twice the load range"],
   ];
   return el("ul", { class: "key-of-marks" }, kinds.filter(([drawn]) => drawn).map(([, kind, colour, text]) => {
@@ -108,7 +112,7 @@ function holds(rows, summary) {
   if (!summary) return el("p", {}, "The table's compliance answers: all loads are covered by six unit solves, whatever the rows.");
   const lines = Object.entries(summary.spans).map(([load, [low, high]]) => [symbol(load), number(low), number(high), unitOfLoad(load)]);
   return [
-    el("p", {}, `${count(summary.rows)} rows, ${count(summary.corrected)} of them with other loads too, span ${summary.dimensions ?? 0} dimensions. Their convex hull encloses ${percent(summary.part_of_range)} of the range; kriging covers loads beyond it where its error is known and within the tolerance.`),
+    el("p", {}, `${counted(summary.rows, "row")}, ${count(summary.corrected)} of them with other loads too, span ${summary.dimensions ?? 0} dimensions. Their convex hull encloses ${percent(summary.part_of_range)} of the range; kriging covers loads beyond it where its error is known and within the tolerance.`),
     lines.length ? table(["Load", "#from", "#to", "unit"], lines) : null,
   ];
 }

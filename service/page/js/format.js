@@ -41,28 +41,37 @@ const POWERS = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "
 export const superscript = (power) => [...String(power)].map((one) => POWERS[one]).join("");
 
 // Loads as the fields have them: Fz in place of fz.
-const named = (text) => text.replaceAll(/\b[fm][xyz]\b/g, plain);
+const named = (text) => text.replaceAll(/(?:\b(\w+)\.)?\b([fm][xyz])\b/g, (_, at, name) => (at ? `${at} ` : "") + plain(name));
 
 // A text of the server as a sentence: a capital letter, µm in place of 1e-06 m, other powers of ten as such.
-export const sentence = (text) => text[0].toUpperCase() + named(text.slice(1)).replaceAll(/(\d(?:\.\d+)?e[+-]\d+) (m|rad|Pa)\b/g, (_, value, unit) => quantity(Number(value), unit)).replaceAll(/(\d)e([+-]\d+)/g, (_, digit, power) => `${digit}·10` + superscript(Number(power)));
+export const sentence = (text) => text[0].toUpperCase() + named(text.slice(1)).replaceAll(/(-?[\d.e+]+)\.\.(?=-?\d)/g, "$1 to ").replaceAll(/(?<![\w.])-?\d+\.\d{5,}(?![\w.])/g, (value) => number(Number(value))).replaceAll(/(?<![\w.])-(?=\d)/g, "\u2212").replaceAll(/(\d(?:\.\d+)?e[+-]\d+) (m|rad|Pa)\b/g, (_, value, unit) => quantity(Number(value), unit)).replaceAll(/(\d)e([+-]\d+)/g, (_, digit, power) => `${digit}·10` + superscript(Number(power)));
 
 // A text of the server without the options of commands.
 export const pageWords = (text) => sentence(text.replaceAll(/ \(--[^)]*\)/g, ""));
 
-// A value and its bar in one unit: of the value as many digits as the bar leaves, three to seven.
+const placeOf = (value) => (value ? Math.floor(Math.log10(Math.abs(value))) : 0);
+const MOST_DIGITS = 7;
+
+// A value rounded to the last digit of its bar, which has two digits; without a bar three digits.
+export function rounded(value, bar) {
+  const known = bar > 0, size = placeOf(value), fits = known ? placeOf(Number(bar.toPrecision(2))) - 1 : size - 2;
+  const last = Math.max(fits, size - MOST_DIGITS + 1), text = (one) => (Math.round(one / 10 ** last) * 10 ** last).toFixed(Math.max(0, -last));
+  return { value: minus(text(value).replace(/^-(0(\.0*)?)$/, "$1")), bar: known && fits === last ? text(bar) : number(bar, 2) };
+}
+
+// Values of one kind with 0 for the round-off of a solver.
+export function withoutRoundOff(values) {
+  const least = Math.max(1e-12, 1e-6 * Math.max(...values.map((one) => Math.abs(one ?? 0)))); // m or rad
+  return values.map((one) => (one !== null && Math.abs(one) < least ? 0 : one));
+}
+
+// A value and its bar in one unit.
 export function withBar(value, bar, unit) {
   if (value === null || value === undefined) return { value: "–", bar: "–" };
   if (value === 0 && !bar) return { value: `0 ${unit}`, bar: bar === 0 ? "± 0" : "–" };
-  const known = bar !== null && bar !== undefined && bar > 0;
-  const hidden = known && Math.abs(value) < bar; // it may as well be zero: one digit of the bar's size
-  const [scale, prefix] = prefixOf(hidden ? bar : value);
-  const digits = known && !hidden ? Math.min(7, Math.max(3, 2 + Math.floor(Math.log10(Math.abs(value) / bar)))) : 3;
-  const size = value === 0 ? 0 : Math.floor(Math.log10(Math.abs(value / scale)));
-  const shown = hidden ? (value / scale).toFixed(1) : (value / scale).toFixed(Math.max(0, digits - 1 - size));
-  return {
-    value: `${minus(shown.replace(/^-(0(\.0*)?)$/, "$1"))} ${prefix}${unit}`,
-    bar: bar === null || bar === undefined ? "–" : `± ${number(bar / scale, 2)} ${prefix}${unit}`,
-  };
+  const [scale, prefix] = prefixOf(Math.max(Math.abs(value), bar ?? 0)), unknown = bar === null || bar === undefined;
+  const shown = rounded(value / scale, unknown ? 0 : bar / scale);
+  return { value: `${shown.value} ${prefix}${unit}`, bar: unknown ? "–" : `± ${shown.bar} ${prefix}${unit}` };
 }
 
 export function quantity(value, unit, digits = 3) {
@@ -73,8 +82,8 @@ export function quantity(value, unit, digits = 3) {
 
 // Three values with one prefix: (1.2, 0, −3.4) µm.
 export function triple(values, unit) {
-  const [scale, prefix] = prefixOf(Math.max(...values.map((one) => Math.abs(one ?? 0)))), least = 1e-6 * scale; // below it is round-off
-  return `(${values.map((one) => (one === null ? "–" : Math.abs(one) < least ? "0" : number(one / scale))).join(",\u00a0")})\u00a0${prefix}${unit}`;
+  const sizes = withoutRoundOff(values), [scale, prefix] = prefixOf(Math.max(...sizes.map((one) => Math.abs(one ?? 0))));
+  return `(${sizes.map((one) => (one === null ? "–" : number(one / scale))).join(",\u00a0")})\u00a0${prefix}${unit}`;
 }
 
 export function stress(value, digits = value >= 1e6 ? 4 : 3) {
@@ -94,9 +103,7 @@ export function seconds(value) {
 
 export function time(text) {
   if (!text) return "–";
-  const when = new Date(text);
-  const today = when.toDateString() === new Date().toDateString();
-  return when.toLocaleString(undefined, today ? { timeStyle: "medium" } : { month: "short", day: "numeric", hour: "numeric", minute: "2-digit", year: when.getFullYear() === new Date().getFullYear() ? undefined : "numeric" });
+  return new Date(text).toLocaleString("en-GB", { day: "numeric", month: "short", year: "numeric", hour: "2-digit", minute: "2-digit", timeZoneName: "short" }); // 24 hours
 }
 
 const ACTORS = { "(anonymous)": "anonymous", "(local)": "a command", "(server)": "the server" };
@@ -108,3 +115,4 @@ export function wrench(force, moment, digits = 3, written = (value) => number(va
 }
 
 export const count = (value) => value.toLocaleString("en").replaceAll(",", "\u202f");
+export const counted = (value, noun) => `${count(value)} ${noun}${value === 1 ? "" : "s"}`;

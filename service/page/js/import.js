@@ -135,7 +135,7 @@ async function load(state, checked) {
     await caughtUp(state.about.name, state.signal);
     const kept = result.import ? (await get(`${of(state.about.name)}/imports`, state.signal)).imports.find((one) => one.id === result.import) : null;
     const name = encodeURIComponent(state.about.name);
-    put(state.place, note("covered", el("strong", {}, `${count(result.inserted)} rows are in the table.`), result.errors.length || result.existing || result.rows.read !== result.rows.loaded ? tallies(result) : null,
+    put(state.place, note("covered", el("strong", {}, `${result.inserted === 1 ? "1 row is" : `${count(result.inserted)} rows are`} in the table.`), result.errors.length || result.existing || result.rows.read !== result.rows.loaded ? tallies(result) : null,
       el("span", {}, el("a", { href: `#/c/${name}/query` }, "Query it"), ", or see ", el("a", { href: `#/c/${name}/rows?import=${result.import ?? ""}` }, "the rows"), `. This is table version ${result.table_version}; the import is in the list below, which can withdraw it.`)),
     ...findings(state, kept?.findings || result.findings, kept?.id));
   } catch (error) { if (!state.signal.aborted) put(state.place, trouble(error)); }

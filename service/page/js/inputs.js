@@ -20,12 +20,21 @@ export function spansOf({ range }) {
 // The inputs beyond the load range in a sentence; empty if there are none.
 export function beyondRange(about, values) {
   const spans = spansOf(about);
-  const outside = inputsOf(about).flatMap(({ name, unit }, place) => {
-    const [low, high] = spans[place], value = values[place];
-    return value < low || value > high ? [`${label(name)} = ${number(value)} ${unit} is outside the load range, ${number(low)} to ${number(high)} ${unit}.`] : [];
+  const outside = inputsOf(about).flatMap(({ name, unit, zero = 0 }, place) => {
+    const [low, high] = spans[place], value = values[place], slack = 1e-9 * Math.max(Math.abs(low), Math.abs(high));
+    return value < Math.min(low, zero) - slack || value > Math.max(high, zero) + slack ? [`${label(name)} = ${number(value)} ${unit} is outside the load range, ${number(low)} to ${number(high)} ${unit}.`] : [];
   });
   return outside.join(" ");
 }
+
+// What a row there is called, in all views: it answers only its own wrench.
+export const OUTSIDE = "outside the range, not used";
+
+// How many times the load range the largest load is; 0 of a range without loads.
+export const timesRange = (about, values) => Math.max(0, ...spansOf(about).map(([low, high], place) => values[place] / (values[place] < 0 ? Math.min(low, 0) : Math.max(high, 0))).filter(Number.isFinite));
+
+// The values of a job, in the order of the inputs.
+export const valuesOf = (about, { loads, force, moment, inputs = {} }) => inputsOf(about).map(({ name, kind, interface: at }, place) => (kind === "scalar" ? inputs[name] : (at ? loads[at] : { force, moment })[kind][place % 3]));
 
 // One value an input, in their order, as requests name them.
 export function named(about, values) {
@@ -64,4 +73,7 @@ export function mark(name) {
   return IS_AXIS.test(last) ? [front ? `${front} ` : null, symbol(last)] : name;
 }
 
-export const label = (name) => (IS_AXIS.test(name) ? plain(name) : name);
+export function label(name) {
+  const [last, front] = name.split(".").reverse();
+  return IS_AXIS.test(last) ? `${front ? `${front} ` : ""}${plain(last)}` : name;
+}

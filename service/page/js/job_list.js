@@ -4,7 +4,7 @@ import { get, post, send, trouble } from "./api.js";
 import { el, note, notify, pill, put, save } from "./dom.js";
 import { empty as emptyState } from "./empty.js";
 import { listen } from "./events.js";
-import { actorOf, seconds, sentence, time } from "./format.js";
+import { actorOf, counted, seconds, sentence, time } from "./format.js";
 import { saidOf } from "./inputs.js";
 import { rowLink } from "./rows.js";
 
@@ -69,7 +69,7 @@ function hear(list, kind, body, fresh, status) {
 
 async function cancelWaiting(component) {
   const { cancelled } = await (await send("DELETE", `v1/jobs?status=waiting${component ? `&component=${encodeURIComponent(component)}` : ""}`)).json();
-  notify(`${cancelled} jobs were cancelled.`);
+  notify(`${counted(cancelled, "job")} cancelled.`);
 }
 
 function rowOf(list, job) {
@@ -143,14 +143,14 @@ function actions(list, row, job) {
   const buttons = [];
   if (["waiting", "running"].includes(job.status)) buttons.push(["Cancel", act(async () => (await send("DELETE", `v1/jobs/${job.id}`)).json())]);
   if (["failed", "cancelled"].includes(job.status)) buttons.push(["Retry", act(() => post(`v1/jobs/${job.id}/retry`, {}))]);
-  if (job.attempt && job.status !== "waiting") buttons.push(["Log", () => showLog(job.id)]);
+  if (job.attempt && job.status !== "waiting") buttons.push(["Log", () => showLog(job)]);
   return el("div", { class: "line" }, buttons.map(([text, press]) => el("button", { type: "button", class: "small", "aria-label": `${text} job ${job.id}`, onclick: press }, text)));
 }
 
-export async function showLog(id) {
+export async function showLog({ id, error: cause }) {
   const text = el("pre", { tabindex: "0" }, "…");
   const dialog = el("dialog", { "aria-label": `Log of job ${id}`, onclose: () => dialog.remove() },
-    el("div", { class: "stack" }, el("h2", {}, `Log of job ${id}`), text,
+    el("div", { class: "stack" }, el("h2", {}, `Log of job ${id}`), cause ? note("outside", failureWords(cause)) : null, text,
       el("div", { class: "line" }, el("button", { class: "first", onclick: () => dialog.close() }, "Close"),
         el("button", { type: "button", onclick: () => saveFiles(id) }, "Save all files of the attempt"))));
   document.body.append(dialog);

@@ -5,8 +5,8 @@ import { el, facts, field, note, notify, pill, put, table } from "./dom.js";
 import { listenToTable } from "./events.js";
 import { beingBuilt, linkTo } from "./empty.js";
 import { findingNote } from "./findings.js";
-import { count, number, quantity, sentence } from "./format.js";
-import { inputsOf, mark, spansOf } from "./inputs.js";
+import { count, counted, number, quantity, sentence } from "./format.js";
+import { OUTSIDE, inputsOf, mark, spansOf } from "./inputs.js";
 import { paint } from "./picture.js";
 import { WHOLE, isAtWork, legend, sharesOf, wholeError } from "./shares.js";
 
@@ -64,7 +64,8 @@ async function cover(place, about, signal, isLatest) {
   let glance = null;
   if (rows) {
     glance = await get(`${of(about.name)}/glance`, signal);
-    parts.push(wholeError(glance, about), legend(WHOLE), sharesOf(glance));
+    const title = (text) => (about.has_fea ? el("h3", {}, text) : null);
+    parts.push(title("With mesh error"), wholeError(glance, about), legend(WHOLE), title("Interpolation only"), sharesOf(glance));
     parts.push(legend(), el("details", { class: "small" }, el("summary", {}, "What the bars mean"), el("p", { class: "muted" }, `Parts of the load range. Covered: the interpolation error is known and within the tolerance; thin: it is larger or not known; outside: beyond the load range, or beyond the rows for the methods by axes (additive, griddata). Kriging may cover loads a little beyond the rows. The first bar compares the complete error bar, of interpolation and of the solver, with the tolerance.${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`)));
   } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : "The table has no rows yet."));
   if (isLatest()) put(place, parts);
@@ -76,7 +77,7 @@ function resolve(about) {
   const order = async () => {
     try {
       const reply = await post(`${of(about.name)}/table/resolve`, {});
-      notify(reply.jobs.length ? `${reply.jobs.length} solves are queued. ${reply.reason ? sentence(reply.reason) : ""}` : reply.reason || "Nothing to solve.");
+      notify(reply.jobs.length ? `${counted(reply.jobs.length, "solve")} queued. ${reply.reason ? sentence(reply.reason) : ""}` : reply.reason || "Nothing to solve.");
     } catch (error) { notify(error.message, "wrong"); }
   };
   return el("button", { onclick: order }, "Solve them again");
@@ -140,7 +141,7 @@ function method(about) {
     ["Tolerance", tolerance],
     ["Jobs", jobs.length ? el("a", { class: "line", href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : "none"],
     ["Contradictions", cover.conflicting_wrenches ? `${cover.conflicting_wrenches} ${cover.conflicting_wrenches === 1 ? "wrench has" : "wrenches have"} rows that disagree: withdraw the wrong ones under Table, Rows` : ""],
-    ["Outside the range", cover.beyond_range ? `${count(cover.beyond_range)} rows, which do not count` : ""],
+    ["Outside", cover.beyond_range ? pill(`${counted(cover.beyond_range, "row")} ${OUTSIDE}`, "outside") : ""],
     ["Table version", String(about.table_version)],
     ["Notes", about.notes],
   ]);

@@ -57,7 +57,7 @@ function symbol(canvas) {
 function fill(canvas, flat, order, axes = []) {
   const all = [...flat, ...axes.flat()];
   const [low, high] = [Math.min, Math.max].map((end) => [0, 1].map((k) => end(...all.map((one) => one[k]))));
-  const scale = 0.88 * Math.min(SIZE[0] / (high[0] - low[0] || 1), SIZE[1] / (high[1] - low[1] || 1));
+  const scale = (axes.length ? 0.8 : 0.88) * Math.min(SIZE[0] / (high[0] - low[0] || 1), SIZE[1] / (high[1] - low[1] || 1));
   const at = (one) => [0, 1].map((k) => SIZE[k] / 2 + scale * (one[k] - (low[k] + high[k]) / 2));
   const pen = penOf(canvas), shade = colours(), [red, green, blue] = shade.accent.match(/[\d.]+/g).map(Number);
   for (const [corners, normal] of order) {

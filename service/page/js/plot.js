@@ -1,7 +1,7 @@
 // Plotly, loaded when something is first drawn, in the page's own colours.
 
 import { base } from "./api.js";
-import { el } from "./dom.js";
+import { el, working } from "./dom.js";
 
 let loading = null;
 
@@ -54,7 +54,7 @@ function themed(layout) {
 // drawing with `again()` for new content and `plotly` for changes of a part.
 export async function draw(place, make, signal, label) {
   const drawing = { place, plotly: null };
-  place.replaceChildren(el("div", { class: "waits" }, "…"));
+  place.replaceChildren(el("div", { class: "waits" }, working("The drawing is loaded …")));
   drawing.plotly = await plotly();
   place.replaceChildren();
   place.setAttribute("role", "img");

@@ -6,10 +6,10 @@ import { remember } from "./asked.js";
 import { el, field, note, pill, put, select } from "./dom.js";
 import { linkTo } from "./empty.js";
 import { listen } from "./events.js";
-import { OUTPUTS, number, percent, pageWords, quantity, sentence, symbol, unitOfOutput, withBar } from "./format.js";
+import { OUTPUTS, counted, number, percent, pageWords, quantity, sentence, symbol, unitOfOutput, withBar, withoutRoundOff } from "./format.js";
 import { beyondRange, named, said } from "./inputs.js";
 import { failureWords } from "./job_list.js";
-import { solverError } from "./shares.js";
+import { overTolerance } from "./shares.js";
 import { curlOf, pythonOf, snippet } from "./snippet.js";
 import { wrenchForm } from "./wrench_form.js";
 
@@ -59,6 +59,7 @@ export async function show(root, about, signal) {
 async function query(place, about, wrench, options, signal, watched = null) {
   const body = { ...named(about, wrench), on_thin: options.onThin };
   if (options.method) body.method = options.method;
+  if (options.beyond) Object.assign(body, { on_thin: "wait", wait_s: 0, beyond_range: true }); // a solve of exactly this wrench
   let answer;
   try {
     answer = await post(`${of(about.name)}/displacement`, body, signal);
@@ -72,7 +73,9 @@ async function query(place, about, wrench, options, signal, watched = null) {
   }
   remember(about.name, wrench, answer.coverage);
   const why = answered(answer) && barUnknown(answer) ? await whyUnknown(about, answer, signal) : null;
-  put(place, shown(answer, about, wrench, why));
+  const over = answer.coverage === "covered" && answer.within_tolerance === false ? await whyOver(about, wrench, options, signal) : null;
+  const solve = answer.job === null && beyondRange(about, wrench) ? () => query(place, about, wrench, { ...options, beyond: true }, signal) : null;
+  put(place, shown(answer, about, wrench, why, over, solve));
   if (answer.job && answer.job.id !== watched) await watch(place, about, wrench, options, answer.job, signal);
 }
 
@@ -80,27 +83,34 @@ const TYPED = 12; // digits: a load as it was typed
 const ROUNDOFF = 1e-20; // m or rad: the kernel's least error bar is 1e-30
 const shareOf = (part) => (part < 10 ? percent(part, 2) : `${number(part, 2)} times`);
 
-const beyond = (about) => `The error bar exceeds the tolerance because of the ${solverError(about)} error. More solves do not lower it; the component's overview says what does.`;
+// Why a covered answer exceeds the tolerance; the parts of its error bars come with a second call.
+async function whyOver(about, wrench, options, signal) {
+  const { error, error_parts: { table }, displacements } = await post(`${of(about.name)}/displacement`, { ...named(about, wrench), on_thin: "estimate", detail: true, ...(options.method && { method: options.method }) }, signal);
+  const fronts = displacements ? Object.entries(displacements).map(([name, one]) => [one.error, table[name]]) : [[error, table]];
+  const rests = fronts.flatMap(([bars, inner]) => ["translation", "rotation"].flatMap((kind) => bars[kind].map((bar, k) => (bar - inner[kind][k]) / (about.tolerance?.[kind] ?? Infinity))));
+  return overTolerance(about, about.tolerance ? Math.max(...rests) : Infinity);
+}
 
 // Whether an answer lacks an error bar.
 const barUnknown = ({ error, displacements }) => (displacements ? Object.values(displacements) : [{ error }]).some((one) => !one.error || [...one.error.translation, ...one.error.rotation].includes(null));
 
 async function whyUnknown(about, answer, signal) {
   const { warnings = [], rows } = await get(of(about.name), signal);
-  const few = answer.coverage === "outside" ? "beyond the rows no error bar is known" : `the table has ${rows === 1 ? "1 row" : `${rows} rows`}, too few for an error bar here`;
+  const few = answer.reason ? "" : answer.coverage === "outside" ? "beyond the rows no error bar is known" : `the table has ${counted(rows, "row")}, too few for an error bar here`; // the server's reason is shown already
   return warnings.find((one) => one.where === "tolerance" && one.message.includes("unknown"))?.message || few;
 }
 
-function shown(answer, about, wrench, why) {
+function shown(answer, about, wrench, why, over, solve) {
   const outside = beyondRange(about, wrench);
-  const reason = (answer.reason || "").split("; ").filter((part) => !outside || !part.includes("is outside the load range,")).join("; "); // the note above says that
+  const reason = (answer.reason || "").replace(/: to solve it nevertheless, set beyond_range to true.*$/, "").split("; ").filter((part) => !outside || !part.includes("is outside the load range,")).join("; "); // the note above says that, and the button is there
   return [
     el("div", { class: "line" }, stateOf(answer), el("span", { class: "muted small" }, about_(answer))),
     outside ? note("outside", outside) : null,
-    reason ? note(answered(answer) && !(why && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
+    reason ? note(answered(answer) && !(why !== null && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
     !answered(answer) && !about.has_fea && !about.rows ? linkTo(about, "table", "Import rows") : null,
-    why ? note("thin", el("strong", {}, "The error bar is unknown"), el("span", {}, `${sentence(why)}.`)) : null,
-    answer.coverage === "covered" && answer.within_tolerance === false ? note("thin", beyond(about)) : null,
+    why === null ? null : note("thin", el("strong", {}, "The error bar is unknown"), why ? el("span", {}, `${sentence(why)}.`) : null),
+    solve ? el("div", {}, el("button", { type: "button", onclick: solve }, "Solve it nevertheless")) : null,
+    over ? note("thin", over) : null,
     Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, about.tolerance)),
     answer.notes ? note("thin", el("ul", {}, answer.notes.map((one) => el("li", {}, one)))) : null,
     el("p", { class: "muted small" }, said(named(about, wrench), about, TYPED)),
@@ -120,7 +130,7 @@ function stateOf(answer) {
 // The displacement of an interface, its name empty where there is one.
 function moved(name, part, limit) {
   if (!part.translation) return null;
-  const values = [part.translation, part.rotation].flatMap((group) => group.map((one) => (Math.abs(one) < Math.max(ROUNDOFF, part.error ? 0 : 1e-12, part.error ? 0 : 1e-6 * Math.max(...group.map(Math.abs))) ? 0 : one)));
+  const values = [part.translation, part.rotation].flatMap((group) => (part.error ? group.map((one) => (Math.abs(one) < ROUNDOFF ? 0 : one)) : withoutRoundOff(group)));
   const bars = part.error ? [...part.error.translation, ...part.error.rotation].map((one) => (one !== null && one < ROUNDOFF ? 0 : one)) : [];
   if (name && bars.length && ![...values, ...bars].some((one) => one !== 0)) return el("p", { class: "muted" }, `${name}: no displacement`);
   const lines = OUTPUTS.map((output, place) => {

@@ -3,6 +3,7 @@
 import { Problem, get, of, send, trouble } from "./api.js";
 import { el, field, note, put, save, table } from "./dom.js";
 import { empty, emptyTable, linkTo } from "./empty.js";
+import { time } from "./format.js";
 import { PLOTS, show as plot } from "./report_plots.js";
 
 const LOOK_MS = 1000; // between looks at how far it is
@@ -14,8 +15,15 @@ export async function show(root, about, signal) {
   }
   const body = el("div", { class: "stack" }), state = el("div", { class: "stack", "aria-live": "polite", id: "making" });
   put(root, el("section", { class: "card" }, order(about, state, body, signal), state), body);
-  latest(body, about, signal); // stays while a new one is made
-  if (await follow(about, state, signal)) await latest(body, about, signal);
+  await latest(body, about, signal); // stays while a new one is made
+  await watch(about, state, body, signal);
+}
+
+// Follows a report to its end; until there is a first one, the body says whether it is being made.
+async function watch(about, state, body, signal) {
+  const first = () => body.firstElementChild?.matches(".empty");
+  if (first()) await latest(body, about, signal);
+  if (await follow(about, state, signal) || first()) await latest(body, about, signal);
 }
 
 function order(about, state, body, signal) {
@@ -24,7 +32,7 @@ function order(about, state, body, signal) {
     event.preventDefault();
     try {
       await send("POST", `${of(about.name)}/report?wrenches=${wrenches.value}`, { signal });
-      if (await follow(about, state, signal)) await latest(body, about, signal);
+      await watch(about, state, body, signal);
     } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
   };
   return el("form", { class: "line bottom", onsubmit: make },
@@ -58,7 +66,8 @@ async function follow(about, state, signal) {
 
 async function latest(body, about, signal) {
   try {
-    page(body, about, await get(`${of(about.name)}/report`, signal));
+    const [report, now] = await Promise.all([get(`${of(about.name)}/report`, signal), get(of(about.name), signal)]);
+    page(body, about, report, now.table_version);
   } catch (error) {
     if (signal.aborted) return;
     if (error instanceof Problem && error.status === 404) put(body, empty("No report yet. It compares the table, in error and run time, with solves on three meshes."));
@@ -66,7 +75,10 @@ async function latest(body, about, signal) {
   }
 }
 
-function page(body, about, report) {
+// The table's version now may be newer than that of the report.
+const madeOf = ({ made, table_version: version }, now) => (version === now ? `Made ${time(made)} with table version ${version}, the newest.` : `Made ${time(made)} with table version ${version}; the table is now ${now}: make it again.`);
+
+function page(body, about, report, now) {
   if (!report.tables) { // the first one is being made
     put(body, el("p", { class: "empty" }, "The first report is being made."));
     return;
@@ -78,7 +90,7 @@ function page(body, about, report) {
   const places = Object.entries(PLOTS).map(([name, [title]]) => [name, title, el("div", { id: `plot-${name}` })]);
   const card = (title, ...content) => el("section", { class: "card" }, el("h2", {}, title), content);
   put(body,
-    el("section", { class: "card" }, el("p", {}, el("strong", {}, report.advice)), el("p", { class: "muted small" }, report.summary), report.advice.startsWith("More rows help") ? el("div", {}, linkTo(about, "overview", "Fill the table")) : null, files(about)),
+    el("section", { class: "card" }, el("p", {}, el("strong", {}, report.advice)), el("p", { class: report.table_version === now ? "muted small" : "small" }, madeOf(report, now)), el("p", { class: "muted small" }, report.summary), /More rows help|fill the table further/.test(report.advice) ? el("div", {}, linkTo(about, "overview", "Fill the table")) : null, files(about)),
     places.map(([, title, place]) => card(title, place)),
     report.sections.map(({ title, note: text, head, lines }) => card(title, el("p", { class: "muted small" }, text),
       lines.length ? table(head.map((name, place) => (place ? `#${name}` : name)), lines, { scrolls: true }) : null)));

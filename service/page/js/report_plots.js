@@ -28,9 +28,12 @@ export function show(place, name, report) {
   new ResizeObserver(() => { if (place.clientWidth && place.clientWidth !== width) { width = place.clientWidth; again(); } }).observe(place);
 }
 
+// In one order for curves, bars and their key.
+const inOrder = (entries) => [...entries].sort((a, b) => rank(a) - rank(b)), rank = ({ method }) => Object.keys(LOOKS).indexOf(method);
+
 function groups(report) {
   const found = {};
-  for (const entry of report.tables) (found[entry.method] ??= []).push(entry);
+  for (const entry of inOrder(report.tables)) (found[entry.method] ??= []).push(entry);
   return found;
 }
 
@@ -87,11 +90,11 @@ function curves(report, width, found, along, text, label) {
           tag("title", {}, `${one.name}: ${percentText(100 * one.largest_error)}, ${timeText(one.seconds)}`))));
     }),
     level ? [rule(BOX.left, y(level), width - BOX.right, y(level), { stroke: "var(--ink)", "stroke-dasharray": "7 5", "stroke-width": 1.5 }),
-      words(width - BOX.right, y(level) - 7, width < 500 ? "error of the mesh: more rows gain nothing" : "error of the mesh itself: at it more rows gain nothing", { "text-anchor": "end", fill: "var(--ink)", stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke" })] : []);
+      words(width - BOX.right, y(level) - 7, width < 500 ? "mesh error" : "mesh error: more rows cannot go below it", { "text-anchor": "end", fill: "var(--ink)", stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke" })] : []);
 }
 
 function calibration(report, width) {
-  const list = report.tables.filter((entry) => entry.rows === report.rows), names = report.outputs, right = width < 500 ? 44 : 112;
+  const list = inOrder(report.tables.filter((entry) => entry.rows === report.rows)), names = report.outputs, right = width < 500 ? 44 : 112;
   const y = (share) => BOX.top + (HEIGHT - BOX.top - BOX.bottom) * (1 - share / 1.02);
   const slot = (width - BOX.left - right) / names.length, bar = (0.8 * slot) / Math.max(1, list.length);
   const known = list.some((entry) => entry.inside_error_bar.some((share) => share !== null));

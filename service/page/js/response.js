@@ -3,7 +3,8 @@
 import { get, of, trouble } from "./api.js";
 import { choice, el, note, put } from "./dom.js";
 import { emptyTable } from "./empty.js";
-import { LOADS, OUTPUTS, plain, prefixOf, quantity, symbol, unitOfLoad, unitOfOutput } from "./format.js";
+import { LOADS, OUTPUTS, counted, plain, prefixOf, quantity, symbol, unitOfLoad, unitOfOutput } from "./format.js";
+import { OUTSIDE, beyondRange } from "./inputs.js";
 import { draw, faint } from "./plot.js";
 import { solverError } from "./shares.js";
 import { wrenchForm } from "./wrench_form.js";
@@ -48,13 +49,19 @@ async function ask(about, state, signal) {
     get(`${of(about.name)}/response?load=${state.load}&${at}`, signal),
     alone ? get(`${of(about.name)}/drawing?along=${state.load}&most=1000`, signal) : null,
   ]);
+  if (rows) {
+    const inside = rows.wrench.map((one) => !beyondRange(about, one)); // a row far out would flatten the curve
+    rows.outside = inside.filter((one) => !one).length;
+    rows.shown -= rows.outside;
+    for (const column of ["wrench", "displacement"]) rows[column] = rows[column].filter((_, place) => inside[place]);
+  }
   Object.assign(state, { sweep, rows });
 }
 
 function labelOf({ sweep, rows, output, load, rest }) {
   const thin = sweep.coverage.filter((one) => one > 0).length;
   const share = Math.round(100 * (1 - thin / sweep.coverage.length));
-  const drawn = rows ? `${rows.shown === 1 ? "1 row lies" : `${rows.shown || "no"} rows lie`} on this line` : "rows are not drawn, since other loads act";
+  const drawn = rows ? `${rows.shown === 1 ? "1 row lies" : `${rows.shown || "no"} rows lie`} on this line${rows.outside ? ` (${counted(rows.outside, "row")} ${OUTSIDE} and not drawn)` : ""}` : "rows are not drawn, since other loads act";
   const k = OUTPUTS.indexOf(output), bars = sweep.error.map((one) => one[k] ?? 0);
   const unit = unitOfOutput(output), place = bars.indexOf(Math.max(...bars)), widest = quantity(bars[place], unit, 2), inner = sweep.interpolation[place]?.[k] ?? 0;
   const unknown = Math.round(100 * sweep.error.filter((one) => one[k] === null).length / sweep.error.length);

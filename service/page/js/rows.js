@@ -3,13 +3,13 @@
 import { get, of, post, send, trouble } from "./api.js";
 import { el, field, notify, pill, put, select } from "./dom.js";
 import { empty, emptyTable, linkTo } from "./empty.js";
-import { time, triple } from "./format.js";
-import { named, outputsOf, said } from "./inputs.js";
+import { counted, time, triple } from "./format.js";
+import { OUTSIDE, beyondRange, named, outputsOf, said } from "./inputs.js";
 
 const SHOWN = 25; // rows of a page, each a call
 const MOST_READ = 500; // rows that are read for a page: those of other states are left out
 const SOURCES = [["", "all"], ["solves", "solved here"], ["imports", "imported"]];
-const STATES = [["", "all"], ["in the table", "in the table"], ["withdrawn", "withdrawn"], ["other files", "solved with other files"]];
+const STATES = [["", "all"], ["in the table", "in the table"], ["withdrawn", "withdrawn"], ["other files", "solved with other files"], [OUTSIDE, OUTSIDE]];
 
 export const rowLink = (name, row, text = String(row)) => el("a", { href: `#/c/${encodeURIComponent(name)}/rows?row=${row}` }, text);
 
@@ -41,13 +41,13 @@ export async function show(root, about, signal, query = new URLSearchParams()) {
         if (mine !== latest) return;
         more = numbers.length > 0;
         read += numbers.length;
-        const chosen = rows.filter((row) => walk.has(row) && (!status.value || stateOf(row) === status.value));
+        const chosen = rows.filter((row) => walk.has(row) && (!status.value || stateOf(about, row) === status.value));
         body.append(...chosen.map((row) => line(about, row)));
         shown += chosen.length;
       }
       older.hidden = !more;
       list.hidden = !body.children.length;
-      put(state, !list.hidden ? null : more ? el("p", { class: "muted" }, `None among the newest ${read} rows.`) : filters().length ? empty("No row fits these filters.", linkTo(about, "rows", "Show all rows")) : emptyTable(about));
+      put(state, !list.hidden ? null : more ? el("p", { class: "muted" }, `None among the newest ${counted(read, "row")}.`) : filters().length ? empty("No row fits these filters.", linkTo(about, "rows", "Show all rows")) : emptyTable(about));
     } catch (error) { if (!signal.aborted && mine === latest) put(state, trouble(error)); }
   };
   older.addEventListener("click", () => load(false));
@@ -76,7 +76,7 @@ const read_ = (name, row, signal) => get(`${of(name)}/table/${row}`, signal).cat
 // The numbers of rows, newest first: those of solves are in the list of jobs, those of an import end with its version.
 function walkOf(name, row, source, status, imports, one, signal) {
   let more = row || one || source === "imports" ? null : `v1/jobs?component=${encodeURIComponent(name)}&status=done&limit=${4 * SHOWN}`;
-  const spans = row || source === "solves" ? [] : imports.filter(({ rows, withdrawn, table_version: last }) => last && (status === "withdrawn" ? withdrawn : status === "in the table" ? withdrawn < rows : status === "")).map(({ id, rows, table_version: last }) => ({ id, left: rows, at: last }));
+  const spans = row || source === "solves" ? [] : imports.filter(({ rows, withdrawn, table_version: last }) => last && (status === "withdrawn" ? withdrawn : status === "in the table" ? withdrawn < rows : ["", OUTSIDE].includes(status))).map(({ id, rows, table_version: last }) => ({ id, left: rows, at: last }));
   const seen = new Set(), jobs = row ? [Number(row)] : [], from = new Map();
   const next = async () => {
     const numbers = [];
@@ -105,7 +105,7 @@ function walkOf(name, row, source, status, imports, one, signal) {
   return { next, has };
 }
 
-const stateOf = ({ withdrawn, error, provenance }) => (error ? "damaged" : withdrawn ? "withdrawn" : provenance.setup && !provenance.setup.present ? "other files" : "in the table");
+const stateOf = (about, { withdrawn, error, provenance, wrench }) => (error ? "damaged" : withdrawn ? "withdrawn" : provenance.setup && !provenance.setup.present ? "other files" : beyondRange(about, wrench) ? OUTSIDE : "in the table");
 
 function line(about, row) {
   const root = el("tr", { id: `row-${row.row}` });
@@ -114,7 +114,7 @@ function line(about, row) {
 }
 
 function draw(root, about, row) {
-  const state = stateOf(row);
+  const state = stateOf(about, row);
   const number = el("td", { class: "number" }, String(row.row));
   if (row.error) { put(root, number, el("td", {}, pill(state, "wrong")), el("td", { class: "small whole", colspan: 4 }, row.error.message)); return; }
   const edit = async (event) => {
@@ -132,10 +132,10 @@ function draw(root, about, row) {
   };
   const verb = row.withdrawn ? "Restore" : "Withdraw";
   put(root, number,
-    el("td", {}, pill(state, { "in the table": "ok", withdrawn: "thin" }[state] || "")),
-    el("td", { class: "small whole" }, said(named(about, row.wrench), about, 4)),
-    el("td", { class: "small whole" }, displacement(about, row.displacement)),
-    el("td", { class: "small" }, origin(about, row), el("span", { class: "muted" }, `, ${time(row.provenance.when).replaceAll(" ", "\u00a0")}`)),
+    el("td", {}, pill(state, { "in the table": "ok", withdrawn: "thin", [OUTSIDE]: "outside" }[state] || "")),
+    el("td", { class: "small whole", "data-head": "Wrench" }, said(named(about, row.wrench), about, 4)),
+    el("td", { class: "small whole", "data-head": "Displacement" }, displacement(about, row.displacement)),
+    el("td", { class: "small", "data-head": "Source" }, origin(about, row), el("span", { class: "muted" }, `${row.source || row.provenance.job ? ", " : ""}${time(row.provenance.when)}`)),
     el("td", {}, el("button", { type: "button", class: "small", "aria-label": `${verb} row ${row.row}`, onclick: edit }, verb)));
 }
 

@@ -1,8 +1,8 @@
 // Scene plan: what one simulation needs of its components, and what that saves.
 
 import { listed, of, post, trouble } from "./api.js";
-import { el, facts, field, note, notify, pill, put } from "./dom.js";
-import { count, number, quantity, seconds, sentence, unitOfOutput } from "./format.js";
+import { el, facts, field, note, notify, pill, put, working } from "./dom.js";
+import { count, counted, number, quantity, seconds, sentence, unitOfOutput } from "./format.js";
 import { inputsOf, label, mark, named, outputsOf, spansOf } from "./inputs.js";
 
 export async function show(root, _, signal) {
@@ -19,11 +19,15 @@ export async function show(root, _, signal) {
   };
   const ask = async (event) => {
     event.preventDefault();
+    make.disabled = true;
+    put(plan, working("The plan is computed …"));
     try {
       const body = { components: Object.fromEntries([...chosen].map(([name, form]) => [name, form.read()])) };
       const reply = await post("v1/scenes/plan", body, signal);
       put(plan, Object.entries(reply.components).map(([name, one]) => planned(name, one, components.find((other) => other.name === name), body.components[name])));
     } catch (error) { if (!signal.aborted) put(plan, trouble(error)); }
+    make.disabled = chosen.size === 0;
+    plan.scrollIntoView({ block: "nearest" });
   };
   put(root,
     el("div", { class: "head" }, el("div", {}, el("h1", {}, "Scene plan"),
@@ -77,6 +81,12 @@ function fillButton(name, { outputs, tolerance, ...range }, budget) {
   return el("div", {}, el("button", { type: "button", "aria-label": `Fill ${name} for this scene`, onclick: fill }, "Fill for this scene"));
 }
 
+// Whether a scene needs less than the whole table.
+function isNarrowed(about, { outputs, ...range }) {
+  const spans = spansOf({ range });
+  return outputs.length < outputsOf(about).length || spansOf(about).some((ends, place) => ends.some((end, which) => end !== spans[place][which]));
+}
+
 function planned(name, one, about, need) {
   const outputs = outputsOf(about), unit = (output) => unitOfOutput(output.split(".").at(-1));
   const bound = one.displacement_bound.map((value, place) => [label(outputs[place]), value === null ? "not known" : quantity(value, unit(outputs[place]))]);
@@ -88,8 +98,8 @@ function planned(name, one, about, need) {
       ["Loads", one.loads.map(label).join(", ")],
       ["Axes", Object.entries(one.axes).map(([axis, held]) => `${axis}: ${held.inputs.map(label).join(", ")} (${held.dimensions}-D)`).join("; ")],
       ["Outputs", one.outputs.map(label).join(", ")],
-      ["First solves", about.has_fea ? `${count(one.solves.scene)} of ${count(one.solves.whole)}` : ""],
-      ["Saves", [saved.build_s > 0 ? `${saved.build_s < 1 ? quantity(saved.build_s, "s") : seconds(saved.build_s)} of building` : "", saved.memory_bytes > 0 ? saved.memory_bytes < 1e6 ? `${number(saved.memory_bytes / 1e3, 3)} kB` : `${number(saved.memory_bytes / 1e6, 3)} MB` : "", saved.us_per_answer > 0 ? `${number(saved.us_per_answer, 3)} µs an answer` : ""].filter(Boolean).join(", ").replace(/.$/, `$&, compared with the table of the whole load range (version ${one.table_version})`)],
+      ["First solves", about.has_fea ? `${count(one.solves.scene)} of ${count(one.solves.whole)} of an empty table${about.rows ? `; the table has ${counted(about.rows, "row")}, and a fill solves only what they leave` : ""}` : ""],
+      ["Saves", isNarrowed(about, need) ? [saved.build_s > 0 ? `${saved.build_s < 1 ? quantity(saved.build_s, "s") : seconds(saved.build_s)} of building` : "", saved.memory_bytes > 0 ? saved.memory_bytes < 1e6 ? `${number(saved.memory_bytes / 1e3, 3)} kB` : `${number(saved.memory_bytes / 1e6, 3)} MB` : "", saved.us_per_answer > 0 ? `${number(saved.us_per_answer, 3)} µs an answer` : ""].filter(Boolean).join(", ").replace(/.$/, `$&, compared with the table of the whole load range (version ${one.table_version})`) : "nothing: the scene needs the whole table"],
     ]),
     el("details", {}, el("summary", {}, "Largest displacements"), facts(bound)),
     about.has_fea && one.decision !== "rigid" ? fillButton(name, need, Math.max(1, one.solves.scene)) : null,

@@ -15,7 +15,7 @@ export async function show(root, { name }, signal) {
       el("div", { class: "stack" },
         el("section", { class: "card" }, el("h2", {}, "Notes"), notes(about, signal)),
         el("section", { class: "card" }, el("h2", {}, about.archived ? "Archived" : "Archive"), away(about, signal, again))),
-      el("section", { class: "card" }, el("h2", {}, "Name"), naming(about, signal))));
+      el("section", { class: "card" }, el("h2", {}, "Name and copies"), naming(about, signal))));
 }
 
 const link = (name) => el("a", { href: `#/c/${encodeURIComponent(name)}/settings` }, name);
@@ -44,7 +44,7 @@ function notes(about, signal) {
 function naming(about, signal) {
   const name = (id) => el("input", { required: true, autocomplete: "off", id, pattern: "[a-z0-9][a-z0-9_\\-]{0,63}", title: "1 to 64 characters: a-z, 0-9, _ and -; the first is a letter or digit" });
   const copied = name("copy-name"), renamed = name("rename-name"), rows = el("input", { type: "checkbox", checked: true });
-  const copy = form(signal, { inputs: [field("Copy it as", copied), el("label", { class: "check" }, rows, "with its rows")], action: "Copy", id: "copy" }, async () => {
+  const copy = form(signal, { inputs: [field("Copy it as", copied), el("label", { class: "check" }, rows, "with its rows")], action: "Copy the component", id: "copy" }, async () => {
     goTo((await post(`${of(about.name)}/copy`, { name: copied.value.trim(), rows: rows.checked }, signal)).name);
   });
   if (about.shipped || about.renamed_to) {

@@ -1,10 +1,11 @@
 // The deformed part under a typed wrench: magnified, coloured, beside its undeformed outline.
 
 import { caughtUp, get, of, post, send, trouble } from "./api.js";
-import { choice, el, facts, field, note, pill, put, save, select } from "./dom.js";
+import { choice, el, facts, field, note, pill, put, save, select, working } from "./dom.js";
 import { beyondRange } from "./inputs.js";
-import { LOADS, number, quantity, stress, symbol, withBar } from "./format.js";
+import { LOADS, counted, number, pageWords, quantity, stress, symbol, withBar } from "./format.js";
 import { draw } from "./plot.js";
+import { overTolerance } from "./shares.js";
 import { awayFrom, column, extent, lengths, lines, moved, outline } from "./surface.js";
 import { NARROW, figure } from "./view3d.js";
 import { lastWrench, wrenchForm } from "./wrench_form.js";
@@ -15,7 +16,7 @@ const SEEN = 0.12; // of the part's size: what the largest displacement is first
 const SHOWN = () => [["size", "|u|"], ["0", symbol("ux")], ["1", symbol("uy")], ["2", symbol("uz")]];
 
 export async function show(root, about, signal) {
-  const stage = el("div", { class: "card", "aria-live": "polite" }, el("p", { class: "muted" }, "…"));
+  const stage = el("div", { class: "card", "aria-live": "polite" }, working("The surface is computed …"));
   const form = wrenchForm(about, { action: "Show", asked: (wrench) => bend(stage, about, wrench, signal) });
   put(root, el("div", { class: "two" }, el("section", { class: "card" }, form.form), stage));
   await bend(stage, about, lastWrench(about), signal);
@@ -31,7 +32,7 @@ async function bend(stage, about, wrench, signal) {
     if (signal.aborted) return;
     if (error.status !== 409) { put(stage, trouble(error)); return; }
     const outside = beyondRange(about, wrench);
-    const solve = el("button", { type: "button", class: "first", onclick: () => solved(stage, about, wrench, Boolean(outside), signal) }, outside ? "Solve it although it is outside" : "Solve this wrench");
+    const solve = el("button", { type: "button", class: "first", onclick: () => solved(stage, about, wrench, Boolean(outside), signal) }, outside ? "Solve it nevertheless" : "Solve this wrench");
     put(stage, note("thin", el("strong", {}, error.body.title), outside ? el("span", {}, outside) : null, el("span", {}, "Each solve by the embedded solver leaves a deformed surface; surfaces between solves are interpolated.")), el("div", {}, solve));
     return;
   }
@@ -40,7 +41,7 @@ async function bend(stage, about, wrench, signal) {
 
 // Solves a wrench, and draws it.
 async function solved(stage, about, wrench, outside, signal) {
-  put(stage, el("p", { class: "muted" }, "Solving …"), el("progress", { "aria-label": "The solve" }));
+  put(stage, working("Solving …"));
   try {
     let job = (await post(`${of(about.name)}/solve`, { force: wrench.slice(0, 3), moment: wrench.slice(3), ...(outside && { beyond_range: true }) }, signal)).job;
     while (["waiting", "running"].includes(job.status)) job = await get(`v1/jobs/${job.id}?wait_s=20`, signal);
@@ -70,8 +71,8 @@ async function stageOf(stage, about, wrench, shape, signal) {
   slider.addEventListener("input", () => set(round((slider.value / 50) * round(natural)), false));
   put(stage,
     el("div", { class: "line" }, pill(shape.coverage), el("span", { class: "muted small" }, sourceOf(shape))),
-    shape.reason ? note(shape.coverage, shape.reason) : null,
-    warned(shape),
+    shape.reason ? note(shape.coverage, pageWords(shape.reason)) : null,
+    warned(about, shape),
     view.root,
     el("div", { class: "line" }, el("label", { for: "magnify" }, "Magnified"), magnification,
       el("button", { type: "button", class: "small", onclick: () => set(1, true) }, "True scale"),
@@ -87,11 +88,9 @@ async function stageOf(stage, about, wrench, shape, signal) {
 const round = (factor) => (factor > 2 ? Number(factor.toPrecision(2)) : Math.round(factor * 100) / 100);
 const said = (about, largest) => `The deformed surface of ${about.name}; its largest displacement is ${quantity(largest, "m")}.`;
 
-const BEYOND = "An error bar exceeds the tolerance because of the discretisation error. More solves do not lower it; the component's overview says what does.";
-
-function warned({ coverage, error_parts: parts, within_tolerance: within }) {
+function warned(about, { coverage, error_parts: parts, within_tolerance: within }) {
   if (parts && parts.mesh === null) return note("thin", `The error bars lack the discretisation error: ${parts.mesh_basis}.`);
-  return coverage === "covered" && within === false ? note("thin", BEYOND) : null;
+  return coverage === "covered" && within === false ? note("thin", overTolerance(about, (parts.mesh + (parts.linearity ?? 0)) / about.tolerance.translation)) : null;
 }
 
 const CAUSES = { table: "interpolation", mesh: "discretisation", linearity: "linear analysis" };
@@ -104,7 +103,7 @@ function sharesOf(parts) {
 function sourceOf(shape) {
   if (shape.source === "row") return `a solve of this wrench, row ${shape.rows[0]}`;
   if (shape.source === "linear") return "six unit solves";
-  return `interpolated between ${shape.rows.length} solves`;
+  return `interpolated between ${counted(shape.rows.length, "solve")} only, with the error of that; Query and Response use all rows`;
 }
 
 // Where the screen is narrow the colour bar is below the part, else it would lie over it.
@@ -155,10 +154,10 @@ function measured(shape, sizes, largest) {
   const bar = shape.error ? shape.error[sizes.indexOf(largest)] : null, size = withBar(largest, bar, "m");
   const found = shape.stress;
   return facts([
-    ["Largest displacement", `${size.value}${bar === null ? "" : ` ${size.bar}`} at ${at(where)}`],
+    ["Largest displacement", `${size.value}${bar === null ? ", its error bar is not known," : ` ${size.bar}`} at ${at(where)}`],
     ["Error bar", sharesOf(shape.error_parts)],
     ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : found.error < 1e-3 * found.largest ? " (interpolation error negligible; the mesh's error is not included)" : ` ± ${stress(found.error, 2)} (interpolation; the mesh's error is not included)`} at ${at(found.at)}` : "not known between the rows here"],
-    ["Yields", found && found.yields !== null ? (found.yields ? "yes" : `no (yield strength ${stress(found.yield_strength)}; the mesh's error is not included)`) : ""],
+    ["Yields", found && found.error === null ? "not known, since the error bar is not known" : found && found.yields !== null ? (found.yields ? "yes" : `no (yield strength ${stress(found.yield_strength)}; the mesh's error is not included)`) : ""],
     ["Points", "In the axes of the mesh, undeformed; the mark in the drawing is at the largest displacement."],
     ["Surface", `${shape.vertices.length} points, ${shape.triangles.length} triangles${shape.simplified ? `, simplified from ${shape.simplified.from} points` : ""}`],
   ]);

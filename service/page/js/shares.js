@@ -32,6 +32,10 @@ export function sharesOf(glance) {
 // What the rest of an error bar is, after interpolation: a linear analysis errs too.
 export const solverError = (about) => (about.linear ? "discretisation and linearity" : "discretisation");
 
+// Why an error bar exceeds the tolerance, and whether more solves help; `rest` is the bar without interpolation, over the tolerance.
+export const overTolerance = (about, rest) => (rest > 1 ? `An error bar exceeds the tolerance because of the ${solverError(about)} error. More solves do not help; the component's overview says what does.`
+  : `An error bar exceeds the tolerance by interpolation and ${solverError(about)} error together. Rows near this wrench lower the first.`);
+
 // The solves of a component that have not ended: "3 waiting, 2 running". A card of the library does not know them.
 const openJobs = ({ jobs = {} }) => ["waiting", "running"].filter((status) => jobs[status]).map((status) => `${jobs[status]} ${status}`).join(", ");
 export const isAtWork = (about) => openJobs(about) !== "";

@@ -210,7 +210,7 @@ def test_a_rig_file_is_applied_drawn_and_kept_with_the_import(browser, client, t
     assert shown[1:7] == ["0", "−40", "0", "20", "0", "0"]
     assert "x axis points along −y" in browser.one("#rig-picture svg").get_attribute("aria-label")
     browser.click("#import")
-    browser.named(".note", "1 rows are in the table")
+    browser.named(".note", "1 row is in the table")
     browser.click("table.imports details summary", "rig")
     assert "name = 'bench 3'" in browser.named("details pre", "bench").text
 
@@ -313,7 +313,7 @@ def test_rows_of_another_setup_are_told_and_solved_again_by_one_button(
     file.write_text(file.read_text().replace("poisson_ratio = 0.", "poisson_ratio = 0.1"))
     browser.until(lambda: client.component("reworked")["another_setup"]["wrenches"])
     browser.visit("#/c/reworked")
-    assert "1 rows belong to another setup" in browser.named(".note", "another setup").text
+    assert "1 row belongs to another setup" in browser.named(".note", "another setup").text
     browser.click(".note button", "Solve them again")
     browser.until(lambda: not client.component("reworked")["another_setup"]["wrenches"])
     assert client.component("reworked", wait_s=60)["rows"] > 0

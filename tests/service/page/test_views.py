@@ -65,7 +65,7 @@ def test_tables_and_meshes_of_a_report_are_drawn_against_one_reference(browser, 
     browser.named("strong", told["advice"])
     browser.one("#plot-front[data-drawn]")
     assert "all errors against the finest mesh" in browser.named("p", "random full wrenches").text
-    assert "error of the mesh itself" in browser.one("#plot-front svg").text
+    assert "mesh error: more rows cannot go below it" in browser.one("#plot-front svg").text
     named = browser.run("return document.querySelector('#plot-front path title').textContent")
     entry = next(e for e in told["tables"] if named.startswith(f"{e['method']}, {e['rows']} rows"))
     share = float(f"{100 * max(entry['error']['rms_relative']):.2g}")
@@ -579,7 +579,7 @@ def test_the_scene_plan_takes_loads_by_interface(browser):
     next(box for box in boxes if box.text == "link").click()
     browser.click("form button", "Plan")
     browser.until(lambda: browser.all(".cards section.card"))
-    assert "right.fx" in browser.one("main").text
+    assert "right Fx" in browser.one("main").text
 
 
 def test_measured_rows_are_drawn_beside_the_solves_and_beside_another_import(browser, client):
@@ -858,7 +858,7 @@ def test_a_wrench_beyond_the_load_range_says_so_first_and_can_be_solved(browser,
     browser.type("input[name=fx]", "1500")
     browser.click("form button", "Show")
     browser.named(".note", "Fx = 1500 N is outside the load range, −1000 to 1000 N.")
-    browser.click("button", "Solve it although it is outside")
+    browser.click("button", "Solve it nevertheless")
     browser.drawn("#shape")
 
 
@@ -997,3 +997,73 @@ def test_loads_of_the_outermost_cell_of_the_demand_are_bounds(browser, client):
     )
     browser.visit("#/c/plate/demand")
     browser.named("td", "F (≤ −2000, 0, 0) N")
+
+
+@pytest.fixture(scope="module")
+def beyond(client):
+    """A component for measured rows with one row outside its load range."""
+    measured(client, "beyond", 100, 200, 300, 6000)
+    return "#/c/beyond"
+
+
+@pytest.mark.parametrize("view", ["rows", "overview"])
+def test_a_row_outside_the_load_range_has_one_word_in_all_views(browser, beyond, view):
+    browser.visit(f"{beyond}/{view}")
+    browser.named(".pill", "outside the range, not used")
+
+
+@pytest.mark.parametrize(("view", "place"), [("response", "#response"), ("coverage", "#coverage")])
+def test_a_drawing_leaves_a_row_outside_the_load_range_out_and_says_so(
+    browser, beyond, view, place
+):
+    browser.visit(f"{beyond}/{view}")
+    browser.drawn(place)
+    browser.named("main", "1 row outside the range, not used and not drawn")
+    script = f"return document.querySelector('{place}').data.flatMap((one) => [...(one.x || [])])"
+    assert max(map(abs, filter(None, browser.run(script)))) <= 700
+
+
+def test_the_checks_do_not_count_a_row_outside_the_load_range(browser, beyond, client):
+    assert client.call_json("GET", "/v1/components/beyond/compliance")["rows_checked"] == 0
+    browser.visit(f"{beyond}/checks")
+    browser.named("main", "outside the range, not used")
+
+
+ROUNDED = """return import('/page/js/format.js').then(({ withBar }) => {
+  const { value, bar } = withBar(...arguments[0]);
+  return `${value} ${bar}`; })"""
+
+
+@pytest.mark.parametrize(
+    ("pair", "text"),
+    [
+        ([1.62345e-3, 1.1e-4, "m"], "1.62 mm ± 0.11 mm"),
+        ([0.287e-3, 11e-6, "m"], "287 µm ± 11 µm"),
+        ([543e-3, 120e-3, "m"], "540 mm ± 120 mm"),
+        ([3e-9, 1.2e-6, "m"], "0.0 µm ± 1.2 µm"),
+    ],
+)
+def test_a_value_is_rounded_to_the_last_digit_of_its_bar(browser, pair, text):
+    browser.visit("#/terms")
+    assert browser.run(ROUNDED, pair) == text
+
+
+def test_a_wrench_beyond_the_range_is_solved_nevertheless_by_a_button(browser, client):
+    browser.visit("#/c/plate/query")
+    browser.type("input[name=fx]", "-1700")
+    browser.click("form button", "Ask")
+    browser.click("button", "Solve it nevertheless")
+    browser.one("#watched")
+
+
+def test_a_job_outside_the_load_range_says_how_far_and_that_the_part_yields(browser, plate):
+    told = job(7, "done", translation=[0, 0, 0.05], rotation=[0, 0, 0], created=None)
+    told |= {"force": [0, 0, -25000.0], "actor": None, "finished": None}
+    told["notes"] = ["3 % of the part's volume is above its yield strength, up to 22.9 times"]
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["v1/jobs/7", told]]))
+    browser.go("#/jobs/7")
+    browser.named(".pill", "outside the load range")
+    browser.named(".note.outside", "times the load range")
+    browser.named(".note.thin", "The part yields")
