@@ -288,7 +288,9 @@ class Workspace:
             component, table.rows, wrench, table.hyperparameters, solver, shares
         )
         is_unknown = reply.coverage == "outside" and None in (reply.error or (None,))
-        return shape.without_bars(reply.reason) if is_unknown and shape.source == "rows" else shape
+        if is_unknown and shape.source == "rows" and shape.error is not None:
+            return shape.without_bars(reply.reason)
+        return shape
 
     def fill(
         self,
