@@ -383,7 +383,8 @@ def test_a_shape_beyond_the_tolerance_by_its_mesh_names_the_cause(browser, clien
     browser.drawn("#shape")
     ask(browser, "Show", fz=-60)
     browser.named(
-        ".note.thin", "An error bar exceeds the tolerance because of the discretisation and linearity"
+        ".note.thin",
+        "An error bar exceeds the tolerance because of the discretisation and linearity",
     )
 
 
