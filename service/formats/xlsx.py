@@ -245,8 +245,8 @@ def escape(text: str) -> str:
 def unescape(text: str) -> str:
     """Return the argument of `escape` from its result."""
     units = _ESCAPE.sub(lambda match: chr(int(match[1], 16)), text)
-    # The escapes are of UTF-16: a character has two, and one alone is none.
-    return units.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
+    # The escapes are of UTF-16: two may be one character. Readers of texts refuse one alone.
+    return units.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "surrogatepass")
 
 
 def _check_entries(entries: Sequence[zipfile.ZipInfo]) -> None:
