@@ -261,13 +261,15 @@ class Workspace:
     async def caught_up(self, name: str, seconds: float) -> bool:
         """Return whether a table has all present rows, after at most `seconds`.
 
-        No thread waits, so that no number of waiting callers delays another request.
+        No thread is held while it waits, so that no number of callers delays another request.
         """
         deadline = time.monotonic() + seconds
         loop = asyncio.get_running_loop()
         progress = await loop.run_in_executor(None, self.tables.progress, name)
         # No event: the versions of other web workers are in files.
-        while (caught_up := progress()) is None and time.monotonic() < deadline:  # noqa: ASYNC110
+        while (caught_up := await loop.run_in_executor(None, progress)) is None:
+            if time.monotonic() >= deadline:
+                break
             await asyncio.sleep(POLL_S)
         return caught_up is True
 
