@@ -272,6 +272,7 @@ def fail(
 ) -> JobRecord:
     """End a running attempt as failed; `error` has kind, message and remedy."""
     job = _check_attempt(get(db, job_id), attempt)
+    note(db, "job.fail", job_id, job.component, after={"kind": error["kind"]}, actor=job.actor)
     return _moved(db, job, "fail", owner=None, error=error, **_end(job, time.time(), seconds))
 
 
@@ -288,6 +289,7 @@ def lose(db: Connection, job_id: int, attempt: int, cause: str = "") -> JobRecor
     error = dict(SOLVER_DIED)
     if cause:
         error["message"] += f"; the last time: {cause}"
+    note(db, "job.fail", job_id, job.component, after={"kind": error["kind"]}, actor=job.actor)
     return _moved(db, job, "give up", owner=None, lost=job.lost + 1, error=error, finished=now)
 
 

@@ -43,10 +43,10 @@ class Reports:
         self._lock = threading.Lock()
         self._making: dict[str, subprocess.Popen[bytes]] = {}
 
-    def make(self, component: Component, rows: int, wrenches: int, seed: int) -> None:
+    def make(self, component: Component, rows: int, wrenches: int, seed: int) -> bool:
         """Start making the report of a component of `rows` rows, unless one is being made.
 
-        The file of its table is complete.
+        The file of its table is complete. Returns whether it was started.
 
         Raises FileNotFoundError if there are no rows.
         """
@@ -62,7 +62,7 @@ class Reports:
             # Locked by the process that makes it, whichever process of the server started that.
             descriptor = None if self._is_alive(component.name) else lock.take(folder / _LOCK)
             if descriptor is None:
-                return
+                return False
 
             order = {
                 "bundle": str(component.folder),
@@ -86,6 +86,7 @@ class Reports:
                     )
             finally:
                 os.close(descriptor)
+        return True
 
     def cancel(self, name: str) -> None:
         """Stop making a component's report; the report before stays.

@@ -12,6 +12,7 @@ from starlette.responses import Response
 from wrenchbook.service.http.openapi import JSON, TEXT, answers, component_router, refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Opened, json_reply
+from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.submission import NoSetupError
 from wrenchbook.service.tables.mapped import TableBehindError
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
@@ -56,9 +57,12 @@ def make_report(
             raise TableBehindError(why + "; send the request again in a minute")
         time.sleep(POLL_S)
     try:
-        workspace.reports.make(component, rows, wrenches, seed)
+        begun = workspace.reports.make(component, rows, wrenches, seed)
     except FileNotFoundError as error:
         raise HttpProblemError(409, "no-rows", "The table has no rows", str(error)) from None
+    if begun:
+        with workspace.ledger.writing() as db:
+            note(db, "report.make", name, name, after={"wrenches": wrenches})
     return _state(workspace, name)
 
 

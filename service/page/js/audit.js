@@ -7,9 +7,9 @@ import { actorOf, sentence, time } from "./format.js";
 const SHOWN = 50;
 // Each action the service writes, by its object.
 const ACTIONS = {
-  job: ["accept", "cancel", "retry", "reopen", "priority"], row: ["solve", "insert", "rewrite", "withdraw", "restore"],
+  job: ["accept", "fail", "cancel", "retry", "reopen", "priority"], row: ["solve", "insert", "rewrite", "withdraw", "restore"],
   import: ["load", "append", "withdraw", "restore"], component: ["add", "edit"], key: ["add", "rotate", "revoke"],
-  rig: ["store", "remove"], demand: ["forget"], recording: ["clear"], envelope: ["clear"],
+  rig: ["store", "remove"], report: ["make"], demand: ["forget"], recording: ["clear"], envelope: ["clear"],
 };
 
 export async function show(root, _, signal) {
@@ -44,7 +44,7 @@ export async function show(root, _, signal) {
     el("table", { class: "folds audit" }, el("thead", {}, el("tr", {}, ["Time", "Actor", "Action", "Component", "Object", "Before and after"].map((one) => el("th", { scope: "col" }, one)))), body), older));
 }
 
-const DONE = { accept: "accepted", add: "added", append: "appended", cancel: "cancelled", clear: "cleared", edit: "edited", forget: "forgotten", insert: "added", load: "loaded", priority: "priority changed", reopen: "reopened", remove: "removed", restore: "restored", retry: "retried", revoke: "revoked", rewrite: "rewritten", rotate: "rotated", solve: "solved", store: "stored", withdraw: "withdrawn" };
+const DONE = { accept: "accepted", add: "added", append: "appended", cancel: "cancelled", clear: "cleared", edit: "edited", fail: "failed", forget: "forgotten", insert: "added", load: "loaded", make: "begun", priority: "priority changed", reopen: "reopened", remove: "removed", restore: "restored", retry: "retried", revoke: "revoked", rewrite: "rewritten", rotate: "rotated", solve: "solved", store: "stored", withdraw: "withdrawn" };
 
 function actionOf(name) {
   const [kind, verb] = name.split(".");

@@ -129,7 +129,7 @@ function change(list, row, job) {
     list.withName ? el("td", {}, el("a", { href: `#/c/${job.component}` }, job.component)) : null,
     el("td", { class: running || job.error ? "whole" : null }, el("div", { class: "stack tight" }, el("div", { class: "line" }, pill(job.status), running && job.progress ? el("span", { class: "small muted" }, job.progress.message) : null),
       running ? el("progress", { max: "1", value: fraction ?? 0, "aria-label": `Job ${job.id}` }) : null,
-      job.status === "failed" && job.error ? el("span", { class: "small" }, job.error.message) : null)),
+      job.status === "failed" && job.error ? el("span", { class: "small" }, failureWords(job.error)[0]) : null)),
     el("td", { class: "small whole" }, saidOf(job)),
     el("td", { class: "muted small" }, time(job.created).replaceAll(" ", "\u00a0"), job.actor && job.actor !== "(anonymous)" ? ` by ${actorOf(job.actor)}` : null),
     el("td", { class: "muted small number" }, job.seconds ? seconds(job.seconds) : left),
@@ -173,8 +173,8 @@ export function jobFacts(job) {
     ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Actor", actorOf(job.actor)], ["Wrench", saidOf(job)],
     ["Attempt", job.attempt ? String(job.attempt) : ""], ["Accepted", time(job.created)], ["Started", job.started ? time(job.started) : ""],
     ["Ended", job.finished ? time(job.finished) : ""], ["Took", job.seconds ? seconds(job.seconds) : ""], ["Row", job.row ? rowLink(job.component, job.row) : ""],
-    ["Waits", job.waiting ? job.waiting.reason || "" : ""],
-    ["Notes", job.notes?.length ? el("ul", {}, job.notes.map((one) => el("li", {}, one))) : ""],
+    ["Waits", job.waiting?.reason ? sentence(job.waiting.reason) : ""],
+    ["Notes", job.notes?.length ? el("ul", {}, job.notes.map((one) => el("li", {}, sentence(one)))) : ""],
     ["Failed", job.error ? failure(job.error) : ""],
   ];
 }
