@@ -108,9 +108,12 @@ def _advice_on_rows(report: dict[str, Any], table: dict[str, Any]) -> str:
         sentence += f", its mesh by {_percent(mesh)}"
     if report["tolerance"]:
         sentence += "; its interpolation error is within the tolerance"
-        sentence += (
-            " at these wrenches" if _bars_are_too_small(table) else ": it needs no more rows"
-        )
+        if not table["beyond_error_bar"]["of"]:
+            sentence += " at these wrenches; for error bars fill the table further"
+        elif _bars_are_too_small(table):
+            sentence += " at these wrenches"
+        else:
+            sentence += ": it needs no more rows"
     return f"Result: {sentence}."
 
 

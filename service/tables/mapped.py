@@ -161,6 +161,11 @@ class ServedTable:
         return ComplianceFit(matrix, known, half_width, origin["origin"], offset)
 
     @property
+    def allowed(self) -> Floats:
+        """The largest interpolation error of each output of a covered answer, (m,), m and rad."""
+        return self._of_groups("allowed")
+
+    @property
     def steepest(self) -> Floats:
         """The largest change of each output over half the load range, (6,), m and rad."""
         return self._of_groups("row/steepest")

@@ -168,6 +168,12 @@ def test_a_glance_tells_what_parts_of_the_range_are_covered(rig):
     assert empty["whole"] == [0.0, 0.0, 1.0]
 
 
+def test_a_glance_names_the_error_that_a_table_without_a_tolerance_allows(rig):
+    allowed = rig.get(f"{RIG}/glance").json()["allowed"]
+    variation = np.ptp(np.concatenate((moved(clean_wrenches()), moved(full_wrenches(40)))), axis=0)
+    assert allowed == pytest.approx(0.01 * variation, rel=1e-6)
+
+
 def test_the_surface_of_an_unsolved_part_is_there_to_draw(http):
     reported = http.get("/v1/components/plate_thin/surface").json()
     assert len(reported["triangles"]) > 100

@@ -478,6 +478,14 @@ def end_job(ledger, number, *, good=True):
     return job.id
 
 
+def test_the_audit_has_a_failed_job_with_its_kind(ledger):
+    accept(ledger)
+    job = claim(ledger, "me")
+    ledger.fail(job.id, job.attempt, ERROR)
+    (entry,) = ledger.audit(action="job.fail")
+    assert (entry.object, entry.after) == (str(job.id), {"kind": "not_converged"})
+
+
 def pruned(ledger, settings, *, stopping=False):
     stop = threading.Event()
     if stopping:

@@ -156,6 +156,15 @@ def test_the_advice_says_first_that_error_bars_were_too_small(report):
     assert "needs no more rows" not in advice_of(figures)
 
 
+def test_the_advice_of_a_table_without_error_bars_is_more_rows(report):
+    figures = deepcopy(report)
+    for table in figures["tables"]:
+        table["beyond_error_bar"] = {"missed": 0, "of": 0}
+        table["lookup_error"]["p95"] = [1e-6] * 6
+    figures["mesh_error"], figures["tolerance"] = None, [1e-6] * 6
+    assert advice_of(figures).endswith("for error bars fill the table further.")
+
+
 def test_the_advice_has_the_error_that_the_plots_show(report):
     figures = deepcopy(report)
     for table in figures["tables"]:

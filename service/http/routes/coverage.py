@@ -121,6 +121,7 @@ def glance(name: str, workspace: Opened) -> Response:
         "whole": _shares(table, wrenches),
         "error": _median([reply.error for reply in replies], outputs),
         "interpolation": _median([reply.interpolation for reply in replies], outputs),
+        "allowed": table.allowed,
         "bars_are_whole": table.bars_are_complete,
         # The part of wrenches that are covered and within the tolerance; unknown if a covered
         # wrench cannot be compared.

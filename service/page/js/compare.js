@@ -3,7 +3,7 @@
 import { get, of, send, trouble } from "./api.js";
 import { choice, el, field, put, save, select, table, working } from "./dom.js";
 import { empty, emptyTable, linkTo } from "./empty.js";
-import { LOADS, OUTPUTS, count, counted, number, plain, prefixOf, rounded, symbol, unitOfLoad, unitOfOutput, withBar } from "./format.js";
+import { LOADS, OUTPUTS, count, counted, number, plain, prefixOf, quantity, rounded, symbol, unitOfLoad, unitOfOutput, withBar } from "./format.js";
 import { draw, faint } from "./plot.js";
 
 const PLOTS = ["over-load", "over-order", "over-expected"];
@@ -106,10 +106,10 @@ function factors(reply) {
       const factor = rounded(one.factor ?? 0, one.half_width), spread = withBar(one.mean, one.rms, unitOfOutput(name));
       lines.push([part.import === null ? "none" : String(part.import), symbol(name),
         one.half_width === null ? number(one.factor, 5) : sure ? factor.value : "not determined", one.half_width === null ? "unknown" : `± ${factor.bar}`, one.of_reference === null ? "unknown" : `± ${number(one.of_reference, 2)}`,
-        spread.value, spread.bar.replace("± ", ""), `${count(one.beyond_bars)} of ${count(one.compared)}`]);
+        spread.value, one.rms ? spread.bar.replace("± ", "") : quantity(0, unitOfOutput(name)), `${count(one.beyond_bars)} of ${count(one.compared)}`]);
     }
   }
-  return table(["Import", "Output", "#Measured / reference", "#95 % bound", "#from the reference", "#Mean residual", "#rms", "#Beyond the bars"], lines, { scrolls: true, class: "folds named" });
+  return table(["Import", "Output", "#Measured / reference", "#95 % bound", "#Part from the reference", "#Mean residual", "#RMS residual", "#Beyond the bars"], lines, { scrolls: true, class: "folds named" });
 }
 
 function label({ reply, output, load }, k) {

@@ -2,9 +2,14 @@
 
 // The colours of the page; Swagger UI has light ones alone.
 const theme = localStorage.getItem("wrenchbook-theme") || "auto";
-const dark = theme === "dark" || (theme === "auto" && matchMedia("(prefers-color-scheme: dark)").matches);
-document.documentElement.classList.toggle("dark", dark);
-document.documentElement.style.colorScheme = dark ? "dark" : "light";
+const system = matchMedia("(prefers-color-scheme: dark)");
+const paint = () => {
+  const dark = theme === "dark" || (theme === "auto" && system.matches);
+  document.documentElement.classList.toggle("dark", dark);
+  document.documentElement.style.colorScheme = dark ? "dark" : "light";
+};
+system.addEventListener("change", paint);
+paint();
 
 const rank = (tag) => (tag === "displacement" ? 0 : tag === "umbridge" ? 2 : 1); // the main call first
 const key = sessionStorage.getItem("wrenchbook-key");

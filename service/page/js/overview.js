@@ -5,7 +5,7 @@ import { el, facts, field, note, notify, pill, put, table } from "./dom.js";
 import { listenToTable } from "./events.js";
 import { beingBuilt, linkTo } from "./empty.js";
 import { findingNote } from "./findings.js";
-import { count, counted, number, quantity, sentence } from "./format.js";
+import { OUTPUTS, count, counted, number, quantity, sentence, triple } from "./format.js";
 import { OUTSIDE, inputsOf, mark, spansOf } from "./inputs.js";
 import { paint } from "./picture.js";
 import { WHOLE, isAtWork, legend, sharesOf, wholeError } from "./shares.js";
@@ -25,7 +25,9 @@ export async function show(root, { name }, signal) {
     put(range, el("h2", {}, "Load range"), loads(now));
     const shares = await cover(glance, now, signal, () => mine === latest);
     document.getElementById("fill")?.classList.toggle("first", !(shares?.whole[0] > 0.995 || isAtWork(now))); // more solves add little to a full table, or to a queue
-    if (shares?.reach && !now.linear && mine === latest) put(range, el("h2", {}, "Load range"), loads(now, shares.reach));
+    if (!shares || mine !== latest) return;
+    put(rows, el("h2", {}, "Method and rows"), method(now, shares.allowed));
+    if (shares.reach && !now.linear) put(range, el("h2", {}, "Load range"), loads(now, shares.reach));
   };
   put(root, warned,
     el("div", { class: "halves" },
@@ -127,11 +129,11 @@ async function fillTo(place, name, budget, signal) {
 const SOURCES = { fea: "solved" };
 const pointOf = (point) => `(${point.map((one) => number(Math.abs(one) < 1e-9 ? 0 : 1e3 * one)).join(", ")}) mm`; // below a nanometre is roundoff
 
-function method(about) {
+function method(about, allowed) {
   const cover = about.coverage;
   const tolerance = about.tolerance
     ? `${quantity(about.tolerance.translation, "m")}, ${quantity(about.tolerance.rotation, "rad")}`
-    : "1 % of each output's range";
+    : `1 % of each output's range${allowed?.length === OUTPUTS.length ? `: u ${triple(allowed.slice(0, 3), "m")}, r ${triple(allowed.slice(3), "rad")}` : ""}`;
   const sources = Object.entries(about.sources).map(([name, rows]) => `${count(rows)} ${SOURCES[name] || name}`).join("; ");
   const jobs = Object.entries(about.jobs).filter(([, n]) => n).map(([status, n]) => pill(`${n} ${status}`, status));
   return facts([
@@ -172,12 +174,12 @@ function contract(about) {
   const held = about.interface;
   return facts([
     ["Units", about.contract.units],
-    ["Wrench", about.contract.wrench],
-    ["Displacement", about.contract.displacement],
+    ["Wrench", sentence(about.contract.wrench)],
+    ["Displacement", sentence(about.contract.displacement)],
     ["Relative to", held?.displacement?.replace(/^relative to /, "").replace("degC", "°C")],
     ["Gravity", held?.gravity ? held.gravity.map((one) => quantity(one, "m/s²")).join(", ") : ""],
-    ["Moment", about.contract.moment],
-    ["Sign", about.contract.sign],
+    ["Moment", sentence(about.contract.moment)],
+    ["Sign", sentence(about.contract.sign)],
     ["Section", held?.section],
     ["Point", held?.point ? pointOf(held.point) : ""],
     ["Coupling", held?.coupling],

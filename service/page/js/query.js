@@ -108,7 +108,7 @@ function shown(answer, about, wrench, why, over, solve) {
     outside ? note("outside", outside) : null,
     reason ? note(answered(answer) && !(why !== null && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
     !answered(answer) && !about.has_fea && !about.rows ? linkTo(about, "table", "Import rows") : null,
-    why === null ? null : note("thin", el("strong", {}, "The error bar is unknown"), why ? el("span", {}, `${sentence(why)}.`) : null),
+    why ? note("thin", el("strong", {}, "The error bar is unknown"), el("span", {}, `${sentence(why)}.`)) : null,
     solve ? el("div", {}, el("button", { type: "button", onclick: solve }, "Solve it nevertheless")) : null,
     over ? note("thin", over) : null,
     Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, about.tolerance)),

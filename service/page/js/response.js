@@ -65,7 +65,7 @@ function labelOf({ sweep, rows, output, load, rest }) {
   const k = OUTPUTS.indexOf(output), bars = sweep.error.map((one) => one[k] ?? 0);
   const unit = unitOfOutput(output), place = bars.indexOf(Math.max(...bars)), widest = quantity(bars[place], unit, 2), inner = sweep.interpolation[place]?.[k] ?? 0;
   const unknown = Math.round(100 * sweep.error.filter((one) => one[k] === null).length / sweep.error.length);
-  const parts = sweep.bars_are_whole && rest ? ` (interpolation ${quantity(inner, unit, 2)}, ${rest} ${quantity(Math.max(0, bars[place] - inner), unit, 2)})` : "";
+  const parts = sweep.bars_are_whole && rest ? ` (interpolation ${inner > bars[place] / 1000 ? quantity(inner, unit, 2) : "negligible"}, ${rest} ${quantity(Math.max(0, bars[place] - inner), unit, 2)})` : "";
   const line = `${plain(output)} over ${plain(load)} by ${sweep.method}.`, rest_ = `${share} % of the line is covered; ${drawn}.`;
   if (unknown === 100) return `${line} Its error bar is not known, so no band is drawn; ${rest_}`;
   return `${line} The band is its 95 % error bar, ${sweep.bars_are_whole || !rest ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}${parts}${unknown ? `, and not known, nor drawn, on ${unknown} % of the line` : ""}; ${rest_}`;

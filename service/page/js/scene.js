@@ -48,7 +48,7 @@ function needForm(one) {
     const ordered = () => high.setCustomValidity(Number(low.value) > Number(high.value) ? `${label(load)}: “from” must not be above “to”.` : "");
     low.addEventListener("input", ordered);
     high.addEventListener("input", ordered);
-    const root = el("div", { class: "line load" }, el("label", { class: "check" }, acts, mark(load)), low, el("span", { class: "muted" }, "to"), high, el("span", { class: "muted small" }, unit));
+    const root = el("div", { class: "line load" }, el("label", { class: "check" }, acts, mark(load)), low, el("span", { class: "muted small" }, "to"), high, el("span", { class: "muted small" }, unit));
     return { root, read: () => (acts.checked ? [Number(low.value), Number(high.value)] : [zero, zero]) };
   });
   const outputs = known.map((output) => el("input", { type: "checkbox", checked: true, value: output }));
@@ -93,7 +93,7 @@ function planned(name, one, about, need) {
   const saved = one.saves;
   return el("section", { class: "card" },
     el("div", { class: "line ends" }, el("h2", {}, name), pill(one.decision, "")),
-    el("p", {}, `${sentence(one.reason)}.`),
+    el("p", {}, `${sentence(one.reason.replace(/^the rows do not show the error of this answer/, "the rows do not show the error over these loads").replace("near it", "there"))}.`),
     facts([
       ["Loads", one.loads.map(label).join(", ")],
       ["Axes", Object.entries(one.axes).map(([axis, held]) => `${axis}: ${held.inputs.map(label).join(", ")} (${held.dimensions}-D)`).join("; ")],

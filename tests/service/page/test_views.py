@@ -391,6 +391,28 @@ def test_a_load_of_a_scene_from_above_to_is_marked_at_its_field(browser, client)
     assert "must not be above" in browser.run("return arguments[0].validationMessage", field)
 
 
+def test_a_range_that_is_not_symmetrical_stands_at_its_field(browser, client):
+    span = {"force": [[-5, 5], [-5, 5], [-900, 100]], "moment": [2, 2, 2]}
+    about = {"name": "pressed", "title": "Pressed more than pulled", "range": span}
+    client.call_json("POST", "/v1/components", about)
+    browser.visit("#/c/pressed/query")
+    assert "\u2212900 to 100" in browser.named("form label", "F").find_element("xpath", "..").text
+
+
+def test_an_unknown_error_bar_is_told_once(browser, client):
+    client.solve("bar", [0, 0, 50.0], wait_s=120)
+    browser.visit("#/c/bar/query")
+    for name in ("fx", "fy", "fz", "mx", "my", "mz"):
+        browser.type(f"input[name={name}]", "3" if name == "mz" else "0")
+    browser.run("document.querySelector('form select').value = 'estimate'")
+    browser.click("form button", "Ask")
+    browser.one("section[aria-live] .note")
+    assert all(
+        len(note.text.splitlines()) > 1 or not note.find_elements("css selector", "strong")
+        for note in browser.all("section[aria-live] .note")
+    )
+
+
 def test_the_page_of_a_job_shows_its_displacement_and_leads_to_its_query(browser, plate):
     (done, *_) = plate.call_json("GET", "/v1/jobs?component=plate_thin&status=done")["jobs"]
     browser.visit(f"#/jobs/{done['id']}")
@@ -609,6 +631,12 @@ def test_measured_rows_are_drawn_beside_the_solves_and_beside_another_import(bro
     )
     browser.named("p", f"rows of import {number - 1}")
     browser.named("td", "1.1")
+    means, rms = (
+        [cell.text for cell in browser.all(f"td[data-head='{head} residual']")]
+        for head in ("Mean", "RMS")
+    )
+    assert all(re.fullmatch(r"(0|\d{2}|\d\.\d|0\.\d{2}|\d{2}0) \S+m", text) for text in rms)
+    assert [text.split()[1] for text in means] == [text.split()[1] for text in rms]
     browser.resize(390, 900)
     assert not overflow(browser)
 
@@ -630,15 +658,15 @@ def test_imports_are_cards_with_their_headings_on_a_telephone(browser, client):
     assert browser.run(heading, cell) == '"Rows"'
 
 
-LOW_LINKS = """return [...document.querySelectorAll('main :is(.crumb, td) a')]
+LOW_LINKS = """return [...document.querySelectorAll('.brand, main :is(.crumb, td, dd) a')]
   .filter((one) => one.getBoundingClientRect().height < 24).map((one) => one.textContent)"""
 
 
 def test_links_of_lists_and_of_the_way_back_are_24_px_high_on_a_telephone(browser, plate):
     browser.resize(390, 900)
-    for address in ("#/jobs", "#/audit", PLATE):
+    for address in ("#/jobs", "#/audit", PLATE, "#/jobs/1"):
         browser.visit(address)
-        browser.one("main td a" if address != PLATE else "main .crumb a")
+        browser.one("main .crumb a" if address in (PLATE, "#/jobs/1") else "main td a")
         assert browser.run(LOW_LINKS) == []
 
 
