@@ -18,11 +18,16 @@ const behind = (element) => {
   return rgba(getComputedStyle(document.documentElement).backgroundColor);
 };
 const found = [];
+const tell = (text, colour, element) => {
+  const dim = [...(function* () { for (let at = element; at; at = at.parentElement) yield at; })()].reduce((all, at) => all * getComputedStyle(at).opacity, 1);
+  const ground = behind(element), seen = rgba(colour).map((one, k) => dim * one + (1 - dim) * ground[k]);
+  const [over, under] = [light(seen), light(ground)];
+  found.push({ text: text.trim().slice(0, 30), ratio: Math.round(100 * (Math.max(over, under) + 0.05) / (Math.min(over, under) + 0.05)) / 100 });
+};
 for (const element of document.querySelectorAll("body *")) {
   const own = [...element.childNodes].filter((one) => one.nodeType === 3 && one.textContent.trim());
-  if (!own.length || !element.checkVisibility() || element.closest(".skip, .unseen, noscript, option")) continue;
-  const [text, ground] = [light(rgba(getComputedStyle(element).color)), light(behind(element))];
-  const ratio = (Math.max(text, ground) + 0.05) / (Math.min(text, ground) + 0.05);
-  found.push({ text: own[0].textContent.trim().slice(0, 30), ratio: Math.round(100 * ratio) / 100 });
+  if (!element.checkVisibility() || element.closest(".skip, .unseen, noscript, option, :disabled")) continue;
+  if (element.placeholder && !element.value) tell(element.placeholder, getComputedStyle(element, "::placeholder").color, element);
+  if (own.length) tell(own[0].textContent, getComputedStyle(element)[element.closest("svg") ? "fill" : "color"], element);
 }
 return found;
