@@ -21,8 +21,6 @@ from wrenchbook.fea.mesh.quality import quality, quality_warnings
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import Joint
 
-Array = np.ndarray
-
 # Pairs of bodies with unmerged nodes in the warnings; the message counts the others.
 _MAX_REPORTED = 5
 # Usual ranges. Pa: soft rubber to nearly diamond (1.1e12). kg/m^3: light foam (15) to more than
@@ -100,7 +98,7 @@ def bolt_warnings(component: ComponentModel) -> Iterator[BundleProblem]:
             yield BundleProblem(f"{bolt.key}.axis", message)
 
 
-def shank_direction(component: ComponentModel, bolt: BoltCut) -> tuple[float, Array]:
+def shank_direction(component: ComponentModel, bolt: BoltCut) -> tuple[float, np.ndarray]:
     """Return the angle from a bolt's axis to its shank, rad, and the shank's unit vector, (3,).
 
     The free facets of a shank at the cut run along it. Without such facets, as at a cone, the angle
@@ -147,7 +145,7 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
 
 
 def coincidence_warnings(
-    mesh: Mesh, bodies: Bodies, pairs: Array, joints: Sequence[Joint]
+    mesh: Mesh, bodies: Bodies, pairs: np.ndarray, joints: Sequence[Joint]
 ) -> Iterator[BundleProblem]:
     """Yield a warning for the unmerged nodes of each two bodies, and of slits within a body.
 

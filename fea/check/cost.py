@@ -22,8 +22,6 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.pressure_projection import projects
 from wrenchbook.fea.linalg.nested_dissection import dissect
 
-Array = np.ndarray
-
 # Fitted to the solves of the module's docstring, on one core.
 _START_SECONDS = 0.04  # s of any solve
 _ENTRY_SECONDS = 4.3e-8  # s to assemble an entry of a cell's matrix
@@ -80,7 +78,7 @@ def estimate(component: ComponentModel) -> Cost:
     }
 
 
-def _free_nodes(component: ComponentModel) -> Array:
+def _free_nodes(component: ComponentModel) -> np.ndarray:
     """Return whether each node has unknowns, shape (n,): it is not fixed and not dependent."""
     free = np.ones(len(component.mesh.points), dtype=bool)
     free[component.fixed_nodes] = False
@@ -92,7 +90,7 @@ def _free_nodes(component: ComponentModel) -> Array:
     return free
 
 
-def _nodes_of_cells(component: ComponentModel) -> list[Array]:
+def _nodes_of_cells(component: ComponentModel) -> list[np.ndarray]:
     """Return the nodes that move each cell, in groups of equal number, each of shape (m, s)."""
     blocks = [block.nodes for block in component.mesh.blocks]
     dependents = component.mesh.dependents
@@ -108,7 +106,9 @@ def _nodes_of_cells(component: ComponentModel) -> list[Array]:
     return plain + tied
 
 
-def _elimination(points: Array, groups: list[Array], free: Array) -> tuple[float, float]:
+def _elimination(
+    points: np.ndarray, groups: list[np.ndarray], free: np.ndarray
+) -> tuple[float, float]:
     """Return the multiply-adds of a factorisation, and the numbers in its factor.
 
     A front that eliminates m of m + b unknowns takes m^3/3 + m^2 b + m b^2 multiply-adds and has

@@ -23,8 +23,6 @@ from wrenchbook.fea.spec.material import Cylinder, Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS
 
-Array = np.ndarray
-
 _SAME = 1e-3  # relative: decks write constants with three digits and more
 # Part of the nodes whose directions may differ: on a cylinder's axis all are right.
 _MAX_TURNED = 0.5

@@ -16,8 +16,6 @@ from wrenchbook.fea.solve import MAX_DEGREES, Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 
-Array = np.ndarray
-
 _MAX_SECONDS = 60.0  # s, estimated time of the linear solve: an upload waits for it, 300 s at most
 _MAX_BYTES = 4e9  # bytes, estimated memory of it; the server's other solvers run at the same time
 
@@ -111,7 +109,7 @@ def _untried(solver: Solver) -> Trial:
     }
 
 
-def largest(compliance: Array, low: Array, high: Array) -> Array:
+def largest(compliance: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return max |C w| over a box of inputs, for each output, shape (6 i,), m and rad."""
     ends = np.stack([compliance * low, compliance * high])
     most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
@@ -203,7 +201,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[Bundle
     return result, warnings
 
 
-def sag_per_gravity(solver: Solver) -> Array:
+def sag_per_gravity(solver: Solver) -> np.ndarray:
     """Return the interfaces' displacement by gravity, (6 i, 3), m and rad over m/s^2, first order.
 
     By reciprocity: the work of the weight on the fields of the unit loads. Gravity is in the frame

@@ -23,8 +23,6 @@ from wrenchbook.fea.spec.mesh_source import UNITS
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import Deck
 
-Array = np.ndarray
-
 LOADS = ("FX", "FY", "FZ", "MX", "MY", "MZ")
 """The placeholders, each with a $ before it, in the order of the wrench contract."""
 
@@ -63,7 +61,9 @@ def filled(deck: bytes, loads: Sequence[float]) -> bytes:
     return _PLACEHOLDER.sub(lambda match: values[match[1]], deck)
 
 
-def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tuple[Array, int]:
+def run_deck(
+    deck: Deck, wrench: np.ndarray, folder: Path, progress: Progress
+) -> tuple[np.ndarray, int]:
     """Run a deck once, in a folder made for it.
 
     wrench: shape (6,), N and N·m, with the kind of moment that the deck needs.

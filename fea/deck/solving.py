@@ -16,8 +16,6 @@ from wrenchbook.fea.solution import Progress, Solution, checked_wrench
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Deck
 from wrenchbook.fea.tensors import spin_per_vector
 
-Array = np.ndarray
-
 FOLDER = "deck"
 """Subfolder of the work folder; below it each run of the command has a separate folder."""
 
@@ -37,10 +35,10 @@ _LEAST_CHANGE = 1e-3
 
 def solve_deck(
     bundle: Bundle,
-    wrench: Sequence[float] | Array,
+    wrench: Sequence[float] | np.ndarray,
     progress: Progress | None = None,
     folder: Path | None = None,
-    accept: Callable[[Array], None] = lambda displacement: None,
+    accept: Callable[[np.ndarray], None] = lambda displacement: None,
 ) -> Solution:
     """Solve a component for one wrench with its deck.
 
@@ -95,7 +93,7 @@ class _Runs:
     """The runs of one solve."""
 
     def __init__(
-        self, deck: Deck, folder: Path, progress: Progress, accept: Callable[[Array], None]
+        self, deck: Deck, folder: Path, progress: Progress, accept: Callable[[np.ndarray], None]
     ) -> None:
         self.deck = deck
         self.accept = accept
@@ -103,7 +101,7 @@ class _Runs:
         self._folder = folder
         self._progress = progress
 
-    def run(self, name: str, wrench: Array, begin: float, end: float) -> Array:
+    def run(self, name: str, wrench: np.ndarray, begin: float, end: float) -> np.ndarray:
         """Run the deck; its part of the progress is from `begin` to `end`."""
 
         def progress(fraction: float, message: str) -> None:
@@ -114,7 +112,7 @@ class _Runs:
         return displacement
 
 
-def _linear(runs: _Runs, wrench: Array, sizes: Array) -> tuple[Array, Array]:
+def _linear(runs: _Runs, wrench: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return displacement, shape (6,), and compliance, shape (6, 6), of a linear deck.
 
     sizes: shape (6,), N and N·m: the six single loads, those of the load range, for which the deck
@@ -147,7 +145,7 @@ def _linear(runs: _Runs, wrench: Array, sizes: Array) -> tuple[Array, Array]:
     return displacement, compliance
 
 
-def _require_reciprocity(compliance: Array, sizes: Array) -> None:
+def _require_reciprocity(compliance: np.ndarray, sizes: np.ndarray) -> None:
     """Check that a compliance is that of an elastic body.
 
     No load of `sizes`, shape (6,), N and N·m, does negative work, and two loads do the same work on
@@ -177,7 +175,7 @@ def _require_reciprocity(compliance: Array, sizes: Array) -> None:
         )
 
 
-def _nonlinear(runs: _Runs, wrench: Array) -> Array:
+def _nonlinear(runs: _Runs, wrench: np.ndarray) -> np.ndarray:
     """Return the displacement of a nonlinear deck under a spatial wrench.
 
     The virtual work of a spatial moment M is M . J(r) dr, with J the left Jacobian of the rotation

@@ -24,8 +24,6 @@ from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.mesh.reference_cell import reference_element
 
-Array = np.ndarray
-
 NEARLY_INCOMPRESSIBLE = 0.4
 """Poisson's ratio above which the volumetric strain is projected."""
 
@@ -55,7 +53,7 @@ singular), hex20 by 10 % with the projection, and full integration of any kind b
 """
 
 
-def require_no_locking(block: CellBlock, poisson: Array) -> None:
+def require_no_locking(block: CellBlock, poisson: np.ndarray) -> None:
     """Refuse cells that would lock, by their Poisson's ratios, shape (cells,), dimensionless.
 
     Raises SolveFailed of kind ``locking_material`` if a cell would lock.
@@ -70,7 +68,7 @@ def require_no_locking(block: CellBlock, poisson: Array) -> None:
         )
 
 
-def projects(block: CellBlock, poisson: Array) -> Array:
+def projects(block: CellBlock, poisson: np.ndarray) -> np.ndarray:
     """Return for each cell whether its volumetric strain is projected, shape (cells,), bool.
 
     Poisson's ratios have shape (cells,) and are dimensionless.
@@ -90,7 +88,9 @@ def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:
     )
 
 
-def volume_modes(points: Array, block: CellBlock, weights: Array, integration: str) -> Array:
+def volume_modes(
+    points: np.ndarray, block: CellBlock, weights: np.ndarray, integration: str
+) -> np.ndarray:
     """Return the functions onto which the volumetric strain of each cell is projected.
 
     points: shape (n, 3), m.

@@ -26,8 +26,6 @@ from wrenchbook.fea.spec.material import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE
 
-Array = np.ndarray
-
 PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
 """Placeholders of the wrench, in the order of the wrench contract."""
 
@@ -234,7 +232,7 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
             yield equation if others else f"*BOUNDARY\n{node}, {axis + 1}"
 
 
-def _orientation(number: int, orthotropic: Orthotropic, axes: Array) -> Iterator[str]:
+def _orientation(number: int, orthotropic: Orthotropic, axes: np.ndarray) -> Iterator[str]:
     """Yield directions by a point on x and a point on y, or by two points of a cylinder's axis."""
     if orthotropic.cylinder is not None:
         cylinder = orthotropic.cylinder

@@ -29,8 +29,6 @@ from threadpoolctl import ThreadpoolController
 
 from wrenchbook.fea.linalg.nested_dissection import Dissection, Substructure
 
-Array = np.ndarray
-
 _BLAS = ("trsm", "syrk")
 _LAPACK = ("potrf", "trttf", "tfsm")
 _ROUTINES: dict[Any, Any] = {  # by precision and name
@@ -43,7 +41,7 @@ _getrf, _getrs = get_lapack_funcs(("getrf", "getrs"), dtype=np.float64)
 # Fronts of up to 3,500 unknowns take twice the time with two threads of BLAS.
 _ONE_THREAD = ThreadpoolController().wrap(limits=1, user_api="blas")
 
-Leaf = Callable[[int], Array]
+Leaf = Callable[[int], np.ndarray]
 """Returns the matrix of a leaf by its index, its unknowns in the order of the substructure's."""
 
 _WIDTH = 256
@@ -61,9 +59,9 @@ class Condensed(NamedTuple):
 
     starts: list[int]  # first unknown of each block column, and after the last
     # For each block column from a to b of n unknowns, shape (n - a, b - a), in Fortran's order
-    blocks: list[Array]
+    blocks: list[np.ndarray]
 
-    def holding(self, unknown: int) -> tuple[int, Array]:
+    def holding(self, unknown: int) -> tuple[int, np.ndarray]:
         """Return the start of an unknown's block column, and the column: (n - a, b - a), N/m."""
         column = bisect_right(self.starts, unknown) - 1
         return self.starts[column], self.blocks[column]
@@ -80,7 +78,9 @@ class _Stretch(NamedTuple):
 class Route(NamedTuple):
     """Destination of a child's condensed stiffness in its parent."""
 
-    indices: Array  # shape (n,), ascending: of the child's unknowns among the m + b of the parent
+    indices: (
+        np.ndarray
+    )  # shape (n,), ascending: of the child's unknowns among the m + b of the parent
     pivots: int  # number of these unknowns that the parent eliminates
     stretches: list[_Stretch]  # in ascending order
 
@@ -91,7 +91,9 @@ def columns_of(unknowns: int) -> list[int]:
     return [unknowns * i // count for i in range(count + 1)]
 
 
-def products(left: Array, right: Array, square: Callable[[Array], Array] | None) -> Condensed:
+def products(
+    left: np.ndarray, right: np.ndarray, square: Callable[[np.ndarray], np.ndarray] | None
+) -> Condensed:
     """Return the lower triangle of left^T right, which is symmetric.
 
     left, right: shape (m, n): N^0.5/m^0.5 both, or N/m and dimensionless; in Fortran's order.
@@ -114,13 +116,13 @@ def products(left: Array, right: Array, square: Callable[[Array], Array] | None)
     return Condensed(starts, blocks)
 
 
-def add_leaf(target: Condensed, matrix: Array) -> None:
+def add_leaf(target: Condensed, matrix: np.ndarray) -> None:
     """Subtract a leaf's stiffness of its boundary, shape (n, n), N/m, from minus the condensed."""
     for (a, b), block in zip(pairwise(target.starts), target.blocks, strict=True):
         block -= matrix[a:, a:b]
 
 
-def route(part: Condensed, indices: Array, eliminated: int, boundary: int) -> Route:
+def route(part: Condensed, indices: np.ndarray, eliminated: int, boundary: int) -> Route:
     """Return the route of a child whose unknowns have the `indices`, shape (n,), in its parent.
 
     `eliminated` and `boundary` are the parent's numbers m and b of unknowns.
@@ -136,7 +138,7 @@ def route(part: Condensed, indices: Array, eliminated: int, boundary: int) -> Ro
     return Route(indices, pivots, list(map(_Stretch, ordered, ordered[1:], firsts)))
 
 
-def add_to_pivots(A: Array, B: Array, part: Condensed, way: Route) -> None:
+def add_to_pivots(A: np.ndarray, B: np.ndarray, part: Condensed, way: Route) -> None:
     """Add a child's condensed stiffness to the rows of the pivots.
 
     It is added by stretches of columns, whose rows in A may have gaps: stretches in both directions
@@ -231,7 +233,7 @@ class MultifrontalFactor:
         return 0 if self.definite else sum(front.negatives for front in self._fronts)
 
     @_ONE_THREAD
-    def solve(self, loads: Array) -> Array:
+    def solve(self, loads: np.ndarray) -> np.ndarray:
         """Solve for several load cases.
 
         loads: shape (unknowns, k), N, in the order of elimination.
@@ -259,7 +261,7 @@ class _CholeskyFront:
 
     __slots__ = ("L", "W", "pivots")
 
-    def __init__(self, A: Array, B: Array) -> None:
+    def __init__(self, A: np.ndarray, B: np.ndarray) -> None:
         routines = _ROUTINES[A.dtype]
         L, info = routines["potrf"](A, lower=1, clean=0, overwrite_a=1)
         if info:
@@ -275,14 +277,14 @@ class _CholeskyFront:
         syrk = _ROUTINES[self.W.dtype]["syrk"]
         return products(self.W, self.W, partial(syrk, 1.0, trans=1, lower=1))
 
-    def forward(self, x: Array, part: Substructure) -> None:
+    def forward(self, x: np.ndarray, part: Substructure) -> None:
         rows = slice(part.start, part.stop)
         y = _ROUTINES[x.dtype]["tfsm"](1.0, self.L, x[rows], uplo="L")
         x[rows] = y
         if part.boundary.size:
             x[part.boundary] -= self.W.T @ y
 
-    def backward(self, x: Array, part: Substructure) -> None:
+    def backward(self, x: np.ndarray, part: Substructure) -> None:
         rows = slice(part.start, part.stop)
         y = x[rows]
         if part.boundary.size:
@@ -295,7 +297,7 @@ class _LUFront:
 
     __slots__ = ("A", "B", "W", "lu", "swaps")
 
-    def __init__(self, A: Array, B: Array) -> None:
+    def __init__(self, A: np.ndarray, B: np.ndarray) -> None:
         self.A = A = np.tril(A) + np.tril(A, -1).T
         self.lu, self.swaps, info = _getrf(A)
         if info > 0:  # exactly singular: the factor only serves to name the node
@@ -311,19 +313,19 @@ class _LUFront:
         return product
 
     @property
-    def pivots(self) -> Array:
+    def pivots(self) -> np.ndarray:
         return np.abs(np.diagonal(self.lu))
 
     @property
     def negatives(self) -> int:
         return int((np.linalg.eigvalsh(self.A) < 0).sum())
 
-    def forward(self, x: Array, part: Substructure) -> None:
+    def forward(self, x: np.ndarray, part: Substructure) -> None:
         rows = slice(part.start, part.stop)
         if part.boundary.size:
             x[part.boundary] -= self.W.T @ x[rows]
 
-    def backward(self, x: Array, part: Substructure) -> None:
+    def backward(self, x: np.ndarray, part: Substructure) -> None:
         rows = slice(part.start, part.stop)
         y = _getrs(self.lu, self.swaps, x[rows])[0]
         if part.boundary.size:
@@ -366,7 +368,7 @@ class _EmptyFront:
         return products(self._none, self._none, None)
 
 
-def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed]:
+def _leaf(part: Substructure, matrix: np.ndarray, kind: type) -> tuple[Any, Condensed]:
     """Return the front of a leaf and its condensed stiffness."""
     pivots = slice(0, part.eliminated)
     boundary = slice(part.eliminated, None)

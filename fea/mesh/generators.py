@@ -18,8 +18,6 @@ from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.spec.keys import Integer, Positive, key, table
 from wrenchbook.fea.spec.mesh_source import Generator
 
-Array = np.ndarray
-
 # Radius of the core over the section's: with it a core of one or two cells has the most exact
 # torsion.
 _LEAST_CORE = 0.6
@@ -44,19 +42,21 @@ class PlaneMesh:
     """A plane mesh."""
 
     # Shape (k, 2), m; the first `corners` of them are corner nodes, the others midside nodes
-    points: Array
-    quads: Array  # shape (q, 8): four corners counter-clockwise, then the middles of the four edges
+    points: np.ndarray
+    quads: (
+        np.ndarray
+    )  # shape (q, 8): four corners counter-clockwise, then the middles of the four edges
     corners: int  # number of corner nodes
 
     @property
-    def edges(self) -> Array:
+    def edges(self) -> np.ndarray:
         """Nodes of the outline's edges, (e, 3): start, end, middle; the inside is on the left."""
         each = self.quads[:, [[0, 1, 4], [1, 2, 5], [2, 3, 6], [3, 0, 7]]].reshape(-1, 3)
         _, index, count = np.unique(each[:, 2], return_index=True, return_counts=True)
         return each[index[count == 1]]
 
 
-def quadratic(points: Array, quads: Array) -> PlaneMesh:
+def quadratic(points: np.ndarray, quads: np.ndarray) -> PlaneMesh:
     """Return the section of straight-sided `quads` with added midside nodes.
 
     points: Corner nodes, shape (c, 2), m.
@@ -71,7 +71,7 @@ def quadratic(points: Array, quads: Array) -> PlaneMesh:
     )
 
 
-def rectangle(x: Array, y: Array) -> PlaneMesh:
+def rectangle(x: np.ndarray, y: np.ndarray) -> PlaneMesh:
     """Return the grid with lines at ascending `x` and `y`, shapes (nx,) and (ny,), m."""
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     return quadratic(points, grid_quads(len(x), len(y)))
@@ -93,7 +93,7 @@ def disc(radius: float, core: int) -> PlaneMesh:
     return section
 
 
-def round_corners(radius: float, core: int) -> tuple[Array, Array]:
+def round_corners(radius: float, core: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the corner nodes and quadrilaterals of `disc`.
 
     Shapes (c, 2), m, and (q, 4), indices of nodes; the radius is in m.
@@ -141,7 +141,7 @@ def equal_area_factor(arcs: int) -> float:
     return float(np.sqrt(np.pi / (arcs * (triangle + segment))))
 
 
-def grid_quads(nx: int, ny: int) -> Array:
+def grid_quads(nx: int, ny: int) -> np.ndarray:
     """Return the quadrilaterals of a grid of nx x ny nodes, numbered along y first.
 
     Shape ((nx - 1) (ny - 1), 4), int64: indices of nodes, counter-clockwise.
@@ -151,7 +151,7 @@ def grid_quads(nx: int, ny: int) -> Array:
     return np.stack(quads, axis=-1).reshape(-1, 4)
 
 
-def rim_of_grid(core: int) -> Array:
+def rim_of_grid(core: int) -> np.ndarray:
     """Return the outer nodes of a (core + 1)^2 grid, counter-clockwise from its lowest corner.
 
     Shape (4 core,), int64, indices.
@@ -161,7 +161,7 @@ def rim_of_grid(core: int) -> Array:
     return np.concatenate(sides)
 
 
-def ring_quads(inner: Array, outer: Array) -> Array:
+def ring_quads(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
     """Return the quadrilaterals between two closed rows of nodes, counter-clockwise.
 
     Shapes (k,) and (k,) to (k, 4), int64, all indices of nodes.
@@ -169,13 +169,13 @@ def ring_quads(inner: Array, outer: Array) -> Array:
     return np.stack([inner, outer, np.roll(outer, -1), np.roll(inner, -1)], axis=-1)
 
 
-def directions(angles: Array) -> Array:
+def directions(angles: np.ndarray) -> np.ndarray:
     """Return unit vectors at `angles` (rad) from x towards y, shape (k, 2)."""
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
 # Section points and fraction of the way to points in space, see `sweep`.
-PointMap = Callable[[Array, Array], Array]
+PointMap = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,11 +184,11 @@ class Sweep:
 
     section: PlaneMesh
     layers: int
-    points: Array  # shape (n, 3), m
+    points: np.ndarray  # shape (n, 3), m
     # One block of hex20: layer after layer, within each in the order of the section
     cells: CellBlock
 
-    def start(self, quads: Array | slice = slice(None)) -> FacetGroup:
+    def start(self, quads: np.ndarray | slice = slice(None)) -> FacetGroup:
         """Return the facets of the section's `quads` at the start, outwards.
 
         `quads` are indices of shape (k,), or a mask of shape (q,); all if not given.
@@ -196,7 +196,7 @@ class Sweep:
         nodes = self.section.quads[quads][:, [0, 3, 2, 1, 7, 6, 5, 4]]
         return FacetGroup((FacetBlock("quad8", nodes),))
 
-    def end(self, quads: Array | slice = slice(None)) -> FacetGroup:
+    def end(self, quads: np.ndarray | slice = slice(None)) -> FacetGroup:
         """Return the facets of the section's `quads` at the end, outwards.
 
         `quads` are indices of shape (k,), or a mask of shape (q,); all if not given.
@@ -253,7 +253,7 @@ def _stride(section: PlaneMesh) -> int:
     return len(section.points) + section.corners
 
 
-def _each_layer(columns: list[Array], stride: int, layers: int) -> Array:
+def _each_layer(columns: list[np.ndarray], stride: int, layers: int) -> np.ndarray:
     """Return the nodes of all layers by those of the first, k columns of (q,): (layers q, k)."""
     first = np.stack(columns, axis=-1).astype(np.int64)
     shifts = stride * np.arange(layers, dtype=np.int64)
@@ -291,7 +291,7 @@ class Bar(Generator):
         half = np.linspace(-0.5, 0.5, self.cells_across + 1)
         section = rectangle(self.width * half, self.height * half)
 
-        def to_space(flat: Array, fraction: Array) -> Array:
+        def to_space(flat: np.ndarray, fraction: np.ndarray) -> np.ndarray:
             return np.column_stack([self.length * fraction, flat])
 
         swept = sweep(section, self.cells_along, to_space)
@@ -370,7 +370,7 @@ class Plate(Generator):
         section = quadratic(points, np.concatenate([disc_quads, *rings, number[frame]]))
         bend_circle(section, self.cells)
 
-        def to_space(flat: Array, fraction: Array) -> Array:
+        def to_space(flat: np.ndarray, fraction: np.ndarray) -> np.ndarray:
             return np.column_stack([flat, self.thickness * fraction])
 
         plate = sweep(section, self.layers, to_space)
@@ -386,7 +386,7 @@ class Plate(Generator):
         }
         return Mesh(plate.points, (plate.cells,), facet_groups=groups)
 
-    def _frame(self, lines: int) -> tuple[Array, Array]:
+    def _frame(self, lines: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the frame's quadrilaterals, (q, 4), in a grid of `lines` x `lines` nodes.
 
         The second result has the nodes of the inner rectangle, (k,), counter-clockwise from its
@@ -401,7 +401,7 @@ class Plate(Generator):
         column, row = np.divmod(rim_of_grid(self.cells), self.cells + 1)
         return quads[~inside], (first + column) * lines + first + row
 
-    def _lines(self, length: float) -> Array:
+    def _lines(self, length: float) -> np.ndarray:
         """Return the grid lines of the frame in one direction, symmetric about 0."""
         inner = length / 2.0 - self.corner
         corner = np.linspace(inner, length / 2.0, self.corner_cells + 1)[1:]
@@ -458,7 +458,7 @@ class Spring(Generator):
         groups = {"bottom": wire.start(), "top": wire.end(), "side": wire.side()}
         return Mesh(wire.points, (wire.cells,), facet_groups=groups)
 
-    def _to_space(self, flat: Array, fraction: Array) -> Array:
+    def _to_space(self, flat: np.ndarray, fraction: np.ndarray) -> np.ndarray:
         """Put section points onto the cuts square to the helix.
 
         A section's first coordinate runs along the helix's normal (towards its axis), the second

@@ -15,7 +15,6 @@ from wrenchbook.fea.mesh.facets import TRIANGLES, Face, corners_of, outer_surfac
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
 
-Array = np.ndarray
 Point = tuple[float, float, float]
 
 NEAR = 1e-3
@@ -52,7 +51,7 @@ class Surface:
         self,
         mesh: Mesh,
         group: FacetGroup | None = None,
-        numbers: Array | None = None,
+        numbers: np.ndarray | None = None,
         faces: tuple[Face, ...] = (),
     ) -> None:
         self.mesh = mesh
@@ -79,18 +78,18 @@ class Surface:
         self.numbers = numbers
         self.faces = faces
 
-    def _of_facets(self, values: Array) -> Array:
+    def _of_facets(self, values: np.ndarray) -> np.ndarray:
         """Sum values of triangles, shape (t, k), by facet."""
         columns = [np.bincount(self.owners, column, len(self.corners)) for column in values.T]
         return np.stack(columns, axis=1)
 
-    def group(self, chosen: Array) -> FacetGroup:
+    def group(self, chosen: np.ndarray) -> FacetGroup:
         """Return the chosen facets, a mask of shape (f,), as a group."""
         ends = np.cumsum([len(nodes) for _, nodes in self.blocks])
         parts = zip(self.blocks, np.split(chosen, ends[:-1]), strict=True)
         return FacetGroup(tuple(FacetBlock(k, n[part]) for (k, n), part in parts if part.any()))
 
-    def _smooth_pairs(self) -> tuple[Array, Array]:
+    def _smooth_pairs(self) -> tuple[np.ndarray, np.ndarray]:
         """Return pairs of facets with a common edge that is not sharp, (p,) and (p,)."""
         normals = unit(self.vectors)
         edges = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -102,7 +101,7 @@ class Surface:
         smooth = np.einsum("ij,ij->i", normals[facet], normals[neighbour]) > _SMOOTH
         return self.owners[facet[smooth]], self.owners[neighbour[smooth]]
 
-    def _smooth_parts(self) -> tuple[Array, tuple[Face, ...]]:
+    def _smooth_parts(self) -> tuple[np.ndarray, tuple[Face, ...]]:
         """Split the surface at sharp edges, and smooth parts that are no cylinder at planes.
 
         Return the number of each facet's face, (f,), from 1 on, and the faces.
@@ -134,7 +133,7 @@ class Surface:
             numbers[parts[i]] = number
         return numbers, tuple(replace(faces[i], number=n) for n, i in enumerate(ranked, 1))
 
-    def _in_planes(self, smooth: Array, flat: Array) -> Array:
+    def _in_planes(self, smooth: np.ndarray, flat: np.ndarray) -> np.ndarray:
         """Return which facets are in a plane of more than a strip, a mask of shape (f,).
 
         smooth, flat: the smooth part and the flat part of each facet, (f,). A plane in a smooth
@@ -153,7 +152,7 @@ class Surface:
         np.maximum.at(high, index, flat[facets])
         return np.asarray(np.isin(flat, low[(low == high) & (times > 1)]))
 
-    def _face(self, members: Array) -> Face:
+    def _face(self, members: np.ndarray) -> Face:
         """Return the plane, cylinder or curved face of facets, by their indices (k,)."""
         points = self.mesh.points[np.unique(self.corners[members])]
         areas = self.areas[members]
@@ -168,7 +167,7 @@ class Surface:
             return replace(face, kind="Plane", normal=_three(np.round(mean, 12)))
         return self.cylinder(members, face) or face
 
-    def cylinder(self, members: Array, face: Face = _UNKNOWN) -> Face | None:
+    def cylinder(self, members: np.ndarray, face: Face = _UNKNOWN) -> Face | None:
         """Return `face` with the axis and radius of the cylinder through facets, or None.
 
         members: indices of the facets, (k,). A radius that `face` already has is kept.
@@ -191,7 +190,7 @@ class Surface:
         return replace(face, kind="Cylinder", radius=radius, axis=axis, point=_three(point))
 
 
-def _fitted_cylinder(points: Array) -> Array | None:
+def _fitted_cylinder(points: np.ndarray) -> np.ndarray | None:
     """Return b, c, d, e and the radius of the cylinder through points, or None.
 
     Its axis has the point (0, b, c) and the direction (1, d, e). points: shape (k, 3), of the size
@@ -200,7 +199,7 @@ def _fitted_cylinder(points: Array) -> Array | None:
     # Imported here, as it takes 50 ms of a solve's start.
     from scipy.optimize import least_squares
 
-    def misfit(values: Array, at: Array) -> Array:
+    def misfit(values: np.ndarray, at: np.ndarray) -> np.ndarray:
         """Return the distances of points (k, 3) from a cylinder, (k,)."""
         arms = np.cross(at - [0, *values[:2]], unit(np.array([[1, *values[2:4]]])))
         return np.linalg.norm(arms, axis=1) - values[4]
@@ -218,23 +217,23 @@ def _fitted_cylinder(points: Array) -> Array | None:
     return fit
 
 
-def unit(vectors: Array) -> Array:
+def unit(vectors: np.ndarray) -> np.ndarray:
     """Return vectors (k, 3) at length one; zero stays zero."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), _TINY)
 
 
-def connected(first: Array, second: Array, count: int) -> Array:
+def connected(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
     """Return the part of each of `count` items, (count,), of which pairs, (p,) each, are joined."""
     graph = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
     return connected_components(graph, directed=False)[1]
 
 
-def members_of(labels: Array) -> list[Array]:
+def members_of(labels: np.ndarray) -> list[np.ndarray]:
     """Return the indices of the items of each label, ascending, by ascending labels, (n,)."""
     order = np.argsort(labels, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
 
 
-def _three(values: Array) -> Point:
+def _three(values: np.ndarray) -> Point:
     """Return three numbers as plain floats; + 0.0 makes -0.0 a plain 0."""
     return float(values[0]) + 0.0, float(values[1]) + 0.0, float(values[2]) + 0.0

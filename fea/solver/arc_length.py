@@ -17,8 +17,6 @@ from wrenchbook.fea.assembly.linearisation import Linearisation
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.solver.newton import Equilibrium, Report, Stuck, correct, tangent_after
 
-Array = np.ndarray
-
 _MAX_STEPS = 80  # steps of a path before its kind is "lost"
 _MAX_ITERATIONS = 10  # iterations of a step before it is halved
 _FEW_ITERATIONS = 5  # iterations up to which the next step grows
@@ -50,7 +48,7 @@ class _Point(NamedTuple):
     size: float  # size of its load, in the unit of `ArcPath`'s `full`
     equilibrium: Equilibrium
     # Motion per unit of the load's size: free nodes, (n, 3), m, and border, (border,)
-    rate: tuple[Array, Array]
+    rate: tuple[np.ndarray, np.ndarray]
     speed: float  # Euclidean norm of all nodes' motion in it, m
 
 
@@ -67,7 +65,7 @@ class ArcPath:
     def __init__(
         self,
         system: System,
-        direction: Array,
+        direction: np.ndarray,
         full: float,
         factor: float,
         start: Equilibrium,
@@ -149,7 +147,7 @@ class ArcPath:
         return self._point_at(*equilibrium)
 
     def _correct(
-        self, nodes: Array, border: Array, size: float, normal: Array
+        self, nodes: np.ndarray, border: np.ndarray, size: float, normal: np.ndarray
     ) -> tuple[float, Equilibrium] | None:
         """Bring a predicted state into balance within the plane normal to the predictor."""
         system, balance = self._system, self._point.equilibrium.balance
@@ -180,7 +178,7 @@ class ArcPath:
             size += shift
         return None
 
-    def _rate(self, tangent: Linearisation) -> tuple[Array, Array]:
+    def _rate(self, tangent: Linearisation) -> tuple[np.ndarray, np.ndarray]:
         """Return the motion of free nodes and border per unit of the load's size."""
         nodal, edge = (columns @ self._direction[:, None] for columns in tangent.load_columns)
         nodes, border = tangent.solve(nodal, edge)
@@ -191,10 +189,10 @@ class ArcPath:
         field = rate[0] + equilibrium.tangent.border.constraint @ rate[1]
         return _Point(size, equilibrium, rate, float(np.linalg.norm(field)))
 
-    def _field(self, point: _Point) -> Array:
+    def _field(self, point: _Point) -> np.ndarray:
         """Return all nodes' motion per unit of the load's size at a point, shape (n, 3), m."""
         return point.rate[0] + point.equilibrium.tangent.border.constraint @ point.rate[1]
 
-    def _between(self, ahead: _Point) -> Array:
+    def _between(self, ahead: _Point) -> np.ndarray:
         """Return the nodes' motion from the last accepted point to another, shape (n, 3), m."""
         return ahead.equilibrium.balance.state.nodes - self._point.equilibrium.balance.state.nodes

@@ -17,8 +17,6 @@ from wrenchbook.fea.assembly.body import ElasticBody, gather
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.solver.vibration import Inertia
 
-Array = np.ndarray
-
 # Number of modes of a subspace iteration, of both signs. The two extreme ones converge at the ratio
 # of the ninth eigenvalue to theirs.
 _MODES = 8
@@ -30,7 +28,7 @@ _BUCKLING_SEED = 20170726  # seed of the start vectors: the same bundle gives th
 
 
 def buckling_factors(
-    system: System, fields: Array, temperature: float = 0.0
+    system: System, fields: np.ndarray, temperature: float = 0.0
 ) -> tuple[float, float]:
     """Return the multiples of a load, and of its opposite, at which the part buckles.
 
@@ -67,7 +65,7 @@ def buckling_factors(
     return _factor(values.max()), _factor(-values.min())
 
 
-def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
+def geometric_stiffness(body: ElasticBody, fields: np.ndarray) -> csr_array:
     """Return G for the stresses of a small displacement field (n, 3), m; shape (n, n), N/m."""
     rows, columns, entries = [], [], []
     for part, nodes in zip(body.parts, body.cells, strict=True):

@@ -21,8 +21,6 @@ from wrenchbook.fea.solver.newton import (
 )
 from wrenchbook.fea.tensors import rotation, rotation_vector
 
-Array = np.ndarray
-
 _LESS_WEIGHT = (
     "Correct gravity under [analysis] (m/s^2), or support the part so that it carries its weight."
 )
@@ -71,7 +69,7 @@ class LoadPath:
     def __init__(
         self,
         system: System,
-        wrench: Array,
+        wrench: np.ndarray,
         progress: Progress | None = None,
         unloaded: Equilibrium | None = None,
         load: str = "this wrench",
@@ -118,7 +116,7 @@ class LoadPath:
         # Outside of the block above, where the last attempt would keep its factor in memory.
         return self._follow_length(check, failure)
 
-    def last_state(self) -> tuple[float, Array]:
+    def last_state(self) -> tuple[float, np.ndarray]:
         """Return the load factor of the last converged state, and its nodes, shape (n, 3), m."""
         return self._factor, self._balance.state.nodes
 
@@ -250,7 +248,7 @@ class LoadPath:
     def _advance(self, equilibrium: Equilibrium) -> float:
         """Work of the inputs `_direction` in a step, J; see `Linearisation.conjugate_rate`."""
         ends = (self._balance.state.interface, equilibrium.balance.state.interface)
-        advance: list[Array] = []
+        advance: list[np.ndarray] = []
         for before, after in zip(*(each_interface(end) for end in ends), strict=True):
             spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
             advance += [(after - before)[:3], spin]

@@ -17,8 +17,6 @@ from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.tensors import skew
 
-Array = np.ndarray
-
 # Part of the largest moment of inertia: a rod's least is 0 but for roundoff.
 _MOMENT_ROUNDOFF = 1e-9
 # Part of the largest moment of inertia: a plate's is the sum of the others but for typed digits.
@@ -35,9 +33,9 @@ class Riding:
     """
 
     mass: float  # kg, zero or more
-    inertia: Array  # shape (3, 3), kg·m^2: about its centre of mass, in the interface frame
+    inertia: np.ndarray  # shape (3, 3), kg·m^2: about its centre of mass, in the interface frame
     # Shape (3,), m: its centre of mass from the interface point, in the interface frame
-    centre: Array
+    centre: np.ndarray
 
     def __post_init__(self) -> None:
         for name in ("mass", "inertia", "centre"):
@@ -62,7 +60,7 @@ class Riding:
 
     @classmethod
     def of(
-        cls, mass: float = 0.0, inertia: Array | None = None, centre: Array | None = None
+        cls, mass: float = 0.0, inertia: np.ndarray | None = None, centre: np.ndarray | None = None
     ) -> Riding:
         """Return a rigid mass with three principal moments or six (xx, yy, zz, xy, xz, yz), kg·m^2.
 
@@ -85,7 +83,7 @@ class Riding:
         return cls(float(mass), tensor, position)
 
     @property
-    def matrix(self) -> Array:
+    def matrix(self) -> np.ndarray:
         """The mass matrix about the interface point, shape (6, 6): kg, kg·m and kg·m^2."""
         arm = skew(self.centre)
         matrix = np.zeros((PER_INTERFACE, PER_INTERFACE))
@@ -102,10 +100,10 @@ class Vibration:
 
     mass: float  # mass of the component itself, kg
     frequency: float  # Hz
-    interface: Array  # shape (6 i,): motion of the i interfaces, m and rad, of length one
+    interface: np.ndarray  # shape (6 i,): motion of the i interfaces, m and rad, of length one
     # Shape (6 i, 6 i): the component's mass as the interfaces' motion accelerates it, kg, kg·m and
     # kg·m^2; zero at locked freedoms.
-    condensed: Array
+    condensed: np.ndarray
 
 
 def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibration:
@@ -152,8 +150,8 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
 
 
 def lowest_modes(
-    inertia: Inertia, inverse: Callable[[Array], Array], start: Array, count: int
-) -> tuple[Array, Array]:
+    inertia: Inertia, inverse: Callable[[np.ndarray], np.ndarray], start: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return squares of frequencies (count,), (rad/s)^2, and modes (size, count), in any order.
 
     inverse: the inverse of the stiffness, loads (size,) to motions.
@@ -175,7 +173,7 @@ def lowest_modes(
     return squares, modes
 
 
-def _lowest_mode_of_massless(inertia: Inertia) -> Array:
+def _lowest_mode_of_massless(inertia: Inertia) -> np.ndarray:
     """Return the mode of a component without mass that carries a mass M, shape (size,).
 
     With the compliance C = L L^T of the interface, 1 / omega^2 is an eigenvalue of L^T M L.
@@ -204,7 +202,7 @@ def _lowest_mode_of_massless(inertia: Inertia) -> Array:
     return np.linalg.solve(compliance, lower @ vectors[:, -1]) @ moved.T
 
 
-def condensed_mass(inertia: Inertia) -> Array:
+def condensed_mass(inertia: Inertia) -> np.ndarray:
     """Return the mass condensed to the interfaces' motion, shape (6 i, 6 i), kg to kg·m^2.
 
     Guyan (1965): the kinetic energy of the motions under static loads at the interfaces.
@@ -220,7 +218,7 @@ def condensed_mass(inertia: Inertia) -> Array:
     return matrix
 
 
-def static_shapes(inertia: Inertia) -> tuple[Array, Array]:
+def static_shapes(inertia: Inertia) -> tuple[np.ndarray, np.ndarray]:
     """Return the unknowns by unit motions of each active interface freedom, shape (size, k).
 
     The second result is the compliance of these freedoms, shape (k, k), m/N and so on.
@@ -242,7 +240,7 @@ class Inertia:
     unknowns.
     """
 
-    def __init__(self, system: System, mass: csr_array, interface_mass: Array) -> None:
+    def __init__(self, system: System, mass: csr_array, interface_mass: np.ndarray) -> None:
         self._mass = mass
         self.interface_mass = interface_mass
         self._start = system.undeformed
@@ -256,7 +254,7 @@ class Inertia:
         self.first = 3 * self._free.size
         self.size = self.first + self._motions
 
-    def fields(self, x: Array) -> tuple[Array, Array]:
+    def fields(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return all nodes' motion (n, 3), m, and the interfaces' (6 i,), m and rad."""
         border = x[self.first :]
         nodes = self._constraint @ border
@@ -267,11 +265,11 @@ class Inertia:
         interface[self.active] = border[: self.active.size]
         return nodes, interface
 
-    def border(self, x: Array) -> Array:
+    def border(self, x: np.ndarray) -> np.ndarray:
         """Return the motion of the whole border, shape (border, 1); its multipliers are zero."""
         return np.append(x[self.first :], np.zeros(self._multipliers))[:, None]
 
-    def times(self, x: Array) -> Array:
+    def times(self, x: np.ndarray) -> np.ndarray:
         """Multiply by the mass matrix: shape (size,) to (size,), kg times the unit given."""
         nodes, interface = self.fields(np.asarray(x).reshape(-1))
         forces = np.asarray(self._mass @ nodes)
@@ -279,7 +277,7 @@ class Inertia:
         border[: self.active.size] += (self.interface_mass @ interface)[self.active]
         return np.concatenate([self._movable.released(forces)[self._free].ravel(), border])
 
-    def solved(self, loads: Array) -> Array:
+    def solved(self, loads: np.ndarray) -> np.ndarray:
         """Return K^-1 times loads, shape (size,) or (k, size): N and N·m to m and rad."""
         columns = np.asarray(loads).reshape(-1, self.size).T
         nodal = np.zeros((self._nodes, 3, columns.shape[1]))
@@ -293,15 +291,15 @@ class Inertia:
 class Applied(LinearOperator):
     """A linear map in SciPy's form."""
 
-    def __init__(self, size: int, apply: Callable[[Array], Array]) -> None:
+    def __init__(self, size: int, apply: Callable[[np.ndarray], np.ndarray]) -> None:
         super().__init__(np.dtype(float), (size, size))
         self._apply = apply
 
-    def _matvec(self, x: Array) -> Array:
+    def _matvec(self, x: np.ndarray) -> np.ndarray:
         return self._apply(x)
 
 
-def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
+def consistent_mass(mesh: Mesh, density: Sequence[np.ndarray]) -> csr_array:
     """Integrate density N_a N_b over all cells.
 
     It is the same for each of the three components of a displacement, so it stands once.

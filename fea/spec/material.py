@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator
 
 from wrenchbook.fea.spec.keys import (
-    Array,
     Axes,
     MistakesError,
     Number,
@@ -194,7 +193,7 @@ class Orthotropic(Solid):
         """The `isotropic_ratio`, which identifies cells that would lock."""
         return self.isotropic_ratio
 
-    def directions(self, points: Array) -> Array:
+    def directions(self, points: np.ndarray) -> np.ndarray:
         """Return the directions 1, 2 and 3 at points (..., 3), m: shape (..., 3, 3), in rows.
 
         Points and directions are in the mesh's axes. On the axis any radial direction is right.
@@ -212,7 +211,7 @@ class Orthotropic(Solid):
         return np.stack([radial, around, np.broadcast_to(axial, radial.shape)], axis=-2)
 
     @property
-    def elasticity(self) -> Array:
+    def elasticity(self) -> np.ndarray:
         """Stresses (11, 22, 33, 12, 13, 23) by strains, the shears 2 E_ij: shape (6, 6), Pa."""
         matrix = np.diag([0.0, 0.0, 0.0, *self.shear_moduli])
         matrix[:3, :3] = np.linalg.inv(self._compliance)
@@ -239,7 +238,7 @@ class Orthotropic(Solid):
         return float((3 * bulk - 2 * shear) / (6 * bulk + 2 * shear))
 
     @property
-    def _compliance(self) -> Array:
+    def _compliance(self) -> np.ndarray:
         """Strains (11, 22, 33) by stresses (11, 22, 33): shape (3, 3), 1/Pa."""
         e1, e2, e3 = self.youngs_moduli
         nu12, nu13, nu23 = self.poisson_ratios

@@ -13,7 +13,6 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.json_schema import SkipJsonSchema
 
 from wrenchbook.fea.spec.keys import (
-    Array,
     Axes,
     BundleFile,
     Flag,
@@ -163,7 +162,7 @@ class Sliding:
     """x, y, z of the directions, in the mesh's axes"""
 
     @property
-    def directions(self) -> Array:
+    def directions(self) -> np.ndarray:
         """Unit vectors in the mesh's axes, shape (d, 3)."""
         return self.axes[["xyz".index(name) for name in sorted(self.along)]]
 
@@ -171,7 +170,7 @@ class Sliding:
 _ROUNDING = 1e-9  # part of a stiffness' diagonal: decks write nine digits and more
 
 
-def _stiffness(numbers: tuple[Any, ...]) -> Array:
+def _stiffness(numbers: tuple[Any, ...]) -> np.ndarray:
     """Return six stiffnesses, or 6 x 6, as a matrix whose energy is never negative."""
     matrix = np.array(numbers) if isinstance(numbers[0], tuple) else np.diag(numbers)
     diagonal = np.diagonal(matrix)
@@ -199,7 +198,7 @@ def _stiffness(numbers: tuple[Any, ...]) -> Array:
 
 
 _Rows = Annotated[tuple[Six, ...], counted(6)]
-Stiffness = Annotated[Array, array_of(Annotated[Any, either(Six, _Rows, 2)], _stiffness)]
+Stiffness = Annotated[np.ndarray, array_of(Annotated[Any, either(Six, _Rows, 2)], _stiffness)]
 
 
 @array_table
@@ -398,8 +397,8 @@ class MeasuredInterface(Interface):
     section: SkipJsonSchema[str] = field(default="", init=False)
     coupling: SkipJsonSchema[Any] = field(default="", init=False)
     weights: SkipJsonSchema[Any] = field(default="area", init=False)
-    point: SkipJsonSchema[Array | None] = field(default=None, init=False)
-    axes: SkipJsonSchema[Array] = field(default_factory=mesh_axes, init=False)
+    point: SkipJsonSchema[np.ndarray | None] = field(default=None, init=False)
+    axes: SkipJsonSchema[np.ndarray] = field(default_factory=mesh_axes, init=False)
     locked: SkipJsonSchema[Any] = field(default=(), init=False)
     name: Name = key("", '"left"')
     """its name"""
@@ -461,10 +460,10 @@ class DeclaredRange:
     """The loads expected."""
 
     # low, high: each of shape (6 i,), N and N·m, of i interfaces; zero for a held interface
-    low: Array
-    high: Array
+    low: np.ndarray
+    high: np.ndarray
 
-    def corners(self) -> Array:
+    def corners(self) -> np.ndarray:
         """Return the corners of the range, shape (k, 6 i), N and N·m.
 
         Raises ValueError if more than `MAX_INPUTS` inputs vary.

@@ -25,8 +25,6 @@ from wrenchbook.fea.mesh.groups import near_message
 from wrenchbook.fea.spec.mesh_source import BodySelector, GeometryMeshing
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 
-Array = np.ndarray
-
 _LIBRARIES = "libgl1 libglu1-mesa libxrender1 libxcursor1 libxft2 libxinerama1 libgomp1"
 
 _SETTINGS = {
@@ -83,7 +81,7 @@ def main() -> None:
 
 def _meshed(
     gmsh: Any, geometry: GeometryMeshing, optimise: bool
-) -> tuple[dict[str, Any], dict[str, Array]]:
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Mesh the geometry; each body's cells, then each face's facets, are one block."""
     problems: list[BundleProblem] = []
     size = geometry.size
@@ -118,7 +116,7 @@ def _meshed(
     return fields, {"points": points.reshape(-1, 3)} | content
 
 
-def _cells(gmsh: Any, kind: int, entity: int, row: Array) -> Array:
+def _cells(gmsh: Any, kind: int, entity: int, row: np.ndarray) -> np.ndarray:
     _, nodes = gmsh.model.mesh.getElementsByType(kind, entity)
     return row[nodes.astype(np.int64)].reshape(-1, 10 if kind == _TET10 else 6)
 

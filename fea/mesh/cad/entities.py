@@ -9,8 +9,6 @@ import numpy as np
 
 from wrenchbook.fea.mesh.facets import Face
 
-Array = np.ndarray
-
 METRES = 1e-3
 """gmsh works in mm here: its geometry kernel's tolerances are absolute and made for mm."""
 
@@ -91,7 +89,7 @@ def _outward(gmsh: Any, number: int) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _point_on(gmsh: Any, number: int) -> Array:
+def _point_on(gmsh: Any, number: int) -> np.ndarray:
     """Return a point within the edges of a face (its centre may lie in a hole), mm."""
     low, high = gmsh.model.getParametrizationBounds(2, number)
     for fraction in _FRACTIONS:

@@ -26,8 +26,6 @@ from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.spec.mesh_source import GeometryMeshing
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 
-Array = np.ndarray
-
 _ATTEMPTS: Final = ((True, 1.0), (False, 1.0), (True, 0.97), (True, 1.03))
 """Attempts: whether curved cells are optimised, and a factor on the cell size.
 
@@ -82,7 +80,7 @@ def surface_of_geometry(path: Path, geometry: GeometryMeshing) -> Surface:
     raise BundleError([BundleProblem("mesh.size", message)])
 
 
-def _surface(fields: dict[str, Any], arrays: dict[str, Array]) -> Surface:
+def _surface(fields: dict[str, Any], arrays: dict[str, np.ndarray]) -> Surface:
     """Return the mesh, and the number of each facet's face, from the answer of `child`."""
     points = arrays.pop("points")
     nodes = [arrays[str(i)] for i in range(len(arrays))]
@@ -104,7 +102,7 @@ def _surface(fields: dict[str, Any], arrays: dict[str, Array]) -> Surface:
     return Surface(replace(mesh, facet_groups={}), group, numbers, tuple(faces))
 
 
-def _order(facets: Array) -> Array:
+def _order(facets: np.ndarray) -> np.ndarray:
     """Return the order of facets (f, k) by their corners, in any rotation, (f,)."""
     return np.lexsort(np.sort(facets[:, :3], axis=1).T)
 
@@ -120,7 +118,7 @@ def list_shape(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
 
 def _in_child(
     path: Path, geometry: GeometryMeshing | None, optimise: bool = True
-) -> tuple[dict[str, Any], dict[str, Array]]:
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the answer of `child`: fields of JSON, and arrays.
 
     The child inherits the limits of this process, and ends with it.

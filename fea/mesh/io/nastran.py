@@ -22,8 +22,6 @@ from wrenchbook.fea.mesh.io.translated import Case, Translated
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError
 
-Array = np.ndarray
-
 _SOLIDS = {
     "CHEXA": {8: "C3D8", 20: "C3D20R"},
     "CPENTA": {6: "C3D6", 15: "C3D15"},
@@ -52,8 +50,8 @@ class _System(NamedTuple):
     """A coordinate system, in basic axes."""
 
     kind: str  # R, C or S
-    axes: Array  # (3, 3): unit vectors in rows
-    origin: Array  # (3,)
+    axes: np.ndarray  # (3, 3): unit vectors in rows
+    origin: np.ndarray  # (3,)
 
 
 class _Entry(NamedTuple):
@@ -131,14 +129,14 @@ class _Bulk(Translated):
             self.cards[number] = name, fields
         return _System(name[5], np.array([x, y, z]), points[0])
 
-    def in_basic_axes(self, number: str, point: Array) -> Array:
+    def in_basic_axes(self, number: str, point: np.ndarray) -> np.ndarray:
         """Return a point of a coordinate system, its angles in degrees, in basic axes: (3,)."""
         if number in _BASIC:
             return point
         kind, axes, origin = self.system(number)
         return origin + cartesian(kind, point) @ axes
 
-    def point(self, fields: list[str]) -> Array:
+    def point(self, fields: list[str]) -> np.ndarray:
         """Return the position of the node of a GRID, in basic axes, shape (3,)."""
         return self.in_basic_axes(fields[1], np.array([real(text) for text in fields[2:5]]))
 
@@ -165,7 +163,7 @@ class _Bulk(Translated):
             raise MeshFileError(f"needs {kind} {key}, which no card defines")
         return [real(text) for text in self.springs[kind + key][1]]
 
-    def oriented(self, name: str, axes: Array, kind: str = "R") -> str:
+    def oriented(self, name: str, axes: np.ndarray, kind: str = "R") -> str:
         """Add an orientation unless it is the basic one; return the option that names it."""
         if kind == "R" and np.array_equal(axes, np.eye(3)):
             return ""
@@ -173,7 +171,7 @@ class _Bulk(Translated):
         self.couplings += [f"*ORIENTATION, NAME=AXES_{name}{system}", _axes_text(axes)]
         return f", ORIENTATION=AXES_{name}"
 
-    def axes_at(self, number: str, node: str) -> Array:
+    def axes_at(self, number: str, node: str) -> np.ndarray:
         """Return the axes of a coordinate system at a node in rows, shape (3, 3)."""
         kind, axes, origin = self.system(number)
         if kind == "R":
@@ -254,7 +252,7 @@ def _entries(data: _Bulk, kind: str, number: str, used: set[tuple[str, str]]) ->
             yield _Entry(node, freedom, factor * value)
 
 
-def _along_axes(loads: Iterator[_Entry], turned: dict[str, Array]) -> Iterator[str]:
+def _along_axes(loads: Iterator[_Entry], turned: dict[str, np.ndarray]) -> Iterator[str]:
     """Yield rows of *CLOAD along the axes of each node for loads along the basic axes."""
     for node, freedom, value in loads:
         first = 1 if freedom in "123" else 4
@@ -264,14 +262,14 @@ def _along_axes(loads: Iterator[_Entry], turned: dict[str, Array]) -> Iterator[s
                 yield f"{node}, {first + i}, {cosine * value:.9g}"
 
 
-def _turn(data: _Bulk) -> dict[str, Array]:
+def _turn(data: _Bulk) -> dict[str, np.ndarray]:
     """Give nodes that are held in a system of their own (CD) its axes there; return them."""
     held = defaultdict[str, set[str]](set)  # freedoms of each node
     for (kind, _), entries in data.sets.items():
         if kind != "LOAD":
             for entry in entries:
                 held[entry.node].add(entry.freedom)
-    turned: dict[str, Array] = {}
+    turned: dict[str, np.ndarray] = {}
     for node, freedoms in held.items():
         number = data.grids[node][_CD] if node in data.grids else ""
         if number not in (*_BASIC, "-1"):
@@ -284,7 +282,7 @@ def _turn(data: _Bulk) -> dict[str, Array]:
     return turned
 
 
-def _axes_text(axes: Array) -> str:
+def _axes_text(axes: np.ndarray) -> str:
     """Return the first two rows of axes as a row of a deck."""
     return ", ".join(f"{component:.15g}" for component in axes[:2].ravel().tolist())
 
@@ -514,7 +512,7 @@ def _spring_ends(fields: list[str], is_bush: bool) -> list[_End]:
     return [_End(node, whole(freedom or "0")) for node, freedom in ends if node.strip("0")]
 
 
-def _end_axes(data: _Bulk, nodes: list[str]) -> Array:
+def _end_axes(data: _Bulk, nodes: list[str]) -> np.ndarray:
     """Return the common axes of the nodes of a spring in rows, shape (3, 3)."""
     axes = [data.axes_at(data.grid(node)[_CD], node) for node in nodes]
     if not all(np.allclose(axes[0], at_end) for at_end in axes[1:]):
@@ -522,7 +520,7 @@ def _end_axes(data: _Bulk, nodes: list[str]) -> Array:
     return axes[0]
 
 
-def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[float]) -> Array:
+def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[float]) -> np.ndarray:
     """Return the axes that a CBUSH defines in rows, shape (3, 3)."""
     first, last = data.grid(nodes[0]), data.grid(nodes[-1])
     system, offset = fields[7], fields[9]

@@ -20,9 +20,7 @@ from wrenchbook.fea.mesh.mesh import (
 )
 from wrenchbook.fea.spec.problems import MeshFileError, point_text
 
-Array = np.ndarray
-
-Block = tuple[str, Array]
+Block = tuple[str, np.ndarray]
 
 NODES_PER_LINE = {"point1": 1, "line2": 2, "line3": 3}
 """Kinds of cells that only give node groups: a group on an edge or a point of the part."""
@@ -34,20 +32,20 @@ _LARGEST = 1e50  # largest coordinate: volumes of larger cells overflow
 class RawMesh:
     """All contents of a mesh file, in the file's length unit."""
 
-    points: Array  # shape (n, 3); some may belong to no cell
+    points: np.ndarray  # shape (n, 3); some may belong to no cell
     # (kind, nodes) of cells, facets and lines, in the order of the file; nodes of shape (m, k),
     # int64.
     blocks: list[Block]
     # For each name, one array of element indices per block, shape (m,), int64
-    element_sets: Mapping[str, list[Array]] = field(default_factory=dict)
+    element_sets: Mapping[str, list[np.ndarray]] = field(default_factory=dict)
     # For each name, the nodes' indices, shape (k,), int64
-    node_sets: Mapping[str, Array] = field(default_factory=dict)
+    node_sets: Mapping[str, np.ndarray] = field(default_factory=dict)
     # Facet groups that the file defines as faces of cells
     facet_sets: Mapping[str, list[Block]] = field(default_factory=dict)
     # Dependent nodes of cells, their masters, and weights
     follow: list[tuple[int, int, float]] = field(default_factory=list)
     # Weights of nodes by the name of their set, in the form of `fea.mesh.mesh.Mesh`
-    node_weights: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    node_weights: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 def to_mesh(raw: RawMesh, metres: float) -> Mesh:
@@ -113,7 +111,7 @@ def _require_points(raw: RawMesh) -> None:
             )
 
 
-def _require_finite(points: Array) -> None:
+def _require_finite(points: np.ndarray) -> None:
     """Refuse coordinates, (n, 3), that are no numbers or too large."""
     is_huge = ~(np.abs(points) < _LARGEST).all(axis=1)
     if is_huge.any():
@@ -124,14 +122,14 @@ def _require_finite(points: Array) -> None:
         )
 
 
-def _regions(raw: RawMesh, new_rows: Mapping[str, Array]) -> dict[str, tuple[Array, ...]]:
+def _regions(raw: RawMesh, new_rows: Mapping[str, np.ndarray]) -> dict[str, tuple[np.ndarray, ...]]:
     """Return each element set as indices of cells within the joined block of their kind.
 
     new_rows: for each kind the index in the joined block of each of its cells, in the file's order.
     """
     regions = {}
     for name, numbers in raw.element_sets.items():
-        chosen: dict[str, list[Array]] = {kind: [] for kind in new_rows}
+        chosen: dict[str, list[np.ndarray]] = {kind: [] for kind in new_rows}
         n_before = dict.fromkeys(new_rows, 0)  # cells of the kind in earlier blocks
         for (kind, nodes), rows in zip(raw.blocks, numbers, strict=True):
             if kind in new_rows:
@@ -143,7 +141,7 @@ def _regions(raw: RawMesh, new_rows: Mapping[str, Array]) -> dict[str, tuple[Arr
     return regions
 
 
-def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
+def _dependents(raw: RawMesh, number: np.ndarray, points: np.ndarray) -> Dependents:
     """Return the equations of dependent nodes.
 
     number: the node of the mesh for each node of `raw`, -1 if it is in no cell.
@@ -160,7 +158,7 @@ def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
         raise MeshFileError(message) from None
 
 
-def _without_twins(nodes: Array) -> tuple[Array, Array]:
+def _without_twins(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows to keep of cells that may occur twice, and each row's index among these.
 
     gmsh's 2.2 format writes a cell once for each group it is in; kept twice, it would be twice as
@@ -174,7 +172,7 @@ def _without_twins(nodes: Array) -> tuple[Array, Array]:
 
 
 def _facet_groups(
-    raw: RawMesh, number: Array, blocks: tuple[CellBlock, ...]
+    raw: RawMesh, number: np.ndarray, blocks: tuple[CellBlock, ...]
 ) -> dict[str, FacetGroup]:
     """Return the groups of surface elements (gmsh, VTK) and of faces of cells (Abaqus)."""
     chosen = {name: list(parts) for name, parts in raw.facet_sets.items()}
@@ -193,7 +191,7 @@ def _facet_groups(
                 f'has a group "{name}" with {lost} facets that are not faces of a solid cell; '
                 "mesh the surface and the solid together, or leave the group out"
             )
-        by_kind: dict[str, list[Array]] = {}
+        by_kind: dict[str, list[np.ndarray]] = {}
         for kind, nodes in (face for faces, _ in results for face in faces):
             by_kind.setdefault(kind, []).append(nodes)
         if by_kind:
@@ -202,7 +200,7 @@ def _facet_groups(
     return groups
 
 
-def _node_groups(raw: RawMesh, number: Array) -> dict[str, Array]:
+def _node_groups(raw: RawMesh, number: np.ndarray) -> dict[str, np.ndarray]:
     """Return the used nodes of each set; an element set has the nodes of its line elements.
 
     number: the node of the mesh for each node of `raw`, -1 if it is in no cell.

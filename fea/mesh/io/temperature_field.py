@@ -14,8 +14,6 @@ from scipy.spatial import KDTree
 
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 
-Array = np.ndarray
-
 _COLUMNS = 4  # x, y, z, m, and the temperature
 # A name of the head, and its unit in brackets, such as "x [m]".
 _NAME = re.compile(r"\s*\"?\s*(?P<name>\w*)[^[(]*(?:[\[(]\s*(?P<unit>[^])]*?)\s*[\])])?")
@@ -24,7 +22,7 @@ _SAME = 1e-6  # part of the mesh's size: a node this near to a point of the file
 _KEY = "inputs.temperature.field"
 
 
-def shape_on(nodes: Array, field: Path, reference: float) -> Array:
+def shape_on(nodes: np.ndarray, field: Path, reference: float) -> np.ndarray:
     """Return the rise of the temperature at nodes as a part of the largest, shape (n,).
 
     A node at a point of the file has its rise, others that of linear interpolation between points,
@@ -70,7 +68,7 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
     return shape
 
 
-def _interpolated(points: Array, values: Array, nodes: Array) -> Array:
+def _interpolated(points: np.ndarray, values: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """Interpolate linearly in the space, plane or line of points, to nodes (n, 3); NaN outside."""
     centre = points.mean(axis=0)
     _, sizes, axes = np.linalg.svd(points - centre, full_matrices=False)
@@ -86,7 +84,7 @@ def _interpolated(points: Array, values: Array, nodes: Array) -> Array:
     return np.asarray(LinearNDInterpolator(here, values)(there))
 
 
-def _table(field: Path) -> Array:
+def _table(field: Path) -> np.ndarray:
     """Return x, y, z and temperature of each point, (p, 4); raise BundleError for a wrong file."""
     with field.open(encoding=_ENCODING, errors="replace") as file:
         head = file.readline().strip()
