@@ -411,7 +411,7 @@ class Solver:
             displacement=displacement,
             compliance=linear.compliance,
             strain_energy=float(energy),
-            work=float(work),
+            work=0.5 * float(work),  # every load grows from zero to its full size
             unknowns=self.unknowns,
             seconds=0.0,
             history=(),

@@ -25,7 +25,7 @@ _MOMENT_GAP = 1e-5
 _MAX_RUNS = 12  # runs of a nonlinear deck; a rotation of 20 degrees takes half of them
 # Largest relative differences of sums of displacements, and of the works of two loads on each
 # other's displacements (square roots of the works' product): CalculiX prints seven digits.
-_LINEAR_GAP = 1e-5
+LINEAR_GAP = 1e-5
 _RECIPROCAL_GAP = 1e-4
 _ZERO_WORK = 1e-9  # relative to the largest work; smaller ones are roundoff
 _TINY = 1e-300  # replaces a displacement of 0 in a divisor
@@ -73,14 +73,14 @@ def solve_deck(
             sizes = np.maximum(np.abs(bundle.range.low), np.abs(bundle.range.high))
             displacement, compliance = _linear(runs, loads, sizes)
             _require_reciprocity(compliance, sizes)
-            work = float(loads @ displacement)
+            work = 0.5 * float(loads @ displacement)
     accept(displacement)
     report(1.0, "done")
     return Solution(
         wrench=loads,
         displacement=displacement,
         compliance=compliance,
-        strain_energy=0.5 * work,
+        strain_energy=work,
         work=work,
         unknowns=runs.unknowns,
         seconds=time.perf_counter() - started,
@@ -133,12 +133,12 @@ def _linear(runs: _Runs, wrench: np.ndarray, sizes: np.ndarray) -> tuple[np.ndar
     # are roundoff.
     largest = (np.abs(compliance) @ np.abs(wrench)).reshape(2, 3).max(axis=1)
     gaps = np.abs(compliance @ wrench - displacement).reshape(2, 3).max(axis=1)
-    if (gaps > _LINEAR_GAP * largest).any():
+    if (gaps > LINEAR_GAP * largest).any():
         gap = float((gaps / np.maximum(largest, _TINY)).max())
         raise SolveFailed(
             "not_linear",
             f"The deck's answer to this wrench differs by {gap:.1e} of its size from the sum of "
-            f"its answers to single loads; at most {_LINEAR_GAP:g} is roundoff.",
+            f"its answers to single loads; at most {LINEAR_GAP:g} is roundoff.",
             "Set nonlinear = true in [analysis], or remove what is nonlinear from the "
             "deck: NLGEOM, contact, plasticity, loads other than the wrench.",
         )
