@@ -22,7 +22,7 @@ from wrenchbook.fea.mesh.refine import halved, refined
 from wrenchbook.fea.mesh.sources import read_grouped
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
-from wrenchbook.fea.spec.schema import Bundle
+from wrenchbook.fea.spec.schema import FREEDOMS, LOADS, Bundle
 
 _COARSER = (0.5, 2 / 3)
 """Ratios of cell sizes of the second mesh to the first, along each direction.
@@ -87,8 +87,6 @@ FILE = "convergence.json"
 
 MAX_UNKNOWNS = 350_000
 """Unknowns of the finest mesh of a study without a request: about half a minute and 4 GB."""
-
-_RESPONSES = ("ux/Fx", "uy/Fy", "uz/Fz", "rx/Mx", "ry/My", "rz/Mz")
 
 _STEP = 1.5
 """Ratio of cell sizes if a generator or a geometry is meshed anew; a file's cells are halved."""
@@ -220,7 +218,8 @@ def write(bundle: Bundle, study: Study) -> Path:
 def names_of(bundle: Bundle) -> list[str]:
     """Return the names of freedoms' responses to the loads on them, such as tool.uz/Fz; (6 i,)."""
     prefixes = [f"{interface.name}." if bundle.others else "" for interface in bundle.interfaces]
-    return [f"{name}{response}" for name in prefixes for response in _RESPONSES]
+    pairs = list(zip(FREEDOMS, LOADS, strict=True))
+    return [f"{name}{freedom}/{load}" for name in prefixes for freedom, load in pairs]
 
 
 def _or_null(values: np.ndarray) -> list[float | None]:

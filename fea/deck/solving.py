@@ -13,7 +13,7 @@ import numpy as np
 from wrenchbook.fea.deck.running import not_reciprocal, run_deck
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solution import Progress, Solution, checked_wrench
-from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Deck
+from wrenchbook.fea.spec.schema import FREEDOMS, LOADS, Bundle, Deck
 from wrenchbook.fea.tensors import spin_per_vector
 
 FOLDER = "deck"
@@ -123,10 +123,10 @@ def _linear(runs: _Runs, wrench: np.ndarray, sizes: np.ndarray) -> tuple[np.ndar
     """
     displacement = runs.run("wrench", wrench, 0.0, 1.0 / 7.0)
     columns = []
-    for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
-        load = np.zeros(6)
-        load[i] = sizes[i]
-        columns.append(runs.run(name, load, (i + 1) / 7.0, (i + 2) / 7.0) / sizes[i])
+    for i, load in enumerate(LOADS):
+        single = sizes[i] * np.eye(6)[i]
+        run = runs.run(load.lower(), single, (i + 1) / 7.0, (i + 2) / 7.0)
+        columns.append(run / sizes[i])
     compliance = np.stack(columns, axis=1)
 
     # Each entry relative to the largest translation or rotation: entries that are zero by symmetry

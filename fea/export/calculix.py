@@ -24,10 +24,7 @@ from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.mesh.io.translated import rows_of
 from wrenchbook.fea.spec.material import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
-from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE
-
-PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
-"""Placeholders of the wrench, in the order of the wrench contract."""
+from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, PLACEHOLDERS, TEMPERATURE
 
 # Their nodes are in the same order as those of `fea.mesh.mesh`.
 _ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10", "wedge15": "C3D15"}

@@ -17,10 +17,18 @@ _FLAT = 1e-9
 _MAX_LISTED = 5  # cells in a message: more would hide its remedy
 
 
+def jacobians(nodes: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Return dx_i/dxi_j of the isoparametric maps of cells or facets, shape (m, q, d, r).
+
+    nodes: shape (m, k, d), m: positions of their nodes.
+    slopes: shape (q, k, r): dN_a/dxi_j at q points, of `tabulate` or a `ReferenceElement`.
+    """
+    return nodes.swapaxes(1, 2)[:, None] @ slopes
+
+
 def determinants(points: np.ndarray, block: CellBlock) -> np.ndarray:
     """Return det(dx/dxi) of each cell at each point of its full quadrature, shape (m, q), m^3."""
-    slopes = reference_element(block.kind).slopes
-    return determinant(np.einsum("mad,qai->mqdi", points[block.nodes], slopes, optimize=True))
+    return determinant(jacobians(points[block.nodes], reference_element(block.kind).slopes))
 
 
 def extreme_determinants(points: np.ndarray, block: CellBlock) -> tuple[np.ndarray, np.ndarray]:
@@ -33,7 +41,7 @@ def extreme_determinants(points: np.ndarray, block: CellBlock) -> tuple[np.ndarr
     Returns least, largest: each of shape (m,), m^3: the least, and the largest in size.
     """
     _, slopes = tabulate(block.kind, node_coordinates(block.kind))
-    at_nodes = determinant(np.einsum("mad,qai->mqdi", points[block.nodes], slopes, optimize=True))
+    at_nodes = determinant(jacobians(points[block.nodes], slopes))
     every = np.concatenate([determinants(points, block), at_nodes], axis=1)
     return every.min(axis=1), np.abs(every).max(axis=1)
 
@@ -104,7 +112,6 @@ def cell_gradients(points: np.ndarray, block: CellBlock, integration: str) -> Gr
     positive at each node and quadrature point.
     """
     element = reference_element(block.kind, integration)
-    jacobian = points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes  # dX_i/dxi_j
     bad = folded_cells(points, block)
     if bad.size:
         listed = ", ".join(str(cell) for cell in bad[:_MAX_LISTED])
@@ -113,6 +120,7 @@ def cell_gradients(points: np.ndarray, block: CellBlock, integration: str) -> Gr
             f"{bad.size} of {len(block)} {block.kind} cells are inverted or flat (cell numbers "
             f"{listed}{', ...' if bad.size > _MAX_LISTED else ''}).",
         )
+    jacobian = jacobians(points[block.nodes], element.slopes)
     weights = determinant(jacobian) * element.weights
     slopes = np.linalg.inv(jacobian).transpose(0, 1, 3, 2) @ element.slopes.transpose(0, 2, 1)
     return Gradients(np.ascontiguousarray(slopes), weights, element.values)
@@ -128,7 +136,7 @@ def area_weights(points: np.ndarray, group: FacetGroup) -> tuple[np.ndarray, np.
     weights = np.zeros(nodes.size)
     for kind, facets in group.blocks:
         element = reference_element(kind)
-        tangents = points[facets].transpose(0, 2, 1)[:, None] @ element.slopes
+        tangents = jacobians(points[facets], element.slopes)
         area = np.linalg.norm(np.cross(tangents[..., 0], tangents[..., 1]), axis=-1)
         part = (area * element.weights) @ element.values
         weights += np.bincount(

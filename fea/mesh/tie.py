@@ -20,6 +20,7 @@ from scipy.spatial import KDTree
 from wrenchbook.fea.mesh.dependents import CircularError, Dependents, Entries
 from wrenchbook.fea.mesh.facets import corners_of
 from wrenchbook.fea.mesh.groups import no_facets
+from wrenchbook.fea.mesh.mapping import jacobians
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.overlaps import overlaps
 from wrenchbook.fea.mesh.reference_cell import reference_element
@@ -387,8 +388,8 @@ def _mean_planes(points: np.ndarray, kind: str, nodes: np.ndarray) -> tuple[np.n
     arms = at[:, :count] - at[:, :count].mean(axis=1)[:, None]
     normal = np.cross(arms, np.roll(arms, -1, axis=1)).sum(axis=1)
     plane = np.linalg.qr(np.stack([normal, arms[:, 0], arms[:, 1]], axis=2)).Q[:, :, 1:]
-    areas = np.einsum("fki,qkj->fqij", at @ plane, element.slopes)
-    return plane, np.abs(np.linalg.det(areas)) * element.weights
+    areas = np.linalg.det(jacobians(at @ plane, element.slopes))
+    return plane, np.abs(areas) * element.weights
 
 
 def _followed(

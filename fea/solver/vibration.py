@@ -13,9 +13,10 @@ from wrenchbook.fea.assembly.linearisation import contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.mapping import jacobians
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
-from wrenchbook.fea.tensors import skew
+from wrenchbook.fea.tensors import determinant, skew
 
 # Part of the largest moment of inertia: a rod's least is 0 but for roundoff.
 _MOMENT_ROUNDOFF = 1e-9
@@ -313,16 +314,22 @@ def consistent_mass(mesh: Mesh, density: Sequence[np.ndarray]) -> csr_array:
     for block, densities in zip(mesh.blocks, density, strict=True):
         # The mass matrix of each cell, shape (cells, nodes, nodes), kg.
         element = reference_element(block.kind, "mass")
-        jacobian = mesh.points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes
-        weights = np.linalg.det(jacobian) * element.weights * densities[:, None]
+        volumes = determinant(jacobians(mesh.points[block.nodes], element.slopes))
+        weights = volumes * element.weights * densities[:, None]
         products = element.values[:, :, None] * element.values[:, None, :]
-        size = block.nodes.shape[1]
-        entries = (weights @ products.reshape(len(products), -1)).reshape(len(block), size, size)
-        rows = np.repeat(block.nodes, block.nodes.shape[1], axis=1)
-        columns = np.tile(block.nodes, (1, block.nodes.shape[1]))
-        indices = rows.ravel(), columns.ravel()
-        total = total + coo_array((entries.ravel(), indices), shape=(count, count)).tocsr()
+        entries = weights @ products.reshape(len(products), -1)
+        total = total + assembled(block.nodes, entries, count)
     if mesh.dependents is not None:
         follow = mesh.dependents.map
         total = follow.T @ total @ follow
     return csr_array(total)
+
+
+def assembled(nodes: np.ndarray, matrices: np.ndarray, size: int) -> csr_array:
+    """Return the sum of cells' matrices, (cells, s^2) in any shape, of nodes (cells, s).
+
+    Result: shape (size, size), in the unit of the matrices.
+    """
+    count = nodes.shape[1]
+    indices = np.repeat(nodes, count, axis=1).ravel(), np.tile(nodes, (1, count)).ravel()
+    return csr_array(coo_array((matrices.ravel(), indices), shape=(size, size)))

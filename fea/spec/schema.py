@@ -42,6 +42,10 @@ from wrenchbook.fea.spec.mesh_source import LengthUnit, MeshSource
 
 FREEDOMS = ("ux", "uy", "uz", "rx", "ry", "rz")
 """The interface's six degrees of freedom, in the order of the wrench contract."""
+LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+"""The six loads of a wrench, each works on the freedom at its place."""
+PLACEHOLDERS = tuple(f"${load.upper()}" for load in LOADS)
+"""The loads in the text of a ``[deck]``."""
 
 # Inputs that vary, the loads of three interfaces: 2^18 corners of 18 loads are 38 MB.
 MAX_INPUTS = 18
