@@ -71,6 +71,7 @@ def solve_deck(
             work = np.nan
         else:
             sizes = np.maximum(np.abs(bundle.range.low), np.abs(bundle.range.high))
+            sizes = np.where(sizes > 0, sizes, sizes.max())  # a range may be 0, a single load not
             displacement, compliance = _linear(runs, loads, sizes)
             _require_reciprocity(compliance, sizes)
             work = 0.5 * float(loads @ displacement)
