@@ -405,7 +405,11 @@ def _read_spc(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read SPC, two nodes with their freedoms and motions, or SPC1, a list of nodes."""
     rows = [fields[1:4], fields[4:7]]
     if name == "SPC1":
-        rows = [[node, fields[1], ""] for node in node_numbers(fields[2:])]
+        # A range may have gaps; a node of a list must be there.
+        nodes = node_numbers(fields[2:])
+        if any(text.upper() == "THRU" for text in fields):
+            nodes = [node for node in nodes if node in data.grids]
+        rows = [[node, fields[1], ""] for node in nodes]
     for row in rows:
         _hold(data, ("SPC", fields[0]), *row)
 
