@@ -16,12 +16,12 @@ from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import ROUNDOFF, System
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling import CoupledState
-from wrenchbook.fea.coupling.coupling import from_origin
+from wrenchbook.fea.coupling.coupling import each_interface, from_origin
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.equations import material_of_parts, system_of
 from wrenchbook.fea.export.failure_record import keep
-from wrenchbook.fea.failure import SolveFailed, rotation_too_large
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection import coincidence_warnings, warnings_of
 from wrenchbook.fea.mesh.bodies import bodies_of, coincident_nodes
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
@@ -520,8 +520,17 @@ def _require_small_rotation(displacement: np.ndarray, load_factor: float = 1.0) 
     displacement: displacements of all interfaces, shape (6 i,), m and rad, under this part of the
     load.
     """
-    degrees = np.degrees(np.linalg.norm(displacement.reshape(-1, 6)[:, 3:], axis=1))
+    degrees = np.degrees(np.linalg.norm(each_interface(displacement)[:, 3:], axis=1))
     largest = float(degrees.max())
-    if largest > MAX_DEGREES:
-        number = f" {degrees.argmax() + 1} of component.toml" if len(degrees) > 1 else ""
-        raise rotation_too_large(largest, MAX_DEGREES, load_factor, f"Interface{number}")
+    if not largest > MAX_DEGREES:
+        return
+    which = (
+        f"Interface {degrees.argmax() + 1} of component.toml" if len(degrees) > 1 else "Interface"
+    )
+    under = f" under {load_factor:.3g} of this wrench already" if load_factor < 1.0 else ""
+    raise SolveFailed(
+        "rotation_too_large",
+        f"{which} turns by {largest:.1f} degrees{under}; a table holds at most "
+        f"{MAX_DEGREES:.0f} degrees.",
+        "Lower the load range, or stiffen the part; wrenchbook is for small deformations only.",
+    )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -189,10 +188,10 @@ class ElasticBody:
 
     def leaves_from(self, number: int) -> list[int]:
         """Return the indices of leaves from `number` on that are computed together."""
-        counts = self._leaf_cells
-        first = int(np.searchsorted(counts[0], number))
-        last = int(np.searchsorted(counts[1], counts[1][first] + _AT_A_TIME))
-        return counts[0][first : max(last, first + 1)].tolist()
+        leaves, cells_before = self._leaf_cells
+        first = int(np.searchsorted(leaves, number))
+        last = int(np.searchsorted(cells_before, cells_before[first] + _AT_A_TIME))
+        return leaves[first : max(last, first + 1)].tolist()
 
     @cached_property
     def _leaf_cells(self) -> tuple[np.ndarray, np.ndarray]:
@@ -209,8 +208,8 @@ class ElasticBody:
 
         displacement: shape (n, 3), m.
         step: the last step of Newton's method, two fields of shape (n, 3), m: see `tangent`.
-        Returns forces: shape (n, 3), N. energy: J. least: Smallest determinant of the deformation
-        gradient over all quadrature points.
+        Returns forces: shape (n, 3), N. energy: J. least: the smallest determinant of the
+        deformation gradient over all quadrature points.
         """
         total = np.zeros_like(displacement)
         energy = 0.0
@@ -324,10 +323,10 @@ class Tangent:
         """The factor over the free nodes."""
         if self._single:
             try:
-                return MultifrontalFactor(self._body.dissection, self._leaf, single=True)
+                return MultifrontalFactor(self._body.dissection, self._leaf_matrix, single=True)
             except NotDefinite:
                 self._single = False
-        return MultifrontalFactor(self._body.dissection, self._leaf)
+        return MultifrontalFactor(self._body.dissection, self._leaf_matrix)
 
     def release(self) -> None:
         """Free the factor's memory; the next use factorises again."""
@@ -353,22 +352,22 @@ class Tangent:
         matrices = self._body.parts[number].tangent(moved, _gather_pair(self._step, nodes), cells)
         return self._body.movable.decoupled(matrices, nodes)
 
-    def _leaf(self, number: int) -> np.ndarray:
-        """Return the matrix of one leaf; a few leaves are made at once."""
+    def _leaf_matrix(self, number: int) -> np.ndarray:
+        """Return the matrix of one leaf; those of a few leaves are computed at once."""
         if number not in self._ready:
             self._ready.clear()  # remains of a factorisation that failed
             leaves = self._body.leaves_from(number)
-            for group, scatter in enumerate(self._body.scatter):
-                due = [leaf for leaf in leaves if leaf in scatter.leaves]
-                if not due:
+            for block, scatter in enumerate(self._body.scatter):
+                entries = {leaf: scatter.leaves[leaf] for leaf in leaves if leaf in scatter.leaves}
+                if not entries:
                     continue
-                counts = np.cumsum([0, *(len(scatter.leaves[leaf].cells) for leaf in due)])
-                matrices = self._cells(
-                    group, np.concatenate([scatter.leaves[leaf].cells for leaf in due])
-                )
-                for leaf, (first, last) in zip(due, pairwise(counts), strict=True):
-                    part = scatter.leaves[leaf].sum(matrices[first:last])
-                    self._ready[leaf] = self._ready[leaf] + part if leaf in self._ready else part
+                cells = [entry.cells for entry in entries.values()]
+                matrices = self._cells(block, np.concatenate(cells))
+                ends = np.cumsum([len(of_leaf) for of_leaf in cells])[:-1]
+                parts = np.split(matrices, ends)
+                for (leaf, entry), part in zip(entries.items(), parts, strict=True):
+                    total = entry.sum(part)
+                    self._ready[leaf] = self._ready[leaf] + total if leaf in self._ready else total
         return self._ready.pop(number)
 
     def times(self, fields: np.ndarray, nodes: np.ndarray) -> np.ndarray:

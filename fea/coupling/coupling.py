@@ -208,24 +208,27 @@ class Coupling:
         self.active = active
         self._sprung = PER_INTERFACE * frames
         self.freedoms = PER_INTERFACE * len(sections) - self._sprung
-        self._moving = active = np.append(active, self.freedoms + np.arange(self._sprung))
-        self.motions = len(active) + 3 * len(anchors)
+        # The border in its order: active motions of interfaces and all of frames, the anchors'
+        # displacements, the sections' multipliers. All sections' motions, and places for their
+        # multipliers, are six each in the order of the sections.
+        self._moving = np.append(active, self.freedoms + np.arange(self._sprung))
+        self.motions = len(self._moving) + 3 * len(anchors)
+        self.border = self.motions + sum(section.multipliers for section, _, _ in sections)
         self._anchors = anchors
-        self._anchored = np.arange(len(active), self.motions)
+        self._anchored = np.arange(len(self._moving), self.motions)
         self._size = size
         self._attachments: list[_Attachment] = []
         forced = [np.empty(0, dtype=int)]
-        self.border = self.motions
+        next_multiplier = self.motions
         for number, (section, nodes, axes) in enumerate(sections):
-            first = PER_INTERFACE * number
-            chosen_freedoms = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
-            more = np.arange(section.multipliers)
-            chosen = np.concatenate([active[chosen_freedoms] - first, PER_INTERFACE + more])
-            border = np.concatenate([chosen_freedoms, self.border + more])
-            freedoms = slice(first, first + PER_INTERFACE)
+            freedoms = slice(PER_INTERFACE * number, PER_INTERFACE * (number + 1))
+            moving = (freedoms.start <= self._moving) & (self._moving < freedoms.stop)
+            multipliers = np.arange(section.multipliers)
+            chosen = np.append(self._moving[moving] - freedoms.start, PER_INTERFACE + multipliers)
+            border = np.append(np.flatnonzero(moving), next_multiplier + multipliers)
             self._attachments.append(_Attachment(section, nodes, axes, freedoms, chosen, border))
-            forced.append(first + more)
-            self.border += len(more)
+            forced.append(freedoms.start + multipliers)
+            next_multiplier += section.multipliers
         self._forced = np.concatenate(forced)
 
         # For each spring the indices of its motions among all, and in the border.
@@ -361,16 +364,19 @@ class Coupling:
         border: np.ndarray,
         origin: np.ndarray,
     ) -> np.ndarray:
-        """Return the third derivatives of the couplings' energies along the inputs.
+        """Return the third derivatives of the couplings' energies along k inputs, (k, k, k).
 
-        Displacements are relative to those at an origin, shape (6 i,): the energy depends on
-        R = R' R0 alone, so R' : N R0^T is differentiated in place of R : N.
+        A section's energy is R : N, with R the interface's rotation and N its `ArmMoments`. Loads
+        work on displacements relative to those at an origin: on the vector of R' = R R0^T, so that
+        the energy is differentiated as R' : N R0^T. A spring's is `spring_motion`'s.
 
-        forces: Shapes (n, 3), N, and (n, 3, k): internal nodal forces less dead ones, and their
+        state: where the derivatives are taken.
+        forces: shapes (n, 3), N, and (n, 3, k): internal nodal forces less dead ones, and their
         change with the inputs at the nodes that are `constrained`.
-        fields, border: Shapes (n, 3, k), m per unit of each input, and (border, k): change with the
-        inputs.
-        Result: shape (k, k, k), J over the units of three inputs.
+        fields: shape (n, 3, k), m per unit of each input: change of the nodes with the inputs.
+        border: shape (border, k): change of the border's unknowns with the inputs.
+        origin: shape (6 i,), m and rad: the interfaces' displacements that count as zero.
+        Result: J over the units of three inputs.
         """
         total = np.zeros((border.shape[1],) * 3)
         motions, _ = self._unknowns(state)
@@ -415,7 +421,10 @@ class Coupling:
 
 
 def _third_of_rotation(vector: np.ndarray, turned: np.ndarray, arms: ArmMoments) -> np.ndarray:
-    """Return the third derivatives of R(r) : N, shape (k, k, k), along changes of r, (3, k)."""
+    """Return the third derivatives of R(r) : N, shape (k, k, k), along changes of r, (3, k).
+
+    By the product rule R_abc : N + sum R_ab : N_c + sum R_a : N_bc; N_abc is zero.
+    """
     _, first, second, third = rotation_derivatives(vector)
     once = np.einsum("ixy,xybc,ia->bca", first, arms.second, turned)
     twice = np.einsum("ijxy,xyc,ia,jb->abc", second, arms.changes, turned, turned, optimize=True)

@@ -9,7 +9,7 @@ import numpy as np
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.coupling import CoupledState, each_interface
-from wrenchbook.fea.failure import SolveFailed, gave_way
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solution import Iteration, Progress
 from wrenchbook.fea.solver.arc_length import ArcPath
 from wrenchbook.fea.solver.newton import (
@@ -24,6 +24,11 @@ from wrenchbook.fea.tensors import rotation, rotation_vector
 _LESS_WEIGHT = (
     "Correct gravity under [analysis] (m/s^2), or support the part so that it carries its weight."
 )
+# Failures of a path that ends below the full load, by the kind of its `Ending`.
+_GIVES_WAY = {
+    "limit": "The part snaps through at {} of {}, where its load has a maximum.",
+    "bifurcation": "The part buckles at {} of {}, where its equilibrium becomes unstable.",
+}
 # Kinds of failures that less load does not cure.
 _OF_ANY_LOAD = "mechanism", "ill_conditioned", "locking_material"
 
@@ -160,7 +165,11 @@ class LoadPath:
             if equilibrium is not None:
                 check(equilibrium.balance)
                 return equilibrium
-        raise gave_way(ending.kind, ending.factor, self._load) or refused
+        if (message := _GIVES_WAY.get(ending.kind)) is None:
+            raise refused
+        failure = SolveFailed("snap_through", message.format(f"{ending.factor:.3g}", self._load))
+        failure.load_factor = ending.factor
+        raise failure
 
     def _return_to_load(self, beyond: Equilibrium) -> Equilibrium | None:
         """Go back from a state just beyond the full load to the full load."""
