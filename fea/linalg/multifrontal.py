@@ -16,6 +16,7 @@ memory together.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from bisect import bisect_right
 from collections.abc import Callable
 from functools import cached_property, partial
@@ -244,15 +245,37 @@ class MultifrontalFactor:
         x = np.array(loads / scale, dtype=np.float32 if self._single else float, order="C")
         fronts = list(zip(self._dissection.substructures, self._fronts, strict=True))
         for part, front in fronts:
-            if part.eliminated:
-                front.forward(x, part)
+            front.forward(x, part)
         for part, front in reversed(fronts):
-            if part.eliminated:
-                front.backward(x, part)
+            front.backward(x, part)
         return x * scale
 
 
-class _CholeskyFront:
+class _Front(ABC):
+    """The eliminated unknowns of one substructure, m of them, by its boundary of b."""
+
+    __slots__ = ()
+    pivots: np.ndarray  # shape (m,), N/m: sizes of the pivots
+
+    @property
+    def negatives(self) -> int:
+        """Number of negative eigenvalues of the pivot block."""
+        return 0
+
+    @abstractmethod
+    def products(self) -> Condensed:
+        """Return the change of the boundary's stiffness by the elimination."""
+
+    @abstractmethod
+    def forward(self, x: np.ndarray, part: Substructure) -> None:
+        """Eliminate the unknowns from loads, shape (unknowns, k), in place."""
+
+    @abstractmethod
+    def backward(self, x: np.ndarray, part: Substructure) -> None:
+        """Replace the unknowns' loads by displacements, those of the boundary known, in place."""
+
+
+class _CholeskyFront(_Front):
     """L and W of one substructure; L packed into a rectangle of half its square.
 
     The packed form is LAPACK's (Gustavson, Wasniewski, Dongarra and Langou 2010), which solves with
@@ -273,7 +296,6 @@ class _CholeskyFront:
         self.L, _ = routines["trttf"](L, uplo="L")
 
     def products(self) -> Condensed:
-        """Return the change of the boundary's stiffness by the elimination."""
         syrk = _ROUTINES[self.W.dtype]["syrk"]
         return products(self.W, self.W, partial(syrk, 1.0, trans=1, lower=1))
 
@@ -292,18 +314,19 @@ class _CholeskyFront:
         x[rows] = _ROUTINES[x.dtype]["tfsm"](1.0, self.L, y, uplo="L", trans="T")
 
 
-class _LUFront:
+class _LUFront(_Front):
     """LU of the pivot block and A^-1 B of one substructure."""
 
-    __slots__ = ("A", "B", "W", "lu", "swaps")
+    __slots__ = ("A", "B", "W", "lu", "pivots", "swaps")
 
     def __init__(self, A: np.ndarray, B: np.ndarray) -> None:
         self.A = A = np.tril(A) + np.tril(A, -1).T
         self.lu, self.swaps, info = _getrf(A)
         if info > 0:  # exactly singular: the factor only serves to name the node
-            pivots = np.einsum("ii->i", self.lu)
+            diagonal = np.einsum("ii->i", self.lu)
             # Smaller than any roundoff, but its inverse does not overflow.
-            pivots[pivots == 0] = np.finfo(float).eps ** 2 * np.abs(A).max()
+            diagonal[diagonal == 0] = np.finfo(float).eps ** 2 * np.abs(A).max()
+        self.pivots = np.abs(np.diagonal(self.lu))
         self.B = B
         self.W = _getrs(self.lu, self.swaps, B)[0] if B.size else B
 
@@ -311,10 +334,6 @@ class _LUFront:
         product = products(self.B, self.W, None)
         del self.B  # no longer needed: about a quarter of the front's memory
         return product
-
-    @property
-    def pivots(self) -> np.ndarray:
-        return np.abs(np.diagonal(self.lu))
 
     @property
     def negatives(self) -> int:
@@ -333,11 +352,36 @@ class _LUFront:
         x[rows] = y
 
 
-def _eliminate(dissection: Dissection, leaf: Leaf, kind: type, single: bool = False) -> Any:
-    """Factorise front by front; return the fronts, and the diagonal of the matrix."""
+_Kind = type[_CholeskyFront] | type[_LUFront]
+
+
+class _EmptyFront(_Front):
+    """A front without eliminated unknowns."""
+
+    __slots__ = ("_boundary",)
+    pivots = np.empty(0)
+
+    def __init__(self, boundary: int) -> None:
+        self._boundary = boundary
+
+    def products(self) -> Condensed:
+        none = np.empty((0, self._boundary), order="F")
+        return products(none, none, None)
+
+    def forward(self, x: np.ndarray, part: Substructure) -> None:
+        pass
+
+    def backward(self, x: np.ndarray, part: Substructure) -> None:
+        pass
+
+
+def _eliminate(
+    dissection: Dissection, leaf: Leaf, kind: _Kind, single: bool = False
+) -> tuple[list[_Front], np.ndarray]:
+    """Factorise front by front; return the fronts, and the diagonal of the matrix, (unknowns,)."""
     diagonal = np.zeros(dissection.unknowns)
     dtype = np.float32 if single else np.float64
-    fronts: list = []
+    fronts: list[_Front] = []
     condensed: dict[int, Condensed] = {}
     for number, part in enumerate(dissection.substructures):
         if part.children:
@@ -355,25 +399,12 @@ def _eliminate(dissection: Dissection, leaf: Leaf, kind: type, single: bool = Fa
     return fronts, diagonal
 
 
-class _EmptyFront:
-    """A front without eliminated unknowns."""
-
-    pivots = np.empty(0)
-    negatives = 0
-
-    def __init__(self, boundary: int) -> None:
-        self._none = np.empty((0, boundary), order="F")
-
-    def products(self) -> Condensed:
-        return products(self._none, self._none, None)
-
-
-def _leaf(part: Substructure, matrix: np.ndarray, kind: type) -> tuple[Any, Condensed]:
+def _leaf(part: Substructure, matrix: np.ndarray, kind: _Kind) -> tuple[_Front, Condensed]:
     """Return the front of a leaf and its condensed stiffness."""
     pivots = slice(0, part.eliminated)
     boundary = slice(part.eliminated, None)
     matrix = matrix.T  # symmetric; columns then are contiguous as in a front
-    front = _EmptyFront(part.boundary.size)
+    front: _Front = _EmptyFront(part.boundary.size)
     if part.eliminated:
         front = kind(
             matrix[pivots, pivots].copy(order="F"), matrix[pivots, boundary].copy(order="F")
@@ -384,15 +415,15 @@ def _leaf(part: Substructure, matrix: np.ndarray, kind: type) -> tuple[Any, Cond
 
 
 def _branch(
-    part: Substructure, condensed: dict[int, Condensed], kind: type, dtype: Any
-) -> tuple[Any, Condensed]:
+    part: Substructure, condensed: dict[int, Condensed], kind: _Kind, dtype: type[np.floating]
+) -> tuple[_Front, Condensed]:
     """Return a branch's front and condensed stiffness; delete those of its children."""
     eliminated, boundary = part.eliminated, part.boundary.size
     ways = [
         route(condensed[child], indices, eliminated, boundary)
         for child, indices in zip(part.children, part.indices, strict=True)
     ]
-    front = _EmptyFront(boundary)
+    front: _Front = _EmptyFront(boundary)
     if eliminated:
         A = np.zeros((eliminated, eliminated), order="F", dtype=dtype)
         B = np.zeros((eliminated, boundary), order="F", dtype=dtype)
