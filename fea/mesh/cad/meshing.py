@@ -16,14 +16,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from wrenchbook.fea.mesh.cad.entities import METRES
 from wrenchbook.fea.mesh.face_choice import choose
 from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.io.raw import RawMesh, to_mesh
 from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.surface import Surface
-from wrenchbook.fea.spec.mesh_source import GeometryMeshing
+from wrenchbook.fea.spec.mesh_source import UNITS, GeometryMeshing
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 
 _ATTEMPTS: Final = ((True, 1.0), (False, 1.0), (True, 0.97), (True, 1.03))
@@ -91,7 +90,7 @@ def _surface(fields: dict[str, Any], arrays: dict[str, np.ndarray]) -> Surface:
     }
     faces = [Face(**face) for face in fields["faces"]]
     facets = [block for block in blocks if block[0] == "tri6"]
-    mesh = to_mesh(RawMesh(points, blocks, sets, facet_sets={_SURFACE: facets}), METRES)
+    mesh = to_mesh(RawMesh(points, blocks, sets, facet_sets={_SURFACE: facets}), UNITS["mm"])
     # The cells' own faces replace gmsh's facets, in the order of the cells.
     group = mesh.facet_groups[_SURFACE]
     owners = np.repeat([face.number for face in faces], [len(rows) for _, rows in facets])

@@ -17,7 +17,6 @@ import numpy as np
 
 from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes
 from wrenchbook.fea.mesh.io.abaqus_keywords import whole
-from wrenchbook.fea.mesh.io.nastran_cards import node_numbers, read_cards, real
 from wrenchbook.fea.mesh.io.translated import Case, Translated
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError
@@ -33,6 +32,7 @@ _ORDER = {
     "C3D20R": [*range(12), *range(16, 20), *range(12, 16)],
     "C3D15": [*range(9), *range(12, 15), *range(9, 12)],
 }
+_EXPONENT = re.compile(r"(?<=[\d.])([+-]\d+)$")  # of a number without a letter before it
 _QUIET = {"PARAM", "END BULK", "MPCADD"}  # cards without content, which no message lists
 _SYSTEMS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
 _MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
@@ -44,6 +44,80 @@ _SELECTION = re.compile(r"(SPC|LOAD)\b\s*(?:\([^)]*\))?\s*=?\s*(\w+)")
 _BASIC = ("", "0")  # numbers of the basic coordinate system
 _CD = 5  # field of a GRID: number of the coordinate system of the node's freedoms
 _MAT9_FIELDS = 29  # number, 21 constants, density, six expansions
+
+
+class _Card(NamedTuple):
+    """A card with its continuations."""
+
+    line: int  # its first line, from 1
+    name: str
+    fields: list[str]  # without the name
+
+
+def _read_cards(lines: list[str], text: DeckText, skipped: int) -> Iterator[_Card]:
+    """Yield each card with its continuations; `skipped` lines of the file come before the first."""
+    card: _Card | None = None
+    for number, line in enumerate(lines, start=skipped + 1):
+        line = line.partition("$")[0].expandtabs().rstrip()
+        if not line:
+            continue
+        head, fields, count = _split(line)
+        if head.upper() == "ENDDATA":
+            break
+        if any(fields[count + 1 :]):
+            extra = [field for field in fields[count:] if field]
+            raise MeshFileError(
+                f"line {text.place(number)}: {head} has more than {count} fields; continue with "
+                f'"{extra[0]}" on a new line'
+            )
+        fields = (fields + [""] * count)[:count]
+        if card is not None and head[:1] in ("", "+", "*"):
+            card.fields.extend(fields)
+            continue
+        if card is not None:
+            yield card
+        card = _Card(number, head.rstrip("*").upper(), fields)
+    if card is not None:
+        yield card
+
+
+def _split(line: str) -> tuple[str, list[str], int]:
+    """Cut a line at its commas, or at fixed columns: head, fields, and fields of its format."""
+    head, *fields = [text.strip() for text in line.split(",")]
+    count = 4 if line[:1] == "*" or head[:8].rstrip().endswith("*") else 8
+    if "," not in line:
+        head = line[:8].strip()
+        width = 64 // count
+        fields = [line[8 + width * i : 8 + width * (i + 1)].strip() for i in range(count)]
+    return head, fields, count
+
+
+def _real(field: str) -> float:
+    """Return a number, whose exponent may have no letter: 2.1+5."""
+    try:
+        return float(_EXPONENT.sub(r"e\1", field.upper().replace("D", "E") or "0"))
+    except ValueError:
+        raise MeshFileError(f'has "{field}" where a number must be; write a number') from None
+
+
+def _node_numbers(fields: list[str]) -> list[str]:
+    """Return the numbers of a list, which may have first THRU last BY step."""
+    fields = [text.upper() for text in fields if text]
+    numbers: list[str] = []
+    try:
+        while fields:
+            if fields[1:2] == ["THRU"]:
+                has_step = fields[3:4] == ["BY"]
+                step = int(fields[4]) if has_step else 1
+                numbers += map(str, range(int(fields[0]), int(fields[2]) + 1, step))
+                fields = fields[5 if has_step else 3 :]
+            else:
+                numbers.append(str(int(fields[0])))
+                fields = fields[1:]
+    except (ValueError, IndexError):
+        message = f'lists "{", ".join(fields[:5])}"; write numbers, or first, THRU, last, BY, step'
+        raise MeshFileError(message) from None
+    return numbers
 
 
 class _System(NamedTuple):
@@ -120,7 +194,7 @@ class _Bulk(Translated):
             if name[4] == "1":
                 points = np.array([self.point(self.grid(node)) for node in fields[1:4]])
             else:
-                numbers = np.array([real(text) for text in fields[2:11]]).reshape(3, 3)
+                numbers = np.array([_real(text) for text in fields[2:11]]).reshape(3, 3)
                 points = np.array([self.in_basic_axes(fields[1], point) for point in numbers])
             z, x, y = axes_through(*points)  # its second point is on z, its third in xz
         except MeshFileError as error:  # the current card names the system
@@ -138,7 +212,7 @@ class _Bulk(Translated):
 
     def point(self, fields: list[str]) -> np.ndarray:
         """Return the position of the node of a GRID, in basic axes, shape (3,)."""
-        return self.in_basic_axes(fields[1], np.array([real(text) for text in fields[2:5]]))
+        return self.in_basic_axes(fields[1], np.array([_real(text) for text in fields[2:5]]))
 
     def grid(self, node: str) -> list[str]:
         """Return the fields of a node's GRID.
@@ -156,12 +230,12 @@ class _Bulk(Translated):
         """
         _, fields = self.springs[number]
         if name == "CELAS2":  # has its own stiffness
-            return [real(fields[1])]
+            return [_real(fields[1])]
         kind = "PBUSH" if name == "CBUSH" else "PELAS"
         key = fields[1] or number
         if kind + key not in self.springs:
             raise MeshFileError(f"needs {kind} {key}, which no card defines")
-        return [real(text) for text in self.springs[kind + key][1]]
+        return [_real(text) for text in self.springs[kind + key][1]]
 
     def oriented(self, name: str, axes: np.ndarray, kind: str = "R") -> str:
         """Add an orientation unless it is the basic one; return the option that names it."""
@@ -199,10 +273,10 @@ def read_nastran(text: DeckText) -> Translated:
     data = _Bulk(nonlinear=_NONLINEAR.search(control) is not None)
     factor = _MASS_FACTOR.search(text)
     if factor is not None:
-        data.mass_factor = real(factor[1])
+        data.mass_factor = _real(factor[1])
 
     lines_before = text.count("\n") - bulk.count("\n")
-    cards = list(read_cards(bulk.splitlines(), text, lines_before))
+    cards = list(_read_cards(bulk.splitlines(), text, lines_before))
     for card in cards:  # nodes may come after cards that refer to them
         data.index(card.name, card.fields)
     for number, name, fields in cards:
@@ -331,7 +405,7 @@ def _read_grid(data: _Bulk, _: str, fields: list[str]) -> None:
 def _hold(data: _Bulk, key: tuple[str, str], node: str, freedoms: str, value: str = "") -> None:
     """Add the freedoms of a node, such as "123", to a set; a row may have no node."""
     held = sorted(set(freedoms) & set("123456")) if node else ()
-    data.sets[key] += [_Entry(node, freedom, real(value)) for freedom in held]
+    data.sets[key] += [_Entry(node, freedom, _real(value)) for freedom in held]
 
 
 def _read_cell(data: _Bulk, name: str, fields: list[str]) -> None:
@@ -356,21 +430,21 @@ def _read_cell(data: _Bulk, name: str, fields: list[str]) -> None:
 
 def _read_mat1(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read an isotropic material; the third of E, G and nu follows from the other two."""
-    young, shear, ratio = real(fields[1]), real(fields[2]), real(fields[3])
+    young, shear, ratio = _real(fields[1]), _real(fields[2]), _real(fields[3])
     if not fields[1]:
         young = 2 * shear * (1 + ratio)
     elif not fields[3] and shear:
         ratio = young / (2 * shear) - 1
     constants = data.constants[f"MAT_{fields[0]}"]
     constants["ELASTIC"] = f"{young:.9g}, {ratio:.9g}"
-    further = {"DENSITY": real(fields[4]) * data.mass_factor, "EXPANSION": real(fields[5])}
+    further = {"DENSITY": _real(fields[4]) * data.mass_factor, "EXPANSION": _real(fields[5])}
     constants |= {word: f"{value:.9g}" for word, value in further.items() if value}
 
 
 def _read_mat9(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read a material of nine constants; its shears are xy, yz, zx."""
     padded = [*fields, *[""] * _MAT9_FIELDS]
-    values = [real(text) for text in padded[:_MAT9_FIELDS]]
+    values = [_real(text) for text in padded[:_MAT9_FIELDS]]
     constants, density, expansion = values[1:22], values[22], values[23:]
     stiffness = np.zeros((6, 6))
     stiffness[np.triu_indices(6)] = constants
@@ -406,7 +480,7 @@ def _read_spc(data: _Bulk, name: str, fields: list[str]) -> None:
     rows = [fields[1:4], fields[4:7]]
     if name == "SPC1":
         # A range may have gaps; a node of a list must be there.
-        nodes = node_numbers(fields[2:])
+        nodes = _node_numbers(fields[2:])
         if any(text.upper() == "THRU" for text in fields):
             nodes = [node for node in nodes if node in data.grids]
         rows = [[node, fields[1], ""] for node in nodes]
@@ -420,13 +494,13 @@ def _read_sum(data: _Bulk, name: str, fields: list[str]) -> None:
         parts = [(1.0, part) for part in fields[1:] if part]
     else:
         pairs = zip(fields[2::2], fields[3::2], strict=False)
-        parts = [(real(fields[1]) * real(factor), part) for factor, part in pairs if part]
+        parts = [(_real(fields[1]) * _real(factor), part) for factor, part in pairs if part]
     data.sums[name.removesuffix("ADD"), fields[0]] = parts
 
 
 def _read_rbe2(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read a rigid element as a kinematic coupling, without its thermal expansion."""
-    nodes = node_numbers([text for text in fields[3:] if "." not in text])
+    nodes = _node_numbers([text for text in fields[3:] if "." not in text])
     freedoms = sorted(set("123") & set(fields[2]))
     turned = {data.grids[node][_CD] for node in nodes if node in data.grids}
     if not freedoms or (len(freedoms) < 3 and not turned <= {*_BASIC}):
@@ -452,8 +526,8 @@ def _read_rbe3(data: _Bulk, name: str, fields: list[str]) -> None:
         data.skipped[f"{name} of whose point {fields[3]} alone follow: here all freedoms do"] += 1
     weights = defaultdict[str, float](float)
     for i, end in zip(starts, [*starts[1:], len(fields)], strict=True):
-        for node in node_numbers(fields[i + 2 : end]):
-            weights[node] += real(fields[i])
+        for node in _node_numbers(fields[i + 2 : end]):
+            weights[node] += _real(fields[i])
     data.tie(f"{name}_{fields[0]}", [*weights], fields[2], "DISTRIBUTING", weights.values())
 
 
@@ -545,7 +619,9 @@ def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[flo
 def _read_load(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read a FORCE on the freedoms 1 to 3 of a node, or a MOMENT on 4 to 6, in basic axes."""
     number, node, system, size = fields[:4]
-    load = np.array([real(size) * real(text) for text in fields[4:7]]) @ data.axes_at(system, node)
+    load = np.array([_real(size) * _real(text) for text in fields[4:7]]) @ data.axes_at(
+        system, node
+    )
     for freedom, value in enumerate(load.tolist(), 1 if name == "FORCE" else 4):
         data.sets["LOAD", number].append(_Entry(node, str(freedom), value))
 
