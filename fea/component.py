@@ -195,7 +195,10 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     interfaces, bushings, joints = _attach_all(bundle, mesh, supports, problems)
     ends = [end for joint in joints for end in joint.ends]
     frames = [*interfaces, *(bushing for bushing, _ in bushings), *ends]
-    sliding = _projectors(held)
+    # Sliding nodes, and the projectors on their held directions.
+    nodes = np.flatnonzero(held.any(axis=(1, 2)))
+    sizes, axes = np.linalg.eigh(held[nodes])
+    sliding = nodes, (axes * (sizes > _ZERO)[:, None]) @ axes.swapaxes(1, 2)
     for frame in frames:
         sliding = _free_sliding(mesh, sliding, frame, problems)
 
@@ -217,10 +220,20 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     if problems:
         raise BundleError(problems)
 
+    materials, rise = bundle.materials, None
+    if not any(scalar.name == TEMPERATURE for scalar in bundle.further):
+        materials = tuple(replace(material, thermal_expansion=None) for material in materials)
+    for scalar in bundle.further:
+        if scalar.field is not None:  # only the temperature has a field
+            rise = shape_on(mesh.points, scalar.field, scalar.reference)
+    if bolts:  # ties move points of the mesh without cuts too, and make its nodes depend on others
+        size = len(uncut.points)
+        dependents = mesh.dependents and mesh.dependents.of_first(size)
+        uncut = replace(uncut, points=mesh.points[:size], dependents=dependents)
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
-        materials=_materials(bundle),
+        materials=materials,
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
         interfaces=tuple(interfaces),
@@ -229,10 +242,10 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         bushings=tuple(bushings),
         further=bundle.further,
         ties=ties,
-        temperature_rise=_temperature_rise(bundle, mesh),
+        temperature_rise=rise,
         joints=tuple(joints),
         bolts=bolts,
-        uncut=_without_cuts(mesh, uncut) if bolts else None,
+        uncut=uncut if bolts else None,
     )
 
 
@@ -257,14 +270,6 @@ def _attach_all(
     return interfaces, bushings, joints
 
 
-def _temperature_rise(bundle: Bundle, mesh: Mesh) -> np.ndarray | None:
-    """Return the shape of the temperature field at the nodes, if there is a field."""
-    for scalar in bundle.further:
-        if scalar.field is not None:  # only the temperature has a field
-            return shape_on(mesh.points, scalar.field, scalar.reference)
-    return None
-
-
 def _mesh_source(bundle: Bundle) -> MeshSource:
     """Return the mesh of a bundle; raise BundleError if it has none to solve."""
     tables = {  # beside a [deck], each of these tables is optional
@@ -287,13 +292,6 @@ def _mesh_source(bundle: Bundle) -> MeshSource:
     raise BundleError([BundleProblem(lacking, message)])
 
 
-def _materials(bundle: Bundle) -> tuple[AnyMaterial, ...]:
-    """Return the materials, with thermal expansion only if the temperature is an input."""
-    if any(scalar.name == TEMPERATURE for scalar in bundle.further):
-        return bundle.materials
-    return tuple(replace(material, thermal_expansion=None) for material in bundle.materials)
-
-
 def _held_directions(
     mesh: Mesh, supports: Supports, fixed: np.ndarray, problems: list[BundleProblem]
 ) -> np.ndarray:
@@ -304,20 +302,6 @@ def _held_directions(
         held[nodes] += support.directions.T @ support.directions
     held[fixed] = 0.0
     return held
-
-
-def _projectors(held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the sliding nodes, (k,), and the projectors on their held directions, (k, 3, 3)."""
-    nodes = np.flatnonzero(held.any(axis=(1, 2)))
-    sizes, axes = np.linalg.eigh(held[nodes])
-    return nodes, (axes * (sizes > _ZERO)[:, None]) @ axes.swapaxes(1, 2)
-
-
-def _without_cuts(mesh: Mesh, uncut: Mesh) -> Mesh:
-    """Return the mesh before bolts were cut, with the effects of ties on its nodes."""
-    size = len(uncut.points)
-    dependents = mesh.dependents and mesh.dependents.of_first(size)
-    return replace(uncut, points=mesh.points[:size], dependents=dependents)
 
 
 def _material_numbers(

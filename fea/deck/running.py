@@ -320,16 +320,6 @@ def bad_output(message: str, folder: Path) -> SolveFailed:
     return SolveFailed("bad_output", message, _files_hint(folder))
 
 
-def not_reciprocal(message: str) -> SolveFailed:
-    """Return the failure of a compliance that violates reciprocity."""
-    return SolveFailed(
-        "not_reciprocal",
-        message,
-        "Check that each placeholder stands at its own freedom with a plus sign, that point and "
-        "rotation name the loaded sets, and that unit is the unit of the deck.",
-    )
-
-
 def _files_hint(folder: Path) -> str:
     # Not the full path: clients must not learn the server's folders.
     return (

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.deck.running import not_reciprocal, run_deck
+from wrenchbook.fea.deck.running import run_deck
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solution import Progress, Solution, checked_wrench
 from wrenchbook.fea.spec.schema import FREEDOMS, LOADS, Bundle, Deck
@@ -36,9 +36,9 @@ _LEAST_CHANGE = 1e-3
 def solve_deck(
     bundle: Bundle,
     wrench: Sequence[float] | np.ndarray,
-    progress: Progress | None = None,
-    folder: Path | None = None,
-    accept: Callable[[np.ndarray], None] = lambda displacement: None,
+    progress: Progress | None,
+    folder: Path | None,
+    accept: Callable[[np.ndarray], None],
 ) -> Solution:
     """Solve a component for one wrench with its deck.
 
@@ -160,7 +160,7 @@ def _require_reciprocity(compliance: np.ndarray, sizes: np.ndarray) -> None:
     floor = _ZERO_WORK * float(np.abs(works).max())
     if (works < -floor).any():
         i = int(np.argmin(works))
-        raise not_reciprocal(
+        raise _not_reciprocal(
             f"A unit load along {FREEDOMS[i]} moves {FREEDOMS[i]} by {compliance[i, i]:.6e}, in "
             "the opposite direction."
         )
@@ -169,11 +169,21 @@ def _require_reciprocity(compliance: np.ndarray, sizes: np.ndarray) -> None:
     i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
     if gap[i, j] > floor:
         first, second = FREEDOMS[i], FREEDOMS[j]
-        raise not_reciprocal(
+        raise _not_reciprocal(
             f"A unit load on {second} moves {first} by {compliance[i, j]:.6e}, one on "
             f"{first} moves {second} by {compliance[j, i]:.6e}: in an elastic body the two "
             "are equal."
         )
+
+
+def _not_reciprocal(message: str) -> SolveFailed:
+    """Return the failure of a compliance that violates reciprocity."""
+    return SolveFailed(
+        "not_reciprocal",
+        message,
+        "Check that each placeholder stands at its own freedom with a plus sign, that point and "
+        "rotation name the loaded sets, and that unit is the unit of the deck.",
+    )
 
 
 def _nonlinear(runs: _Runs, wrench: np.ndarray) -> np.ndarray:

@@ -224,9 +224,10 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
         rows = np.linalg.solve(projector[np.ix_(dependent, dependent)], projector[dependent])
         for axis, row in zip(dependent, rows, strict=True):
             others = [i for i in range(3) if i not in dependent and abs(row[i]) > _ZERO]
-            terms = [f"{node}, {i + 1}, {_numbers([row[i]])}" for i in (axis, *others)]
-            equation = f"*EQUATION\n{len(terms)}\n" + ", ".join(terms)
-            yield equation if others else f"*BOUNDARY\n{node}, {axis + 1}"
+            if others:
+                yield from _equation([(node, i + 1, row[i]) for i in (axis, *others)])
+            else:
+                yield f"*BOUNDARY\n{node}, {axis + 1}"
 
 
 def _orientation(number: int, orthotropic: Orthotropic, axes: np.ndarray) -> Iterator[str]:
