@@ -62,7 +62,7 @@ def shape_on(nodes: np.ndarray, field: Path, reference: float) -> np.ndarray:
         )
 
     between = distance > _SAME * size
-    if between.any() and len(points) > 1:
+    if between.any() and not same.all():  # more than one point
         inside = _interpolated(points, values, nodes[between])
         shape[between] = np.where(np.isnan(inside), shape[between], inside)
     return shape
