@@ -109,7 +109,10 @@ def _node_numbers(fields: list[str]) -> list[str]:
             if fields[1:2] == ["THRU"]:
                 has_step = fields[3:4] == ["BY"]
                 step = int(fields[4]) if has_step else 1
-                numbers += map(str, range(int(fields[0]), int(fields[2]) + 1, step))
+                first, last = int(fields[0]), int(fields[2])
+                if first > last:
+                    raise ValueError
+                numbers += map(str, range(first, last + 1, step))
                 fields = fields[5 if has_step else 3 :]
             else:
                 numbers.append(str(int(fields[0])))
@@ -404,6 +407,8 @@ def _read_grid(data: _Bulk, _: str, fields: list[str]) -> None:
 
 def _hold(data: _Bulk, key: tuple[str, str], node: str, freedoms: str, value: str = "") -> None:
     """Add the freedoms of a node, such as "123", to a set; a row may have no node."""
+    if not {*freedoms} <= {*"0123456"}:
+        raise MeshFileError(f'has "{freedoms}" as freedoms; write digits from 1 to 6')
     held = sorted(set(freedoms) & set("123456")) if node else ()
     data.sets[key] += [_Entry(node, freedom, _real(value)) for freedom in held]
 
