@@ -30,7 +30,7 @@ _USUAL = {
     "density": (10, 3e4, "kg/m^3", "lighter than foam or heavier than osmium", "g/cm^3 or t/mm^3"),
 }
 # Largest lever over the mesh's diagonal: longer ones are probably millimetres read as metres.
-_LONGEST_LEVER = 3.0
+_MAX_LEVER = 3.0
 # Main nodes of a secondary node that show a coarse side: 30 for cells of one size, 64 to 80 for
 # half the size.
 _FINER = 60
@@ -276,7 +276,7 @@ def unit_warnings(component: ComponentModel) -> Iterator[BundleProblem]:
     for interface in component.interfaces:
         away = interface.point - np.clip(interface.point, low_corner, high_corner)
         lever = float(np.linalg.norm(away))
-        if lever <= _LONGEST_LEVER * size:
+        if lever <= _MAX_LEVER * size:
             continue
         message = (
             f"is {lever:.4g} m away from a mesh that is {size:.4g} m large; if the number is in "

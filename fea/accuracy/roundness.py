@@ -45,7 +45,7 @@ _OFF_CIRCLE = 1e-3
 of five digits change it by less. In a square bar whose chamfers are 5 % narrower than the sides it
 is 0.005."""
 
-_LEAST_LEAN = 1e-3
+_MIN_LEAN = 1e-3
 """Least singular value, over the largest, of the faces' normals: in smaller ones, those of a prism
 along its axis, there is only roundoff of coordinates."""
 
@@ -250,7 +250,7 @@ def polygons_of(mesh: Mesh) -> list[Polygon]:
         normals, points = facets.normals[facet_of[faces]], facets.points[facet_of[faces], 0]
         height = np.einsum("ki,ki->k", normals, points - at)
         matrix = np.column_stack([normals, np.ones(len(faces))])
-        misfit = height - matrix @ np.linalg.lstsq(matrix, height, rcond=_LEAST_LEAN)[0]
+        misfit = height - matrix @ np.linalg.lstsq(matrix, height, rcond=_MIN_LEAN)[0]
         if np.abs(misfit).max() < _OFF_CIRCLE * np.ptp(height):
             polygons.append(Polygon(len(faces), float(np.abs(folds.angle[fold]).mean()), at))
     return polygons

@@ -30,7 +30,7 @@ _RECIPROCAL_GAP = 1e-4
 _ZERO_WORK = 1e-9  # relative to the largest work; smaller ones are roundoff
 _TINY = 1e-300  # replaces a displacement of 0 in a divisor
 # Part of a step: with a smaller change, Broyden's update would divide by almost zero.
-_LEAST_CHANGE = 1e-3
+_MIN_CHANGE = 1e-3
 
 
 def solve_deck(
@@ -217,7 +217,7 @@ def _nonlinear(runs: _Runs, wrench: np.ndarray) -> np.ndarray:
             change = excess - before
             row = step @ inverse
             scale = float(row @ change)
-            if abs(scale) >= _LEAST_CHANGE * float(step @ step):
+            if abs(scale) >= _MIN_CHANGE * float(step @ step):
                 inverse = inverse + np.outer(step - inverse @ change, row) / scale
         step = -inverse @ excess
         before = excess

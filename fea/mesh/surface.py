@@ -32,7 +32,7 @@ _FIT_POINTS = 2000  # points of a face in a fit: enough for these five numbers
 _FIT = 1e-12  # relative accuracy of these numbers: roundoff
 _FIT_STEPS = 50  # largest number of evaluations of such a fit
 # Least square of a radius over a face's size, which roundoff may make negative.
-_LEAST_SQUARE = 1e-30
+_MIN_SQUARE = 1e-30
 _UNKNOWN = Face(0, "Curved", 0.0, (0.0, 0.0, 0.0), None, None)
 
 
@@ -208,7 +208,7 @@ def _fitted_cylinder(points: np.ndarray) -> np.ndarray | None:
     sample = points[:: max(1, len(points) // _FIT_POINTS)]
     columns = np.column_stack([2 * sample[:, 1:], np.ones(len(sample))])
     b, c, constant = np.linalg.lstsq(columns, (sample[:, 1:] ** 2).sum(axis=1))[0]
-    start = np.array([b, c, 0, 0, np.sqrt(max(constant + b**2 + c**2, _LEAST_SQUARE))])
+    start = np.array([b, c, 0, 0, np.sqrt(max(constant + b**2 + c**2, _MIN_SQUARE))])
     if len(sample) < _MIN_FIT_POINTS or np.abs(misfit(start, sample)).max() > start[4]:
         return None
     fit = least_squares(misfit, start, args=(sample,), xtol=_FIT, ftol=_FIT, max_nfev=_FIT_STEPS).x

@@ -25,7 +25,7 @@ MAX_POINTS = 20_000
 
 @dataclass(frozen=True, eq=False)
 class SolveFields:
-    """Surface and stresses of one solve, in the undeformed frame of the first interface."""
+    """ShownSurface and stresses of one solve, in the undeformed frame of the first interface."""
 
     # Whether the slopes are the complete answer: fields = slopes @ inputs, a temperature among them
     # relative to its reference.
@@ -65,7 +65,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     regions = tuple(material.region for material in component.materials)
     equivalent = von_mises(stress)
     worst = int(equivalent.argmax())
-    surface = surface_of(component.mesh)
+    surface = shown_surface(component.mesh)
     return SolveFields(
         linear=linear,
         vertices=body.points[surface.nodes],
@@ -111,7 +111,7 @@ MAX_VERTICES = 40_000
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class ShownSurface:
     """Triangles between some of a mesh's nodes; all are indices."""
 
     nodes: np.ndarray  # shape (v,), int64: the mesh's node of each vertex
@@ -120,7 +120,7 @@ class Surface:
     full_count: int
 
 
-def surface_of(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> Surface:
+def shown_surface(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> ShownSurface:
     """Return the outer surface, simplified if it has more than `max_vertices`.
 
     A simplified surface has fewer vertices, each a node of the mesh in its place, so that its
@@ -132,7 +132,7 @@ def surface_of(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> Surface:
     if count > max_vertices:
         vertices, triangles = _clustered(mesh.points[nodes], triangles, max_vertices)
         nodes = nodes[vertices]
-    return Surface(nodes, triangles.astype(np.int32), count)
+    return ShownSurface(nodes, triangles.astype(np.int32), count)
 
 
 def _clustered(

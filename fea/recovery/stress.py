@@ -55,7 +55,7 @@ def cauchy_stress(
     body: ElasticBody,
     displacement: np.ndarray,
     tangents: np.ndarray,
-    temperature: float = 0.0,
+    temperature: float,
     loads: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the Cauchy stresses of a displaced body, and their change with the inputs.

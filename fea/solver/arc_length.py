@@ -21,11 +21,11 @@ _MAX_STEPS = 80  # steps of a path before its kind is "lost"
 _MAX_ITERATIONS = 10  # iterations of a step before it is halved
 _FEW_ITERATIONS = 5  # iterations up to which the next step grows
 _GROWTH = 1.6  # ratio of the next step to the last
-_LEAST = 1.0 / 256  # shortest step, over the first step
+_MIN_LENGTH = 1.0 / 256  # shortest step, over the first step
 # Longest step, over the first, that can distinguish a limit point from a bifurcation.
-_FINE = 1.0 / 8
+_FINE_LENGTH = 1.0 / 8
 _MAX_NODE_STEP = 0.01  # largest motion of a node in one step, over the part's size
-_LONGEST = 8.0  # longest step, over the first step
+_MAX_LENGTH = 8.0  # longest step, over the first step
 _SAMPLES = 201  # samples of the cubic between two points, whose maximum is the critical load
 _MIN_COSINE = 0.7  # cosine of the largest angle by which a path may turn in one step
 _NO_MOTION = 1e-300  # replaces a motion of 0 in a divisor
@@ -91,19 +91,19 @@ class ArcPath:
         for _ in range(_MAX_STEPS):
             ahead = self._step()
             if ahead is None:
-                if self._length < _LEAST * self._first:
+                if self._length < _MIN_LENGTH * self._first:
                     break
                 continue
             step = self._between(ahead)
             product = float(np.linalg.norm(step)) * ahead.speed
             course = float(np.vdot(self._field(ahead), step)) / product if product > 0 else 1.0
-            if abs(course) < _MIN_COSINE and self._length > _LEAST * self._first:
+            if abs(course) < _MIN_COSINE and self._length > _MIN_LENGTH * self._first:
                 self._length *= 0.5
                 continue
             if course < 0:
                 return Ending("limit", self._limit_before(ahead), self._point.equilibrium)
             if not ahead.equilibrium.tangent.stable:
-                if self._length > _FINE * self._first:
+                if self._length > _FINE_LENGTH * self._first:
                     self._length *= 0.5
                     continue
                 middle = 0.5 * (self._point.size + ahead.size) / self._full
@@ -113,7 +113,7 @@ class ArcPath:
             accept(ahead.equilibrium, ahead.size / self._full)
             self._point = ahead
             if ahead.equilibrium.iterations <= _FEW_ITERATIONS:
-                self._length = min(_GROWTH * self._length, _LONGEST * self._first)
+                self._length = min(_GROWTH * self._length, _MAX_LENGTH * self._first)
         return Ending("lost", self._point.size / self._full, self._point.equilibrium)
 
     def _limit_before(self, ahead: _Point) -> float:

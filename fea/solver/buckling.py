@@ -27,9 +27,7 @@ _DEPENDENT = 1e-12
 _BUCKLING_SEED = 20170726  # seed of the start vectors: the same bundle gives the same digits
 
 
-def buckling_factors(
-    system: System, fields: np.ndarray, temperature: float = 0.0
-) -> tuple[float, float]:
+def buckling_factors(system: System, fields: np.ndarray, temperature: float) -> tuple[float, float]:
     """Return the multiples of a load, and of its opposite, at which the part buckles.
 
     system: the equations, in the interface frame.

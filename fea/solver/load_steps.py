@@ -75,8 +75,8 @@ class LoadPath:
         self,
         system: System,
         wrench: np.ndarray,
-        progress: Progress | None = None,
-        unloaded: Equilibrium | None = None,
+        progress: Progress | None,
+        unloaded: Equilibrium | None,
         load: str = "this wrench",
     ) -> None:
         self._system = system

@@ -28,17 +28,17 @@ EXPANDING = ("isotropic", "orthotropic")  # the laws whose cells have a thermal 
 
 MAX_ISOTROPIC_RATIO = 0.4
 """Smallest value of `Orthotropic.isotropic_ratio` at which any kind of cells locks."""
-_LARGEST_MODULUS = 1e100  # Pa: products of three, and their inverses, are finite numbers
+_MAX_MODULUS = 1e100  # Pa: products of three, and their inverses, are finite numbers
 _DIRECTION_LENGTHS = 1e-6, 1e6  # limits of a direction's length: two points in any length unit
 # Least eigenvalue of the scaled compliance: below it a material is stable only by roundoff.
-_LEAST_EIGENVALUE = 1e-9
-_LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
+_MIN_EIGENVALUE = 1e-9
+_MAX_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
 
 
 def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
     """Refuse coefficients, 1/K, that lack their factor of 1e-6."""
-    if abs(most := max(expansion, key=abs)) > _LARGEST_EXPANSION:
-        end = f"{_LARGEST_EXPANSION:g} 1/K in size, not {most:g}"
+    if abs(most := max(expansion, key=abs)) > _MAX_EXPANSION:
+        end = f"{_MAX_EXPANSION:g} 1/K in size, not {most:g}"
         raise ValueError(f"must be at most {end}; for aluminium write 23e-6")
     return expansion
 
@@ -59,8 +59,8 @@ Expansion = Annotated[
 
 
 def _modulus(value: float) -> float:
-    if not 1 / _LARGEST_MODULUS <= value <= _LARGEST_MODULUS:
-        ends = f"from {1 / _LARGEST_MODULUS:g} to {_LARGEST_MODULUS:g} {{unit}}"
+    if not 1 / _MAX_MODULUS <= value <= _MAX_MODULUS:
+        ends = f"from {1 / _MAX_MODULUS:g} to {_MAX_MODULUS:g} {{unit}}"
         raise ValueError(f"must be {ends}, not {value:g}; for steel write 210e9")
     return value
 
@@ -224,7 +224,7 @@ class Orthotropic(Solid):
         scale = np.sqrt(np.array(self.youngs_moduli))
         with np.errstate(over="ignore"):
             scaled = self._compliance * np.outer(scale, scale)
-        return bool(np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled)[0] > _LEAST_EIGENVALUE)
+        return bool(np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled)[0] > _MIN_EIGENVALUE)
 
     @property
     def isotropic_ratio(self) -> float:

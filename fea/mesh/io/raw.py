@@ -25,7 +25,7 @@ Block = tuple[str, np.ndarray]
 NODES_PER_LINE = {"point1": 1, "line2": 2, "line3": 3}
 """Kinds of cells that only give node groups: a group on an edge or a point of the part."""
 
-_LARGEST = 1e50  # largest coordinate: volumes of larger cells overflow
+_MAX_COORDINATE = 1e50  # largest coordinate: volumes of larger cells overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,12 +113,12 @@ def _require_points(raw: RawMesh) -> None:
 
 def _require_finite(points: np.ndarray) -> None:
     """Refuse coordinates, (n, 3), that are no numbers or too large."""
-    is_huge = ~(np.abs(points) < _LARGEST).all(axis=1)
+    is_huge = ~(np.abs(points) < _MAX_COORDINATE).all(axis=1)
     if is_huge.any():
         at = ", ".join(f"{x:g}" for x in points[is_huge][0])
         raise MeshFileError(
-            f"has a point at ({at}); coordinates must be finite and below {_LARGEST:g}, so export "
-            "it again"
+            f"has a point at ({at}); coordinates must be finite and below {_MAX_COORDINATE:g}, so "
+            "export it again"
         )
 
 
