@@ -33,7 +33,7 @@ from wrenchbook.fea.spec.schema import (
 )
 from wrenchbook.fea.tensors import rotation_less_identity
 
-_ZERO = 1e-9
+_ROUNDOFF = 1e-9
 """Relative size of projections, and relative width of a set of points: smaller values are
 roundoff, since axes and coordinates are written to about as many digits."""
 _ANY_MOTION = np.array([0.3, 0.5, 0.7, 0.2, 0.6, 0.4])
@@ -198,7 +198,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     # Sliding nodes, and the projectors on their held directions.
     nodes = np.flatnonzero(held.any(axis=(1, 2)))
     sizes, axes = np.linalg.eigh(held[nodes])
-    sliding = nodes, (axes * (sizes > _ZERO)[:, None]) @ axes.swapaxes(1, 2)
+    sliding = nodes, (axes * (sizes > _ROUNDOFF)[:, None]) @ axes.swapaxes(1, 2)
     for frame in frames:
         sliding = _free_sliding(mesh, sliding, frame, problems)
 
@@ -421,7 +421,7 @@ def _check_bolts(
 ) -> None:
     """Note cuts whose nodes a key of `occupied` names too, or `sliding` holds along their axis."""
     for bolt in bolts:
-        along = np.abs(sliding[1] @ bolt.axis).max(axis=1, initial=0.0) > _ZERO
+        along = np.abs(sliding[1] @ bolt.axis).max(axis=1, initial=0.0) > _ROUNDOFF
         for key, nodes in (*occupied, ("supports.sliding", sliding[0][along])):
             shared = np.intersect1d(bolt.nodes, nodes)
             if not shared.size:
@@ -491,7 +491,7 @@ def _free_sliding(
     if attached.coupling == "distributed":
         message = f"{slide}, which is all of them, so their mean is not free; let fewer nodes slide"
         problems.append(BundleProblem(attached.where, message))
-    elif off > _ZERO * max(np.abs(arms).max(), 1.0):
+    elif off > _ROUNDOFF * max(np.abs(arms).max(), 1.0):
         message = f"{slide}, but its free motions would move them off; let none of them slide"
         if attached.key.startswith("interface"):  # bushings and joints have no locked freedoms
             message += ", or lock those motions with locked"
@@ -552,4 +552,4 @@ def _spans_a_plane(points: np.ndarray) -> bool:
     if len(points) < 3:
         return False
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[1] > _ZERO * spread[0])
+    return bool(spread[1] > _ROUNDOFF * spread[0])

@@ -17,7 +17,11 @@ _DERIVATIVE_TERMS = 30
 _FIRST_TERMS = {1: 1.0, 2: 0.5, 3: 1.0 / 6.0}  # 1 / start!
 _SERIES_TERMS = 12  # terms of sin t / t and similar series: the next is below 1/24! = 2e-24
 _SERIES_LIMIT = 1.0  # rad^2, of the squared angle: below it the closed forms cancel
-_COMPLEX_STEP = 1e-30  # rad: its square vanishes against any number here
+COMPLEX_STEP = 2.0**-100
+"""Step of complex differences, rad, m or K: exact to roundoff, as its square vanishes against any
+number here; a power of two, so that the division by it has no roundoff."""
+TINY = 1e-300
+"""Replaces a divisor of 0: smaller than any length, area or motion, and its inverse is finite."""
 
 
 def skew(vector: np.ndarray) -> np.ndarray:
@@ -64,8 +68,8 @@ def spin_slope(vector: np.ndarray, moment: np.ndarray) -> np.ndarray:
     columns = []
     for axis in range(3):
         shifted = np.asarray(vector, dtype=complex).copy()
-        shifted[axis] += 1j * _COMPLEX_STEP
-        columns.append(np.imag(spin_per_vector(shifted).T @ moment) / _COMPLEX_STEP)
+        shifted[axis] += 1j * COMPLEX_STEP
+        columns.append(np.imag(spin_per_vector(shifted).T @ moment) / COMPLEX_STEP)
     return np.stack(columns, axis=1)
 
 

@@ -48,7 +48,7 @@ _LINEAR = 0.94
 """Upper bound of remainder over load at the smallest part, relative to that at the corner: at 1 the
 remainder grows with the load from the start, and b is infinite."""
 
-_NEAR = 0.1
+_ALIKE_MESHES = 0.1
 """Largest relative change of a compliance between the coarser mesh and the component's for solves
 on the coarser: the remainder of a part that stiffens grows with its fourth power, and 0.9^4 is 1 /
 `_SAFETY`."""
@@ -233,7 +233,7 @@ def linearity_of(solver: Solver, coarse: Solver, loads: DeclaredRange) -> dict[s
     loads: as of `beyond_linear`.
     """
     fine, rough = (np.diag(mesh.compliance) for mesh in (solver, coarse))
-    near = (np.abs(rough - fine) <= _NEAR * fine).all()
+    near = (np.abs(rough - fine) <= _ALIKE_MESHES * fine).all()
     beyond = beyond_linear(coarse if near else solver, loads)
     second = solver.second_derivatives
     basis = "nonlinear solves at opposite corners of the load range"

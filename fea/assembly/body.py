@@ -14,6 +14,7 @@ from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.linalg.multifrontal import MultifrontalFactor, NotDefinite
 from wrenchbook.fea.linalg.nested_dissection import Dissection, dissect, unknowns_of
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
+from wrenchbook.fea.tensors import TINY
 
 _AT_A_TIME = 256
 """Cells whose matrices are in memory at once."""
@@ -404,7 +405,7 @@ class Tangent:
         displacements[order] = self.factor.solve(columns).reshape(order.size, 3, loads.shape[2])
         if rough or not self._single:
             return displacements
-        largest = np.abs(displacements).max(axis=(0, 1), initial=1e-300)
+        largest = np.abs(displacements).max(axis=(0, 1), initial=TINY)
         before = 1.0
         for _ in range(_SINGLE_STEPS):
             change = self.solve(loads - self._body.small_strain_forces(displacements), rough=True)

@@ -134,7 +134,7 @@ def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: np.ndarray) -> st
     )
 
 
-_ZERO = 1e-7
+_RANK = 1e-7
 """Singular value, relative to the largest, that counts as zero."""
 
 _ZERO_STIFFNESS = 1e-14  # eigenvalue relative to the largest; smaller ones are roundoff
@@ -302,7 +302,7 @@ class _Equations:
         """Return orthonormal motions that satisfy all rows, shape (k, columns)."""
         matrix = np.concatenate(self.rows)
         _, size, rows = np.linalg.svd(matrix, full_matrices=True)
-        rank = int((size > _ZERO * size[0]).sum())
+        rank = int((size > _RANK * size[0]).sum())
         return rows[rank:]
 
     def _moves(self, nodes: np.ndarray) -> np.ndarray:

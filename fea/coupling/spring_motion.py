@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrenchbook.fea.tensors import rotation, rotation_vector, skew, spin_per_vector
+from wrenchbook.fea.tensors import COMPLEX_STEP, rotation, rotation_vector, skew, spin_per_vector
 
 _PER_FRAME = 6  # motions of a frame: translation and rotation vector
 _TURNS = (3, 4, 5, 9, 10, 11)  # the rotations among the motions of two frames
-_COMPLEX_STEP = 2.0**-100  # m or rad: its square vanishes against any number here
 _STEP = 1e-3  # rad: differences of fourth order leave out its fourth power
 # Weights of a first derivative by differences of fourth order.
 _SLOPE = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
@@ -33,9 +32,9 @@ def energy_hessian(motions: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
     q, jacobian = relative_motion(motions)
     columns = []
     turned, rate = q[3:], jacobian[3:]
-    for unit in 1j * _COMPLEX_STEP * np.eye(len(motions)):
+    for unit in 1j * COMPLEX_STEP * np.eye(len(motions)):
         q, jacobian = _motion_and_jacobian(motions + unit, turned + rate @ unit)
-        columns.append(np.imag(jacobian.T @ stiffness @ q) / _COMPLEX_STEP)
+        columns.append(np.imag(jacobian.T @ stiffness @ q) / COMPLEX_STEP)
     return np.stack(columns, axis=1)
 
 

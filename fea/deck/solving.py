@@ -14,7 +14,7 @@ from wrenchbook.fea.deck.running import run_deck
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solution import Progress, Solution, checked_wrench
 from wrenchbook.fea.spec.schema import FREEDOMS, LOADS, Bundle, Deck
-from wrenchbook.fea.tensors import spin_per_vector
+from wrenchbook.fea.tensors import TINY, spin_per_vector
 
 FOLDER = "deck"
 """Subfolder of the work folder; below it each run of the command has a separate folder."""
@@ -28,7 +28,6 @@ _MAX_RUNS = 12  # runs of a nonlinear deck; a rotation of 20 degrees takes half 
 LINEAR_GAP = 1e-5
 _RECIPROCAL_GAP = 1e-4
 _ZERO_WORK = 1e-9  # relative to the largest work; smaller ones are roundoff
-_TINY = 1e-300  # replaces a displacement of 0 in a divisor
 # Part of a step: with a smaller change, Broyden's update would divide by almost zero.
 _MIN_CHANGE = 1e-3
 
@@ -135,7 +134,7 @@ def _linear(runs: _Runs, wrench: np.ndarray, sizes: np.ndarray) -> tuple[np.ndar
     largest = (np.abs(compliance) @ np.abs(wrench)).reshape(2, 3).max(axis=1)
     gaps = np.abs(compliance @ wrench - displacement).reshape(2, 3).max(axis=1)
     if (gaps > LINEAR_GAP * largest).any():
-        gap = float((gaps / np.maximum(largest, _TINY)).max())
+        gap = float((gaps / np.maximum(largest, TINY)).max())
         raise SolveFailed(
             "not_linear",
             f"The deck's answer to this wrench differs by {gap:.1e} of its size from the sum of "

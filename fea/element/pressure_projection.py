@@ -30,7 +30,7 @@ NEARLY_INCOMPRESSIBLE = 0.4
 PRESSURES = {"hex20": 4, "hex27": 4}
 """Kinds of cells that project, and their number of pressure functions: 1 and the coordinates."""
 
-ROUNDING = 1e-9
+_ROUNDOFF = 1e-9
 """Rounding of a Poisson's ratio: a computed ratio of 0.49 is still at its limit."""
 
 LARGEST_RATIO = {
@@ -59,7 +59,7 @@ def require_no_locking(block: CellBlock, poisson: np.ndarray) -> None:
     Raises SolveFailed of kind ``locking_material`` if a cell would lock.
     """
     limit = LARGEST_RATIO[block.kind]
-    bad = poisson > limit + ROUNDING
+    bad = poisson > limit + _ROUNDOFF
     if bad.any():
         raise SolveFailed(
             "locking_material",
@@ -73,7 +73,7 @@ def projects(block: CellBlock, poisson: np.ndarray) -> np.ndarray:
 
     Poisson's ratios have shape (cells,) and are dimensionless.
     """
-    return (poisson > NEARLY_INCOMPRESSIBLE + ROUNDING) & (block.kind in PRESSURES)
+    return (poisson > NEARLY_INCOMPRESSIBLE + _ROUNDOFF) & (block.kind in PRESSURES)
 
 
 def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:

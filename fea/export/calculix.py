@@ -28,7 +28,7 @@ from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, PLACEHOLDERS, TE
 
 # Their nodes are in the same order as those of `fea.mesh.mesh`.
 _ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10", "wedge15": "C3D15"}
-_ZERO = 1e-12  # component of a unit vector; smaller ones are roundoff
+_MIN_COMPONENT = 1e-12  # component of a unit vector; smaller ones are roundoff
 
 # CalculiX halves increments that are too large. Its default tolerance leaves errors of up to 5e-3
 # in small rotations.
@@ -149,7 +149,7 @@ def _springs(component: ComponentModel) -> Iterator[str]:
             for end, sign in zip(ends, signs, strict=True):
                 for freedom, x in enumerate(sign * (motion @ rotation)):
                     half, axis = divmod(freedom, 3)  # half 1: the frame's second node, of rotations
-                    if abs(x) > _ZERO:
+                    if abs(x) > _MIN_COMPONENT:
                         terms.append((first + 2 * end + half, axis + 1, x))
             yield f"*NODE\n{node}, {at}\n*BOUNDARY\n{node}, 2, 3"
             yield from _equation([(node, 1, -1.0), *terms])
@@ -223,7 +223,7 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
         dependent = np.argsort(-np.diagonal(projector))[:held_count]
         rows = np.linalg.solve(projector[np.ix_(dependent, dependent)], projector[dependent])
         for axis, row in zip(dependent, rows, strict=True):
-            others = [i for i in range(3) if i not in dependent and abs(row[i]) > _ZERO]
+            others = [i for i in range(3) if i not in dependent and abs(row[i]) > _MIN_COMPONENT]
             if others:
                 yield from _equation([(node, i + 1, row[i]) for i in (axis, *others)])
             else:

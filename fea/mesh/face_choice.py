@@ -18,13 +18,13 @@ from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.surface import NEAR, Point, Surface, unit
 from wrenchbook.fea.spec.mesh_source import FaceSelector
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
+from wrenchbook.fea.tensors import TINY
 
 # Part of a facet's size: its triangles deviate less from a round face, at 16 cells a turn.
 _EDGE = 2e-2
 _ANGLE = 10.0  # degrees: tolerance of `normal` without `angle`
 # Part of the side of a square of the chosen area: a thinner wall has two sides in a box.
 _THIN = 0.5
-_TINY = 1e-300  # replaces a length of 0 in a divisor
 _ACROSS = 0.5  # cosine of a cylinder's axis and a facet's normal: its ends have 1, its side 0
 _OPPOSED = -0.99  # cosine of the normals of two sides of a wall: 8 degrees
 _ROUNDOFF = 1e-9  # relative: bundles write directions and positions with about as many digits
@@ -148,7 +148,7 @@ def _nearest(surface: Surface, point: Point, where: str) -> int:
     edges = np.roll(x, -1, axis=1) - x
     # Above the inside of a triangle it is the distance to its plane, else that to an edge.
     sides = np.einsum("tex,tx->te", np.cross(x, edges), normals)
-    along = -np.einsum("tex,tex->te", x, edges) / np.maximum((edges**2).sum(axis=2), _TINY)
+    along = -np.einsum("tex,tex->te", x, edges) / np.maximum((edges**2).sum(axis=2), TINY)
     to_edges = np.linalg.norm(x + np.clip(along, 0, 1)[:, :, None] * edges, axis=2).min(axis=1)
     height = np.abs(np.einsum("tx,tx->t", x[:, 0], normals))
     distance = np.where((sides >= 0).all(axis=1), height, to_edges)

@@ -27,11 +27,10 @@ from wrenchbook.fea.mesh.mapping import extreme_determinants
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates
 from wrenchbook.fea.spec.problems import point_text
-from wrenchbook.fea.tensors import determinant
+from wrenchbook.fea.tensors import TINY, determinant
 
 _IDEAL_VOLUME = {"tet": 0.5**0.5, "pyr": 0.5**0.5, "wed": 0.75**0.5, "hex": 1.0}
 """Volume that the three edges of length 1 at a corner of the ideal cell span, by kind of cell."""
-_NO_LENGTH = 1e-300  # m: replaces a length of 0 in a divisor
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ def jacobian_ratio(points: np.ndarray, block: CellBlock) -> np.ndarray:
 def aspect_ratio(points: np.ndarray, block: CellBlock) -> np.ndarray:
     """Return the longest over the shortest edge of each cell, shape (m,)."""
     lengths = edge_lengths(points, block)
-    shortest = np.maximum(lengths.min(axis=1), _NO_LENGTH)
+    shortest = np.maximum(lengths.min(axis=1), TINY)
     return lengths.max(axis=1) / shortest
 
 
@@ -88,7 +87,7 @@ def edge_curvature(points: np.ndarray, block: CellBlock) -> np.ndarray:
     ends = points[block.nodes[:, pairs]]
     middle = points[block.nodes[:, corners : corners + len(pairs)]]
     offset = np.linalg.norm(middle - ends.mean(axis=2), axis=2)
-    return (offset / np.maximum(edge_lengths(points, block), _NO_LENGTH)).max(axis=1)
+    return (offset / np.maximum(edge_lengths(points, block), TINY)).max(axis=1)
 
 
 def edge_lengths(points: np.ndarray, block: CellBlock) -> np.ndarray:

@@ -69,8 +69,8 @@ _WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (2, 3)}
 _MASS_SIMPLEX_DEGREES = {**_SIMPLEX_DEGREES, "tet4": 2, "tet10": 4}
 _MASS_WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (4, 3)}
 
-_ROUNDOFF = 1e-12  # roundoff of reference coordinates, which are 0, 1/2 and 1
-_TINY = 1e-30  # replaces a height of 0 below a pyramid's apex in a divisor
+_SAME_NODE = 1e-12  # roundoff of reference coordinates, which are 0, 1/2 and 1
+_MIN_HEIGHT = 1e-30  # replaces a height of 0 below a pyramid's apex in a divisor
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ def tabulate(kind: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     coordinates = node_coordinates(kind)
     distance = np.abs(coordinates[:, None, :] - np.asarray(element.doflocs)[None, :, :]).max(axis=2)
     order = distance.argmin(axis=1)
-    if distance.min(axis=1).max() > _ROUNDOFF or len(set(order.tolist())) != len(coordinates):
+    if distance.min(axis=1).max() > _SAME_NODE or len(set(order.tolist())) != len(coordinates):
         raise AssertionError("scikit-fem moved the nodes of a reference element")
     values, slopes = zip(*(element.lbasis(points.T, int(i)) for i in order), strict=True)
     return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
@@ -199,7 +199,7 @@ def _pyramid_factors(
     those of hexahedra and tetrahedra. At the apex slopes are those on the line p = r = 1/2.
     """
     ones = np.ones_like(h)
-    d = np.maximum(1 - h, _TINY)
+    d = np.maximum(1 - h, _MIN_HEIGHT)
     p, r = (np.where(h < 1, each / d, 0.5) for each in (x, y))
     factors = {"d": d, "h": h, "p": p, "q": 1 - p, "r": r, "s": 1 - r}
     slopes = {"d": (0, 0, -ones), "h": (0, 0, ones)}

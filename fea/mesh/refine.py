@@ -78,7 +78,7 @@ _DENOMINATOR = 64
 4^3."""
 
 # Largest rounding of a shape function at a point of a pattern, where it is a multiple of 1/64.
-_ZERO = 1e-9
+_ROUNDOFF = 1e-9
 
 
 class _Pattern(NamedTuple):
@@ -216,7 +216,7 @@ def _split_nodes(mesh: Mesh, group: np.ndarray, finer: _FinerNodes) -> np.ndarra
     """Return the finer nodes, sorted, that depend on nodes of the group only."""
     inside = []
     for block, numbers in zip(mesh.blocks, finer.numbers, strict=True):
-        matters = np.abs(_pattern(block.kind).values) > _ZERO
+        matters = np.abs(_pattern(block.kind).values) > _ROUNDOFF
         outside = ~np.isin(block.nodes, group)
         inside.append(numbers[outside.astype(int) @ matters.T.astype(int) == 0])
     return np.unique(np.concatenate(inside))

@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from wrenchbook.fea.mesh.facets import TRIANGLES, Face, corners_of, outer_surface, triangles_of
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
+from wrenchbook.fea.tensors import TINY
 
 Point = tuple[float, float, float]
 
@@ -26,7 +27,6 @@ _FLAT = 2e-3  # rad: roundoff of coordinates in single precision turns facets by
 _EVEN = 1e-4  # part of a face's size: largest deviation of a plane face from its plane
 # Radius over a face's size; a flatter arc does not determine a radius to three digits.
 _MAX_RADIUS = 10.0
-_TINY = 1e-300  # replaces a length or an area of 0 in a divisor
 _MIN_FIT_POINTS = 6  # one more than the five numbers of a cylinder, so that a misfit shows
 _FIT_POINTS = 2000  # points of a face in a fit: enough for these five numbers
 _FIT = 1e-12  # relative accuracy of these numbers: roundoff
@@ -69,7 +69,7 @@ class Surface:
         parts = np.linalg.norm(self.vectors, axis=1, keepdims=True)
         self.areas = self._of_facets(parts)[:, 0]
         self.normals = unit(self._of_facets(self.vectors))
-        weight = np.maximum(self.areas, _TINY)[:, None]
+        weight = np.maximum(self.areas, TINY)[:, None]
         self.middles = self._of_facets(parts * points.mean(axis=1)) / weight
         self.sizes = np.linalg.norm(np.ptp(mesh.points[self.corners], axis=1), axis=1)
 
@@ -219,7 +219,7 @@ def _fitted_cylinder(points: np.ndarray) -> np.ndarray | None:
 
 def unit(vectors: np.ndarray) -> np.ndarray:
     """Return vectors (k, 3) at length one; zero stays zero."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), _TINY)
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), TINY)
 
 
 def connected(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:

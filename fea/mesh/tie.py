@@ -44,7 +44,7 @@ _UNSURE = 0.02  # part of a facet, covered or not: roundoff, and gaps between cu
 # 25 degrees.
 _WHOLE = 0.9
 _NEIGHBOURS = 8  # main nodes beside a sliding node, some on its plane of symmetry if the surface is
-_SAME = 1e-9  # part of a projector: axes are written to about as many digits
+_ROUNDOFF = 1e-9  # part of a projector: axes are written to about as many digits
 
 _OF_TIE = (
     "{count} secondary nodes, such as the one at {at} m, also belong to {where}, but a node can "
@@ -150,9 +150,9 @@ def _bound_nodes(
     bound = {
         # This node connects both surfaces.
         f'are in "{pair.main}"': np.isin(nodes, main),
-        "are fixed": np.trace(held[nodes], axis1=1, axis2=2) >= 3 - _SAME,
+        "are fixed": np.trace(held[nodes], axis1=1, axis2=2) >= 3 - _ROUNDOFF,
         "already follow others": follows[nodes],
-        "slide where it does not": (np.abs(loose).max(axis=(2, 3)) > _SAME).all(axis=1),
+        "slide where it does not": (np.abs(loose).max(axis=(2, 3)) > _ROUNDOFF).all(axis=1),
     }
     return bound, float(gaps.min())
 

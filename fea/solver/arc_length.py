@@ -16,6 +16,7 @@ import numpy as np
 from wrenchbook.fea.assembly.linearisation import Linearisation
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.solver.newton import Equilibrium, Report, Stuck, correct, tangent_after
+from wrenchbook.fea.tensors import TINY
 
 _MAX_STEPS = 80  # steps of a path before its kind is "lost"
 _MAX_ITERATIONS = 10  # iterations of a step before it is halved
@@ -28,7 +29,6 @@ _MAX_NODE_STEP = 0.01  # largest motion of a node in one step, over the part's s
 _MAX_LENGTH = 8.0  # longest step, over the first step
 _SAMPLES = 201  # samples of the cubic between two points, whose maximum is the critical load
 _MIN_COSINE = 0.7  # cosine of the largest angle by which a path may turn in one step
-_NO_MOTION = 1e-300  # replaces a motion of 0 in a divisor
 
 
 class Ending(NamedTuple):
@@ -79,7 +79,7 @@ class ArcPath:
         self._point = self._point_at(factor * full, start)
         furthest = _MAX_NODE_STEP * system.body.extent * self._point.speed
         farthest_node = np.abs(self._field(self._point)).max(initial=0.0)
-        longest = furthest / max(farthest_node, _NO_MOTION)
+        longest = furthest / max(farthest_node, TINY)
         self._first = min(step * full * self._point.speed, longest)
         self._length = self._first
 

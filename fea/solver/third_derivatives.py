@@ -16,7 +16,7 @@ from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling import Coupling
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE, from_origin
 from wrenchbook.fea.element.cell_state import CellState, symmetrised
-from wrenchbook.fea.tensors import skew, spin_per_vector, spin_slope
+from wrenchbook.fea.tensors import COMPLEX_STEP, skew, spin_per_vector, spin_slope
 
 MAX_CURVATURE_INPUTS = 8
 """Largest number of inputs whose third derivatives are stored: 120 numbers a row (of 12: 364)."""
@@ -32,9 +32,6 @@ others.
 
 _BEND, _JERK = np.array([(-1, 16, -30, 16, -1), (-6, 12, 0, -12, 6)]) / 12
 """Weights of differences of second and third order, from two steps below to two above."""
-
-_COMPLEX_STEP = 1e-30
-"""Step of complex differences, K: exact to roundoff, as its square vanishes in any strain."""
 
 
 def packed(tensor: np.ndarray) -> np.ndarray:
@@ -113,11 +110,11 @@ def _thermal_part(system: System, balance: Balance, fields: np.ndarray) -> np.nd
     steps = _WARMER * np.arange(-2, 3)
     near = [system.body.at(temperature + step).forces(nodes) for step in steps]
     forces, energies, _ = zip(*near, strict=True)
-    warmer = system.body.at(temperature + 1j * _COMPLEX_STEP)
+    warmer = system.body.at(temperature + 1j * COMPLEX_STEP)
     ahead = warmer.derivatives(CellState.second, nodes, fields)
 
     tensor = np.zeros((fields.shape[2],) * 3)
-    tensor[:, :, warm] = np.imag(ahead) / _COMPLEX_STEP
+    tensor[:, :, warm] = np.imag(ahead) / COMPLEX_STEP
     bend = np.tensordot(_BEND / _WARMER**2, forces, 1)
     tensor[warm, warm] += contract(bend[:, :, None], fields)[0]
     tensor = symmetrised(tensor)

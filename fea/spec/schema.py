@@ -171,7 +171,7 @@ class Sliding:
         return self.axes[["xyz".index(name) for name in sorted(self.along)]]
 
 
-_ROUNDING = 1e-9  # part of a stiffness' diagonal: decks write nine digits and more
+_ROUNDOFF = 1e-9  # part of a stiffness' diagonal: decks write nine digits and more
 
 
 def _stiffness(numbers: tuple[Any, ...]) -> np.ndarray:
@@ -181,7 +181,7 @@ def _stiffness(numbers: tuple[Any, ...]) -> np.ndarray:
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     scaled = matrix / scale / scale[:, None]
     asymmetry = np.abs(scaled - scaled.T)
-    if asymmetry.max() > _ROUNDING:
+    if asymmetry.max() > _ROUNDOFF:
         i, j = divmod(int(asymmetry.argmax()), len(matrix))
         raise ValueError(
             f"must be symmetric, but row {i + 1}, column {j + 1} is {matrix[i, j]:.10g} and row "
@@ -191,7 +191,7 @@ def _stiffness(numbers: tuple[Any, ...]) -> np.ndarray:
         i = int(diagonal.argmin())
         freedom = f"that of {FREEDOMS[i]} is {diagonal[i]:.4g}"
         raise ValueError(f"must have no negative stiffness, but {freedom}; write 0 or more")
-    if (least := np.linalg.eigvalsh(scaled)[0]) < -_ROUNDING:
+    if (least := np.linalg.eigvalsh(scaled)[0]) < -_ROUNDOFF:
         raise ValueError(
             f"its least eigenvalue is negative ({least:.2g} times its diagonal), so some motion "
             "would release energy; reduce the off-diagonal numbers"

@@ -169,7 +169,7 @@ def opened(path: Path) -> Iterator[Any]:
         gmsh.finalize()
 
 
-_NEAR = 1e-3
+_TOUCHING = 1e-3
 """Fraction of the cell size within which two points count as equal."""
 
 
@@ -197,7 +197,7 @@ def choose_bodies(
             off = [gmsh.model.occ.getDistance(0, vertex, 3, n)[0] * METRES for n in there]
             gmsh.model.occ.remove([(0, vertex)])
             close = [
-                n for n, each in zip(there, off, strict=True) if each <= min(off) + _NEAR * size
+                n for n, each in zip(there, off, strict=True) if each <= min(off) + _TOUCHING * size
             ]
             if message := near_message(point, "body", close, min(off), size):
                 problems.append(BundleProblem(f"{where}.near", message))

@@ -17,6 +17,7 @@ import numpy as np
 
 from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes
 from wrenchbook.fea.mesh.io.abaqus_keywords import whole
+from wrenchbook.fea.mesh.io.springs import ALONG
 from wrenchbook.fea.mesh.io.translated import Case, Translated
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError
@@ -36,7 +37,6 @@ _EXPONENT = re.compile(r"(?<=[\d.])([+-]\d+)$")  # of a number without a letter 
 _QUIET = {"PARAM", "END BULK", "MPCADD"}  # cards without content, which no message lists
 _SYSTEMS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
 _MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
-_ALONG = 1e-6  # part of a length: decks write coordinates with 7 digits
 _FIRST_SPRING = 10**9  # number of the first element of springs: Nastran's own end at 1e8
 _NONLINEAR = re.compile(r"^\s*SOL\s+(106|NLSTATIC|400|60[01])\b", re.I | re.M)
 _CASE = re.compile(r"(SUBCASE|SUBC|SYM|SUBCOM|SYMCOM|REPCASE)\b\s*=?\s*(\d+)")
@@ -615,7 +615,7 @@ def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[flo
     if offset not in ("", "-1"):
         raise MeshFileError(f"has the OCID {offset}, not -1")
     apart = data.point(last) - data.point(first)
-    across = np.linalg.norm(np.cross(apart, axes), axis=1) > _ALONG * np.linalg.norm(apart)
+    across = np.linalg.norm(np.cross(apart, axes), axis=1) > ALONG * np.linalg.norm(apart)
     if (across & (np.array(sizes[:3]) != 0)).any():
         raise MeshFileError("has a stiffness across the line between its nodes")
     return axes

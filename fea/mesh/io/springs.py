@@ -20,7 +20,8 @@ NODES = {"SPRING1": 1, "SPRING2": 2}
 """Number of nodes of an element of each type."""
 
 _UPRIGHT = tuple(np.eye(3).ravel().tolist())
-_ALONG = 1e-6  # relative accuracy of coordinates, which decks write with 7 digits
+ALONG = 1e-6
+"""Part of a length by which a point may be off a spring's line: decks write 7 digits."""
 
 
 def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
@@ -210,7 +211,7 @@ def _check_between(case: LoadCase, ends: list[CoupledGroup], shift: np.ndarray) 
         raise MeshFileError("it joins a rigid with a distributed coupling")
     if first.weighted != second.weighted:
         raise MeshFileError("it joins a coupling with weights and one without")
-    if across > _ALONG * np.abs(points).max():
+    if across > ALONG * np.abs(points).max():
         raise MeshFileError(f"its points are {across:.3g} off the line of its direction")
     if case.nonlinear:
         raise MeshFileError("with NLGEOM its direction stays, but that of [[spring]] rotates")
