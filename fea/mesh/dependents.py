@@ -53,8 +53,8 @@ class Dependents:
     map: csr_array
 
     @classmethod
-    def of(cls, size: int, entries: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Dependents:
-        """Return dependents of n = `size` nodes by the fields of `Entries`.
+    def of(cls, size: int, entries: Entries) -> Dependents:
+        """Return dependents of n = `size` nodes.
 
         Masters that are dependent themselves are replaced by their masters.
 
@@ -88,7 +88,7 @@ class Dependents:
         """Return the dependents among the first `size` nodes with masters among them, if any."""
         nodes, masters, weights = self.entries
         valid = ~np.isin(nodes, nodes[masters >= size]) & (nodes < size)
-        entries = nodes[valid], masters[valid], weights[valid]
+        entries = Entries(nodes[valid], masters[valid], weights[valid])
         return Dependents.of(size, entries) if valid.any() else None
 
     def expanded(self, fields: np.ndarray) -> np.ndarray:

@@ -456,7 +456,7 @@ class Spring(Generator):
 
     def mesh(self) -> Mesh:
         """Return the mesh, of 20-node hexahedra."""
-        layers = int(np.ceil(self.cells_per_turn * self.active_turns - _ROUNDOFF))
+        layers = max(int(np.ceil(self.cells_per_turn * self.active_turns - _ROUNDOFF)), 1)
         wire = sweep(disc(self.wire_diameter / 2.0, self.core), layers, self._to_space)
         groups = {"bottom": wire.start(), "top": wire.end(), "side": wire.side()}
         return Mesh(wire.points, (wire.cells,), facet_groups=groups)

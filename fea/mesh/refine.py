@@ -48,17 +48,12 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
         return replace(bundle, mesh=finer)
     if not isinstance(mesh, Generator):
         return None
-    counts = {
-        name: max(_fewest(mesh, name), math.floor(mesh.parameters[name] * factor + 0.5))
-        for name in _COUNTS[mesh.generator]
-    }
+    counts = {}
+    for name in _COUNTS[mesh.generator]:
+        bounds = keys_of(type(mesh))[name].metadata
+        fewest = next(cast("int", bound.ge) for bound in bounds if isinstance(bound, Ge))
+        counts[name] = max(fewest, math.floor(mesh.parameters[name] * factor + 0.5))
     return replace(bundle, mesh=replace(mesh, **counts))
-
-
-def _fewest(mesh: Generator, name: str) -> int:
-    """Return the least number of cells that a generator's parameter may have."""
-    bounds = keys_of(type(mesh))[name].metadata
-    return next(cast("int", bound.ge) for bound in bounds if isinstance(bound, Ge))
 
 
 # The first-order cell or facet with the same corners as each second-order one.

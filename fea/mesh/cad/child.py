@@ -234,27 +234,20 @@ def faces_of(gmsh: Any) -> tuple[Face, ...]:
         for _, body in gmsh.model.getEntities(3)
         for _, tag in gmsh.model.getBoundary([(3, body)], oriented=False)
     }
-    return tuple(_face(gmsh, number) for number in sorted(bounding))
-
-
-def _face(gmsh: Any, number: int) -> Face:
-    """Return a face of the open file by gmsh's number."""
     # Older versions of gmsh only have getType.
     type_of = getattr(gmsh.model, "getEntityType", None) or gmsh.model.getType
-    kind = type_of(2, number)
-    radius = None
-    if kind == "Cylinder":  # the inverse of its larger principal curvature
-        middle = _middle(gmsh, number)
-        largest, smallest, _, _ = gmsh.model.getPrincipalCurvatures(number, middle)
-        radius = METRES / max(abs(float(largest[0])), abs(float(smallest[0])))
-    return Face(
-        number,
-        kind,
-        gmsh.model.occ.getMass(2, number) * METRES**2,
-        _metres(gmsh.model.occ.getCenterOfMass(2, number)),
-        _outward(gmsh, number) if kind == "Plane" else None,
-        radius,
-    )
+    faces = []
+    for number in sorted(bounding):
+        kind, radius = type_of(2, number), None
+        if kind == "Cylinder":  # the inverse of its larger principal curvature
+            middle = _middle(gmsh, number)
+            largest, smallest, _, _ = gmsh.model.getPrincipalCurvatures(number, middle)
+            radius = METRES / max(abs(float(largest[0])), abs(float(smallest[0])))
+        area = gmsh.model.occ.getMass(2, number) * METRES**2
+        centre = _metres(gmsh.model.occ.getCenterOfMass(2, number))
+        normal = _outward(gmsh, number) if kind == "Plane" else None
+        faces.append(Face(number, kind, area, centre, normal, radius))
+    return tuple(faces)
 
 
 def _metres(point: Any) -> tuple[float, float, float]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wrenchbook.fea.mesh.dependents import CircularError, Dependents
+from wrenchbook.fea.mesh.dependents import CircularError, Dependents, Entries
 from wrenchbook.fea.mesh.facets import FaceFinder
 from wrenchbook.fea.mesh.mapping import right_way_round
 from wrenchbook.fea.mesh.mesh import (
@@ -147,11 +147,9 @@ def _dependents(raw: RawMesh, number: np.ndarray, points: np.ndarray) -> Depende
     number: the node of the mesh for each node of `raw`, -1 if it is in no cell.
     points: shape (nodes, 3), m.
     """
-    nodes = np.array([node for node, _, _ in raw.follow])
-    masters = np.array([master for _, master, _ in raw.follow])
-    weights = np.array([weight for _, _, weight in raw.follow])
+    nodes, masters, weights = map(np.array, zip(*raw.follow, strict=True))
     try:
-        return Dependents.of(len(points), (number[nodes], number[masters], weights))
+        return Dependents.of(len(points), Entries(number[nodes], number[masters], weights))
     except CircularError as error:
         at = point_text(points[error.node])
         message = f"has equations by which the node at {at} m follows itself; remove one of them"
