@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import assert_never
 
 import numpy as np
 
-from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
+from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.mesh.io.translated import rows_of
 from wrenchbook.fea.spec.material import Orthotropic
@@ -346,17 +345,12 @@ def main(arguments: list[str] | None = None) -> int:
     )
     path = parser.parse_args(arguments).bundle
     try:
-        if path.is_dir():
-            bundle = read_bundle(path)
-        else:
-            bundle = bundle_of(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
-        component = build(bundle)
+        component = build(read_bundle(path))
         origin = f"Made by: python -m wrenchbook.fea.export.calculix {path.name}"
         units = "Metres, newtons, pascals; the axes are those of the interface frame."
         sys.stdout.write(deck_of(component, (component.bundle.title, origin, units)))
-    except (BundleError, OSError, tomllib.TOMLDecodeError) as error:
-        place = "" if isinstance(error, BundleError) else f"{path}: "
-        print(f"{place}{error}", file=sys.stderr)
+    except BundleError as error:
+        print(error, file=sys.stderr)
         return 1
     return 0
 
