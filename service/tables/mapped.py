@@ -341,7 +341,7 @@ class MappedTables:
         """
         files = self._store.stamp()
         settled = time.time_ns() - files > SETTLED_NS
-        return self._library.version(), files, settled or time.monotonic(), self._state.read()
+        return self._library.version(), files, settled or time.monotonic(), self._state.stamp()
 
     def _follow(self) -> None:
         """Map new tables when woken, and keep the memory limit, until the tables are closed."""
