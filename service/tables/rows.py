@@ -49,9 +49,9 @@ class ExportRows:
             self.who.append(spans[at].record.who if is_imported else "")
 
 
-def iso_time(seconds: float) -> str:
+def iso_time(seconds: float, timespec: str = "seconds") -> str:
     """Return a time since the epoch as ISO 8601, UTC."""
-    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec=timespec)
 
 
 def table_meta(component: Component, version: int, error: SolverError | None = None) -> TableMeta:

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
-from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Path, Query, Request
@@ -16,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
 from wrenchbook.service.actors import ANY, CALLER
-from wrenchbook.service.contract import by_part
+from wrenchbook.service.contract import OUTPUTS, by_part
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import HttpProblemError
@@ -25,6 +24,7 @@ from wrenchbook.service.jobs.attempt import LOG, pieces_of, read_progress, zippe
 from wrenchbook.service.jobs.waiting import why_waiting
 from wrenchbook.service.ledger import JobRecord, LedgerRow, Status, UnknownJobError
 from wrenchbook.service.query import job_link
+from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.space import DEFAULT
 
@@ -91,9 +91,12 @@ def job_body(
         body["row"] = job.row
         row = workspace.ledger.row(job.row) if rows is None else rows.get(job.row)
         if row is not None:  # GET /health/ready reports a damaged row
-            names = space.several if space else ()
-            parts = by_part(row.displacement, names)
-            body |= {"displacements": parts} if names else parts
+            parts = by_part(row.displacement, space.several if space else ())
+            if space and space.several:
+                parts = {"displacements": parts}
+            elif len(row.displacement) != len(OUTPUTS):  # of several unknown interfaces
+                parts = {"displacement": row.displacement}
+            body |= parts
     return body
 
 
@@ -246,6 +249,4 @@ def _check_known(workspace: Workspace, component: str | None) -> None:
 
 def _time(seconds: float | None) -> str | None:
     """Return seconds since the epoch as ISO 8601 in UTC."""
-    if seconds is None:
-        return None
-    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
+    return None if seconds is None else iso_time(seconds, "milliseconds")
