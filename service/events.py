@@ -31,7 +31,9 @@ MAX_EVENTS = 2_000  # stored events, for listeners that are slow or reconnect: 0
 MAX_LISTENERS = 64  # listeners, each with a connection
 
 POLL_S = 0.25  # s between polls of progress and tables, which no commit announces
-FIRST_POLL_S = 10.0  # s for which a ledger may be busy; later the caller must retry
+FIRST_POLL_S = (
+    LedgerBusyError.retry_s
+)  # s for which a ledger may be busy; later the caller must retry
 LINGER_S = 300.0  # s of polls after the last listener has left: it may be reconnecting
 ONE_BY_ONE = 50  # changed jobs with an event each; a larger number is reported as a count
 

@@ -97,9 +97,8 @@ class SolveFailedError(RefusedError):
         # Failures that older versions stored end in their remedy already.
         text = message if message.endswith(remedy) else f"{message} {remedy}"
         retry = f"Once it is repaired, POST /v1/jobs/{job.id}/retry."
-        super().__init__(f"{text} {retry}".strip(), error=error)
+        super().__init__(f"{text} {retry}".strip(), job=job_link(job), error=error)
         self.kind = error.get("kind", "unknown")
-        self.job = job
 
 
 @dataclass(slots=True)

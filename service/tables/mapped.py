@@ -56,6 +56,8 @@ ROW_DETAIL = "the displacement that a row of the table has at this wrench"
 class TableBehindError(Exception):
     """The table lacks rows that the ledger has; the caller should repeat the request."""
 
+    retry_s = 1.0  # most tables are built in less
+
     @classmethod
     def unbuilt(cls, name: str, why: str | None) -> TableBehindError:
         """Return the error of a table with rows that was never built since the start."""

@@ -155,7 +155,7 @@ def test_a_withdrawn_row_leaves_the_table_and_its_file_and_comes_back(site):
         assert site.tables.surrogate("rig").version == version
     site.close()
     ledger = Ledger(site.folder / "ledger.sqlite")
-    ledger.restore("rig", gone.seq)  # while nobody serves
+    ledger.withdraw("rig", gone.seq, withdrawn=False)  # while nobody serves
     ledger.close()
     site.open()
     assert site.wrenches() == expected(10)
