@@ -50,7 +50,7 @@ _OWN_ERRORS: Final = "/umbridge/"  # a protocol with its own form of errors
 # Options of the application, and of the router of its calls.
 OPTIONS: Final[dict[str, Any]] = {
     "openapi_url": None,  # `install` serves it with an ETag
-    # Service/http/routes/page.py has the documentation without another host's files.
+    # service/http/routes/page.py has the documentation without another host's files.
     "docs_url": None,
     "redoc_url": None,
 }

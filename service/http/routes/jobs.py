@@ -19,7 +19,7 @@ from wrenchbook.service.contract import OUTPUTS, by_part
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.http.routes import Opened, WaitSeconds, next_page
+from wrenchbook.service.http.routes import Opened, WaitSeconds, attached, next_page
 from wrenchbook.service.jobs.attempt import LOG, pieces_of, read_progress, zipped
 from wrenchbook.service.jobs.waiting import why_waiting
 from wrenchbook.service.ledger import JobRecord, LedgerRow, Status, UnknownJobError
@@ -180,9 +180,8 @@ def retry_job(job_id: JobId, workspace: Opened) -> dict[str, Any]:
 )
 def get_job_files(job_id: JobId, workspace: Opened) -> Response:
     folder = _attempt_files(workspace, workspace.ledger.job(job_id))
-    name = f"job-{job_id}.zip"
-    disposition = {"Content-Disposition": f'attachment; filename="{name}"'}
-    return StreamingResponse(pieces_of(zipped(folder)), 200, disposition, "application/zip")
+    headers = attached(f"job-{job_id}.zip")
+    return StreamingResponse(pieces_of(zipped(folder)), 200, headers, "application/zip")
 
 
 @router.get(
