@@ -364,15 +364,15 @@ def _stored_keys(content: bytes) -> list[Key]:
     is_needed = {item.name: item.default is MISSING for item in fields(Key)}
     keys = []
     for number, entry in enumerate(entries):
-        given = entry.keys() if isinstance(entry, dict) else ()
-        lacking = [name for name, needed in is_needed.items() if needed and name not in given]
-        wrong = lacking or [name for name in given if name not in is_needed]
+        names = entry.keys() if isinstance(entry, dict) else ()
+        lacking = [name for name, needed in is_needed.items() if needed and name not in names]
+        wrong = lacking or [name for name in names if name not in is_needed]
         try:
             if wrong:
                 raise ValueError(f"the field {wrong[0]!r} is {'missing' if lacking else 'unknown'}")
-            if not isinstance(entry.get("components", []), list):
-                given = entry["components"]
-                raise ValueError(f"components must be a list such as {_EXAMPLE}, not {given!r}")
+            patterns = entry.get("components", [])
+            if not isinstance(patterns, list):
+                raise ValueError(f"components must be a list such as {_EXAMPLE}, not {patterns!r}")
             keys.append(_checked(entry))
         except ValueError as error:
             raise ValueError(f"keys[{number}]: {error}") from None

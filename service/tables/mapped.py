@@ -316,9 +316,9 @@ class MappedTables:
         Return False after the timeout, or if the table cannot be built: see `faults`.
         """
         progress, end = self.progress(name), time.monotonic() + timeout
-        while (caught_up := progress()) is None and (left := end - time.monotonic()) > 0:
+        while (caught_up := progress()) is None and (remaining := end - time.monotonic()) > 0:
             with self._changed:  # notified by this process alone
-                self._changed.wait(min(left, POLL_S))
+                self._changed.wait(min(remaining, POLL_S))
         return caught_up is True
 
     def caught_up(self, name: str, timeout: float) -> ServedTable:
