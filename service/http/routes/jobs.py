@@ -16,7 +16,7 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
 from wrenchbook.service.actors import ANY, CALLER
 from wrenchbook.service.contract import OUTPUTS, by_part
-from wrenchbook.service.files.redact import redact_values
+from wrenchbook.service.files.redact import cut_paths, redact_values
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Opened, WaitSeconds, attached, next_page
@@ -200,7 +200,7 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
         size = log.seek(0, 2)
         log.seek(max(0, size - MAX_LOG_BYTES))
         end = log.read(MAX_LOG_BYTES).decode(errors="replace")
-    shown = without_paths(end, workspace.settings.data)
+    shown = _without_paths(end, workspace.settings.data)
     if size > MAX_LOG_BYTES:
         shown = f"[the first {size - MAX_LOG_BYTES} bytes are in .../files]\n{shown}"
     return Response(shown, 200, None, "text/plain")
@@ -227,8 +227,8 @@ def _attempt_files(workspace: Workspace, job: JobRecord) -> pathlib.Path:
     raise HttpProblemError(404, "no-files", title, why)
 
 
-def without_paths(text: str, data: pathlib.Path) -> str:
-    """Return a text without this machine's folders, which are meaningless elsewhere."""
+def _without_paths(text: str, data: pathlib.Path) -> str:
+    """Return a log without folders of this machine; those of the program keep a name."""
     known = {
         str(data.absolute()): "<data>",
         str(CODE): "<wrenchbook>",
@@ -237,7 +237,7 @@ def without_paths(text: str, data: pathlib.Path) -> str:
     }
     for place in sorted(known, key=len, reverse=True):
         text = text.replace(place, known[place])
-    return text
+    return cut_paths(text)
 
 
 def _check_known(workspace: Workspace, component: str | None) -> None:
