@@ -111,6 +111,8 @@ class _Curve:
         rounding = _ROUNDING * (self.high - self.low)
         self.rows = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
         self.at_zero = 0.0 if others == "displacement" else self._moved(0.0)
+        if self.at_zero != self.at_zero:
+            raise BushingError("its displacement at zero load is unknown; add rows")
         self.at(self.at_zero)
 
     def _moved(self, load: float) -> float:

@@ -188,13 +188,17 @@ class ServedTable:
         return None
 
     def method_detail(self, method: str) -> str:
-        """Return the details of a method, or its reason, in the group of the fewest rows."""
+        """Return the details of a method, or its reason, in the group of the fewest rows.
+
+        A table without rows answers by "estimate", which nobody asked for.
+        """
         group = self.packed.meta["groups"][0]
         if method == ROW:
             return ROW_DETAIL
         if method == "kriging" and group["kriging"]:
             return group["kriging"]
-        return group["method_reason"] if method == group["method"] else "asked for"
+        is_default = method in (group["method"], "estimate")
+        return group["method_reason"] if is_default else "asked for"
 
 
 class MappedTables:

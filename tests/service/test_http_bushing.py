@@ -119,3 +119,11 @@ def test_a_displacement_that_no_load_changes_has_no_curve(http):  # noqa: F811
     refused = http.get("/v1/components/rig/table", params=query)
     assert refused.status_code == 409
     assert "do not change its displacement; add rows at other loads" in refused.json()["detail"]
+
+
+def test_a_curve_of_a_table_without_rows_asks_for_rows(http):  # noqa: F811
+    """It asked for a wider load range."""
+    query = {"format": "bushing", "others": "load"}
+    refused = http.get("/v1/components/rig/table", params=query)
+    assert refused.status_code == 409
+    assert "at zero load is unknown; add rows" in refused.json()["detail"]
