@@ -56,21 +56,18 @@ class Listener:
         self._greeting = greeting
         self._ready = asyncio.Event()
         self._ready.set()
+        self.wake = self._ready.set  # let `read` return: there is an event
 
     def hears(self, component: str | None) -> bool:
         """Return whether the listener reads the events of a component; None: of all components."""
         of_listener = self._component in (None, component)
         return component is None or (of_listener and self._caller.touches(component))
 
-    def wake(self) -> None:
-        """Let `read` return: there is an event."""
-        self._ready.set()
-
     def end(self) -> None:
         """End the listener; it reads no further event."""
         self.ended = True
         self._greeting = b""
-        self._ready.set()
+        self.wake()
 
     async def read(self, seconds: float) -> bytes:
         """Return all available lines, waiting for the first; nothing after `seconds`."""

@@ -336,7 +336,6 @@ class InMemory(Protocol):
 
     def drop(self) -> None:
         """Drop rows and numpy table."""
-        ...
 
 
 def drop_least_used(tables: Iterable[InMemory], limit_mb: float) -> None:
