@@ -48,7 +48,7 @@ def export_table(
     An HDF5 export has `error`, the error estimate of the rows' solver.
 
     Raises UnitError as `check_units`, UnknownVersionError if there is no such version, and
-    SheetFullError if a sheet is too small for the rows.
+    SheetFullError if a sheet is too small for the rows or a cell for a text.
     """
     check_units(request)
     space = component.space
