@@ -21,7 +21,7 @@ from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, attached, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
-from wrenchbook.service.ledger import ImportOrigin, UnknownImportError
+from wrenchbook.service.ledger import ImportOrigin, UnknownImportError, import_numbers
 from wrenchbook.service.messages import ImportFinding, Message, Six
 from wrenchbook.service.tables.comparison import (
     Comparison,
@@ -289,17 +289,13 @@ def get_stiffness(
 
 def _rows_of_import(workspace: Workspace, name: str, rows: Rows, number: int) -> Rows:
     """Return the rows of a component's import; raises UnknownImportError if it has none."""
-    masks = [
-        (part.first <= rows.seq) & (rows.seq <= part.last)
-        for part in workspace.ledger.import_spans(name)
-        if part.record.id == number
-    ]
-    if not masks:
+    spans = workspace.ledger.import_spans(name)
+    if all(span.record.id != number for span in spans):
         raise UnknownImportError(
             f"{name!r} has no import {number} with rows; list its imports with GET "
             f"/v1/components/{name}/imports"
         )
-    return rows.take(np.any(masks, axis=0))
+    return rows.take(import_numbers(spans, rows.seq) == number)
 
 
 def _two_loads(between: str) -> tuple[float, float]:
