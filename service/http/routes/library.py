@@ -17,7 +17,7 @@ from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
 from wrenchbook.service.http.body import JsonRoute, read_body, read_limited
 from wrenchbook.service.http.openapi import TEXT, answers, component_router, refused, takes
 from wrenchbook.service.http.permission import permission_of
-from wrenchbook.service.http.problems import HttpProblemError, bad_body
+from wrenchbook.service.http.problems import MAX_VALUE, HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, attached, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
@@ -271,7 +271,7 @@ def get_stiffness(
     axis = axis or loads[int(np.argmax(varied[: len(loads)]))]
     for word, names, place in ((axis, loads, "axis"), (of, ("", *space.output_names), "of")):
         if word not in names:
-            message = f"must be one of {', '.join(filter(None, names))}, not {word[:40]!r}"
+            message = f"must be one of {', '.join(filter(None, names))}, not {word[:MAX_VALUE]!r}"
             raise bad_body([{"loc": place, "msg": message}])
     load = loads.index(axis)
     output = space.output_names.index(of) if of else load  # each interface has six of both
