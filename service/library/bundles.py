@@ -274,7 +274,7 @@ def surface(folder: Path) -> Iterator[Part]:
     source, deck = bundle.mesh, bundle.deck
     unit = deck and deck.unit
     mesh = sources.mesh_of(source) if source else reader.read_mesh(deck and deck.file, unit)
-    outside = recovery.surface_of(mesh, PICTURE_VERTICES)
+    outside = recovery.shown_surface(mesh, PICTURE_VERTICES)
     points = mesh.points[outside.nodes]
     decimals = 5 - math.floor(math.log10(np.ptp(points, axis=0).max()))  # short JSON
     points = np.round(points, decimals)
