@@ -171,10 +171,12 @@ def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Fault]:
     equal = ROUNDING * float(np.abs(load).max(initial=0.0))
     if known.sum() < MIN_CHANNEL_ROWS or np.ptp(load) <= equal:
         return []
-    off = y - fitted(terms, y)
-    size = float(np.ptp(y[known]))
     high, low, run = _constant_rows(load, equal)
     run = np.setdiff1d(run, np.concatenate((high, low)))
+    if max(len(high), len(low), len(run)) < MIN_EQUAL:
+        return []  # the fits below take most of the time
+    off = y - fitted(terms, y)
+    size = float(np.ptp(y[known]))
     moving = y.copy()
     moving[np.concatenate((high, low, run))] = np.nan
     is_enough = np.isfinite(moving).sum() >= ROWS_A_TERM * terms.shape[1]

@@ -75,7 +75,8 @@ def find(
     good = rows.take(~wrong.any(axis=1))
     if len(good) < MIN_FIT_ROWS:
         return findings
-    response = response_of(good, load_range)
+    if wrong.any():
+        response = response_of(good, load_range)
     slopes = slopes_at_zero(good, load_range, response)
     fit = fit_of(slopes.matrix, slopes.covariance, load_range)
     known = None if solved is None else fit_of(solved, np.zeros((6, 6, 6)), load_range)

@@ -27,7 +27,13 @@ from scipy.special import chdtri, ndtri, stdtrit
 from ..table.polynomial import terms_of
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import Space
-from .correlation import matern
+from .correlation import (
+    covariances_of_values,
+    matern,
+    squared_differences,
+    symmetric,
+    weighted_products,
+)
 from .readings import RANK, Indices, Readings
 from .settings import DEFAULTS
 
@@ -55,7 +61,8 @@ BLOCK = 65_536  # rows computed at once: some 20 MB
 SAME = 1e-6
 TINY = 1e-24  # spreads squared: the rounding of equal values
 RATIOS = np.exp(np.arange(-20.0, 4.6, 0.75))  # noise over process variance: from none to all
-THETAS = (1.4, 0.0, -1.4, -2.8)  # logarithms of one over the squared length: 0.5 to 4 half ranges
+# One over the squared length: 0.5 to 4 half ranges.
+INVERSE_SQUARES = tuple(np.exp([1.4, 0.0, -1.4, -2.8]).tolist())
 # Weights, over that of an axis' term, of the term of all loads and of a response with kinks
 # (Matern 3/2 of each load).
 JOINT_AND_KINK_WEIGHTS = ((0.05, 0.0), (5.0, 0.0), (0.3, 0.1), (0.3, 2.0))
@@ -370,8 +377,7 @@ def _posterior(
     result = _Posterior(np.empty(shape), *np.empty((2, *shape, len(contrasts))))
     for kernel, (vectors, D) in enumerate(spectra):
         B, data = vectors.T @ basis, vectors.T @ residual_data
-        products = B[:, :, None] * B[:, None]
-        normal = (D @ products.reshape(len(B), -1)).reshape(len(D), *[B.shape[1]] * 2)  # B' D B
+        normal = weighted_products(B, D)
         moments = D @ (B * data[:, None])
         square = D @ data**2
 
@@ -440,12 +446,9 @@ def _covariances(x: Floats, space: Space) -> Iterator[Floats]:
     `x` (n, 6): loads, half ranges.
     """
     points = np.concatenate((x, np.zeros((1, x.shape[1]))))
-    apart = np.abs(points[:, None] - points)
-    squares = [apart**2 @ group for group in space.kriging_groups]
-    kinks = matern(apart**2, 0, 1)[0].sum(axis=2)
-    for theta in THETAS:
-        *axes, joint = [matern(np.exp(theta) * square, 0)[0] for square in squares]
+    kinks = symmetric(matern(squared_differences(points), 0, 1)[0].sum(axis=1), len(points))
+    for axes, joint in covariances_of_values(points, space.kriging_groups, INVERSE_SQUARES):
         for joint_weight, kink_weight in JOINT_AND_KINK_WEIGHTS:
-            matrix = sum(axes) + joint_weight * joint + kink_weight * kinks
+            matrix = axes + joint_weight * joint + kink_weight * kinks
             across, at_zero = matrix[:-1, -1], matrix[-1, -1]
             yield (matrix[:-1, :-1] - np.outer(across, across) / at_zero) / at_zero
