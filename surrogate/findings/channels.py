@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kriging.readings import PLACE
-from ..table.polynomial import terms_of
+from ..table.polynomial import RANK, terms_of
 from ..table.rows import ROUNDING, ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
-from .response import CONFIDENT, NORMAL, RANK, REMARKABLE, Cause, RigFinding, fitted, is_nines
+from .response import CONFIDENT, NORMAL, REMARKABLE, Cause, RigFinding, fitted, is_nines
 
 MIN_CHANNEL_ROWS = 12  # readings: fewer do not show the channel's normal behaviour
 MIN_EQUAL = 3  # rows of one value: two may be equal by rounding of the written digits

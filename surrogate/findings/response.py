@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..table.polynomial import terms_of
+from ..table.polynomial import RANK, terms_of
 from ..table.rows import Floats, LoadRange, Rows
 from ..table.space import OUTPUTS
 
@@ -27,8 +27,6 @@ ROUNDS = 30  # rounds of reweighting: the weights settle after 10 to 20
 BIWEIGHT = 4.685  # deviations: 95 % efficient for normal errors (Holland and Welsch 1977)
 NORMAL = 1.4826  # deviation over median absolute deviation, of normal errors
 EXACT = 1e-4  # part of an output's range: residuals below it are no error worth a remark
-# Part of the largest singular value: directions that the rows do not separate, and their ridge.
-RANK = 1e-9
 
 NEIGHBOURS = 8  # rows whose median residual is the local misfit of the response
 MIN_ROWS_TO_JUDGE = 12  # rows: with fewer the others do not show the expected value of a row

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, ndtri, stdtrit
 
-from ..table.polynomial import terms_of
+from ..table.polynomial import RANK, terms_of
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import Space
 from .correlation import (
@@ -34,7 +34,7 @@ from .correlation import (
     symmetric,
     weighted_products,
 )
-from .readings import RANK, Indices, Readings
+from .readings import Indices, Readings
 from .settings import DEFAULTS
 
 # Standard deviations of a step of the response beyond which its direction is sure: 1 in 700 errs.
@@ -58,7 +58,7 @@ SCALE_DEVIATION = 0.0177
 NO_LOAD = 0.01
 BLOCK = 65_536  # rows computed at once: some 20 MB
 # Part of an effect that rounding may leave outside of the directions that rows determine.
-SAME = 1e-6
+UNDETERMINED = 1e-6
 TINY = 1e-24  # spreads squared: the rounding of equal values
 RATIOS = np.exp(np.arange(-20.0, 4.6, 0.75))  # noise over process variance: from none to all
 # One over the squared length: 0.5 to 4 half ranges.
@@ -432,7 +432,7 @@ def _half_widths(
         misfit = MISFIT * np.ptp(moved[:, output]) * worst
         deviation[:, output] = np.hypot(deviation[:, output], misfit)
         # A grid in the order of its loads is a straight function of time: no drift is identifiable.
-        is_identified = np.linalg.norm(effects - along @ right, axis=1) < SAME
+        is_identified = np.linalg.norm(effects - along @ right, axis=1) < UNDETERMINED
         # Rows without a sure direction show nothing of a loop.
         freedom[1] = max(np.count_nonzero(columns[:, 0, output]) - n + free, 1)
         quantile = -stdtrit(freedom, CHANCE / 2)

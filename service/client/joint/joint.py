@@ -31,6 +31,7 @@ from wrenchbook.surrogate.kernel.joint import (
     JointSteps,
     shape_of,
 )
+from wrenchbook.surrogate.table.rows import ROTATION_LIMIT
 
 from ...contract import COVERAGE, LOAD_UNITS
 from ..conventions import quaternion_wxyz as quaternion
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 NOT_YET = -2  # coverage before the first step, beside the kernel's codes
 # Coverage by these codes, also from the end: -2 is NOT_YET, -1 a step without a wrench.
 COVERED_AS = np.array([*COVERAGE, None, COVERAGE[-1]], dtype=object)
-LARGEST_TURN = 20.0  # degrees: largest rotation of a table's rows
+LARGEST_TURN = math.degrees(ROTATION_LIMIT)  # of a table's rows
 # Ratio to the load range or to LARGEST_TURN: beyond it the pose is not that of the part.
 MAX_RANGES = 2.0
 ROUNDING = 1e-9  # relative: the difference of two ways to compute a pose's distance from the range
