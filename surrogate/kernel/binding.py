@@ -27,13 +27,13 @@ from .joint import JointSteps
 from .reasons import Reason, text_of
 from .replies import (
     AXIS,
-    NO_METHOD,
     REPLY_SIZE,
     AxisPart,
     Floats,
     Replies,
     Reply,
     ReplyReader,
+    Status,
     method_code,
     mistake,
 )
@@ -489,7 +489,7 @@ class PackedTable:
             self._handle, group, axis, work.at[0], ctypes.addressof(reply)
         )
         self._idle.append(work)
-        if wrong == NO_METHOD:
+        if wrong == Status.NO_METHOD:
             return None
         if wrong:
             raise mistake(wrong, None, self._packed, np.array([wrench], dtype=float))

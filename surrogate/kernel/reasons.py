@@ -10,6 +10,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from ..table.rows import ZERO_LOAD
+from ..table.space import axis_inputs
 from .format import Packed
 
 EMPTY = "the table has no rows"
@@ -80,11 +81,6 @@ def _name(packed: Packed, index: int) -> tuple[str, str]:
 def _amount(packed: Packed, index: int, value: float) -> str:
     name, unit = _name(packed, index)
     return f"{name} = {value:.10g} {unit}"
-
-
-def axis_inputs(axis: int) -> tuple[int, int, int]:
-    """Return the indices of an axis' loads: a force, and the moments about the other axes."""
-    return axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3
 
 
 def _axis_amounts(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:

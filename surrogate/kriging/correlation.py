@@ -252,13 +252,13 @@ def squared_differences(x: Floats) -> Floats:
 
     Shape (n (n + 1) / 2, l): each pair once, which halves the cost; see `symmetric`.
     """
-    first, second = np.tril_indices(len(x))
+    first, second = np.triu_indices(len(x))
     return np.asarray((x[first] - x[second]) ** 2)
 
 
 def symmetric(values: Floats, n: int) -> Floats:
     """Return the symmetric matrix (n, n) with these values (n (n + 1) / 2,) of all pairs."""
-    first, second = np.tril_indices(n)
+    first, second = np.triu_indices(n)
     matrix = np.empty((n, n))
     matrix[first, second] = matrix[second, first] = values
     return matrix

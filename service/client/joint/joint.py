@@ -22,15 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wrenchbook.surrogate.answer import UnknownMethodError
-from wrenchbook.surrogate.kernel.joint import (
-    FREEDOMS,
-    INDEFINITE,
-    MAX_INTERFACES,
-    NO_MASS,
-    NOT_FINITE,
-    JointSteps,
-    shape_of,
-)
+from wrenchbook.surrogate.kernel.joint import FREEDOMS, MAX_INTERFACES, JointSteps, shape_of
+from wrenchbook.surrogate.kernel.replies import Status
 from wrenchbook.surrogate.table.rows import ROTATION_LIMIT
 
 from ...contract import COVERAGE, LOAD_UNITS
@@ -395,11 +388,11 @@ class Joint:
 
         Up to MAX_RANGES a pose only causes a warning.
         """
-        if status == INDEFINITE:
+        if status == Status.INDEFINITE:
             least, loads = self._weakest(self._stiffness[None])
             if least[0] < 0.0:
                 raise JointError(self._indefinite(np.ravel(self._static_wrench), loads[0]))
-        elif status == NO_MASS:
+        elif status == Status.NO_MASS:
             matrix = self._steps.inverse_masses[self._entry][np.ix_(self.free, self.free)]
             smallest = float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0])
             raise InvalidArgument(
@@ -407,7 +400,7 @@ class Joint:
                 f"definite, but its smallest eigenvalue is {smallest:.3g}, and it differs from its "
                 f"transpose by {np.abs(matrix - matrix.T).max():.3g}. {self._mass_remedy}"
             )
-        elif status == NOT_FINITE:
+        elif status == Status.NOT_FINITE:
             pose = self._steps.poses[self._entry]
             if np.isfinite(pose).all() and not pose[..., 3:].any(axis=-1).all():
                 raise InvalidArgument(
