@@ -65,7 +65,7 @@ _SOLVER_TABLES = ("material", "supports", "interface", "analysis")
 
 
 def read_bundle(folder: str | Path) -> Bundle:
-    """Read the bundle in `folder`.
+    """Read the bundle in `folder`, or of a .toml file in the place of its ``component.toml``.
 
     Raises
     ------
@@ -75,6 +75,8 @@ def read_bundle(folder: str | Path) -> Bundle:
     """
     folder = Path(folder)
     path = folder / FILE_NAME
+    if folder.suffix == ".toml" and folder.is_file():
+        folder, path = folder.parent, folder
     try:
         with path.open("rb") as file:
             content = file.read(_MAX_BYTES + 1)

@@ -122,12 +122,12 @@ def import_rows(
         try:
             with ledger.reading() as db:
                 start = sequences(db).get("rows", 0)
-            hidden = _insert_hidden(ledger, component, blocks, origin)
-            if hidden.number is None:
-                return Loaded(0, hidden.sent, None)
-            _enter_keys(ledger, hidden.parts)
-            new = _show(ledger, component, hidden.number, origin, start)
-            return Loaded(new, hidden.sent - new, hidden.number if new else None)
+            number, sent, parts = _insert_hidden(ledger, component, blocks, origin)
+            if number is None:
+                return Loaded(0, sent, None)
+            _enter_keys(ledger, parts)
+            new = _show(ledger, component, number, origin, start)
+            return Loaded(new, sent - new, number if new else None)
         except BaseException:
             _drop_hidden(ledger)
             raise
@@ -135,18 +135,14 @@ def import_rows(
         os.close(lock)
 
 
-class _HiddenRows(NamedTuple):
-    """Inserted rows that no table shows yet."""
-
-    number: int | None  # of the import, None if all rows were known
-    sent: int  # rows of the file
-    parts: list[tuple[int, bytes]]  # the first seq and the keys of rows inserted at once
-
-
 def _insert_hidden(
     ledger: Ledger, component: str, blocks: Iterable[NotedRows], origin: ImportOrigin
-) -> _HiddenRows:
-    """Insert the new rows of an import."""
+) -> tuple[int | None, int, list[tuple[int, bytes]]]:
+    """Insert the new rows of an import, which no table shows yet.
+
+    Returns the import's number, None if all rows were known; the number of the file's rows; the
+    first seq and the keys of rows inserted at once.
+    """
     number: int | None = None
     parts: list[tuple[int, bytes]] = []
     sent = 0
@@ -174,7 +170,7 @@ def _insert_hidden(
                 db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 1)", span)
             parts.append((first, b"".join(part_keys)))
             ledger.sync()  # otherwise the next durable commit waits until all is synced
-    return _HiddenRows(number, sent, parts)
+    return number, sent, parts
 
 
 def _enter_keys(ledger: Ledger, parts: Sequence[tuple[int, bytes]]) -> None:

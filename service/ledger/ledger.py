@@ -154,7 +154,6 @@ class Ledger:
     solve_seconds = _reads(statistics_sql.solve_seconds)
 
     withdraw = _writes(row_sql.withdraw)
-    restore = _writes(row_sql.restore)
     rewrite = _writes(repair_sql.rewrite)
     replay = _writes(repair_sql.replay)
     row = _reads(row_sql.get)

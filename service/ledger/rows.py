@@ -7,7 +7,6 @@ that one number states the position of a reader.
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Iterable, Iterator, Sequence, Set
 from hashlib import blake2b
@@ -44,8 +43,6 @@ from wrenchbook.service.ledger.records import (
 )
 from wrenchbook.surrogate.table.rows import Rows, joined
 from wrenchbook.surrogate.table.space import DEFAULT, Input, Output, Space
-
-_log = logging.getLogger(__name__)
 
 MAX_CHANGES = 20_000  # rows returned at once: bounds memory
 _COLUMNS = ", ".join(Record._fields)
@@ -278,14 +275,6 @@ def note_edit(
     """Note a withdrawal or restoring of a row or an import."""
     states = {"before": {"withdrawn": not withdrawn}, "after": {"withdrawn": withdrawn, **more}}
     audit.note(db, f"{kind}.{'withdraw' if withdrawn else 'restore'}", subject, component, **states)
-
-
-def restore(db: Connection, component: str, seq: int) -> None:
-    """Bring a withdrawn row back into the component's table.
-
-    Raises the errors of `withdraw`.
-    """
-    withdraw(db, component, seq, withdrawn=False)
 
 
 def edit(

@@ -112,7 +112,11 @@ def _selection(
 
     Raises UncomparableError if there are no rows to compare, or both sides are the same.
     """
-    of_import = _imports(rows.seq, spans)
+    # Spans are in the order of their first row; 0 is the import of a row without one.
+    bounds = [(span.first, span.last, span.record.id) for span in spans]
+    first, last, numbers = np.array(bounds or [(0, 0, 0)]).T
+    at = np.searchsorted(first, rows.seq, side="right") - 1
+    of_import = np.where((at >= 0) & (rows.seq <= last[at]), numbers[at], 0)
     measured = rows.source != SOLVED
     for wanted in (number, against):
         if wanted is not None and not (measured & (of_import == wanted)).any():
@@ -274,14 +278,6 @@ def _incomparable(compared: Rows, reference: Rows, against: int | None) -> str:
         return ""
     beside = "" if against is None else f" beside those of import {against}"
     return f"there is no measured row{beside}; import some"
-
-
-def _imports(seq: NDArray[np.int64], spans: Spans) -> NDArray[np.int64]:
-    """Return the number of each row's import, (n,); 0 for rows without an import."""
-    bounds = [(span.first, span.last, span.record.id) for span in spans]
-    first, last, number = np.array(bounds or [(0, 0, 0)]).T
-    at = np.searchsorted(first, seq, side="right") - 1
-    return np.where((at >= 0) & (seq <= last[at]), number[at], 0)
 
 
 def _bound(bar: Floats, scatter: Floats) -> Floats:

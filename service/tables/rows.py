@@ -12,14 +12,12 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from wrenchbook.service.contract import CONTRACT
+from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.ledger import ImportSpan, Ledger, NotedRows, packed, unpacked
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Floats, Rows, joined
-
-CONTRACT_TEXT = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
 
 
 class ExportRows:
@@ -49,9 +47,9 @@ class ExportRows:
             self.who.append(spans[at].record.who if is_imported else "")
 
 
-def iso_time(seconds: float) -> str:
+def iso_time(seconds: float, timespec: str = "seconds") -> str:
     """Return a time since the epoch as ISO 8601, UTC."""
-    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec=timespec)
 
 
 def table_meta(component: Component, version: int, error: SolverError | None = None) -> TableMeta:

@@ -152,6 +152,8 @@ def solved(http):
     assert reply.status_code == 201, reply.text
     reply = http.post(f"{URL}/displacement", json={**RIGHT, "on_thin": "wait", "wait_s": 60})
     assert reply.status_code == 200, reply.text
+    # A glance shows the present table; the component waits for the table with the solved row.
+    assert http.get(URL, params={"wait_s": 60}).json()["pending_rows"] == 0
     return http
 
 

@@ -18,7 +18,7 @@ from wrenchbook.service.http.body import JsonRoute, read_body, read_limited
 from wrenchbook.service.http.openapi import TEXT, answers, component_router, refused, takes
 from wrenchbook.service.http.permission import permission_of
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.routes import Opened, json_reply
+from wrenchbook.service.http.routes import Opened, attached, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import ImportOrigin, UnknownImportError
@@ -245,7 +245,7 @@ def _compared(
     except UncomparableError as error:
         raise HttpProblemError(409, "no-comparison", "Nothing to compare", str(error)) from None
     if form == "csv":
-        headers = {"Content-Disposition": f'attachment; filename="{name}-comparison.csv"'}
+        headers = attached(f"{name}-comparison.csv")
         return Response(comparison_csv(reply, component.space), 200, headers, "text/csv")
     return json_reply(reply)
 
