@@ -315,9 +315,15 @@ def _estimated(
     mean *= size
     mean[0] += offset
 
-    half_width, misfits = _half_widths(
-        moved, terms_of(x)[:, 1:], columns, contrasts[:, first:], deviation, free
+    misfits, of_misfit, is_identified = _by_polynomial(
+        moved, terms_of(x)[:, 1:], columns, contrasts[:, first:]
     )
+    deviation = np.hypot(deviation, of_misfit)
+    freedom = np.full(deviation.shape, float(free))
+    # Rows without a sure direction show nothing of a loop.
+    freedom[1] = np.maximum(np.count_nonzero(columns[:, 0], axis=0) - n + free, 1)
+    quantile = -stdtrit(freedom, CHANCE / 2)
+    half_width = np.where(is_identified, quantile * deviation, np.inf)
     if np.abs(x).max(axis=1).min() > NO_LOAD:  # a kink may be hidden where polynomials misfit
         one_sided = max(x.min(axis=0).max(), -x.max(axis=0).min()) > NO_LOAD
         half_width[0] = np.inf if one_sided else np.maximum(half_width[0], SURE * misfits)
@@ -401,24 +407,22 @@ def _posterior(
     return result
 
 
-def _half_widths(
-    moved: Floats, terms: Floats, columns: Floats, contrasts: Floats, deviation: Floats, free: int
-) -> tuple[Floats, Floats]:
-    """Return half widths of the effects' intervals, (1 + c, k), and misfits, (k,), m and rad.
+def _by_polynomial(
+    moved: Floats, terms: Floats, columns: Floats, contrasts: Floats
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return misfits, their part of each effect, and which effects the rows identify.
 
     A misfit is the root mean square of an output that a polynomial of the loads and the columns do
-    not explain. An effect that the rows do not identify has an infinite half width. The
-    contribution of a misfit to the effect is added in place to each `deviation`, (1 + c, k), m and
-    rad.
+    not explain, (k,), m and rad. Its part of an effect, (1 + c, k), m and rad, is that of `MISFIT`
+    if it has the form that the effect takes for its own. The last result has shape (1 + c, k).
 
     `moved` (n, k), m and rad; `terms` (n, t): the polynomial's terms but 1.
     `contrasts` (1 + c, 1 + c): the effects by the coefficients of 1 and the columns (n, c, k).
-    `free`: degrees of freedom.
     """
     n, outputs = moved.shape
-    half_width = np.empty_like(deviation)
-    freedom = np.full(len(deviation), float(free))
     misfits = np.empty(outputs)
+    of_misfit = np.empty((len(contrasts), outputs))
+    is_identified = np.empty((len(contrasts), outputs), dtype=bool)
     for output in range(outputs):
         all_columns = np.column_stack((terms, np.ones(n), columns[:, :, output]))
         effects = np.eye(all_columns.shape[1])[terms.shape[1] :]  # by all coefficients
@@ -427,17 +431,12 @@ def _half_widths(
         along = effects @ right.T
         residual = moved[:, output] - left @ (left.T @ moved[:, output])
         misfits[output] = np.linalg.norm(residual) / np.sqrt(max(n - len(sizes), 1))
-
         worst = np.sqrt(n) * np.linalg.norm(along / sizes, axis=1)
-        misfit = MISFIT * np.ptp(moved[:, output]) * worst
-        deviation[:, output] = np.hypot(deviation[:, output], misfit)
+        of_misfit[:, output] = MISFIT * np.ptp(moved[:, output]) * worst
         # A grid in the order of its loads is a straight function of time: no drift is identifiable.
-        is_identified = np.linalg.norm(effects - along @ right, axis=1) < UNDETERMINED
-        # Rows without a sure direction show nothing of a loop.
-        freedom[1] = max(np.count_nonzero(columns[:, 0, output]) - n + free, 1)
-        quantile = -stdtrit(freedom, CHANCE / 2)
-        half_width[:, output] = np.where(is_identified, quantile * deviation[:, output], np.inf)
-    return half_width, misfits
+        outside = np.linalg.norm(effects - along @ right, axis=1)
+        is_identified[:, output] = outside < UNDETERMINED
+    return misfits, of_misfit, is_identified
 
 
 def _covariances(x: Floats, space: Space) -> Iterator[Floats]:
