@@ -133,7 +133,8 @@ def _output_faults(terms: Floats, y: Floats) -> list[Fault]:
 
     high, low, run = _constant_rows(y, equal)
     steps = np.diff(np.sort(y))
-    step = float(np.median(steps[steps > equal]))  # of the readings
+    # Of the readings; between dense readings all steps may be rounding.
+    step = float(np.median(steps[steps > equal])) if steps.max() > equal else equal
     faults = list[Fault]()
     for end, suspects in ((1.0, high), (-1.0, low), (0.0, run)):  # 0: at neither end
         others = np.delete(all_rows, suspects)

@@ -108,9 +108,12 @@ def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:
         [np.percentile(values, [2, 98]) if len(values) else (0.0, 0.0) for values in known]
     ).T
     size = np.maximum(ends[1] - ends[0], np.finfo(float).tiny)
-    deviation = np.maximum(
-        np.array([_deviation(column[np.isfinite(column)]) for column in residual.T]), EXACT * size
-    )
+    deviation = EXACT * size
+    for output, column in enumerate(residual.T):
+        off = column[np.isfinite(column)]
+        if len(off):
+            usual = NORMAL * float(np.median(np.abs(off - np.median(off))))
+            deviation[output] = max(usual, deviation[output])
     return RobustFit(expected, residual, deviation, size, terms)
 
 
@@ -145,10 +148,6 @@ def _solved(x: Floats, y: Floats, weights: Floats) -> Floats:
     weighted = x * weights[:, None]
     normal = x.T @ weighted + RANK * max(float(weights.sum()), 1.0) * np.eye(x.shape[1])
     return np.asarray(np.linalg.solve(normal, weighted.T @ y), dtype=float)
-
-
-def _deviation(values: Floats) -> float:
-    return NORMAL * float(np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 
 
 def wrong_rows(rows: Rows, load_range: LoadRange, response: RobustFit) -> NDArray[np.bool_]:
