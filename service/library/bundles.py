@@ -27,7 +27,8 @@ from wrenchbook.fea.spec.problems import STEERING
 from wrenchbook.service.files.redact import redact
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.sandbox import MIB, Limits, Part, Sandbox, SandboxError, run
-from wrenchbook.surrogate.table.hdf5 import TableFileError, leads_out
+from wrenchbook.surrogate.table.foreign import leads_out
+from wrenchbook.surrogate.table.hdf5 import TableFileError
 
 MAX_BUNDLE_BYTES: Final = 512 * 1024 * 1024  # bytes: a mesh of some million cells
 # Unpacked bytes by those of the zip, beyond the bytes of any zip: a mesh packs 3 to 20 times, a
