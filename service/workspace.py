@@ -133,21 +133,26 @@ class Watcher:
 
     def _run(self) -> None:
         """Call each listener whose stamp has changed, until the watcher is stopped."""
-        version, follows_until, next_files = None, 0.0, 0.0
+        version: object = None
+        follows_until = next_files = 0.0
         while not self._stopping.is_set():
             self._wake.wait(POLL_S)
             self._wake.clear()
             now = time.monotonic()
-            stamps: dict[Stamp, object] = {self.version: self.version()}
+            try:
+                stamps: dict[Stamp, object] = {self.version: self.version()}
+            except Exception:
+                log.exception("the ledger's version could not be read; trying again")
+                self._stopping.wait(TROUBLE_S)
+                continue
             if stamps[self.version] != version:
                 version, follows_until = stamps[self.version], now + FOLLOWS_S
             reads_files = now < follows_until or now >= next_files
             if reads_files:
                 next_files = now + IDLE_POLL_S
             for entry in self._entries:
-                if now < entry.not_before or self._stopping.is_set():
-                    continue
-                if entry.stamp != self.version and not reads_files:
+                is_due = reads_files or entry.stamp == self.version
+                if now < entry.not_before or not is_due or self._stopping.is_set():
                     continue
                 try:
                     if entry.stamp not in stamps:

@@ -18,7 +18,7 @@ from typing import assert_never
 
 import numpy as np
 
-from wrenchbook.fea.bundle.read import BundleError, read_bundle
+from wrenchbook.fea.bundle.read import FILE_NAME, BundleError, bundle_in
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.mesh.io.translated import rows_of
 from wrenchbook.fea.spec.material import Orthotropic
@@ -345,7 +345,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     path = parser.parse_args(arguments).bundle
     try:
-        component = build(read_bundle(path))
+        component = build(bundle_in(path / FILE_NAME if path.is_dir() else path))
         origin = f"Made by: python -m wrenchbook.fea.export.calculix {path.name}"
         units = "Metres, newtons, pascals; the axes are those of the interface frame."
         sys.stdout.write(deck_of(component, (component.bundle.title, origin, units)))

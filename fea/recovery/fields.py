@@ -25,7 +25,7 @@ MAX_POINTS = 20_000
 
 @dataclass(frozen=True, eq=False)
 class SolveFields:
-    """ShownSurface and stresses of one solve, in the undeformed frame of the first interface."""
+    """Surface and stresses of one solve, in the undeformed frame of the first interface."""
 
     # Whether the slopes are the complete answer: fields = slopes @ inputs, a temperature among them
     # relative to its reference.

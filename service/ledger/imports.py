@@ -9,12 +9,10 @@ from __future__ import annotations
 import json
 import os
 import time
-from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import islice
-from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -312,13 +310,16 @@ def withdrawn_counts(db: Connection, component: str) -> Counter[int]:
 
 def _counts_by_import(db: Connection, component: str, seqs: Iterable[int]) -> Counter[int]:
     """Return the number of the given rows in each import; solved rows are in none."""
-    spans = import_spans(db, component)
-    counts = Counter[int]()
-    for seq in seqs:
-        at = bisect_right(spans, seq, key=itemgetter(0)) - 1
-        if at >= 0 and seq <= spans[at].last:
-            counts[spans[at].record.id] += 1
-    return counts
+    numbers = import_numbers(import_spans(db, component), np.array([*seqs], np.int64))
+    return Counter(numbers[numbers > 0].tolist())
+
+
+def import_numbers(spans: Sequence[ImportSpan], seqs: np.ndarray) -> np.ndarray:
+    """Return the number of each row's import, (n,), by `import_spans`; 0 for rows without one."""
+    bounds = [(span.first, span.last, span.record.id) for span in spans]
+    first, last, number = np.array(bounds or [(0, 0, 0)]).T
+    at = np.searchsorted(first, seqs, side="right") - 1
+    return np.where((at >= 0) & (seqs <= last[at]), number[at], 0)
 
 
 def restore_confirmed(db: Connection, component: str, keys: Sequence[bytes]) -> int:

@@ -164,7 +164,7 @@ class Ledger:
     last_seq = _reads(row_sql.last_seq)
     count_new = _reads(row_sql.count_new)
     count_rows = _reads(row_sql.count_rows)
-    known_rows = _reads(row_sql.known_rows)
+    known_rows = _reads(row_sql.stored)
     withdrawn_keys = _reads(row_sql.withdrawn_keys)
     of_other_setups = _reads(row_sql.of_other_setups)
     digest = _reads(row_sql.digest)

@@ -467,11 +467,6 @@ def count_rows(db: Connection, component: str) -> int:
     return db.execute(select, (component,)).fetchone()[0]
 
 
-def known_rows(db: Connection, keys: Iterable[bytes]) -> set[bytes]:
-    """Return the given keys whose rows are in the ledger."""
-    return set(stored(db, list(keys)))
-
-
 def withdrawn_keys(db: Connection, component: str, keys: Iterable[bytes]) -> list[bytes]:
     """Return the given keys whose rows are withdrawn, but not one by one.
 

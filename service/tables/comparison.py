@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.service.contract import Coverage
-from wrenchbook.service.ledger import ImportSpan
+from wrenchbook.service.ledger import ImportSpan, import_numbers
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.messages import FiniteArray, FloatArray, Message, Vector, left_out
 from wrenchbook.service.tables.build import build_table
@@ -112,11 +112,7 @@ def _selection(
 
     Raises UncomparableError if there are no rows to compare, or both sides are the same.
     """
-    # Spans are in the order of their first row; 0 is the import of a row without one.
-    bounds = [(span.first, span.last, span.record.id) for span in spans]
-    first, last, numbers = np.array(bounds or [(0, 0, 0)]).T
-    at = np.searchsorted(first, rows.seq, side="right") - 1
-    of_import = np.where((at >= 0) & (rows.seq <= last[at]), numbers[at], 0)
+    of_import = import_numbers(spans, rows.seq)
     measured = rows.source != SOLVED
     for wanted in (number, against):
         if wanted is not None and not (measured & (of_import == wanted)).any():

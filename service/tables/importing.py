@@ -77,7 +77,7 @@ def import_files(
         report["findings"] += _new_findings(ledger, read, table, component, origin)
         if dry_run:
             keys = [key for piece in pieces() for key in _keys(component, piece)]
-            new = len(set(keys) - ledger.known_rows(set(keys)))
+            new = len(set(keys) - ledger.known_rows(keys).keys())
             loaded = Loaded(new, len(keys) - new, None)
         else:
             findings = _findings_by_key(component, report["findings"], pieces)

@@ -436,6 +436,26 @@ def test_files_are_polled_often_after_a_commit(ledger, watcher, monkeypatch):
     until(lambda: len(looks) > 5)
 
 
+def test_the_watcher_goes_on_after_a_version_that_could_not_be_read(ledger, monkeypatch):
+    monkeypatch.setattr(workspace, "TROUBLE_S", 0.01)
+    version, failures = ledger.version, [MemoryError()]
+    noticed = threading.Event()
+    watching = Watcher(ledger)
+    watching.on_change(noticed.set)
+
+    def fail_once():
+        if failures:
+            raise failures.pop()
+        return version()
+
+    monkeypatch.setattr(ledger, "version", fail_once)
+    watching.start()
+    until(lambda: not failures)
+    ledger.accept("bar", "f", WRENCH)
+    assert noticed.wait(60)
+    watching.stop()
+
+
 def test_a_file_is_watched_along_until_its_subscription_ends(watcher, tmp_path):
     file = tmp_path / "note"
     noticed = threading.Event()
