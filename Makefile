@@ -10,6 +10,9 @@ LOCK := pip compile pyproject.toml $(LOCKED) --extra server --extra build
 # The platforms of `make wheels`: those of surrogate/kernel/build.py.
 PLATFORMS := manylinux_2_28_x86_64 manylinux_2_28_aarch64 macosx_11_0_x86_64 macosx_11_0_arm64 win_amd64
 
+# One more than the cores: tests of servers and browsers wait for 40 % of their time.
+WORKERS = $(shell $(PYTHON) -c 'import os; print(os.cpu_count() + 1)')
+
 # No target is a file.
 .PHONY: $(shell sed -n 's/^\([a-z-]*\):.*/\1/p' Makefile)
 
@@ -43,15 +46,15 @@ serve: setup  ## the server and its solvers on 127.0.0.1:8000
 	$(BIN)/wrenchbook serve
 
 test: $(VENV)/.installed-dev  ## the test suite
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 test-fast: $(VENV)/.installed-dev  ## the tests without the slow ones: servers, browser, engines
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow"
 
 # branches of service, surrogate and fea that the tests take, by file
 coverage: $(VENV)/.installed-dev
 	mkdir -p build/coverage
-	$(BIN)/python -m coverage run -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m coverage run -m pytest -n $(WORKERS) --dist loadfile
 	$(BIN)/python -m coverage combine -q
 	$(BIN)/python -m coverage report
 

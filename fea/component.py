@@ -33,9 +33,7 @@ from wrenchbook.fea.spec.schema import (
 )
 from wrenchbook.fea.tensors import rotation_less_identity
 
-Array = np.ndarray
-
-_ZERO = 1e-9
+_ROUNDOFF = 1e-9
 """Relative size of projections, and relative width of a set of points: smaller values are
 roundoff, since axes and coordinates are written to about as many digits."""
 _ANY_MOTION = np.array([0.3, 0.5, 0.7, 0.2, 0.6, 0.4])
@@ -50,8 +48,8 @@ class AttachedInterface:
     key: str  # key in the bundle: ``interface``, ``interface[1]``, ``supports.bushing[0]``
     name: str  # empty for a single interface
     section: InterfaceSection  # nodes of the interface with their area weights
-    point: Array  # reference point, shape (3,), m
-    axes: Array  # shape (3, 3), row i is the direction of its frame's axis i
+    point: np.ndarray  # reference point, shape (3,), m
+    axes: np.ndarray  # shape (3, 3), row i is the direction of its frame's axis i
     coupling: str
     locked: tuple[str, ...]
     weights: str = "area"  # kind of its nodes' weights: "area", "equal" or "deck"
@@ -70,7 +68,7 @@ class AttachedJoint:
 
     # Both ends of a spring, at one point; the single frame of a rigid joint.
     ends: tuple[AttachedInterface, ...]
-    stiffness: Array | None  # shape (6, 6), N/m, N/rad and N·m/rad; None for a rigid joint
+    stiffness: np.ndarray | None  # shape (6, 6), N/m, N/rad and N·m/rad; None for a rigid joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,20 +80,20 @@ class ComponentModel:
     # materials, material_of_cells: the materials, and for each block of the mesh an array of shape
     # (m,) with the number of each cell's material.
     materials: tuple[AnyMaterial, ...]
-    material_of_cells: tuple[Array, ...]
-    fixed_nodes: Array  # sorted nodes that do not move, shape (k,), int64
+    material_of_cells: tuple[np.ndarray, ...]
+    fixed_nodes: np.ndarray  # sorted nodes that do not move, shape (k,), int64
     interfaces: tuple[AttachedInterface, ...]  # in the order of their loads and displacements
     analysis: Analysis
     # Nodes that slide, none of them fixed or coupled to an interface, sorted, shape (k,), and
     # projectors on the directions in which each is held, in the mesh's axes, shape (k, 3, 3).
-    sliding: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
+    sliding: tuple[np.ndarray, np.ndarray] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3)))
     # Each with its stiffness, shape (6, 6); no node is in two, in a section, or fixed
-    bushings: tuple[tuple[AttachedInterface, Array], ...] = ()
+    bushings: tuple[tuple[AttachedInterface, np.ndarray], ...] = ()
     further: tuple[ScalarInput, ...] = ()  # the inputs after the loads
     # In the bundle's order; the mesh has their nodes at their final positions.
     ties: tuple[TiedNodes, ...] = ()
     # Shape (n,): the part of the temperature's rise at each node; None for 1 everywhere
-    temperature_rise: Array | None = None
+    temperature_rise: np.ndarray | None = None
     joints: tuple[AttachedJoint, ...] = ()
     bolts: tuple[BoltCut, ...] = ()
     uncut: Mesh | None = None  # the mesh before bolts are cut; None without bolts
@@ -112,9 +110,9 @@ class ComponentModel:
         return [*(bushing for bushing, _ in self.bushings), *ends]
 
     @property
-    def springs(self) -> list[tuple[tuple[int, ...], Array]]:
+    def springs(self) -> list[tuple[tuple[int, ...], np.ndarray]]:
         """The stiffness of each spring, with the indices of the one or two frames it acts on."""
-        springs: list[tuple[tuple[int, ...], Array]]
+        springs: list[tuple[tuple[int, ...], np.ndarray]]
         springs = [((i,), stiffness) for i, (_, stiffness) in enumerate(self.bushings)]
         frame = len(springs)  # index of the first frame of a joint, see `frames`
         for joint in self.joints:
@@ -124,7 +122,7 @@ class ComponentModel:
         return springs
 
     @property
-    def guided(self) -> tuple[Array, Array]:
+    def guided(self) -> tuple[np.ndarray, np.ndarray]:
         """Nodes that slide, in the form of `sliding`, and the slips of bolts along their axes."""
         nodes, held = self.sliding
         guides = [np.eye(3) - np.outer(bolt.axis, bolt.axis) for bolt in self.bolts]
@@ -145,30 +143,30 @@ class ComponentModel:
         return any(scalar.name in ACCELERATIONS for scalar in self.further)
 
     @property
-    def at_rest(self) -> Array:
+    def at_rest(self) -> np.ndarray:
         """Inputs without effect: zero loads, shape (6 i,), and the references of the others."""
         loads = np.zeros(len(FREEDOMS) * len(self.interfaces))
         return np.append(loads, [scalar.reference for scalar in self.further])
 
-    def warming(self, inputs: Array) -> float:
+    def warming(self, inputs: np.ndarray) -> float:
         """Return the temperature of inputs (k,), K from the reference; 0 if it is no input."""
         warm = self.temperature
         index = len(FREEDOMS) * len(self.interfaces)
         return 0.0 if warm is None else float(inputs[index] - warm.reference)
 
     @property
-    def supported_nodes(self) -> Array:
+    def supported_nodes(self) -> np.ndarray:
         """Nodes that any support holds, sorted, shape (k,), int64."""
         groups = [bushing.section.node_ids for bushing, _ in self.bushings]
         return np.unique(np.concatenate([self.fixed_nodes, self.sliding[0], *groups]))
 
     @property
-    def axes(self) -> Array:
+    def axes(self) -> np.ndarray:
         """Axes of the first interface, a row each, shape (3, 3): the frame of the equations."""
         return self.interfaces[0].axes
 
     @property
-    def active(self) -> Array:
+    def active(self) -> np.ndarray:
         """Indices of the freedoms that are not locked, six an interface, shape (k,), int64."""
         is_active = [
             name not in interface.locked for interface in self.interfaces for name in FREEDOMS
@@ -197,7 +195,10 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     interfaces, bushings, joints = _attach_all(bundle, mesh, supports, problems)
     ends = [end for joint in joints for end in joint.ends]
     frames = [*interfaces, *(bushing for bushing, _ in bushings), *ends]
-    sliding = _projectors(held)
+    # Sliding nodes, and the projectors on their held directions.
+    nodes = np.flatnonzero(held.any(axis=(1, 2)))
+    sizes, axes = np.linalg.eigh(held[nodes])
+    sliding = nodes, (axes * (sizes > _ROUNDOFF)[:, None]) @ axes.swapaxes(1, 2)
     for frame in frames:
         sliding = _free_sliding(mesh, sliding, frame, problems)
 
@@ -219,10 +220,20 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     if problems:
         raise BundleError(problems)
 
+    materials, rise = bundle.materials, None
+    if not any(scalar.name == TEMPERATURE for scalar in bundle.further):
+        materials = tuple(replace(material, thermal_expansion=None) for material in materials)
+    for scalar in bundle.further:
+        if scalar.field is not None:  # only the temperature has a field
+            rise = shape_on(mesh.points, scalar.field, scalar.reference)
+    if bolts:  # ties move points of the mesh without cuts too, and make its nodes depend on others
+        size = len(uncut.points)
+        dependents = mesh.dependents and mesh.dependents.of_first(size)
+        uncut = replace(uncut, points=mesh.points[:size], dependents=dependents)
     return ComponentModel(
         bundle=bundle,
         mesh=mesh,
-        materials=_materials(bundle),
+        materials=materials,
         material_of_cells=material_of_cells,
         fixed_nodes=fixed,
         interfaces=tuple(interfaces),
@@ -231,16 +242,18 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
         bushings=tuple(bushings),
         further=bundle.further,
         ties=ties,
-        temperature_rise=_temperature_rise(bundle, mesh),
+        temperature_rise=rise,
         joints=tuple(joints),
         bolts=bolts,
-        uncut=_without_cuts(mesh, uncut) if bolts else None,
+        uncut=uncut if bolts else None,
     )
 
 
 def _attach_all(
     bundle: Bundle, mesh: Mesh, supports: Supports, problems: list[BundleProblem]
-) -> tuple[list[AttachedInterface], list[tuple[AttachedInterface, Array]], list[AttachedJoint]]:
+) -> tuple[
+    list[AttachedInterface], list[tuple[AttachedInterface, np.ndarray]], list[AttachedJoint]
+]:
     """Return the interfaces, bushings with their stiffness, and joints of a bundle on its mesh."""
     is_single = len(bundle.interfaces) == 1
     interfaces = []
@@ -255,14 +268,6 @@ def _attach_all(
         _join(mesh, f"spring[{i}].groups", joint, problems) for i, joint in enumerate(bundle.joints)
     ]
     return interfaces, bushings, joints
-
-
-def _temperature_rise(bundle: Bundle, mesh: Mesh) -> Array | None:
-    """Return the shape of the temperature field at the nodes, if there is a field."""
-    for scalar in bundle.further:
-        if scalar.field is not None:  # only the temperature has a field
-            return shape_on(mesh.points, scalar.field, scalar.reference)
-    return None
 
 
 def _mesh_source(bundle: Bundle) -> MeshSource:
@@ -287,16 +292,9 @@ def _mesh_source(bundle: Bundle) -> MeshSource:
     raise BundleError([BundleProblem(lacking, message)])
 
 
-def _materials(bundle: Bundle) -> tuple[AnyMaterial, ...]:
-    """Return the materials, with thermal expansion only if the temperature is an input."""
-    if any(scalar.name == TEMPERATURE for scalar in bundle.further):
-        return bundle.materials
-    return tuple(replace(material, thermal_expansion=None) for material in bundle.materials)
-
-
 def _held_directions(
-    mesh: Mesh, supports: Supports, fixed: Array, problems: list[BundleProblem]
-) -> Array:
+    mesh: Mesh, supports: Supports, fixed: np.ndarray, problems: list[BundleProblem]
+) -> np.ndarray:
     """Return the sum of d d^T over directions d that hold sliding nodes, (n, 3, 3), else zero."""
     held = np.zeros((len(mesh.points), 3, 3))
     for i, support in enumerate(supports.sliding):
@@ -306,23 +304,9 @@ def _held_directions(
     return held
 
 
-def _projectors(held: Array) -> tuple[Array, Array]:
-    """Return the sliding nodes, (k,), and the projectors on their held directions, (k, 3, 3)."""
-    nodes = np.flatnonzero(held.any(axis=(1, 2)))
-    sizes, axes = np.linalg.eigh(held[nodes])
-    return nodes, (axes * (sizes > _ZERO)[:, None]) @ axes.swapaxes(1, 2)
-
-
-def _without_cuts(mesh: Mesh, uncut: Mesh) -> Mesh:
-    """Return the mesh before bolts were cut, with the effects of ties on its nodes."""
-    size = len(uncut.points)
-    dependents = mesh.dependents and mesh.dependents.of_first(size)
-    return replace(uncut, points=mesh.points[:size], dependents=dependents)
-
-
 def _material_numbers(
     mesh: Mesh, materials: tuple[AnyMaterial, ...], problems: list[BundleProblem]
-) -> tuple[Array, ...]:
+) -> tuple[np.ndarray, ...]:
     """Return the index of each cell's material; "all" are cells that no other material names."""
     numbers = tuple(np.full(len(block), -1) for block in mesh.blocks)
     named = [(i, m) for i, m in enumerate(materials) if m.region != "all"]
@@ -362,7 +346,7 @@ def _material_numbers(
     return numbers
 
 
-def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) -> Array:
+def _fixed_nodes(mesh: Mesh, supports: Supports, problems: list[BundleProblem]) -> np.ndarray:
     """Return the fixed nodes, sorted, (k,); a problem if they alone hold the part, on one line."""
     names = [(f"supports.fixed[{i}]", name) for i, name in enumerate(supports.fixed)]
     groups = [group_nodes(mesh, key, name, problems) for key, name in names]
@@ -431,13 +415,13 @@ def _join(mesh: Mesh, key: str, joint: Joint, problems: list[BundleProblem]) -> 
 def _check_bolts(
     mesh: Mesh,
     bolts: tuple[BoltCut, ...],
-    occupied: list[tuple[str, Array]],
-    sliding: tuple[Array, Array],
+    occupied: list[tuple[str, np.ndarray]],
+    sliding: tuple[np.ndarray, np.ndarray],
     problems: list[BundleProblem],
 ) -> None:
     """Note cuts whose nodes a key of `occupied` names too, or `sliding` holds along their axis."""
     for bolt in bolts:
-        along = np.abs(sliding[1] @ bolt.axis).max(axis=1, initial=0.0) > _ZERO
+        along = np.abs(sliding[1] @ bolt.axis).max(axis=1, initial=0.0) > _ROUNDOFF
         for key, nodes in (*occupied, ("supports.sliding", sliding[0][along])):
             shared = np.intersect1d(bolt.nodes, nodes)
             if not shared.size:
@@ -451,8 +435,8 @@ def _check_bolts(
 
 
 def _weights(
-    mesh: Mesh, key: str, interface: Interface, nodes: Array, problems: list[BundleProblem]
-) -> Array:
+    mesh: Mesh, key: str, interface: Interface, nodes: np.ndarray, problems: list[BundleProblem]
+) -> np.ndarray:
     """Return equal weights, or the deck's of these nodes, shape (s,)."""
     weights = np.ones(len(nodes))
     message = ""
@@ -483,10 +467,10 @@ def _weights(
 
 def _free_sliding(
     mesh: Mesh,
-    sliding: tuple[Array, Array],
+    sliding: tuple[np.ndarray, np.ndarray],
     attached: AttachedInterface,
     problems: list[BundleProblem],
-) -> tuple[Array, Array]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the sliding nodes without those of a rigid coupling.
 
     It is a problem if locked freedoms do not hold a rigid section's sliding nodes, or if all nodes
@@ -507,7 +491,7 @@ def _free_sliding(
     if attached.coupling == "distributed":
         message = f"{slide}, which is all of them, so their mean is not free; let fewer nodes slide"
         problems.append(BundleProblem(attached.where, message))
-    elif off > _ZERO * max(np.abs(arms).max(), 1.0):
+    elif off > _ROUNDOFF * max(np.abs(arms).max(), 1.0):
         message = f"{slide}, but its free motions would move them off; let none of them slide"
         if attached.key.startswith("interface"):  # bushings and joints have no locked freedoms
             message += ", or lock those motions with locked"
@@ -516,7 +500,10 @@ def _free_sliding(
 
 
 def _check_disjoint(
-    mesh: Mesh, fixed: Array, interfaces: list[AttachedInterface], problems: list[BundleProblem]
+    mesh: Mesh,
+    fixed: np.ndarray,
+    interfaces: list[AttachedInterface],
+    problems: list[BundleProblem],
 ) -> None:
     """Note nodes of a section that are fixed, or in another section."""
     for interface in interfaces:
@@ -560,9 +547,9 @@ def _check_locked(
             problems.append(BundleProblem(f"{interface.key}.locked", message))
 
 
-def _spans_a_plane(points: Array) -> bool:
+def _spans_a_plane(points: np.ndarray) -> bool:
     """Return whether points do not all lie on one line."""
     if len(points) < 3:
         return False
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[1] > _ZERO * spread[0])
+    return bool(spread[1] > _ROUNDOFF * spread[0])

@@ -17,8 +17,6 @@ from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.spec.schema import FREEDOMS
 
-Array = np.ndarray
-
 
 def system_of(component: ComponentModel) -> System:
     """Set up the equations in the first interface's frame, with its point as the origin.
@@ -69,13 +67,13 @@ def _filled(component: ComponentModel, mesh: Mesh) -> list[tuple[CellBlock, Cell
     return warmed
 
 
-def material_of_parts(component: ComponentModel) -> list[Array]:
+def material_of_parts(component: ComponentModel) -> list[np.ndarray]:
     """Return for each part of `ElasticBody.parts` its cells' material numbers, shape (cells,)."""
     cells = component.materials, component.material_of_cells
     return [numbers[chosen] for _, numbers, chosen, _, _ in sorted_cells(component.mesh, *cells)]
 
 
-def nodal_masses(component: ComponentModel, body: ElasticBody) -> Array:
+def nodal_masses(component: ComponentModel, body: ElasticBody) -> np.ndarray:
     """Return the mass that each node carries, shape (n,), kg; without a density it is zero."""
     densities = np.array([material.density or 0.0 for material in component.materials])
     total = np.zeros(body.size)
@@ -90,7 +88,7 @@ def nodal_masses(component: ComponentModel, body: ElasticBody) -> Array:
 def _coupling_of(component: ComponentModel) -> Coupling:
     """Return the coupling of a component's interfaces and frames, which springs hold."""
     # Each interface's coupling, its nodes, and its axes in the body's if they differ.
-    sections: list[tuple[SectionCoupling, Array, Array | None]] = []
+    sections: list[tuple[SectionCoupling, np.ndarray, np.ndarray | None]] = []
     for attached in (*component.interfaces, *component.frames):
         nodes = attached.section.node_ids
         points = ((component.mesh.points - attached.point) @ attached.axes.T)[nodes]
@@ -108,7 +106,7 @@ def _coupling_of(component: ComponentModel) -> Coupling:
     return Coupling(size, sections, active, _anchors(component), n_frames, springs)
 
 
-def _anchors(component: ComponentModel) -> Array:
+def _anchors(component: ComponentModel) -> np.ndarray:
     """Return three distant nodes of each section whose mean may be the only support of the part."""
     anchors = [np.empty(0, dtype=np.int64)]
     held = [interface for interface in component.interfaces if interface.locked == FREEDOMS]

@@ -21,8 +21,6 @@ from wrenchbook.fea.mesh.quality import quality, quality_warnings
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import Joint
 
-Array = np.ndarray
-
 # Pairs of bodies with unmerged nodes in the warnings; the message counts the others.
 _MAX_REPORTED = 5
 # Usual ranges. Pa: soft rubber to nearly diamond (1.1e12). kg/m^3: light foam (15) to more than
@@ -32,7 +30,7 @@ _USUAL = {
     "density": (10, 3e4, "kg/m^3", "lighter than foam or heavier than osmium", "g/cm^3 or t/mm^3"),
 }
 # Largest lever over the mesh's diagonal: longer ones are probably millimetres read as metres.
-_LONGEST_LEVER = 3.0
+_MAX_LEVER = 3.0
 # Main nodes of a secondary node that show a coarse side: 30 for cells of one size, 64 to 80 for
 # half the size.
 _FINER = 60
@@ -100,7 +98,7 @@ def bolt_warnings(component: ComponentModel) -> Iterator[BundleProblem]:
             yield BundleProblem(f"{bolt.key}.axis", message)
 
 
-def shank_direction(component: ComponentModel, bolt: BoltCut) -> tuple[float, Array]:
+def shank_direction(component: ComponentModel, bolt: BoltCut) -> tuple[float, np.ndarray]:
     """Return the angle from a bolt's axis to its shank, rad, and the shank's unit vector, (3,).
 
     The free facets of a shank at the cut run along it. Without such facets, as at a cone, the angle
@@ -147,7 +145,7 @@ def stack_problems(component: ComponentModel) -> list[BundleProblem]:
 
 
 def coincidence_warnings(
-    mesh: Mesh, bodies: Bodies, pairs: Array, joints: Sequence[Joint]
+    mesh: Mesh, bodies: Bodies, pairs: np.ndarray, joints: Sequence[Joint]
 ) -> Iterator[BundleProblem]:
     """Yield a warning for the unmerged nodes of each two bodies, and of slits within a body.
 
@@ -278,7 +276,7 @@ def unit_warnings(component: ComponentModel) -> Iterator[BundleProblem]:
     for interface in component.interfaces:
         away = interface.point - np.clip(interface.point, low_corner, high_corner)
         lever = float(np.linalg.norm(away))
-        if lever <= _LONGEST_LEVER * size:
+        if lever <= _MAX_LEVER * size:
             continue
         message = (
             f"is {lever:.4g} m away from a mesh that is {size:.4g} m large; if the number is in "

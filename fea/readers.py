@@ -122,7 +122,7 @@ _PRINTED = re.compile(r"^\*NODE\s*PRINT\b.*?\bNSET\s*=\s*([^,\s]+)", re.IGNORECA
 _INCLUDED = re.compile(
     r"^\*INCLUDE\b.*?\bINPUT\s*=\s*\"?([^,\"\n]+?)\"?\s*$", re.IGNORECASE | re.MULTILINE
 )
-_MAX_QUOTED = 400  # characters of a solver's errors in a message: longer texts are cut
+MAX_QUOTED = 400  # characters of a solver's output in a message: longer texts are cut
 
 
 class CalculixDat:
@@ -160,8 +160,8 @@ class CalculixDat:
         if not errors:
             return None
         quoted = "; ".join(dict.fromkeys(errors))
-        if len(quoted) > _MAX_QUOTED:
-            quoted = quoted[:_MAX_QUOTED] + " ..."
+        if len(quoted) > MAX_QUOTED:
+            quoted = quoted[:MAX_QUOTED] + " ..."
         no_equilibrium = any(phrase in error for error in errors for phrase in _NO_EQUILIBRIUM)
         return Complaint(quoted, no_equilibrium)
 

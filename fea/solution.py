@@ -11,8 +11,6 @@ import numpy as np
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE, CoupledState
 from wrenchbook.fea.spec.problems import suggest
 
-Array = np.ndarray
-
 Progress = Callable[[float, str], None]
 """Called with the fraction done (0 to 1) and a message, after each step of the work."""
 
@@ -31,19 +29,20 @@ class Solution:
     """The displacement of i interfaces under their wrenches, each in its undeformed frame."""
 
     # Shape (k,): the inputs, 6 i loads, N and N·m, and further ones in the bundle's units
-    wrench: Array
+    wrench: np.ndarray
     # Shape (6 i,), m and rad: translation and rotation vector of each; with bolts relative to the
     # tightened part, if that is the bundle's zero
-    displacement: Array
+    displacement: np.ndarray
     # Shape (6 i, k): d displacement / d wrench at this wrench; rows and columns of locked freedoms
     # are zero. NaN if unknown: a nonlinear deck.
-    compliance: Array
+    compliance: np.ndarray
     strain_energy: float  # J, from the stresses; NaN if unknown: a nonlinear deck
-    # J. Linear: the work of all loads at their full size; without temperature it is twice the
-    # strain energy. Nonlinear: the external work, and the thermal work, along the load path by
-    # quadrature over the converged load steps, of fourth order. It equals the strain energy (with a
-    # temperature but for a part of the thermal strain's size), so that their difference measures
-    # the steps, not the answer. NaN for a nonlinear deck.
+    # J: the external work along the load path, of loads, weight, bolts and accelerations. Linear:
+    # half of that of all loads at their full size, equal to the strain energy but for a
+    # temperature, whose work is not in it. Nonlinear: by quadrature over the converged load steps,
+    # of fourth order, with the thermal work. It equals the strain energy (with a temperature but
+    # for a part of the thermal strain's size), so that their difference measures the steps, not
+    # the answer. NaN for a nonlinear deck.
     work: float
     unknowns: int  # degrees of freedom solved for; 0 where a deck's solver does not print them
     # Wall time of this solve, s; work that a `Solver` shares between solves is not counted again
@@ -52,26 +51,26 @@ class Solution:
     history: tuple[Iteration, ...]
     # Shape (n, 3), m: displacement of each mesh point, in the mesh's axes; none for a deck. It
     # counts from the mesh, before bolts are tightened; at the slip of a bolt it is the slip.
-    nodes: Array
+    nodes: np.ndarray
     notes: tuple[str, ...] = ()  # remarks on the solve for an engineer
     # Shape (n, 3, k), m per unit of each input: change of `nodes` with them; None for a deck
-    tangents: Array | None = None
+    tangents: np.ndarray | None = None
     # Shape (p,), p = k (k + 1) (k + 2) / 6: third derivatives of the complementary energy by the
     # loads (F, mu) and further inputs, which are the second ones of the displacements by them; m
     # and rad over the units of two inputs (`fea.solver.third_derivatives`). Entries of locked
     # freedoms are zero. None for a linear solve, a deck, or more than eight inputs.
-    curvature: Array | None = None
+    curvature: np.ndarray | None = None
     # The state of the equations, as a start of a nearby solve; None for a linear solve and a deck.
     state: CoupledState | None = None
 
 
-Loads = Sequence[float] | Array | Mapping[str, float | Sequence[float] | Array]
+Loads = Sequence[float] | np.ndarray | Mapping[str, float | Sequence[float] | np.ndarray]
 """Force and moment, N and N·m, of each interface in turn and then further inputs, or by name."""
 
 
 def checked_wrench(
     wrench: Loads, names: Sequence[str] = ("",), further: Sequence[str] = ()
-) -> Array:
+) -> np.ndarray:
     """Return all inputs as a new array, shape (6 i + f,): N and N·m, then f others.
 
     wrench: shape (6 i + f,); or a mapping from an interface's name to six numbers (an interface

@@ -16,12 +16,12 @@ from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import ROUNDOFF, System
 from wrenchbook.fea.component import ComponentModel, build
 from wrenchbook.fea.coupling import CoupledState
-from wrenchbook.fea.coupling.coupling import from_origin
+from wrenchbook.fea.coupling.coupling import each_interface, from_origin
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.equations import material_of_parts, system_of
 from wrenchbook.fea.export.failure_record import keep
-from wrenchbook.fea.failure import SolveFailed, rotation_too_large
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection import coincidence_warnings, warnings_of
 from wrenchbook.fea.mesh.bodies import bodies_of, coincident_nodes
 from wrenchbook.fea.recovery.fields import SolveFields, fields_of
@@ -42,8 +42,6 @@ from wrenchbook.fea.solver.vibration import Riding, Vibration, consistent_mass, 
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 
 __all__ = ["MAX_DEGREES", "Solver", "solve"]
-
-Array = np.ndarray
 
 _MAX_ROUNDOFF_ERROR = 1e-6  # relative error of a solve without refinement; a larger one is a note
 
@@ -109,7 +107,7 @@ class Solver:
         self._system = system_of(self.component)
         self._hangs = bool(self.component.analysis.gravity or self.component.bolts)
 
-    def inputs(self, wrench: Loads) -> Array:
+    def inputs(self, wrench: Loads) -> np.ndarray:
         """Return the inputs of `solve` as a new array, shape (k,).
 
         Raises ValueError as `solve` does.
@@ -128,7 +126,7 @@ class Solver:
         return self._system.body
 
     @property
-    def volumes(self) -> list[tuple[Array, Array]]:
+    def volumes(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each block of cells their materials' indices and volumes, (cells,) each, m^3."""
         volumes = [part.gradients.weights.sum(axis=1) for part in self.body.parts]
         return list(zip(material_of_parts(self.component), volumes, strict=True))
@@ -162,7 +160,7 @@ class Solver:
         return SolveFailed(failure.kind, failure.message, remedy)
 
     @cached_property
-    def second_derivatives(self) -> Array | None:
+    def second_derivatives(self) -> np.ndarray | None:
         """The second derivatives of nonlinear displacements at no load, shape (6 i, k, k), SI.
 
         None if there are more inputs than `MAX_CURVATURE_INPUTS`, or if weight or bolts move the
@@ -192,7 +190,7 @@ class Solver:
             raise SolveFailed(failure.kind, message, failure.remedy) from None
 
     @cached_property
-    def at_rest(self) -> tuple[Array, Array]:
+    def at_rest(self) -> tuple[np.ndarray, np.ndarray]:
         """Linear displacements at no load, of interfaces (6 i,), m and rad, and nodes (n, 3), m.
 
         Those of nodes are from the mesh, before bolts are tightened.
@@ -245,7 +243,7 @@ class Solver:
         return hang(self._system, _check_rotation, start=self._tight)
 
     @property
-    def compliance(self) -> Array:
+    def compliance(self) -> np.ndarray:
         """The compliance at no load, shape (6 i, 6 i), m/N, rad/N and so on; symmetric."""
         return self.linear.compliance[:, : self._system.coupling.freedoms]
 
@@ -300,14 +298,14 @@ class Solver:
         mass.eliminate_zeros()
         return mass
 
-    def unit_stresses(self) -> Array:
+    def unit_stresses(self) -> np.ndarray:
         """Return the small-strain stresses of unit inputs, shape (p, 6, k), Pa per unit.
 
         Raises SolveFailed as `linear` does.
         """
         return small_stress(self.body, self.linear.fields, self._system.coupling.freedoms)
 
-    def stresses(self, solution: Solution) -> Array:
+    def stresses(self, solution: Solution) -> np.ndarray:
         """Return a solution's stresses at the integration points, shape (p, 6), Pa."""
         return stress_of(self.component, self.body, solution)
 
@@ -381,10 +379,10 @@ class Solver:
         return replace(solution, seconds=time.perf_counter() - started)
 
     @cached_property
-    def _most_used(self) -> Array:
+    def _most_used(self) -> np.ndarray:
         return most_used(self.component, self.body, self.linear.fields)
 
-    def _solve_linear(self, wrench: Array, acting: Array) -> Solution:
+    def _solve_linear(self, wrench: np.ndarray, acting: np.ndarray) -> Solution:
         """Return the linear answer of all inputs, (k,); `acting` are those with an effect."""
         linear, tight = self.linear, self.tightened
         displacement, nodes = linear.compliance @ acting, linear.fields @ acting
@@ -413,7 +411,7 @@ class Solver:
             displacement=displacement,
             compliance=linear.compliance,
             strain_energy=float(energy),
-            work=float(work),
+            work=0.5 * float(work),  # every load grows from zero to its full size
             unknowns=self.unknowns,
             seconds=0.0,
             history=(),
@@ -424,7 +422,11 @@ class Solver:
         )
 
     def _solve_nonlinear(
-        self, wrench: Array, acting: Array, progress: Progress | None, start: CoupledState | None
+        self,
+        wrench: np.ndarray,
+        acting: np.ndarray,
+        progress: Progress | None,
+        start: CoupledState | None,
     ) -> Solution:
         """Return the nonlinear answer of all inputs, (k,); `acting` are those with an effect."""
         unloaded = self.unloaded if self._hangs else None
@@ -459,7 +461,11 @@ class Solver:
         return self._solution(wrench, equilibrium, work, tuple(path.history))
 
     def _solution(
-        self, wrench: Array, equilibrium: Equilibrium, work: float, history: tuple[Iteration, ...]
+        self,
+        wrench: np.ndarray,
+        equilibrium: Equilibrium,
+        work: float,
+        history: tuple[Iteration, ...],
     ) -> Solution:
         """Return the answer from an equilibrium and the work of all loads on the path to it."""
         balance = equilibrium.balance
@@ -487,20 +493,20 @@ class Solver:
             state=balance.state,
         )
 
-    def _curvature(self, balance: Balance, tangent: Linearisation) -> Array | None:
+    def _curvature(self, balance: Balance, tangent: Linearisation) -> np.ndarray | None:
         """Return the packed third derivatives at a state; None if linear, or of too many inputs."""
         if not self.component.analysis.nonlinear or self._system.inputs > MAX_CURVATURE_INPUTS:
             return None
         return packed(third_derivatives(self._system, balance, tangent, self._origin))
 
     @property
-    def _origin(self) -> Array | None:
+    def _origin(self) -> np.ndarray | None:
         """The interfaces' nonlinear displacement (6 i,), m and rad, that is the zero of answers."""
         preloaded = self.component.analysis.zero == "preloaded"
         return self._tight.interface if preloaded and self._tight is not None else None
 
     @cached_property
-    def _linear_tangents(self) -> Array:
+    def _linear_tangents(self) -> np.ndarray:
         return np.einsum("ji,njk->nik", self.component.axes, self.linear.fields)
 
 
@@ -508,14 +514,23 @@ def _check_rotation(balance: Balance) -> None:
     _require_small_rotation(balance.state.interface)
 
 
-def _require_small_rotation(displacement: Array, load_factor: float = 1.0) -> None:
+def _require_small_rotation(displacement: np.ndarray, load_factor: float = 1.0) -> None:
     """Raise SolveFailed if an interface turns by more than `MAX_DEGREES`.
 
     displacement: displacements of all interfaces, shape (6 i,), m and rad, under this part of the
     load.
     """
-    degrees = np.degrees(np.linalg.norm(displacement.reshape(-1, 6)[:, 3:], axis=1))
+    degrees = np.degrees(np.linalg.norm(each_interface(displacement)[:, 3:], axis=1))
     largest = float(degrees.max())
-    if largest > MAX_DEGREES:
-        number = f" {degrees.argmax() + 1} of component.toml" if len(degrees) > 1 else ""
-        raise rotation_too_large(largest, MAX_DEGREES, load_factor, f"Interface{number}")
+    if not largest > MAX_DEGREES:
+        return
+    which = (
+        f"Interface {degrees.argmax() + 1} of component.toml" if len(degrees) > 1 else "Interface"
+    )
+    under = f" under {load_factor:.3g} of this wrench already" if load_factor < 1.0 else ""
+    raise SolveFailed(
+        "rotation_too_large",
+        f"{which} turns by {largest:.1f} degrees{under}; a table holds at most "
+        f"{MAX_DEGREES:.0f} degrees.",
+        "Lower the load range, or stiffen the part; wrenchbook is for small deformations only.",
+    )

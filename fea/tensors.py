@@ -9,8 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-Array = np.ndarray
-
 ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
 """Indices of the six numbers of a symmetric 3x3 matrix: xx, yy, zz, xy, xz, yz."""
 
@@ -19,10 +17,14 @@ _DERIVATIVE_TERMS = 30
 _FIRST_TERMS = {1: 1.0, 2: 0.5, 3: 1.0 / 6.0}  # 1 / start!
 _SERIES_TERMS = 12  # terms of sin t / t and similar series: the next is below 1/24! = 2e-24
 _SERIES_LIMIT = 1.0  # rad^2, of the squared angle: below it the closed forms cancel
-_COMPLEX_STEP = 1e-30  # rad: its square vanishes against any number here
+COMPLEX_STEP = 2.0**-100
+"""Step of complex differences, rad, m or K: exact to roundoff, as its square vanishes against any
+number here; a power of two, so that the division by it has no roundoff."""
+TINY = 1e-300
+"""Replaces a divisor of 0: smaller than any length, area or motion, and its inverse is finite."""
 
 
-def skew(vector: Array) -> Array:
+def skew(vector: np.ndarray) -> np.ndarray:
     """Return the matrices [v]x with [v]x a = v x a: shapes (..., 3) -> (..., 3, 3).
 
     The matrices have the unit of the vectors: rad, m or N.
@@ -36,42 +38,42 @@ def skew(vector: Array) -> Array:
     return matrix
 
 
-def determinant(matrix: Array) -> Array:
+def determinant(matrix: np.ndarray) -> np.ndarray:
     """Return det of matrices, shapes (..., 3, 3) -> (...): in closed form, faster than LAPACK."""
     (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(matrix, (-2, -1), (0, 1))
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-def rotation(vector: Array) -> Array:
+def rotation(vector: np.ndarray) -> np.ndarray:
     """Return exp([r]x), shape (3, 3), for a rotation vector r (rad)."""
     return np.eye(3, dtype=np.asarray(vector).dtype) + rotation_less_identity(vector)
 
 
-def rotation_less_identity(vector: Array) -> Array:
+def rotation_less_identity(vector: np.ndarray) -> np.ndarray:
     """Return exp([r]x) - I, (3, 3), of (3,), rad, without the roundoff of a subtraction."""
     X = skew(vector)
     a, b, _ = _coefficients(vector)
     return a * X + b * (X @ X)
 
 
-def spin_per_vector(vector: Array) -> Array:
+def spin_per_vector(vector: np.ndarray) -> np.ndarray:
     """Return the left Jacobian of SO(3): (spatial spin) = J(r) (change of r), shape (3, 3)."""
     X = skew(vector)
     _, b, c = _coefficients(vector)
     return np.eye(3, dtype=X.dtype) + b * X + c * (X @ X)
 
 
-def spin_slope(vector: Array, moment: Array) -> Array:
+def spin_slope(vector: np.ndarray, moment: np.ndarray) -> np.ndarray:
     """Return d(J(r)^T m)/dr for a fixed m, shape (3, 3); exact to roundoff by complex steps."""
     columns = []
     for axis in range(3):
         shifted = np.asarray(vector, dtype=complex).copy()
-        shifted[axis] += 1j * _COMPLEX_STEP
-        columns.append(np.imag(spin_per_vector(shifted).T @ moment) / _COMPLEX_STEP)
+        shifted[axis] += 1j * COMPLEX_STEP
+        columns.append(np.imag(spin_per_vector(shifted).T @ moment) / COMPLEX_STEP)
     return np.stack(columns, axis=1)
 
 
-def rotation_derivatives(vector: Array) -> list[Array]:
+def rotation_derivatives(vector: np.ndarray) -> list[np.ndarray]:
     """Return exp([r]x) and its first three derivatives by r, 1/rad and so on.
 
     Shapes (3, 3), (3, 3, 3), (3, 3, 3, 3) and (3, 3, 3, 3, 3), the matrix last. They are the series
@@ -92,7 +94,7 @@ def rotation_derivatives(vector: Array) -> list[Array]:
     return sums
 
 
-def rotation_vector(matrix: Array) -> Array:
+def rotation_vector(matrix: np.ndarray) -> np.ndarray:
     """Return the rotation vector of a rotation by less than half a turn, shape (3,), rad."""
     axial = 0.5 * np.array(
         [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
@@ -112,7 +114,7 @@ class _Coefficients(NamedTuple):
     c: complex  # (t - sin t) / t^3
 
 
-def _coefficients(vector: Array) -> _Coefficients:
+def _coefficients(vector: np.ndarray) -> _Coefficients:
     """Return the coefficients of a rotation vector, (3,), rad."""
     square = vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]
     if abs(square) < _SERIES_LIMIT:
@@ -132,13 +134,13 @@ def _series(square: complex, start: int) -> complex:
     return total
 
 
-def deviator(tensor: Array) -> Array:
+def deviator(tensor: np.ndarray) -> np.ndarray:
     """Return tensors less a third of their trace times I, shape (..., 3, 3), in their unit."""
     mean = np.trace(tensor, axis1=-2, axis2=-1) / 3.0
     return tensor - mean[..., None, None] * np.eye(3)
 
 
-def von_mises(stress: Array) -> Array:
+def von_mises(stress: np.ndarray) -> np.ndarray:
     """Return the von Mises stress, shape (...), Pa, of stresses, shape (..., 6), Pa.
 
     The six components are xx, yy, zz, xy, xz, yz; the result has the unit of the stresses.

@@ -53,4 +53,7 @@ def by_part(values: Sequence[float | None], interfaces: Sequence[str] = ()) -> d
     return {"translation": values[:3], "rotation": values[3:]}
 
 
-CONTRACT_TEXT: Final = "\n\n".join(f"**{word}**: {meaning}." for word, meaning in CONTRACT.items())
+CONTRACT_TEXT: Final = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
+CONTRACT_MARKDOWN: Final = "\n\n".join(
+    f"**{word}**: {meaning}." for word, meaning in CONTRACT.items()
+)

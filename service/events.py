@@ -31,7 +31,9 @@ MAX_EVENTS = 2_000  # stored events, for listeners that are slow or reconnect: 0
 MAX_LISTENERS = 64  # listeners, each with a connection
 
 POLL_S = 0.25  # s between polls of progress and tables, which no commit announces
-FIRST_POLL_S = 10.0  # s for which a ledger may be busy; later the caller must retry
+FIRST_POLL_S = (
+    LedgerBusyError.retry_s
+)  # s for which a ledger may be busy; later the caller must retry
 LINGER_S = 300.0  # s of polls after the last listener has left: it may be reconnecting
 ONE_BY_ONE = 50  # changed jobs with an event each; a larger number is reported as a count
 
@@ -54,21 +56,18 @@ class Listener:
         self._greeting = greeting
         self._ready = asyncio.Event()
         self._ready.set()
+        self.wake = self._ready.set  # let `read` return: there is an event
 
     def hears(self, component: str | None) -> bool:
         """Return whether the listener reads the events of a component; None: of all components."""
         of_listener = self._component in (None, component)
         return component is None or (of_listener and self._caller.touches(component))
 
-    def wake(self) -> None:
-        """Let `read` return: there is an event."""
-        self._ready.set()
-
     def end(self) -> None:
         """End the listener; it reads no further event."""
         self.ended = True
         self._greeting = b""
-        self._ready.set()
+        self.wake()
 
     async def read(self, seconds: float) -> bytes:
         """Return all available lines, waiting for the first; nothing after `seconds`."""

@@ -50,8 +50,9 @@ MEGABYTES: Final = 512
 
 # Means the same in fnmatch and in SQLite's GLOB.
 _PATTERN: Final = re.compile(r"[A-Za-z0-9_*?-]{1,64}")
-_MAX_PATTERNS: Final = 100
-_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
+MAX_PATTERNS: Final = 100
+MAX_MEGABYTES: Final = (1 << 20) - 1  # MiB: 1 TiB
+NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
 _EXAMPLE: Final = '["plate_*"]'
 _MAX_NAMED: Final = 20  # keys in a message: more would hide its remedy
 _MAX_OVERLAP_S: Final = 1e9  # 30 years: a time in milliseconds is a mistake
@@ -363,15 +364,15 @@ def _stored_keys(content: bytes) -> list[Key]:
     is_needed = {item.name: item.default is MISSING for item in fields(Key)}
     keys = []
     for number, entry in enumerate(entries):
-        given = entry.keys() if isinstance(entry, dict) else ()
-        lacking = [name for name, needed in is_needed.items() if needed and name not in given]
-        wrong = lacking or [name for name in given if name not in is_needed]
+        names = entry.keys() if isinstance(entry, dict) else ()
+        lacking = [name for name, needed in is_needed.items() if needed and name not in names]
+        wrong = lacking or [name for name in names if name not in is_needed]
         try:
             if wrong:
                 raise ValueError(f"the field {wrong[0]!r} is {'missing' if lacking else 'unknown'}")
-            if not isinstance(entry.get("components", []), list):
-                given = entry["components"]
-                raise ValueError(f"components must be a list such as {_EXAMPLE}, not {given!r}")
+            patterns = entry.get("components", [])
+            if not isinstance(patterns, list):
+                raise ValueError(f"components must be a list such as {_EXAMPLE}, not {patterns!r}")
             keys.append(_checked(entry))
         except ValueError as error:
             raise ValueError(f"keys[{number}]: {error}") from None
@@ -384,7 +385,7 @@ def _checked(values: dict[str, Any]) -> Key:
     Raises ValueError if a value is invalid.
     """
     key = Key(**{**values, "components": tuple(values.get("components", ANY))})
-    if not isinstance(key.name, str) or not _NAME.fullmatch(key.name):
+    if not isinstance(key.name, str) or not NAME.fullmatch(key.name):
         raise ValueError(
             f"{key.name!r} is not a valid key name; use 1 to 64 letters, digits, '.', '_', '@' and "
             "'-', beginning with a letter or digit"
@@ -393,10 +394,13 @@ def _checked(values: dict[str, Any]) -> Key:
         raise ValueError(f"the scope must be one of {', '.join(SCOPES)}, not {key.scope!r}")
     if not (isinstance(key.rate, int | float) and 1e-6 <= key.rate < 1e9):
         raise ValueError(f"the rate must be 1e-6 to 1e9 requests a second, not {key.rate!r}")
-    if not (isinstance(key.megabytes, int) and 0 < key.megabytes < 1 << 20):
-        raise ValueError(f"megabytes must be whole and 1 to 1048575, not {key.megabytes!r}")
-    if not 0 < len(key.components) <= _MAX_PATTERNS:
-        raise ValueError(f"give 1 to 100 patterns of components, not {len(key.components)}")
+    if not (isinstance(key.megabytes, int) and 0 < key.megabytes <= MAX_MEGABYTES):
+        bound = f"megabytes must be whole and 1 to {MAX_MEGABYTES}"
+        raise ValueError(f"{bound}, not {key.megabytes!r}")
+    if not 0 < len(key.components) <= MAX_PATTERNS:
+        raise ValueError(
+            f"give 1 to {MAX_PATTERNS} patterns of components, not {len(key.components)}"
+        )
     for name in key.components:
         if not _PATTERN.fullmatch(str(name)):
             why = f"the pattern {name!r} must have 1 to 64 letters, digits, _ - * and ?, such as "

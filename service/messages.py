@@ -26,7 +26,7 @@ from typing import (
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.contract import CONTRACT, Coverage
+from wrenchbook.service.contract import CONTRACT_TEXT, Coverage
 
 Vector = NDArray[np.float64]
 JobStatus = Literal["waiting", "running", "done", "failed", "cancelled"]
@@ -371,9 +371,7 @@ class Displacements(Message):
     elapsed_us: float | None
 
 
-Displacement.__doc__ = Displacements.__doc__ = " ".join(
-    f"{name}: {meaning}." for name, meaning in CONTRACT.items()
-)
+Displacement.__doc__ = Displacements.__doc__ = CONTRACT_TEXT
 
 
 class Mistake(Message):

@@ -1,14 +1,14 @@
 """From a query to its answer by a table, or to its solve. All quantities are SI.
 
-`answer` and `answer_many` only compute; `submit` and `submit_many` use the ledger, in one thread.
+`answer` only computes; `submit` and `submit_many` use the ledger, in one thread.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import hypot
 from time import perf_counter_ns
 from typing import Any, Literal, NamedTuple, get_args
@@ -67,9 +67,16 @@ class RefusedError(Exception):
 
 
 class NotCoveredError(RefusedError):
-    """The table does not cover the wrench, and the query accepts no other answer."""
+    """The table does not cover the wrench, and the query accepts no other answer.
 
-    def __init__(self, message: str, limit: Tolerance | None, **facts: Any) -> None:
+    The message ends with the values of on_thin that get one, and with the tolerance `limit`.
+    """
+
+    def __init__(
+        self, message: str, component: Component, limit: Tolerance | None, **facts: Any
+    ) -> None:
+        solve = "'queue' or 'wait' for a solve, or " if component.has_fea else ""
+        message = f"{message} Ask with on_thin {solve}'estimate' for the best guess."
         tolerance = None
         if limit is not None:
             message = f"{message} Tolerance: {limit.translation:g} m, {limit.rotation:g} rad."
@@ -90,9 +97,8 @@ class SolveFailedError(RefusedError):
         # Failures that older versions stored end in their remedy already.
         text = message if message.endswith(remedy) else f"{message} {remedy}"
         retry = f"Once it is repaired, POST /v1/jobs/{job.id}/retry."
-        super().__init__(f"{text} {retry}".strip(), error=error)
+        super().__init__(f"{text} {retry}".strip(), job=job_link(job), error=error)
         self.kind = error.get("kind", "unknown")
-        self.job = job
 
 
 @dataclass(slots=True)
@@ -140,21 +146,9 @@ class BatchOutcome:
         return any(queued.job is None or not queued.job.is_final for queued in self.jobs.values())
 
 
-_NOTHING = Reply(
-    outputs=None,
-    error=None,
-    interpolation=None,
-    discretisation=None,
-    linearity=None,
-    measurement=None,
-    coverage="thin",
-    reason="",
-    within_tolerance=None,
-    method="",
-    row=None,
-    exact=False,
-    source=None,
-    missing=(),
+# The reply before a solve that no table answers.
+_NOTHING = Reply._make([None] * len(Reply._fields))._replace(
+    coverage="thin", reason="", method="", exact=False, missing=()
 )
 
 
@@ -267,47 +261,34 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         if row is not None:
             return _by_row(workspace, query, outcome, row)
     outcome.unsolved = True
-    component = workspace.submission.solvable(name, outcome.reply.reason)
+    submission = workspace.submission
+    component = submission.solvable(name, outcome.reply.reason)
     beyond = ""
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:
         beyond = why_beyond(component.load_range, wrench[0])
-    placement, why = _placed(workspace, component, query, beyond)
+    if query.on_thin == "queue":
+        placement = Placement(None, exact=False)
+        if not beyond:
+            (placement,) = submission.queue(name, wrench)
+    elif beyond:
+        raise BeyondRangeError(
+            f"{beyond}. Nothing was queued. To solve it nevertheless, set beyond_range to "
+            "true (--beyond-range).",
+            coverage="outside",
+        )
+    else:
+        urgent = query.wait_s > 0
+        job = submission.accept(name, query.wrench, urgent=urgent, asked_by=query.on_thin)
+        placement = Placement(job, exact=True)
     outcome.job = placement.job
     if placement.job is None:
+        set_it = "to solve it nevertheless, set beyond_range to true (--beyond-range)"
+        unqueued = f"{beyond}; no solve is queued for it: {set_it}"
+        why = unqueued if beyond else submission.refusal(component)
         reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
         outcome.reply = outcome.reply._replace(reason=_also(reason, why))
         return outcome
     return _ended(workspace, query, outcome) if placement.exact else outcome
-
-
-def _placed(
-    workspace: Workspace, component: Component, query: Query, beyond: str
-) -> tuple[Placement, str]:
-    """Return the job of a query's wrench, and the reason if there is none.
-
-    `beyond`: why the wrench must not be solved, as it is outside the load range; else empty.
-
-    Raises BeyondRangeError if the query waits for such a solve.
-    """
-    submission = workspace.submission
-    if query.on_thin != "queue":
-        if beyond:
-            raise BeyondRangeError(
-                f"{beyond}. Nothing was queued. To solve it nevertheless, set beyond_range to "
-                "true (--beyond-range).",
-                coverage="outside",
-            )
-        asked_by = query.on_thin
-        urgent = query.wait_s > 0
-        job = submission.accept(component.name, query.wrench, urgent=urgent, asked_by=asked_by)
-        return Placement(job, exact=True), ""
-    if beyond:
-        return Placement(None, exact=False), (
-            f"{beyond}; no solve is queued for it: to solve it nevertheless, set beyond_range to "
-            "true (--beyond-range)"
-        )
-    (placement,) = submission.queue(component.name, np.array([query.wrench]))
-    return placement, "" if placement.job else submission.refusal(component)
 
 
 def _uncovered(workspace: Workspace, component: Component, query: Query, outcome: Outcome) -> Rows:
@@ -328,18 +309,13 @@ def _uncovered(workspace: Workspace, component: Component, query: Query, outcome
     outcome.reply = reply._replace(reason=reason)
     if query.on_thin == "reject":
         raise NotCoveredError(
-            f"{reason}. {_other_ways(component)}",
+            f"{reason}.",
+            component,
             query.tolerance or table.tolerance,
             reason=reason,
             coverage=reply.coverage,
         )
     return rows
-
-
-def _other_ways(component: Component) -> str:
-    """Return the values of on_thin that answer a wrench which the table does not cover."""
-    solve = "'queue' or 'wait' for a solve, or " if component.has_fea else ""
-    return f"Ask with on_thin {solve}'estimate' for the best guess."
 
 
 def job_link(job: JobRecord, since: float | None = None) -> dict[str, Any]:
@@ -388,22 +364,6 @@ def fields_of(outcome: Outcome) -> dict[str, Any]:
     return fields
 
 
-def answer_many(name: str, table: ServedTable, wrenches: Floats, query: Query) -> BatchOutcome:
-    """Return the table's replies to wrenches (k, inputs), with the options of a query."""
-    began = time.time()
-    started = perf_counter_ns()
-    options = table.limits(query.tolerance), query.method
-    replies = table.packed.batch(wrenches, *options)
-    elapsed_us = (perf_counter_ns() - started) / 1e3
-    method = table.packed.answers_by(query.method)
-    outcome = BatchOutcome(name, table, replies, elapsed_us, method, began)
-    if table.bars_are_complete:
-        outcome.tolerance = query.tolerance or table.tolerance
-    if query.derivatives:
-        outcome.derivatives = table.packed.derivatives(wrenches, *options)
-    return outcome
-
-
 async def answer_or_submit_many(
     workspace: Workspace, name: str, wrenches: Floats, query: Query
 ) -> BatchOutcome:
@@ -417,21 +377,31 @@ async def answer_or_submit_many(
     outcome = await run_in_threadpool(submit_many, workspace, name, wrenches, query)
     open_jobs = {queued.job.id for queued in outcome.jobs.values() if queued.job}
     if query.on_thin == "wait" and outcome.unsolved and open_jobs:
-        await workspace.polls.wait_all(sorted(open_jobs), query.wait_s)
-        await run_in_threadpool(_take_rows, workspace, wrenches, query, outcome, anew=True)
+        jobs = await workspace.polls.wait_all(sorted(open_jobs), query.wait_s)
+        await run_in_threadpool(_take_rows, workspace, wrenches, query, outcome, {}, jobs)
     return outcome
 
 
 def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query) -> BatchOutcome:
-    """Return the table's answers, those of newer rows, and the jobs of other wrenches.
+    """Return a table's answers to wrenches (k, inputs), those of newer rows, and jobs of others.
 
     Raises NotCoveredError if the query accepts only covered answers, BeyondRangeError if it waits
     for solves outside the load range, NoSetupError if nothing can be solved, TableBehindError if
     only rows that are being built can answer.
     """
     table = workspace.surrogate(name)
-    outcome = answer_many(name, table, wrenches, query)
-    coverage = outcome.replies.coverage
+    began = time.time()
+    started = perf_counter_ns()
+    options = table.limits(query.tolerance), query.method
+    replies = table.packed.batch(wrenches, *options)
+    elapsed_us = (perf_counter_ns() - started) / 1e3
+    method = table.packed.answers_by(query.method)
+    outcome = BatchOutcome(name, table, replies, elapsed_us, method, began)
+    if table.bars_are_complete:
+        outcome.tolerance = query.tolerance or table.tolerance
+    if query.derivatives:
+        outcome.derivatives = table.packed.derivatives(wrenches, *options)
+    coverage = replies.coverage
     uncovered = np.flatnonzero(coverage)
     if not len(uncovered):
         return outcome
@@ -447,52 +417,34 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
         reason = _also(answer(table, first).reason, soon)
         raise NotCoveredError(
             f"{len(uncovered)} of {len(wrenches)} wrenches are not covered. The first is "
-            f"number {uncovered[0]}: {reason}. {_other_ways(component)}",
+            f"number {uncovered[0]}: {reason}.",
+            component,
             query.tolerance or table.tolerance,
             reason=reason,
             uncovered=uncovered.tolist(),
         )
-    rows = _rows_at(component, new, acting[uncovered])
-    for place, row in zip(uncovered.tolist(), rows, strict=True):
-        if row is not None:
-            _take_row(workspace, acting, query, outcome, place, row)
-    uncovered = uncovered[[row is None for row in rows]]
+
+    rows = dict(zip(uncovered.tolist(), _rows_at(component, new, acting[uncovered]), strict=True))
+    known = {place: row for place, row in rows.items() if row is not None}
+    uncovered = uncovered[[row is None for row in rows.values()]]
     component = workspace.submission.solvable(name, soon)
-    _place_many(workspace, component, query, outcome, acting, uncovered)
-    _take_rows(workspace, acting, query, outcome)
-    return outcome
-
-
-def _place_many(
-    workspace: Workspace,
-    component: Component,
-    query: Query,
-    outcome: BatchOutcome,
-    acting: Floats,
-    uncovered: NDArray[np.intp],
-) -> None:
-    """Add the jobs of the `uncovered` of the wrenches `acting` (n, inputs) to an outcome.
-
-    Raises BeyondRangeError if the query waits for a solve outside the load range.
-    """
-    beyond = ~component.load_range.holds(acting[uncovered]) & (not query.beyond_range)
-    if beyond.any() and query.on_thin == "wait":
-        first = int(uncovered[beyond][0])
-        raise BeyondRangeError(
-            f"{int(beyond.sum())} wrenches are outside the load range. The first is number "
-            f"{first}: {why_beyond(component.load_range, acting[first])}. Nothing was queued. "
-            "To solve them nevertheless, set beyond_range to true (--beyond-range).",
-            beyond=uncovered[beyond].tolist(),
-        )
+    is_beyond = ~component.load_range.holds(acting[uncovered]) & (not query.beyond_range)
+    beyond, inside = uncovered[is_beyond].tolist(), uncovered[~is_beyond]
     place_jobs = workspace.submission.queue
     if query.on_thin == "wait":
         place_jobs = workspace.submission.each
-    placements = iter(place_jobs(component.name, acting[uncovered[~beyond]]))
-    for place, is_beyond in zip(uncovered.tolist(), beyond.tolist(), strict=True):
-        if is_beyond:
-            outcome.jobs[place] = Placement(None, exact=False, reason="beyond-range")
-        else:
-            outcome.jobs[place] = next(placements)
+        if beyond:
+            raise BeyondRangeError(
+                f"{len(beyond)} wrenches are outside the load range. The first is number "
+                f"{beyond[0]}: {why_beyond(component.load_range, acting[beyond[0]])}. Nothing was "
+                "queued. To solve them nevertheless, set beyond_range to true (--beyond-range).",
+                beyond=beyond,
+            )
+    jobs = dict(zip(inside.tolist(), place_jobs(name, acting[inside]), strict=True))
+    jobs |= dict.fromkeys(beyond, Placement(None, exact=False, reason="beyond-range"))
+    outcome.jobs = dict(sorted(jobs.items()))
+    _take_rows(workspace, acting, query, outcome, known)
+    return outcome
 
 
 def known_slopes(derivative: Floats) -> Floats | None:
@@ -535,8 +487,8 @@ def _table_of_row(workspace: Workspace, name: str, row: Rows | int) -> ServedTab
     if isinstance(row, int):
         stored = workspace.ledger.row(row)
         names = ("seq", "compliance", "curvature", "uncertainty", "source", "fingerprint")
-        columns = {name: [getattr(stored, name)] for name in names}
-        columns = {name: column for name, column in columns.items() if column[0] is not None}
+        values = {name: getattr(stored, name) for name in names}
+        columns = {name: [value] for name, value in values.items() if value is not None}
         row = Rows.of(stored.wrench, stored.displacement, component.space, **columns)
     return mapped.row_table(component, row, workspace.solver_error(name), newest)
 
@@ -614,41 +566,29 @@ def _take_rows(
     wrenches: Floats,
     query: Query,
     outcome: BatchOutcome,
-    *,
-    anew: bool = False,
+    rows: Mapping[int, Rows | int],
+    jobs: Sequence[JobRecord] = (),
 ) -> None:
-    """Replace the table's answers by the rows of done jobs.
+    """Replace the table's answers to wrenches (k, inputs) by those of rows and of done jobs.
 
-    The jobs are read again with `anew`, after a wait for them.
+    `rows` are by the wrench's index; `jobs` have the newest state of the outcome's, after a wait.
     """
     wrenches = workspace.library[outcome.component].acting(wrenches)
-    jobs = {placement.job.id: placement.job for placement in outcome.jobs.values() if placement.job}
-    if anew:
-        jobs = {number: workspace.ledger.job(number) for number in jobs}
+    newest = {job.id: job for job in jobs}
+    by_place = dict(rows)
     for place, placement in outcome.jobs.items():
-        if placement.job is None:
-            continue
-        job = jobs[placement.job.id]
-        outcome.jobs[place] = Placement(job, placement.exact)
-        if job.row is not None and placement.exact:
-            _take_row(workspace, wrenches, query, outcome, place, job.row)
-
-
-def _take_row(
-    workspace: Workspace,
-    wrenches: Floats,
-    query: Query,
-    outcome: BatchOutcome,
-    place: int,
-    row: Rows | int,
-) -> None:
-    """Replace the table's answer to a wrench by a row's answer."""
-    table = _table_of_row(workspace, outcome.component, row)
-    wrench = wrenches[place, None]
-    limits = table.limits(query.tolerance)
-    new = table.packed.batch(wrench, limits)
+        if placement.job is not None:
+            job = newest.get(placement.job.id, placement.job)
+            outcome.jobs[place] = replace(placement, job=job)
+            if job.row is not None and placement.exact:
+                by_place[place] = job.row
     replies = outcome.replies
-    replies.outputs[place], replies.errors[place] = new.outputs[0], new.errors[0]
-    replies.coverage[place] = new.coverage[0]
-    if outcome.derivatives is not None:
-        outcome.derivatives[place] = table.packed.derivatives(wrench, limits)[0]
+    for place, row in by_place.items():
+        table = _table_of_row(workspace, outcome.component, row)
+        wrench = wrenches[place, None]
+        limits = table.limits(query.tolerance)
+        new = table.packed.batch(wrench, limits)
+        replies.outputs[place], replies.errors[place] = new.outputs[0], new.errors[0]
+        replies.coverage[place] = new.coverage[0]
+        if outcome.derivatives is not None:
+            outcome.derivatives[place] = table.packed.derivatives(wrench, limits)[0]

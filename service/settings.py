@@ -129,6 +129,11 @@ def read_settings(
         raise SettingsError(f"{place}: {rule}, not {first['input']!r}") from error
 
 
+def listed(text: str | None) -> list[str]:
+    """Return the entries of a setting with commas, without blanks and empty ones."""
+    return [entry for part in (text or "").split(",") if (entry := part.strip())]
+
+
 def check_engine(name: str, scheduler: str | None) -> None:
     """Check the engine before anything is opened.
 

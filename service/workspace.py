@@ -56,7 +56,11 @@ log = logging.getLogger(__name__)
 MAX_UNBUILT = 500  # rows searched for a wrench: a loop reads them at each uncovered query
 CATCH_UP_S = 25.0  # below the timeouts of clients and proxies, usually 30 s
 
-POLL_S = 0.02  # interval of polls: PRAGMA data_version, or the date of a file, takes microseconds
+POLL_S = 0.02  # interval of polls of the ledger: PRAGMA data_version takes microseconds
+# Files follow a commit within the time of a build; later they are polled at a longer interval, as
+# each poll of an idle process takes ten times as long as that of a busy one.
+FOLLOWS_S = 10.0
+IDLE_POLL_S = 0.1
 TROUBLE_S = 1.0  # pause before a failed listener is called again: its cause, as a full disk, lasts
 
 Stamp = Callable[[], object]
@@ -129,12 +133,26 @@ class Watcher:
 
     def _run(self) -> None:
         """Call each listener whose stamp has changed, until the watcher is stopped."""
+        version: object = None
+        follows_until = next_files = 0.0
         while not self._stopping.is_set():
             self._wake.wait(POLL_S)
             self._wake.clear()
-            stamps: dict[Stamp, object] = {}
+            now = time.monotonic()
+            try:
+                stamps: dict[Stamp, object] = {self.version: self.version()}
+            except Exception:
+                log.exception("the ledger's version could not be read; trying again")
+                self._stopping.wait(TROUBLE_S)
+                continue
+            if stamps[self.version] != version:
+                version, follows_until = stamps[self.version], now + FOLLOWS_S
+            reads_files = now < follows_until or now >= next_files
+            if reads_files:
+                next_files = now + IDLE_POLL_S
             for entry in self._entries:
-                if time.monotonic() < entry.not_before or self._stopping.is_set():
+                is_due = reads_files or entry.stamp == self.version
+                if now < entry.not_before or not is_due or self._stopping.is_set():
                     continue
                 try:
                     if entry.stamp not in stamps:

@@ -91,7 +91,7 @@ COUNTED = (
 """Rooms whose size `make house` tells: those through which an answer goes."""
 DUPLICATE_LINES = 10
 GUARD, SIZE = 1e-5, 64
-CODES = ("kernel/", "packed/", "scene/cut.py", "table/hdf5.py", "table/meta.py")
+CODES = ("kernel/", "packed/", "scene/cut.py", "table/foreign.py", "table/hdf5.py", "table/meta.py")
 """Files of the surrogate whose numbers are indices, codes and sizes of formats."""
 NO_DECISIONS = {"HOLE", "SLOPES_SMOOTHNESS", "DECIMALS", "MAX_LISTED"}
 """Of the others: a code, kinds of kernels, rounding in digits, the length of a list for people."""

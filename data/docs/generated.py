@@ -430,10 +430,11 @@ def _schema(name: str, schema: dict) -> str:
 
 def _fields(schema: dict) -> list[str]:
     needed = schema.get("required", ())
-    rows = [
-        (f"`{name}`", _type(field), "required" if name in needed else _default(field), _text(field))
-        for name, field in schema.get("properties", {}).items()
-    ]
+    rows = []
+    for name, field in schema.get("properties", {}).items():
+        default = f"`{json.dumps(field['default'])}`" if "default" in field else ""
+        default = "required" if name in needed else default
+        rows.append((f"`{name}`", _type(field), default, _text(field)))
     return _table(("field", "type", "default", ""), rows) if rows else []
 
 
@@ -452,10 +453,6 @@ def _type(schema: dict) -> str:
         items = _type(schema.get("items", {}))
         return f"array of ({items})" if " or " in items else f"array of {items}"
     return schema.get("format") or schema.get("type", "any")
-
-
-def _default(schema: dict) -> str:
-    return f"`{json.dumps(schema['default'])}`" if "default" in schema else ""
 
 
 def _text(described: dict) -> str:

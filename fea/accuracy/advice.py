@@ -13,8 +13,6 @@ import numpy as np
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS
 
-Array = np.ndarray
-
 WHERE = "tolerance"
 """Key of these warnings; the newest estimate replaces earlier warnings."""
 
@@ -44,7 +42,7 @@ def over_tolerance(
     return [BundleProblem(WHERE, message) for message in messages if message]
 
 
-def _mesh_too_coarse(solver_error: Mapping[str, Any], allowed: Array) -> str:
+def _mesh_too_coarse(solver_error: Mapping[str, Any], allowed: np.ndarray) -> str:
     """Return the warning about the mesh, empty within the tolerance `allowed` (6,), m and rad."""
     if solver_error.get("mesh") is None:
         return ""
@@ -67,7 +65,7 @@ def _mesh_too_coarse(solver_error: Mapping[str, Any], allowed: Array) -> str:
     return f"{start} {excess}, and more solves do not reduce it. {actions}"
 
 
-def _large_displacements(solver_error: Mapping[str, Any], allowed: Array) -> str:
+def _large_displacements(solver_error: Mapping[str, Any], allowed: np.ndarray) -> str:
     """Return the warning about a linear analysis, empty within the tolerance (6,), m and rad."""
     if solver_error.get("linearity") is None:
         return ""
@@ -80,7 +78,7 @@ def _large_displacements(solver_error: Mapping[str, Any], allowed: Array) -> str
     return message if worst > 1.0 else ""
 
 
-def _buckles(solver_error: Mapping[str, Any], _: Array) -> str:
+def _buckles(solver_error: Mapping[str, Any], _: np.ndarray) -> str:
     """Return the warning about a part that buckles in its range, empty if it does not."""
     if (factor := solver_error.get("buckling")) is None or not factor < 1.0:
         return ""
@@ -106,7 +104,7 @@ def straight_edges(solver_error: Mapping[str, Any]) -> list[BundleProblem]:
     return [BundleProblem("mesh.file", f"{rounded['basis']}: {remedy}")]
 
 
-def _worst(errors: Array, allowed: Array) -> tuple[float, str]:
+def _worst(errors: np.ndarray, allowed: np.ndarray) -> tuple[float, str]:
     """Return the largest ratio of error (6 i,) to tolerance (6,), and its text."""
     ratios = errors / np.resize(allowed, errors.shape)
     output = int(ratios.argmax())

@@ -22,9 +22,7 @@ from wrenchbook.fea.mesh.refine import halved, refined
 from wrenchbook.fea.mesh.sources import read_grouped
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
-from wrenchbook.fea.spec.schema import Bundle
-
-Array = np.ndarray
+from wrenchbook.fea.spec.schema import FREEDOMS, LOADS, Bundle
 
 _COARSER = (0.5, 2 / 3)
 """Ratios of cell sizes of the second mesh to the first, along each direction.
@@ -90,8 +88,6 @@ FILE = "convergence.json"
 MAX_UNKNOWNS = 350_000
 """Unknowns of the finest mesh of a study without a request: about half a minute and 4 GB."""
 
-_RESPONSES = ("ux/Fx", "uy/Fy", "uz/Fz", "rx/Mx", "ry/My", "rz/Mz")
-
 _STEP = 1.5
 """Ratio of cell sizes if a generator or a geometry is meshed anew; a file's cells are halved."""
 
@@ -106,10 +102,10 @@ class Study(NamedTuple):
     nodes: list[int]  # number of nodes of each mesh
     sizes: list[float]  # size of each mesh's cells, the cube root of their mean volume, m
     # Shape (meshes, 6 i, k): m/N, rad/N, m/(N·m), rad/(N·m), and by further inputs
-    compliance: Array
+    compliance: np.ndarray
 
     @property
-    def lacking(self) -> Array:
+    def lacking(self) -> np.ndarray:
         """Error of the component's mesh, shape (6 i, k).
 
         The finest mesh is assumed to have the remaining error of first order, the slowest: it
@@ -119,7 +115,7 @@ class Study(NamedTuple):
         return last - coarsest + (last - before) / (self.sizes[-2] / self.sizes[-1] - 1)
 
     @property
-    def order(self) -> Array:
+    def order(self) -> np.ndarray:
         """Observed order of each freedom's response to the load on it, (6 i,).
 
         It is NaN with two meshes, and where changes differ in sign or do not shrink.
@@ -134,7 +130,7 @@ class Study(NamedTuple):
         return order
 
     @property
-    def extrapolated(self) -> Array:
+    def extrapolated(self) -> np.ndarray:
         """Freedoms' responses to their loads at cells of size zero, (6 i,); NaN without order."""
         values = np.diagonal(self.compliance, axis1=1, axis2=2)
         ratio = self.sizes[-2] / self.sizes[-1]
@@ -222,14 +218,15 @@ def write(bundle: Bundle, study: Study) -> Path:
 def names_of(bundle: Bundle) -> list[str]:
     """Return the names of freedoms' responses to the loads on them, such as tool.uz/Fz; (6 i,)."""
     prefixes = [f"{interface.name}." if bundle.others else "" for interface in bundle.interfaces]
-    return [f"{name}{response}" for name in prefixes for response in _RESPONSES]
+    pairs = list(zip(FREEDOMS, LOADS, strict=True))
+    return [f"{name}{freedom}/{load}" for name in prefixes for freedom, load in pairs]
 
 
-def _or_null(values: Array) -> list[float | None]:
+def _or_null(values: np.ndarray) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
-def stored(bundle: Bundle, shape: tuple[int, ...]) -> tuple[Array, str] | None:
+def stored(bundle: Bundle, shape: tuple[int, ...]) -> tuple[np.ndarray, str] | None:
     """Return the stored error for this setup, of this shape, and its basis; None without a study.
 
     Raises ValueError if the file is damaged.

@@ -32,8 +32,6 @@ from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, DeclaredRange
 
-Array = np.ndarray
-
 _PARTS = (0.125, 1.0)
 """Parts of the largest wrench for nonlinear solves: their remainders give the saturation. From an
 eighth the law holds a part k (u + c u^3) = F at 94 % of loads for any c, at all where the linear
@@ -50,7 +48,7 @@ _LINEAR = 0.94
 """Upper bound of remainder over load at the smallest part, relative to that at the corner: at 1 the
 remainder grows with the load from the start, and b is infinite."""
 
-_NEAR = 0.1
+_ALIKE_MESHES = 0.1
 """Largest relative change of a compliance between the coarser mesh and the component's for solves
 on the coarser: the remainder of a part that stiffens grows with its fourth power, and 0.9^4 is 1 /
 `_SAFETY`."""
@@ -69,8 +67,8 @@ class BeyondLinear:
 
     # Shape (6 i,), m and rad: at a load as large as its range, growing as the module says; NaN
     # where no nonlinear solve gave an answer.
-    remainder: Array
-    saturation: Array  # shape (6 i,): b of the module, 0 where the part does not stiffen
+    remainder: np.ndarray
+    saturation: np.ndarray  # shape (6 i,): b of the module, 0 where the part does not stiffen
     # The part of a corner's wrench at which the component buckles or snaps through, at or below 10;
     # None beyond that. It is that of linear buckling (`fea.solver.buckling`), or where a nonlinear
     # solve ended if that is less.
@@ -136,7 +134,9 @@ def _order(solver: Solver) -> int:
     return 2 if solver.second_derivatives is None else 3
 
 
-def _at_corner(solver: Solver, wrench: Array, buckling: float) -> tuple[Array, float, str]:
+def _at_corner(
+    solver: Solver, wrench: np.ndarray, buckling: float
+) -> tuple[np.ndarray, float, str]:
     """Return a corner's remainders over powers of the load, the end and the reason of failures.
 
     The remainders have the shape (parts, 6 i), all of a corner that is not solved in all parts the
@@ -233,7 +233,7 @@ def linearity_of(solver: Solver, coarse: Solver, loads: DeclaredRange) -> dict[s
     loads: as of `beyond_linear`.
     """
     fine, rough = (np.diag(mesh.compliance) for mesh in (solver, coarse))
-    near = (np.abs(rough - fine) <= _NEAR * fine).all()
+    near = (np.abs(rough - fine) <= _ALIKE_MESHES * fine).all()
     beyond = beyond_linear(coarse if near else solver, loads)
     second = solver.second_derivatives
     basis = "nonlinear solves at opposite corners of the load range"
@@ -281,7 +281,7 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
     return report | {"rounded": rounded}
 
 
-def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[Array], str]:
+def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[np.ndarray], str]:
     """Return the error by the size of cells, in parts (6 i, k), none if unknown, and its basis."""
     compliance, bundle = solver.linear.compliance, solver.component.bundle
     study = stored(bundle, compliance.shape)
@@ -339,7 +339,7 @@ _ROUND = 1.1
 angle, 2 % of the change at 30 degrees and 4 % at 40."""
 
 
-def _report(compliance: Array, errors: Array, basis: str) -> dict[str, Any]:
+def _report(compliance: np.ndarray, errors: np.ndarray, basis: str) -> dict[str, Any]:
     """Return the report of `errors`, shape (n, 6 i, k), the parts of the compliance's error."""
     mesh = np.abs(errors).sum(axis=0)
     roots = np.sqrt(np.diag(mesh))

@@ -27,16 +27,16 @@ from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_eleme
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.tensors import deviator
 
-Array = np.ndarray
-
 
 class _Piece(NamedTuple):
     """Cells of one kind and material."""
 
-    fields: Array  # shape (2, loads, cells, points, 3, 3): strains and stresses of the unit loads
-    weights: Array  # shape (cells, points), m^3
-    corners: Array  # shape (cells, corners), int64: nodes
-    functions: Array  # shape (points, corners): linear shape functions of the corners
+    fields: (
+        np.ndarray
+    )  # shape (2, loads, cells, points, 3, 3): strains and stresses of the unit loads
+    weights: np.ndarray  # shape (cells, points), m^3
+    corners: np.ndarray  # shape (cells, corners), int64: nodes
+    functions: np.ndarray  # shape (points, corners): linear shape functions of the corners
     material: int  # index of the material
     # Whether volumetric strains are projected: those at the points then have no meaning
     projected: bool
@@ -46,12 +46,12 @@ class RecoveredError(NamedTuple):
     """The mesh's error at unit inputs, by cell."""
 
     # Shape (k, k), SI, symmetric: the first 6 i rows are displacements of i interfaces
-    total: Array
-    cells: Array  # (k, cells): each cell's part of the diagonal
-    centres: Array  # (cells, 3), m
-    sizes: Array  # (cells,), m: the cells' diameters
+    total: np.ndarray
+    cells: np.ndarray  # (k, cells): each cell's part of the diagonal
+    centres: np.ndarray  # (cells, 3), m
+    sizes: np.ndarray  # (cells,), m: the cells' diameters
 
-    def coarsening(self, other: Mesh) -> Array:
+    def coarsening(self, other: Mesh) -> np.ndarray:
         """Ratio of another mesh's cell sizes to this mesh's, weighted by each input's error, (k,).
 
         A mesher that is given twice the size makes smaller cells at short edges.
@@ -74,8 +74,8 @@ def recovered_error(solver: Solver) -> RecoveredError:
     points = solver.component.mesh.points
     # For each material the means of its fields at the nodes, (nodes, 2, loads, 3, 3).
     nodes = len(points)
-    totals: dict[int, Array] = {}
-    volumes: dict[int, Array] = {}
+    totals: dict[int, np.ndarray] = {}
+    volumes: dict[int, np.ndarray] = {}
     for piece in pieces:
         loads = piece.fields.shape[1]
         total = totals.setdefault(piece.material, np.zeros((nodes, 2 * loads * 9)))
@@ -90,7 +90,7 @@ def recovered_error(solver: Solver) -> RecoveredError:
         total += sums @ recovered.reshape(owners.size, -1)
         volume += np.bincount(owners, cell_volumes.repeat(piece.corners.shape[1]), nodes)
 
-    smooth: dict[int, Array] = {}
+    smooth: dict[int, np.ndarray] = {}
     for material, total in totals.items():
         volume = np.where(volumes[material] > 0, volumes[material], 1.0)
         smooth[material] = (total / volume[:, None]).reshape(nodes, 2, -1, 3, 3)
@@ -103,7 +103,9 @@ def recovered_error(solver: Solver) -> RecoveredError:
     )
 
 
-def _centres_and_diameters(points: Array, blocks: list[Array]) -> tuple[Array, Array]:
+def _centres_and_diameters(
+    points: np.ndarray, blocks: list[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the centres and the largest distances between corners of cells, by their corners."""
     cells = [points[corners] for corners in blocks]
     spans = [np.linalg.norm(cell[:, :, None] - cell[:, None], axis=-1) for cell in cells]
@@ -137,13 +139,13 @@ def _pieces(solver: Solver) -> Iterator[_Piece]:
 
 
 @cache
-def _corner_functions(kind: str, integration: str) -> Array:
+def _corner_functions(kind: str, integration: str) -> np.ndarray:
     """Return the linear shape functions of a cell's corners at its points, (points, corners)."""
     points = reference_element(kind, integration).values @ node_coordinates(kind)
     return tabulate(FIRST.get(kind, kind), points)[0]
 
 
-def _energy(piece: _Piece, smooth: Array) -> tuple[Array, Array]:
+def _energy(piece: _Piece, smooth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return twice the energies (loads, loads) of the fields' differences, and (loads, cells)."""
     cells, corners = piece.corners.shape
     loads = piece.fields.shape[1]

@@ -24,8 +24,6 @@ from wrenchbook.fea.mesh.surface import connected, members_of
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 
-Array = np.ndarray
-
 SMOOTH = np.radians(42.0)
 """Largest angle between neighbouring facets of a round surface: at larger angles an edge is an edge
 of the part, such as of a chamfer of 45 degrees. Nine cells round a hole are at 40 degrees to each
@@ -47,7 +45,7 @@ _OFF_CIRCLE = 1e-3
 of five digits change it by less. In a square bar whose chamfers are 5 % narrower than the sides it
 is 0.005."""
 
-_LEAST_LEAN = 1e-3
+_MIN_LEAN = 1e-3
 """Least singular value, over the largest, of the faces' normals: in smaller ones, those of a prism
 along its axis, there is only roundoff of coordinates."""
 
@@ -69,7 +67,7 @@ class Roundness(NamedTuple):
     """Effect of bending the edges."""
 
     # Shape (6 i, k): the compliance with straight edges, less that with curved ones, SI
-    change: Array
+    change: np.ndarray
     angle: float  # the largest angle between facets that count as a round surface, rad
 
 
@@ -107,14 +105,14 @@ def _is_of_mesh_file(component: ComponentModel) -> bool:
 class _Facets(NamedTuple):
     """The surface's f second-order facets. A triangle repeats its last corner."""
 
-    corners: Array  # shape (f, 4), int64: nodes
+    corners: np.ndarray  # shape (f, 4), int64: nodes
     # Shape (f, 4), int64: midside nodes; a triangle's third side, of no length, has the second's
-    middles: Array
-    points: Array  # shape (f, 4, 3), m: of the corners
-    normals: Array  # shape (f, 3): unit vectors
+    middles: np.ndarray
+    points: np.ndarray  # shape (f, 4, 3), m: of the corners
+    normals: np.ndarray  # shape (f, 3): unit vectors
 
     @property
-    def triangles(self) -> Array:
+    def triangles(self) -> np.ndarray:
         """Which facets are triangles, shape (f,), bool."""
         return np.asarray(self.corners[:, 2] == self.corners[:, 3])
 
@@ -139,7 +137,7 @@ def _surface_facets(mesh: Mesh) -> _Facets:
     return facets._replace(points=points, normals=normals)
 
 
-def bows_of(mesh: Mesh) -> tuple[Array, float]:
+def bows_of(mesh: Mesh) -> tuple[np.ndarray, float]:
     """Return the motion of each node to the round surface, (n, 3), m, and the largest angle, rad.
 
     No node moves on a connected surface whose midside nodes are on the geometry: if one is off its
@@ -177,7 +175,7 @@ def bows_of(mesh: Mesh) -> tuple[Array, float]:
     return bows if mesh.dependents is None else mesh.dependents.expanded(bows), largest
 
 
-def _offsets(mesh: Mesh, facets: _Facets) -> Array:
+def _offsets(mesh: Mesh, facets: _Facets) -> np.ndarray:
     """Return the midside nodes' distances from the middles of edges over their lengths, (f, 4)."""
     after = np.roll(facets.points, -1, axis=1)
     height = np.linalg.norm(mesh.points[facets.middles] - 0.5 * (facets.points + after), axis=2)
@@ -189,7 +187,7 @@ def _offsets(mesh: Mesh, facets: _Facets) -> Array:
     return np.divide(height, length, out=np.zeros_like(height), where=length > 0)
 
 
-def _corner_normals(facets: _Facets) -> tuple[Array, Array]:
+def _corner_normals(facets: _Facets) -> tuple[np.ndarray, np.ndarray]:
     """Return the surface's unit normals, (f, 4, 3), and each facet's largest angle, (f,), rad.
 
     The normal at a facet's corner is the mean over facets there at angles below `SMOOTH` to it, by
@@ -223,7 +221,7 @@ class Polygon(NamedTuple):
 
     faces: int
     angle: float  # between neighbours, rad
-    at: Array  # a point on an edge between two of them, (3,), m
+    at: np.ndarray  # a point on an edge between two of them, (3,), m
 
 
 def polygons_of(mesh: Mesh) -> list[Polygon]:
@@ -252,7 +250,7 @@ def polygons_of(mesh: Mesh) -> list[Polygon]:
         normals, points = facets.normals[facet_of[faces]], facets.points[facet_of[faces], 0]
         height = np.einsum("ki,ki->k", normals, points - at)
         matrix = np.column_stack([normals, np.ones(len(faces))])
-        misfit = height - matrix @ np.linalg.lstsq(matrix, height, rcond=_LEAST_LEAN)[0]
+        misfit = height - matrix @ np.linalg.lstsq(matrix, height, rcond=_MIN_LEAN)[0]
         if np.abs(misfit).max() < _OFF_CIRCLE * np.ptp(height):
             polygons.append(Polygon(len(faces), float(np.abs(folds.angle[fold]).mean()), at))
     return polygons
@@ -261,13 +259,13 @@ def polygons_of(mesh: Mesh) -> list[Polygon]:
 class _Folds(NamedTuple):
     """Edges between two flat faces each at the angle of a polygon, k of them."""
 
-    faces: Array  # shape (k, 2), int64: numbers of both faces, ascending
-    start: Array  # shape (k, 3), m: an end of the edge
-    along: Array  # shape (k, 3): unit vectors from there to the other end
-    angle: Array  # shape (k,), rad: between the faces, negative where the edge stands out
+    faces: np.ndarray  # shape (k, 2), int64: numbers of both faces, ascending
+    start: np.ndarray  # shape (k, 3), m: an end of the edge
+    along: np.ndarray  # shape (k, 3): unit vectors from there to the other end
+    angle: np.ndarray  # shape (k,), rad: between the faces, negative where the edge stands out
 
 
-def _folds(mesh: Mesh, facets: _Facets) -> tuple[Array, _Folds]:
+def _folds(mesh: Mesh, facets: _Facets) -> tuple[np.ndarray, _Folds]:
     """Return the number of each facet's flat face, (f,), and the folds between these."""
     # Pairs of facets at an edge; both sides of a triangle's last corner are the same edge.
     facet, side = np.divmod(np.argsort(facets.middles, axis=None, kind="stable"), 4)

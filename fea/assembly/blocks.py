@@ -20,8 +20,6 @@ from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.spec.material import LAWS, AnyMaterial
 
-Array = np.ndarray
-
 # For each law the cells of materials with a Young's modulus and a Poisson's ratio.
 _OF_TWO_CONSTANTS = {"isotropic": IsotropicStiffness, "neo-hookean": NeoHookeanStiffness}
 
@@ -29,10 +27,10 @@ _OF_TWO_CONSTANTS = {"isotropic": IsotropicStiffness, "neo-hookean": NeoHookeanS
 def filled_cells(
     mesh: Mesh,
     materials: Sequence[AnyMaterial],
-    numbers: Sequence[Array],
+    numbers: Sequence[np.ndarray],
     integration: str,
-    axes: Array | None = None,
-    origin: Array | None = None,
+    axes: np.ndarray | None = None,
+    origin: np.ndarray | None = None,
 ) -> list[tuple[CellBlock, CellStiffness]]:
     """Return the cells in parts of one law each, with their stiffness.
 
@@ -63,8 +61,8 @@ def filled_cells(
 
 
 def sorted_cells(
-    mesh: Mesh, materials: Sequence[AnyMaterial], numbers: Sequence[Array]
-) -> Iterator[tuple[CellBlock, Array, Array, str, bool]]:
+    mesh: Mesh, materials: Sequence[AnyMaterial], numbers: Sequence[np.ndarray]
+) -> Iterator[tuple[CellBlock, np.ndarray, np.ndarray, str, bool]]:
     """Yield the parts in their order.
 
     Each part is the block of its cells with their materials, shape (cells,), the mask of its cells,
@@ -93,9 +91,9 @@ def _stiffness(
     law: str,
     gradients: Gradients,
     materials: list[AnyMaterial],
-    modes: Array | None,
-    frame: Array,
-    points: Array,
+    modes: np.ndarray | None,
+    frame: np.ndarray,
+    points: np.ndarray,
 ) -> CellStiffness:
     """Return the cells of one law; `frame` and `points` are as of `_directions`."""
     directions = _directions(materials, frame, points)
@@ -122,8 +120,8 @@ def _stiffness(
 
 
 def _directions(
-    materials: list[AnyMaterial], frame: Array, points: Array
-) -> list[tuple[AnyMaterial, Array, Array]]:
+    materials: list[AnyMaterial], frame: np.ndarray, points: np.ndarray
+) -> list[tuple[AnyMaterial, np.ndarray, np.ndarray]]:
     """Return each material, its cells (k,) and its directions there, (k, points or 1, 3, 3).
 
     frame: the axes of the result, (3, 3). points: the integration points in the bundle's axes,
@@ -142,7 +140,7 @@ def _directions(
     return groups
 
 
-def _by_cell(parts: Iterable[tuple[Array, Array]]) -> Array:
+def _by_cell(parts: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Return tensors of some cells each as an array by cell, (cells, points or 1, ...)."""
     parts = list(parts)
     points = max(tensors.shape[1] for _, tensors in parts)

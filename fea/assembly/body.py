@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +14,7 @@ from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.linalg.multifrontal import MultifrontalFactor, NotDefinite
 from wrenchbook.fea.linalg.nested_dissection import Dissection, dissect, unknowns_of
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
-
-Array = np.ndarray
+from wrenchbook.fea.tensors import TINY
 
 _AT_A_TIME = 256
 """Cells whose matrices are in memory at once."""
@@ -48,21 +46,21 @@ class Movable:
     (k, 3, 3), dimensionless. Nodes among them that are not free are ignored.
     """
 
-    def __init__(self, free: Array, held: tuple[Array, Array]) -> None:
+    def __init__(self, free: np.ndarray, held: tuple[np.ndarray, np.ndarray]) -> None:
         self.free = free
         chosen = free[held[0]]
         self._nodes, self._held = held[0][chosen], held[1][chosen]
         self._held_index = np.full(free.size, -1)
         self._held_index[self._nodes] = np.arange(self._nodes.size)
 
-    def released(self, fields: Array) -> Array:
+    def released(self, fields: np.ndarray) -> np.ndarray:
         """Return fields (n, 3, ...) with zeros at nodes and in directions that are held."""
         free = np.where(self.free.reshape(-1, *[1] * (fields.ndim - 1)), fields, 0.0)
         if self._nodes.size:
             free[self._nodes] -= np.einsum("nij,nj...->ni...", self._held, free[self._nodes])
         return free
 
-    def decoupled(self, matrices: Array, nodes: Array) -> Array:
+    def decoupled(self, matrices: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         """Return cells' matrices (m, 3 s, 3 s), N/m, of nodes (m, s), held directions decoupled.
 
         Rows of a cell's matrix are ordered by component, then node.
@@ -98,8 +96,8 @@ class ElasticBody:
         self,
         mesh: Mesh,
         filled: Sequence[tuple[CellBlock, CellStiffness]],
-        free: Array,
-        held: tuple[Array, Array] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3))),
+        free: np.ndarray,
+        held: tuple[np.ndarray, np.ndarray] = (np.empty(0, dtype=np.int64), np.empty((0, 3, 3))),
     ) -> None:
         self.points = mesh.points
         self.dependents = mesh.dependents
@@ -126,14 +124,14 @@ class ElasticBody:
         return other
 
     @property
-    def slips(self) -> Array:
+    def slips(self) -> np.ndarray:
         """Which points belong to no cell, shape (n,), bool: the slips of bolts."""
         slips = np.ones(self.size, dtype=bool)
         for block in self.blocks:
             slips[block.nodes] = False
         return slips
 
-    def expanded(self, fields: Array) -> Array:
+    def expanded(self, fields: np.ndarray) -> np.ndarray:
         """Return fields (n, 3, ...), m, with the displacements of dependent nodes."""
         return fields if self.dependents is None else self.dependents.expanded(fields)
 
@@ -156,7 +154,9 @@ class ElasticBody:
         other.parts = [part.at(temperature, finite) for part in self.parts]
         return other
 
-    def thermal_rates(self, displacement: Array, temperature: float = 0.0) -> tuple[Array, float]:
+    def thermal_rates(
+        self, displacement: np.ndarray, temperature: float = 0.0
+    ) -> tuple[np.ndarray, float]:
         """Return the change per kelvin at a displacement, shape (n, 3), m, and a temperature, K.
 
         The results are the changes of the internal forces, shape (n, 3), N/K, and of the strain
@@ -189,13 +189,13 @@ class ElasticBody:
 
     def leaves_from(self, number: int) -> list[int]:
         """Return the indices of leaves from `number` on that are computed together."""
-        counts = self._leaf_cells
-        first = int(np.searchsorted(counts[0], number))
-        last = int(np.searchsorted(counts[1], counts[1][first] + _AT_A_TIME))
-        return counts[0][first : max(last, first + 1)].tolist()
+        leaves, cells_before = self._leaf_cells
+        first = int(np.searchsorted(leaves, number))
+        last = int(np.searchsorted(cells_before, cells_before[first] + _AT_A_TIME))
+        return leaves[first : max(last, first + 1)].tolist()
 
     @cached_property
-    def _leaf_cells(self) -> tuple[Array, Array]:
+    def _leaf_cells(self) -> tuple[np.ndarray, np.ndarray]:
         """The indices of the leaves, and the number of cells in the leaves before each."""
         parts = self.dissection.substructures
         numbers = np.array([i for i, part in enumerate(parts) if not part.children], dtype=int)
@@ -203,14 +203,14 @@ class ElasticBody:
         return numbers, starts[:-1]
 
     def forces(
-        self, displacement: Array, step: tuple[Array, Array] | None = None
-    ) -> tuple[Array, float, float]:
+        self, displacement: np.ndarray, step: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> tuple[np.ndarray, float, float]:
         """Return the internal nodal forces, the strain energy and the least det F.
 
         displacement: shape (n, 3), m.
         step: the last step of Newton's method, two fields of shape (n, 3), m: see `tangent`.
-        Returns forces: shape (n, 3), N. energy: J. least: Smallest determinant of the deformation
-        gradient over all quadrature points.
+        Returns forces: shape (n, 3), N. energy: J. least: the smallest determinant of the
+        deformation gradient over all quadrature points.
         """
         total = np.zeros_like(displacement)
         energy = 0.0
@@ -225,7 +225,7 @@ class ElasticBody:
         return total, energy, least
 
     def tangent(
-        self, displacement: Array | None, step: tuple[Array, Array] | None = None
+        self, displacement: np.ndarray | None, step: tuple[np.ndarray, np.ndarray] | None = None
     ) -> Tangent:
         """Return the tangent stiffness.
 
@@ -239,7 +239,7 @@ class ElasticBody:
         """
         return Tangent(self, displacement, step)
 
-    def small_strain_forces(self, fields: Array) -> Array:
+    def small_strain_forces(self, fields: np.ndarray) -> np.ndarray:
         """Return the nodal forces of small displacement fields by way of their stresses.
 
         They are more exact than the stiffness matrix times the field: the matrix gives a rigid
@@ -257,7 +257,7 @@ class ElasticBody:
                     total[:, :, k] += self._sum(forces, local)
         return total
 
-    def strain_energy_products(self, fields: Array) -> Array:
+    def strain_energy_products(self, fields: np.ndarray) -> np.ndarray:
         """Return twice the mutual strain energies of small displacements, from their strains.
 
         fields: shape (n, 3, k), m.
@@ -271,8 +271,11 @@ class ElasticBody:
         return total
 
     def derivatives(
-        self, of: Callable[[CellState, Array], Array], displacement: Array, fields: Array
-    ) -> Array:
+        self,
+        of: Callable[[CellState, np.ndarray], np.ndarray],
+        displacement: np.ndarray,
+        fields: np.ndarray,
+    ) -> np.ndarray:
         """Return the strain energy's derivatives along fields, (k, k) or (k, k, k), J.
 
         of: `CellState.second` or `CellState.third`.
@@ -286,7 +289,7 @@ class ElasticBody:
                 total = total + of(part.state(chunk, gather(displacement, nodes[chunk])), moved)
         return np.asarray(total)
 
-    def _sum(self, forces: Array, nodes: Array) -> Array:
+    def _sum(self, forces: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         unknowns = np.moveaxis(unknowns_of(nodes), 2, 1)
         total = np.bincount(unknowns.ravel(), forces.ravel(), minlength=3 * self.size)
         return total.reshape(-1, 3)
@@ -300,16 +303,19 @@ class Tangent:
     """
 
     def __init__(
-        self, body: ElasticBody, displacement: Array | None, step: tuple[Array, Array] | None
+        self,
+        body: ElasticBody,
+        displacement: np.ndarray | None,
+        step: tuple[np.ndarray, np.ndarray] | None,
     ) -> None:
         self._body = body
         self._single = displacement is None and body.dissection.numbers > SINGLE_NUMBERS
         self._displacement = displacement
         self._step = step
-        self._ready: dict[int, Array] = {}
+        self._ready: dict[int, np.ndarray] = {}
 
     @property
-    def matrices(self) -> list[Array]:
+    def matrices(self) -> list[np.ndarray]:
         """All cells' matrices, for each block shape (cells, size, size), N/m."""
         return [self._cells(i, np.arange(len(part))) for i, part in enumerate(self._body.parts)]
 
@@ -318,10 +324,10 @@ class Tangent:
         """The factor over the free nodes."""
         if self._single:
             try:
-                return MultifrontalFactor(self._body.dissection, self._leaf, single=True)
+                return MultifrontalFactor(self._body.dissection, self._leaf_matrix, single=True)
             except NotDefinite:
                 self._single = False
-        return MultifrontalFactor(self._body.dissection, self._leaf)
+        return MultifrontalFactor(self._body.dissection, self._leaf_matrix)
 
     def release(self) -> None:
         """Free the factor's memory; the next use factorises again."""
@@ -340,32 +346,32 @@ class Tangent:
                 sums += np.bincount(unknowns.ravel(), scaled.ravel(), minlength=sums.size)
         return float((scale * sums).max(initial=1.0))
 
-    def _cells(self, number: int, cells: Array) -> Array:
+    def _cells(self, number: int, cells: np.ndarray) -> np.ndarray:
         """Return the matrices of some cells of a block, shape (k, size, size), N/m."""
         nodes = self._body.cells[number][cells]
         moved = None if self._displacement is None else gather(self._displacement, nodes)
         matrices = self._body.parts[number].tangent(moved, _gather_pair(self._step, nodes), cells)
         return self._body.movable.decoupled(matrices, nodes)
 
-    def _leaf(self, number: int) -> Array:
-        """Return the matrix of one leaf; a few leaves are made at once."""
+    def _leaf_matrix(self, number: int) -> np.ndarray:
+        """Return the matrix of one leaf; those of a few leaves are computed at once."""
         if number not in self._ready:
             self._ready.clear()  # remains of a factorisation that failed
             leaves = self._body.leaves_from(number)
-            for group, scatter in enumerate(self._body.scatter):
-                due = [leaf for leaf in leaves if leaf in scatter.leaves]
-                if not due:
+            for block, scatter in enumerate(self._body.scatter):
+                entries = {leaf: scatter.leaves[leaf] for leaf in leaves if leaf in scatter.leaves}
+                if not entries:
                     continue
-                counts = np.cumsum([0, *(len(scatter.leaves[leaf].cells) for leaf in due)])
-                matrices = self._cells(
-                    group, np.concatenate([scatter.leaves[leaf].cells for leaf in due])
-                )
-                for leaf, (first, last) in zip(due, pairwise(counts), strict=True):
-                    part = scatter.leaves[leaf].sum(matrices[first:last])
-                    self._ready[leaf] = self._ready[leaf] + part if leaf in self._ready else part
+                cells = [entry.cells for entry in entries.values()]
+                matrices = self._cells(block, np.concatenate(cells))
+                ends = np.cumsum([len(of_leaf) for of_leaf in cells])[:-1]
+                parts = np.split(matrices, ends)
+                for (leaf, entry), part in zip(entries.items(), parts, strict=True):
+                    total = entry.sum(part)
+                    self._ready[leaf] = self._ready[leaf] + total if leaf in self._ready else total
         return self._ready.pop(number)
 
-    def times(self, fields: Array, nodes: Array) -> Array:
+    def times(self, fields: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         """Multiply by displacement fields that are zero at all but the given nodes.
 
         For other fields the product is right at the given nodes alone.
@@ -385,7 +391,7 @@ class Tangent:
                 np.add.at(total, cells[touched], np.moveaxis(forces.reshape(local.shape), 1, 2))
         return total
 
-    def solve(self, loads: Array, rough: bool = False) -> Array:
+    def solve(self, loads: np.ndarray, rough: bool = False) -> np.ndarray:
         """Solve for nodal loads, shape (n, 3, k), N; loads on fixed nodes are ignored.
 
         The displacements have shape (n, 3, k), m, and are zero at fixed nodes. With `rough` they
@@ -399,7 +405,7 @@ class Tangent:
         displacements[order] = self.factor.solve(columns).reshape(order.size, 3, loads.shape[2])
         if rough or not self._single:
             return displacements
-        largest = np.abs(displacements).max(axis=(0, 1), initial=1e-300)
+        largest = np.abs(displacements).max(axis=(0, 1), initial=TINY)
         before = 1.0
         for _ in range(_SINGLE_STEPS):
             change = self.solve(loads - self._body.small_strain_forces(displacements), rough=True)
@@ -416,7 +422,7 @@ class Tangent:
 class _Scatter:
     """The destination of one block's cell matrices in the leaves."""
 
-    def __init__(self, dissection: Dissection, nodes: Array, first: int) -> None:
+    def __init__(self, dissection: Dissection, nodes: np.ndarray, first: int) -> None:
         positions = np.moveaxis(unknowns_of(dissection.positions[nodes]), 2, 1)
         fixed = np.broadcast_to(dissection.positions[nodes][:, None, :] < 0, positions.shape)
         positions = np.where(fixed, -1, positions).reshape(len(nodes), -1)
@@ -435,11 +441,11 @@ class _Scatter:
 class _Leaf(NamedTuple):
     """Cells of one block in a leaf, and the positions of their unknowns in its matrix."""
 
-    cells: Array
-    local: Array
+    cells: np.ndarray
+    local: np.ndarray
     size: int
 
-    def sum(self, matrices: Array) -> Array:
+    def sum(self, matrices: np.ndarray) -> np.ndarray:
         """Add up the cells' matrices; a last row and column collect fixed unknowns, cut off."""
         width = self.size + 1
         flat = self.local[:, :, None] * width + self.local[:, None, :]
@@ -447,12 +453,12 @@ class _Leaf(NamedTuple):
         return matrix.reshape(width, width)[:-1, :-1]
 
 
-def _batches(cells: Array) -> Iterator[Array]:
+def _batches(cells: np.ndarray) -> Iterator[np.ndarray]:
     for first in range(0, len(cells), _AT_A_TIME):
         yield cells[first : first + _AT_A_TIME]
 
 
-def gather(fields: Array, nodes: Array) -> Array:
+def gather(fields: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """Return the values of each cell's nodes: shapes (n, 3, ...) -> (cells, 3, nodes, ...).
 
     The values keep their unit, m for displacements; `nodes` are indices, shape (cells, nodes).
@@ -460,5 +466,7 @@ def gather(fields: Array, nodes: Array) -> Array:
     return np.moveaxis(fields[nodes], 2, 1)
 
 
-def _gather_pair(step: tuple[Array, Array] | None, nodes: Array) -> Array | None:
+def _gather_pair(
+    step: tuple[np.ndarray, np.ndarray] | None, nodes: np.ndarray
+) -> np.ndarray | None:
     return None if step is None else np.stack([gather(fields, nodes) for fields in step])

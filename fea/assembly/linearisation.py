@@ -11,8 +11,6 @@ from wrenchbook.fea.assembly.body import ElasticBody, Tangent
 from wrenchbook.fea.coupling import CoupledState, Coupling
 from wrenchbook.fea.failure import SolveFailed
 
-Array = np.ndarray
-
 
 @dataclass(frozen=True, eq=False)
 class Balance:
@@ -21,14 +19,14 @@ class Balance:
     state: CoupledState  # the displaced state
     # Shape (k,): the inputs, N and N·m of i interfaces; then the temperature, K from the reference,
     # if the body expands, and the accelerations that are inputs, m/s^2.
-    wrench: Array
-    forces: Array  # shape (n, 3), N: internal nodal forces, less weight and acceleration
+    wrench: np.ndarray
+    forces: np.ndarray  # shape (n, 3), N: internal nodal forces, less weight and acceleration
     energy: float  # Strain energy, J
     least_stretch: float  # Smallest determinant of the deformation gradient
     # nodal, border: the residuals: shape (n, 3), N, at the free nodes, zero at others; and
     # shape (border,), N and N·m for interface freedoms, m and m^2 for constraints.
-    nodal: Array
-    border: Array
+    nodal: np.ndarray
+    border: np.ndarray
     # Norm of the nodal forces, N, and energy, J, of the temperature in a body held everywhere
     thermal: tuple[float, float] = (0.0, 0.0)
 
@@ -59,7 +57,7 @@ class Linearisation:
         coupling: Coupling,
         balance: Balance,
         tangent: Tangent,
-        body_force: Array,
+        body_force: np.ndarray,
     ) -> None:
         self._body = body
         self._coupling = coupling
@@ -75,7 +73,7 @@ class Linearisation:
         self._block = contract(self.border.constraint, pushed) + self.border.block
 
     @cached_property
-    def _solved(self) -> Array:
+    def _solved(self) -> np.ndarray:
         """K^-1 C, shape (n, 3, border)."""
         return self.tangent.solve(self._columns)
 
@@ -88,7 +86,7 @@ class Linearisation:
         self.tangent.release()
 
     @cached_property
-    def schur(self) -> Array:
+    def schur(self) -> np.ndarray:
         """The border's condensed stiffness, shape (border, border), N/m, N, N·m by its unknowns."""
         return self._block - contract(self._columns, self._solved)
 
@@ -107,7 +105,7 @@ class Linearisation:
         return float(energy / (border @ (np.diagonal(self._block) * border)))
 
     @property
-    def _softest_interface(self) -> tuple[float, Array]:
+    def _softest_interface(self) -> tuple[float, np.ndarray]:
         """`interface_ratio` and the border's motion, shape (border,), that has it."""
         diagonal = np.diagonal(self._block)
         if not diagonal.size or (diagonal <= 0).any():
@@ -148,7 +146,7 @@ class Linearisation:
         scale = 1.0 / np.sqrt(diagonal)
         return float(np.linalg.eigvalsh(compliance * scale[:, None] * scale)[0])
 
-    def correction(self, balance: Balance) -> tuple[Array, Array]:
+    def correction(self, balance: Balance) -> tuple[np.ndarray, np.ndarray]:
         """Return the changes that bring a nearby state into balance.
 
         Returns nodes: shape (n, 3), m: of the free nodes; the others are zero. border: shape
@@ -157,7 +155,9 @@ class Linearisation:
         nodes, border = self.solve(balance.nodal[:, :, None], balance.border[:, None])
         return -nodes[:, :, 0], -border[:, 0]
 
-    def solve(self, nodal: Array, border: Array, rough: bool = False) -> tuple[Array, Array]:
+    def solve(
+        self, nodal: np.ndarray, border: np.ndarray, rough: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Solve the bordered equations for k load cases, `rough` as of `Tangent.solve`.
 
         nodal: shape (n, 3, k), N.
@@ -170,7 +170,7 @@ class Linearisation:
         return moved - self._solved @ carried, carried
 
     @cached_property
-    def load_columns(self) -> tuple[Array, Array]:
+    def load_columns(self) -> tuple[np.ndarray, np.ndarray]:
         """Change of the loads of free nodes, (n, 3, k), and border, (border, k), with the inputs.
 
         The inputs are those of `Balance.wrench`.
@@ -185,7 +185,7 @@ class Linearisation:
         return np.concatenate([nodal, released], axis=2), border
 
     @cached_property
-    def further(self) -> Array:
+    def further(self) -> np.ndarray:
         """Change of nodal forces with the inputs after the loads, (n, 3, k - 6 i), N/K and kg."""
         if not self._body.expands:
             return self._body_force
@@ -193,12 +193,12 @@ class Linearisation:
         return np.concatenate([-thermal, self._body_force], axis=2)
 
     @cached_property
-    def _free_response(self) -> Array:
+    def _free_response(self) -> np.ndarray:
         """Change of the free nodes by the further inputs, border fixed, (n, 3, k - 6 i), m/unit."""
         return self.tangent.solve(self.load_columns[0][:, :, self._coupling.freedoms :])
 
     @cached_property
-    def border_response(self) -> Array:
+    def border_response(self) -> np.ndarray:
         """Change of the border per change of the inputs, shape (border, k), m/N and its like."""
         loads = self.wrench_columns
         if self.further.shape[2]:
@@ -207,14 +207,14 @@ class Linearisation:
         return self._solve_border(loads)
 
     @property
-    def nodal_response(self) -> Array:
+    def nodal_response(self) -> np.ndarray:
         """Change of all nodes per change of the inputs, shape (n, 3, k), m per unit of each."""
         moved = (self.border.constraint - self._solved) @ self.border_response
         if self.further.shape[2]:
             moved[:, :, self._coupling.freedoms :] += self._free_response
         return moved
 
-    def conjugate_rate(self, change: Array) -> Array:
+    def conjugate_rate(self, change: np.ndarray) -> np.ndarray:
         """Return the change of each input's conjugate quantity by a change of inputs, both (k,).
 
         Loads do work on translations and spins, m and rad, the temperature on the negative change
@@ -227,7 +227,7 @@ class Linearisation:
         return rates
 
     @property
-    def wrench_columns(self) -> Array:
+    def wrench_columns(self) -> np.ndarray:
         """Change of the border's load per change of the wrench, shape (border, 6 i), dimensionless.
 
         Columns of locked freedoms are zero.
@@ -239,14 +239,14 @@ class Linearisation:
         return columns
 
     @property
-    def compliance(self) -> Array:
+    def compliance(self) -> np.ndarray:
         """Change of the interface displacements per change of the inputs.
 
         Shape (6 i, k): m and rad per N, N·m, K and m/s^2.
         """
         return self._coupling.displacement_rows(self.border_response)
 
-    def _solve_border(self, loads: Array) -> Array:
+    def _solve_border(self, loads: np.ndarray) -> np.ndarray:
         """Solve with S, its rows and columns scaled to unit size: they mix m, rad, N and N·m."""
         scale = self._border_scale
         try:
@@ -258,7 +258,7 @@ class Linearisation:
         return scale[:, None] * scaled
 
     @cached_property
-    def _border_scale(self) -> Array:
+    def _border_scale(self) -> np.ndarray:
         """Scales, (border,), with largest entries of S near 1 in each row (Ruiz 2001)."""
         scale = np.ones(len(self.schur))
         for _ in range(3):
@@ -267,7 +267,7 @@ class Linearisation:
         return scale
 
 
-def contract(first: Array, second: Array) -> Array:
+def contract(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Sum over nodes and components: shapes (n, 3, j), (n, 3, k) -> (j, k).
 
     The unit is the product of the two units, such as J for forces, N, and displacements, m.

@@ -13,8 +13,6 @@ from wrenchbook.fea.coupling import CoupledState, Coupling
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.spec.problems import point_text
 
-Array = np.ndarray
-
 _MIN_PIVOT = 1e-13
 """Stiffness left by elimination, relative to the diagonal, below which there is only roundoff."""
 
@@ -35,10 +33,10 @@ class System:
         self,
         body: ElasticBody,
         coupling: Coupling,
-        points: Array | None = None,
-        weight: Array | None = None,
-        body_force: Array | None = None,
-        preload: Array | None = None,
+        points: np.ndarray | None = None,
+        weight: np.ndarray | None = None,
+        body_force: np.ndarray | None = None,
+        preload: np.ndarray | None = None,
     ) -> None:
         self._points = body.points if points is None else points
         self.body = body
@@ -52,7 +50,7 @@ class System:
         """Number of inputs: six loads an interface, the temperature if any, accelerations."""
         return self.coupling.freedoms + self.body.expands + self.body_force.shape[2]
 
-    def temperature(self, inputs: Array) -> float:
+    def temperature(self, inputs: np.ndarray) -> float:
         """Return the temperature among inputs, shape (k,), K from the reference."""
         return float(inputs[self.coupling.freedoms]) if self.body.expands else 0.0
 
@@ -61,26 +59,29 @@ class System:
         """Free nodal unknowns and freedoms of interfaces and bushings."""
         return self.body.dissection.unknowns + self.coupling.motions
 
-    def balance(self, state: CoupledState, wrench: Array) -> Balance:
+    def balance(self, state: CoupledState, wrench: np.ndarray) -> Balance:
         """Return the residual of a state under inputs, shape (k,): see `Balance.wrench`."""
         forces, energy, least = self._forces(state.nodes, wrench)
         energy += self.coupling.spring_energy(state)
         return self._balance(state, wrench, forces, energy, least)
 
     def _forces(
-        self, nodes: Array, wrench: Array, step: tuple[Array, Array] | None = None
-    ) -> tuple[Array, float, float]:
+        self,
+        nodes: np.ndarray,
+        wrench: np.ndarray,
+        step: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> tuple[np.ndarray, float, float]:
         forces, energy, least = self.body.at(self.temperature(wrench)).forces(nodes, step)
         return forces - self.dead_forces(wrench), energy, least
 
-    def dead_forces(self, inputs: Array) -> Array:
+    def dead_forces(self, inputs: np.ndarray) -> np.ndarray:
         """Return the nodal forces of weight, bolts and acceleration, (n, 3), N, of inputs (k,)."""
         forces = self.body_force @ inputs[self.coupling.freedoms + self.body.expands :]
         for constant in (self.weight, self.preload):
             forces = forces if constant is None else forces + constant
         return forces
 
-    def reload(self, balance: Balance, wrench: Array) -> Balance:
+    def reload(self, balance: Balance, wrench: np.ndarray) -> Balance:
         """Return the balance of the same state under other inputs, shape (k,)."""
         first = self.coupling.freedoms
         if (wrench[first:] != balance.wrench[first:]).any():
@@ -89,7 +90,9 @@ class System:
             balance.state, wrench, balance.forces, balance.energy, balance.least_stretch
         )
 
-    def linearise(self, balance: Balance, step: tuple[Array, Array] | None = None) -> Linearisation:
+    def linearise(
+        self, balance: Balance, step: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> Linearisation:
         """Return the tangent at a state.
 
         step: the last step of Newton's method, two fields of shape (n, 3), m: see
@@ -153,7 +156,12 @@ class System:
         return float(np.linalg.norm(forces)), energy
 
     def _balance(
-        self, state: CoupledState, wrench: Array, forces: Array, energy: float, least: float
+        self,
+        state: CoupledState,
+        wrench: np.ndarray,
+        forces: np.ndarray,
+        energy: float,
+        least: float,
     ) -> Balance:
         """Return the residual of a state.
 
@@ -193,7 +201,7 @@ def scaled_condition(tangent: Tangent) -> float:
         return np.inf
     scale = np.sqrt(factor.diagonal)
 
-    def inverse(load: Array) -> Array:
+    def inverse(load: np.ndarray) -> np.ndarray:
         return scale * factor.solve((scale * load)[:, None])[:, 0]
 
     signs = np.where(inverse(np.ones(factor.unknowns)) < 0, -1.0, 1.0)

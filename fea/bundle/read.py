@@ -50,7 +50,7 @@ from wrenchbook.fea.spec.schema import (
     ScalarInput,
 )
 
-__all__ = ["Bundle", "BundleError", "BundleProblem", "bundle_of", "read_bundle"]
+__all__ = ["Bundle", "BundleError", "BundleProblem", "bundle_in", "bundle_of", "read_bundle"]
 
 FILE_NAME = "component.toml"
 
@@ -73,18 +73,28 @@ def read_bundle(folder: str | Path) -> Bundle:
         If the folder has no ``component.toml`` or anything in it cannot be used; its `problems`
         name every mistake by key or line.
     """
-    folder = Path(folder)
-    path = folder / FILE_NAME
+    return bundle_in(Path(folder) / FILE_NAME)
+
+
+def bundle_in(path: Path) -> Bundle:
+    """Read a bundle from a file like its ``component.toml``, in the folder of its other files.
+
+    Raises
+    ------
+    BundleError
+        As `read_bundle` does.
+    """
+    folder = path.parent
     try:
         with path.open("rb") as file:
             content = file.read(_MAX_BYTES + 1)
     except OSError as error:
         folder_is = f"{folder} is no folder" if not folder.is_dir() else f"not in {folder}"
         message = f"cannot be read ({error.strerror}: {folder_is}); name a folder with this file"
-        raise BundleError([BundleProblem(FILE_NAME, message)]) from None
+        raise BundleError([BundleProblem(path.name, message)]) from None
     if len(content) > _MAX_BYTES:
         message = f"is longer than {_MAX_BYTES} bytes; move data into files that it names"
-        raise BundleError([BundleProblem(FILE_NAME, message)])
+        raise BundleError([BundleProblem(path.name, message)])
 
     # The parser stores the path to each part of a key: 23 GB for a key of 100,000 parts.
     if long_key := _LONG_KEY.search(content):
@@ -99,7 +109,7 @@ def read_bundle(folder: str | Path) -> Bundle:
         raise BundleError([BundleProblem(f"line {line}", message)]) from None
     except RecursionError:
         message = "nests lists or tables too deeply, which no key does; remove the inner brackets"
-        raise BundleError([BundleProblem(FILE_NAME, message)]) from None
+        raise BundleError([BundleProblem(path.name, message)]) from None
     except ValueError as error:
         raise BundleError([_syntax_problem(str(error), content.decode("utf-8-sig"))]) from None
     return bundle_of(table, folder)

@@ -22,8 +22,6 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.element.pressure_projection import projects
 from wrenchbook.fea.linalg.nested_dissection import dissect
 
-Array = np.ndarray
-
 # Fitted to the solves of the module's docstring, on one core.
 _START_SECONDS = 0.04  # s of any solve
 _ENTRY_SECONDS = 4.3e-8  # s to assemble an entry of a cell's matrix
@@ -53,10 +51,27 @@ class Cost(TypedDict):
 
 def estimate(component: ComponentModel) -> Cost:
     """Return the estimated cost of one solve."""
-    free, groups = _free_nodes(component), _nodes_of_cells(component)
+    points, dependents = component.mesh.points, component.mesh.dependents
+    free = np.ones(len(points), dtype=bool)  # nodes with unknowns
+    free[component.fixed_nodes] = False
+    for attached in (*component.interfaces, *component.frames):
+        if attached.coupling == "rigid":
+            free[attached.section.node_ids] = False
+    if dependents is not None:
+        free[dependents.nodes] = False
+    groups = _nodes_of_cells(component)
     count = sum(len(nodes) for nodes in groups)
     entries = sum(len(nodes) * (3 * nodes.shape[1]) ** 2 for nodes in groups)
-    operations, numbers = _elimination(component.mesh.points, groups, free)
+
+    # A front that eliminates m of m + b unknowns takes m^3/3 + m^2 b + m b^2 multiply-adds and has
+    # m^2/2 + m b numbers.
+    cells = [nodes for group in groups for nodes in group]
+    centres = np.concatenate([points[group].mean(axis=1) for group in groups])
+    operations = numbers = 0.0
+    for part in dissect(cells, centres, free).substructures:
+        m, b = float(part.eliminated), float(part.boundary.size)
+        operations += m**3 / 3 + m * m * b + m * b * b
+        numbers += m * m / 2 + m * b
 
     assembly = _ENTRY_SECONDS * entries + _ORDER_SECONDS * count * np.log2(count + 1)
     factorisation = operations / _OPERATIONS_PER_SECOND
@@ -64,8 +79,8 @@ def estimate(component: ComponentModel) -> Cost:
     factors = 2 if component.bolts else 1  # a second factor while bolts are tightened
     linear = factors * (assembly + precision * factorisation)
     poisson = np.array([material.poisson_ratio for material in component.materials])
-    cells = zip(component.mesh.blocks, component.material_of_cells, strict=True)
-    is_projected = any(projects(block, poisson[numbers]).any() for block, numbers in cells)
+    pairs = zip(component.mesh.blocks, component.material_of_cells, strict=True)
+    is_projected = any(projects(block, poisson[materials]).any() for block, materials in pairs)
     times = _NONLINEAR * (_PROJECTED if is_projected else 1.0)
     nonlinear = times * (factors * (assembly + factorisation))
     if component.analysis.nonlinear:
@@ -80,19 +95,7 @@ def estimate(component: ComponentModel) -> Cost:
     }
 
 
-def _free_nodes(component: ComponentModel) -> Array:
-    """Return whether each node has unknowns, shape (n,): it is not fixed and not dependent."""
-    free = np.ones(len(component.mesh.points), dtype=bool)
-    free[component.fixed_nodes] = False
-    for attached in (*component.interfaces, *component.frames):
-        if attached.coupling == "rigid":
-            free[attached.section.node_ids] = False
-    if component.mesh.dependents is not None:
-        free[component.mesh.dependents.nodes] = False
-    return free
-
-
-def _nodes_of_cells(component: ComponentModel) -> list[Array]:
+def _nodes_of_cells(component: ComponentModel) -> list[np.ndarray]:
     """Return the nodes that move each cell, in groups of equal number, each of shape (m, s)."""
     blocks = [block.nodes for block in component.mesh.blocks]
     dependents = component.mesh.dependents
@@ -106,20 +109,3 @@ def _nodes_of_cells(component: ComponentModel) -> list[Array]:
             outer, _ = dependents.outer(nodes[has_dependents])
             tied.append(outer)
     return plain + tied
-
-
-def _elimination(points: Array, groups: list[Array], free: Array) -> tuple[float, float]:
-    """Return the multiply-adds of a factorisation, and the numbers in its factor.
-
-    A front that eliminates m of m + b unknowns takes m^3/3 + m^2 b + m b^2 multiply-adds and has
-    m^2/2 + m b numbers.
-    """
-    cells = [nodes for group in groups for nodes in group]
-    centres = np.concatenate([points[group].mean(axis=1) for group in groups])
-    operations = numbers = 0.0
-    for part in dissect(cells, centres, free).substructures:
-        m = float(part.eliminated)
-        b = float(part.boundary.size)
-        operations += m**3 / 3 + m * m * b + m * b * b
-        numbers += m * m / 2 + m * b
-    return operations, numbers

@@ -23,12 +23,10 @@ from wrenchbook.fea.spec.material import Cylinder, Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS
 
-Array = np.ndarray
-
-_SAME = 1e-3  # relative: decks write constants with three digits and more
+_SAME_VALUE = 1e-3  # relative: decks write constants with three digits and more
 # Part of the nodes whose directions may differ: on a cylinder's axis all are right.
 _MAX_TURNED = 0.5
-_NEAR = 1e-6  # part of the mesh's size: two points coincide
+_ROUNDOFF = 1e-6  # part of the mesh's size, or of a direction: decks write seven digits
 _SOLID = re.compile(r"(C3D\d+)([A-Z]*)")
 _COMPARED = (
     "shear_modulus",
@@ -127,7 +125,7 @@ def _other_material(
             other = np.multiply(constants[key], in_si(key, unit))
             if value is None and key == "yield_strength":
                 continue  # *PLASTIC is listed by itself
-            if value is None or np.abs(value - other).max() > _SAME * np.abs(other).max():
+            if value is None or np.abs(value - other).max() > _SAME_VALUE * np.abs(other).max():
                 there = "none"
                 if value is not None:
                     there = _listed(value if orthotropic else np.unique(value))
@@ -155,7 +153,7 @@ def _turned(
     else:
         other = replace(material, axes=np.reshape(axes, (3, 3)), cylinder=None)
     same = np.abs((material.directions(points) * other.directions(points)).sum(axis=-1))
-    if (same < 1 - _SAME).any(axis=-1).mean() > _MAX_TURNED:
+    if (same < 1 - _SAME_VALUE).any(axis=-1).mean() > _MAX_TURNED:
         yield f"{start} in other directions than the component: see its *ORIENTATION"
 
 
@@ -172,7 +170,7 @@ def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
     axes = np.reshape(group.axes or np.eye(3), (3, 3))
     directions = axes[["xyz".index(letter) for letter in group.directions]]
     parts_held = np.einsum("di,nij,dj->nd", directions, held_along[nodes], directions)
-    if free := int((parts_held < 1 - _NEAR).any(axis=1).sum()):
+    if free := int((parts_held < 1 - _ROUNDOFF).any(axis=1).sum()):
         yield (
             f'{group.where} holds "{group.group}" along {", ".join(group.directions)}; {free} of '
             "its nodes are free in the component: name it under [supports]"
@@ -197,7 +195,7 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup, unit: str) -> Ite
         yield f'{start} by weights of its own; {same[0].key} says weights = "{same[0].weights}"'
     point = np.array(group.point) * in_si("length", unit)
     size = np.ptp(component.mesh.points, axis=0).max()
-    if group.point and np.abs(point - same[0].point).max() > _NEAR * size:
+    if group.point and np.abs(point - same[0].point).max() > _ROUNDOFF * size:
         here, there = (", ".join(f"{x:.5g}" for x in p) for p in (point, same[0].point))
         yield f"{start} at ({here}) m; {same[0].key}.point is ({there}) m"
 
@@ -215,7 +213,7 @@ def _unsprung(component: ComponentModel, spring: DeckSpring, unit: str) -> Itera
             turn = np.kron(np.eye(2), frames[0].axes)
             there = turn.T @ stiffness @ turn
     sizes = np.sqrt(np.maximum(*map(np.diagonal, (there, expected))))
-    if (np.abs(there - expected) > _SAME * np.outer(sizes, sizes)).any():
+    if (np.abs(there - expected) > _SAME_VALUE * np.outer(sizes, sizes)).any():
         here, other = (_listed(np.diagonal(matrix)) for matrix in (expected, there))
         name = ends[0].group
         yield f'{spring.where} has "{name}" on springs of {here} in SI; the component has {other}'

@@ -27,8 +27,6 @@ from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import FREEDOMS
 
-Array = np.ndarray
-
 # Bodies that are checked and listed: the equations' matrix is dense, with six columns a body.
 _MAX_BODIES = 40
 _MAX_REPORTED = 5  # free bodies in the report; the message counts the others
@@ -47,7 +45,9 @@ def listed_bodies(mesh: Mesh, bodies: Bodies) -> list[dict[str, Any]]:
     ]
 
 
-def motion_problems(component: ComponentModel, bodies: Bodies, pairs: Array) -> list[BundleProblem]:
+def motion_problems(
+    component: ComponentModel, bodies: Bodies, pairs: np.ndarray
+) -> list[BundleProblem]:
     """Return a problem for each body that supports and coupling do not hold.
 
     bodies: those of the component's mesh before bolts are cut.
@@ -100,7 +100,7 @@ def _slipping(component: ComponentModel) -> list[BundleProblem]:
     return [BundleProblem("bolt", message)]
 
 
-def _motions_text(component: ComponentModel, motions: Array) -> str:
+def _motions_text(component: ComponentModel, motions: np.ndarray) -> str:
     """Return the motions (k, 6) of a free body as text."""
     if len(motions) == 6:
         return "it can move in all six directions, because nothing holds it"
@@ -111,7 +111,7 @@ def _motions_text(component: ComponentModel, motions: Array) -> str:
     return f"{len(texts)} of its six rigid motions meet no resistance: {', '.join(texts)}"
 
 
-def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
+def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: np.ndarray) -> str:
     """Describe a free body's contact with others: none, at shared or at coincident nodes."""
     mine_nodes = bodies.nodes[number]
     others = [n for n in range(bodies.count) if n != number]
@@ -134,14 +134,14 @@ def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: Array) -> str:
     )
 
 
-_ZERO = 1e-7
+_RANK = 1e-7
 """Singular value, relative to the largest, that counts as zero."""
 
 _ZERO_STIFFNESS = 1e-14  # eigenvalue relative to the largest; smaller ones are roundoff
 _ZERO_PART = 1e-6  # part of a motion of length 1: smaller components are roundoff of the null space
 
 
-def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
+def free_motions(component: ComponentModel, bodies: Bodies) -> list[np.ndarray]:
     """Return the free motions of each body.
 
     Result: each of shape (k, 6), m: translation of the mesh's centre and rotation times the mesh's
@@ -166,7 +166,7 @@ def free_motions(component: ComponentModel, bodies: Bodies) -> list[Array]:
     return motions
 
 
-def describe(motion: Array, centre: Array, extent: float) -> str:
+def describe(motion: np.ndarray, centre: np.ndarray, extent: float) -> str:
     """Return a motion of `free_motions` as text.
 
     The motion has shape (6,), m, the mesh's centre (3,), m; the mesh's size is in m.
@@ -182,7 +182,7 @@ def describe(motion: Array, centre: Array, extent: float) -> str:
     return line if abs(pitch) < _ZERO_PART * extent else f"{line}, sliding along it"
 
 
-def simplest(motions: Array) -> Array:
+def simplest(motions: np.ndarray) -> np.ndarray:
     """Return motions, shape (k, 6), of the same space, along and about single axes where possible.
 
     By row reduction, rotations first, so that pure translations come last.
@@ -216,7 +216,7 @@ class _Equations:
         points = component.mesh.points
         self.centre = middle(points)
         self.extent = size_of(points)
-        self.rows: list[Array] = []
+        self.rows: list[np.ndarray] = []
         self.owner = np.full(len(points), -1)
         for number in reversed(range(bodies.count)):
             self.owner[bodies.nodes[number]] = number
@@ -285,7 +285,7 @@ class _Equations:
                 rows = _condensed(moves.reshape(-1, 6))
                 self._add({low: -rows, high: rows})
 
-    def hold_spring(self, frame: AttachedInterface, stiffness: Array, ends: list[int]) -> None:
+    def hold_spring(self, frame: AttachedInterface, stiffness: np.ndarray, ends: list[int]) -> None:
         """Hold the motion of a frame, or the difference of two motions, where a spring resists."""
         lengths = np.repeat([1.0, self.extent], 3)
         sizes, motions = np.linalg.eigh(stiffness / lengths / lengths[:, None])
@@ -293,23 +293,23 @@ class _Equations:
         rows = resisted @ self._freedoms(frame)
         self._add({ends[-1]: rows} | ({ends[0]: -rows} if ends[1:] else {}))
 
-    def _freedoms(self, attached: AttachedInterface) -> Array:
+    def _freedoms(self, attached: AttachedInterface) -> np.ndarray:
         """Return ux to rz of a point for a motion, (6, 6), the rotations times the mesh's size."""
         turns = np.concatenate([np.zeros((3, 3)), attached.axes], axis=1)
         return np.concatenate([attached.axes @ self._moves_of(attached.point[None]), turns])
 
-    def null_space(self) -> Array:
+    def null_space(self) -> np.ndarray:
         """Return orthonormal motions that satisfy all rows, shape (k, columns)."""
         matrix = np.concatenate(self.rows)
         _, size, rows = np.linalg.svd(matrix, full_matrices=True)
-        rank = int((size > _ZERO * size[0]).sum())
+        rank = int((size > _RANK * size[0]).sum())
         return rows[rank:]
 
-    def _moves(self, nodes: Array) -> Array:
+    def _moves(self, nodes: np.ndarray) -> np.ndarray:
         """Return N of each node, stacked, shape (3 k, 6)."""
         return self._moves_of(self.component.mesh.points[nodes])
 
-    def _moves_of(self, points: Array) -> Array:
+    def _moves_of(self, points: np.ndarray) -> np.ndarray:
         """Return N of each point, stacked, shape (3 k, 6)."""
         x, y, z = ((points - self.centre) / self.extent).T
         moves = np.zeros((len(points), 3, 6))
@@ -319,7 +319,7 @@ class _Equations:
         moves[:, 2, 3], moves[:, 2, 4] = y, -x
         return moves.reshape(-1, 6)
 
-    def _add(self, blocks: dict[int, Array]) -> None:
+    def _add(self, blocks: dict[int, np.ndarray]) -> None:
         """Add rows that are zero except for blocks of columns, by the index of their motion."""
         count = self.bodies.count + len(self.component.interfaces) + len(self.component.frames)
         rows = np.zeros((len(next(iter(blocks.values()))), 6 * count))
@@ -328,22 +328,22 @@ class _Equations:
         self.rows.append(rows)
 
 
-def _condensed(moves: Array) -> Array:
+def _condensed(moves: np.ndarray) -> np.ndarray:
     """Return at most six rows with the same null space, of about unit size."""
     return np.asarray(np.linalg.qr(moves / np.sqrt(len(moves)), mode="r"))
 
 
-def middle(points: Array) -> Array:
+def middle(points: np.ndarray) -> np.ndarray:
     """Return the middle, shape (3,), m, of the box around points of shape (n, 3), m."""
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
-def size_of(points: Array) -> float:
+def size_of(points: np.ndarray) -> float:
     """Return the diagonal, m, of the box around points of shape (n, 3), m."""
     return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
-def _direction(vector: Array) -> str:
+def _direction(vector: np.ndarray) -> str:
     unit = vector / np.linalg.norm(vector)
     largest = unit[np.abs(unit).argmax()]
     return point_text(np.round(unit * np.sign(largest), 4) + 0.0)

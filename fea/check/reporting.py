@@ -34,7 +34,6 @@ from wrenchbook.fea.inspection import (
     strength_at,
 )
 from wrenchbook.fea.mesh.bodies import Bodies, bodies_of, coincident_nodes
-from wrenchbook.fea.mesh.bolts import BoltCut
 from wrenchbook.fea.mesh.cad.meshing import list_shape
 from wrenchbook.fea.mesh.face_choice import line
 from wrenchbook.fea.mesh.facets import Face
@@ -173,7 +172,13 @@ def _inspect_mesh(
 
     Raises BundleError for a mistake that prevents a solve; `summary` then has all earlier results.
     """
-    summary |= _mesh_counts(mesh)
+    facets = {name: group.blocks for name, group in mesh.facet_groups.items()}
+    summary |= {"unknowns": mesh.unknowns, "nodes": len(mesh.points), "cells": mesh.cell_counts}
+    summary["groups"] = {
+        "cells": {name: sum(map(len, by_block)) for name, by_block in mesh.regions.items()},
+        "facets": {name: sum(len(nodes) for _, nodes in of) for name, of in facets.items()},
+        "nodes": {name: len(nodes) for name, nodes in mesh.node_groups.items()},
+    }
     summary["quality"] = quality(mesh)
     warnings: list[BundleProblem] = summary["warnings"]
     warnings += [BundleProblem("mesh", text) for text in quality_warnings(summary["quality"])]
@@ -194,29 +199,17 @@ def _inspect_mesh(
     solver = solver_of(component)
     _try_out(solver, component, riding, nonlinear, summary)
     cost = summary["estimate"]
-    if cost["linear_seconds"] <= _MAX_SECONDS and cost["memory_bytes"] <= _MAX_BYTES:
-        _add_errors(solver, bundle, summary)
-
-
-def _mesh_counts(mesh: Mesh) -> dict[str, Any]:
-    """Return the numbers of unknowns, nodes and cells, and of the members of groups."""
-    facet_counts = {
-        name: sum(len(nodes) for _, nodes in group.blocks)
-        for name, group in mesh.facet_groups.items()
-    }
-    cell_counts = {
-        name: sum(len(cells) for cells in by_block) for name, by_block in mesh.regions.items()
-    }
-    return {
-        "unknowns": mesh.unknowns,
-        "nodes": len(mesh.points),
-        "cells": mesh.cell_counts,
-        "groups": {
-            "cells": cell_counts,
-            "facets": facet_counts,
-            "nodes": {name: len(nodes) for name, nodes in mesh.node_groups.items()},
-        },
-    }
+    if cost["linear_seconds"] > _MAX_SECONDS or cost["memory_bytes"] > _MAX_BYTES:
+        return
+    error = summary["solver_error"] = accuracy_or_why(solver)
+    if error["mesh"] is None:
+        why = f"the discretisation error is unknown: {error['mesh_basis']}"
+        measure = "`wrenchbook converge FOLDER` measures it on finer meshes"
+        warnings.append(BundleProblem("mesh", f"{why}; {measure}"))
+    warnings += straight_edges(error)
+    limit = bundle.tolerance
+    if limit is not None:
+        warnings += over_tolerance(error, limit.translation, limit.rotation)
 
 
 def _try_out(
@@ -243,20 +236,6 @@ def _try_out(
     stresses, overloads = strength(solver, nonlinear)
     summary["strength"] = [stress.as_json() for stress in stresses]
     warnings += overloads
-
-
-def _add_errors(solver: Solver, bundle: Bundle, summary: dict[str, Any]) -> None:
-    """Add the error of the solver's answers, and warn where it is above the tolerance."""
-    warnings: list[BundleProblem] = summary["warnings"]
-    summary["solver_error"] = accuracy_or_why(solver)
-    if summary["solver_error"]["mesh"] is None:
-        why = f"the discretisation error is unknown: {summary['solver_error']['mesh_basis']}"
-        measure = "`wrenchbook converge FOLDER` measures it on finer meshes"
-        warnings.append(BundleProblem("mesh", f"{why}; {measure}"))
-    warnings += straight_edges(summary["solver_error"])
-    limit = bundle.tolerance
-    if limit is not None:
-        warnings += over_tolerance(summary["solver_error"], limit.translation, limit.rotation)
 
 
 def _inspect_component(
@@ -312,7 +291,19 @@ def _joining(component: ComponentModel) -> dict[str, Any]:
             for names, tie in zip(component.bundle.ties, component.ties, strict=True)
         ]
     if component.bolts:
-        entries["bolts"] = [_bolt(component, bolt) for bolt in component.bolts]
+        entries["bolts"] = [
+            {
+                "shank": cut.bolt.region or cut.bolt.group,
+                "cells": sum(len(cells) for cells in cut.cells),
+                "at": component.mesh.points[cut.slip].tolist(),
+                "area": cut.area,
+                "force": cut.bolt.force,
+                "keeps": cut.bolt.keeps,
+                "stress": cut.bolt.force / cut.area,
+                "yield_strength": strength_at(component, cut),
+            }
+            for cut in component.bolts
+        ]
         entries["zero"] = component.analysis.zero
     if component.joints:
         entries["springs"] = [
@@ -326,20 +317,6 @@ def _joining(component: ComponentModel) -> dict[str, Any]:
             for source, joint in zip(component.bundle.joints, component.joints, strict=True)
         ]
     return entries
-
-
-def _bolt(component: ComponentModel, cut: BoltCut) -> dict[str, Any]:
-    """Return the report's entry of a bolt."""
-    return {
-        "shank": cut.bolt.region or cut.bolt.group,
-        "cells": sum(len(cells) for cells in cut.cells),
-        "at": component.mesh.points[cut.slip].tolist(),
-        "area": cut.area,
-        "force": cut.bolt.force,
-        "keeps": cut.bolt.keeps,
-        "stress": cut.bolt.force / cut.area,
-        "yield_strength": strength_at(component, cut),
-    }
 
 
 def _section(interface: AttachedInterface) -> dict[str, Any]:

@@ -15,8 +15,6 @@ from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.tensors import von_mises
 
-Array = np.ndarray
-
 _MAX_CORNERS = 4096  # corners of a range: two interfaces' twelve loads take 0.2 s for 30,000 points
 _STRESS_ROUNDOFF = 1e-9  # relative: roundoff by which a bound may lie below its stress
 _FIRST_POINTS = 64  # points with the largest bounds; their stresses exclude most other points
@@ -108,7 +106,7 @@ def _first_order_stresses(solver: Solver) -> list[LargestStress]:
     return stresses
 
 
-def _worst(unit: Array, corners: Array) -> tuple[float, int, int]:
+def _worst(unit: np.ndarray, corners: np.ndarray) -> tuple[float, int, int]:
     """Return the largest stress, Pa, and the indices of its corner and point.
 
     unit: shape (points, 6, k), Pa per unit of the inputs.

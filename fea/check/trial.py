@@ -16,12 +16,10 @@ from wrenchbook.fea.solve import MAX_DEGREES, Solver
 from wrenchbook.fea.solver.vibration import Riding
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 
-Array = np.ndarray
-
 _MAX_SECONDS = 60.0  # s, estimated time of the linear solve: an upload waits for it, 300 s at most
 _MAX_BYTES = 4e9  # bytes, estimated memory of it; the server's other solvers run at the same time
 
-_STANDARD_GRAVITY = 9.81  # m/s^2
+_GRAVITY = 9.81  # m/s^2, as the message proposes
 
 # The key of component.toml to change after a failure of each kind; "mesh" for all other kinds.
 _WHERE = {"locking_material": "material", "inverted_elements": "mesh", "mechanism": "supports"}
@@ -71,7 +69,16 @@ def trial(solver: Solver, cost: Cost) -> tuple[Trial, list[BundleProblem]]:
     problems are ``mechanism`` and ``ill_conditioned``, with the text of the failure.
     """
     component = solver.component
-    result = _untried(solver)
+    volumes = np.zeros(len(component.materials))
+    for numbers, volume in solver.volumes:
+        np.add.at(volumes, numbers, volume)
+    densities = [material.density for material in component.materials]
+    result: Trial = {
+        "size": np.ptp(component.mesh.points, axis=0).tolist(),
+        "volume": float(volumes.sum()),
+        "mass": None if None in densities else float(volumes @ np.array(densities, dtype=float)),
+        "deflection": None,
+    }
     if cost["linear_seconds"] > _MAX_SECONDS or cost["memory_bytes"] > _MAX_BYTES:
         return result, []
     try:
@@ -96,22 +103,7 @@ def trial(solver: Solver, cost: Cost) -> tuple[Trial, list[BundleProblem]]:
     return result, []
 
 
-def _untried(solver: Solver) -> Trial:
-    """Return size, volume and mass of the component, without a deflection."""
-    component = solver.component
-    volumes = np.zeros(len(component.materials))
-    for numbers, volume in solver.volumes:
-        np.add.at(volumes, numbers, volume)
-    densities = [material.density for material in component.materials]
-    return {
-        "size": np.ptp(component.mesh.points, axis=0).tolist(),
-        "volume": float(volumes.sum()),
-        "mass": None if None in densities else float(volumes @ np.array(densities, dtype=float)),
-        "deflection": None,
-    }
-
-
-def largest(compliance: Array, low: Array, high: Array) -> Array:
+def largest(compliance: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return max |C w| over a box of inputs, for each output, shape (6 i,), m and rad."""
     ends = np.stack([compliance * low, compliance * high])
     most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
@@ -203,7 +195,7 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[Bundle
     return result, warnings
 
 
-def sag_per_gravity(solver: Solver) -> Array:
+def sag_per_gravity(solver: Solver) -> np.ndarray:
     """Return the interfaces' displacement by gravity, (6 i, 3), m and rad over m/s^2, first order.
 
     By reciprocity: the work of the weight on the fields of the unit loads. Gravity is in the frame
@@ -222,14 +214,14 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     if component.analysis.gravity or component.accelerated or limit is None or not known:
         return []
     # The worst direction of gravity for each interface: the largest singular value of 3x3 matrices.
-    by_gravity = _STANDARD_GRAVITY * sag_per_gravity(solver).reshape(-1, PER_INTERFACE, 3)
+    by_gravity = _GRAVITY * sag_per_gravity(solver).reshape(-1, PER_INTERFACE, 3)
     _, translations, directions = np.linalg.svd(by_gravity[:, :3])
     _, rotations, _ = np.linalg.svd(by_gravity[:, 3:])
     moved, turned = translations.max(), rotations.max()
     if moved <= limit.translation and turned <= limit.rotation:
         return []
     direction = directions[translations[:, 0].argmax(), 0] @ component.axes
-    down = -np.sign(direction[np.abs(direction).argmax()]) * direction * _STANDARD_GRAVITY
+    down = -np.sign(direction[np.abs(direction).argmax()]) * direction * _GRAVITY
     gravity = ", ".join(f"{number + 0.0:.3g}" for number in np.round(down, 6))
     message = (
         f"is missing: self-weight moves an interface by up to {moved:.2g} m and {turned:.2g} rad "

@@ -14,23 +14,21 @@ from wrenchbook.fea.element.cell_state import symmetrised
 from wrenchbook.fea.spec.schema import FREEDOMS
 from wrenchbook.fea.tensors import rotation, rotation_derivatives, rotation_vector, spin_per_vector
 
-Array = np.ndarray
-
 PER_INTERFACE = len(FREEDOMS)
 """Freedoms of one interface: three translations, then a rotation vector."""
 
 
-def each_interface(vector: Array) -> Array:
+def each_interface(vector: np.ndarray) -> np.ndarray:
     """Return displacements or wrenches, shape (6 i,), by interface: (i, 6), in their units."""
     return vector.reshape(-1, PER_INTERFACE)
 
 
-def largest_rotation(displacement: Array) -> float:
+def largest_rotation(displacement: np.ndarray) -> float:
     """Return the largest rotation, rad, among displacements of shape (6 i,), m and rad."""
     return float(max(np.linalg.norm(interface[3:]) for interface in each_interface(displacement)))
 
 
-def from_origin(interface: Array, origin: Array) -> tuple[Array, Array]:
+def from_origin(interface: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return displacements (6 i,) relative to those at `origin`, and their derivatives by them.
 
     The relative rotation is R R0^T. Derivatives: shape (6 i, 6 i).
@@ -51,13 +49,13 @@ def from_origin(interface: Array, origin: Array) -> tuple[Array, Array]:
 class CoupledState:
     """One configuration."""
 
-    nodes: Array  # shape (n, 3), m: nodal displacements
+    nodes: np.ndarray  # shape (n, 3), m: nodal displacements
     # Shape (6 i,), m and rad: translation and rotation vector of each of the i interfaces
-    interface: Array
+    interface: np.ndarray
     # Shape (6 i,), N and N/m: multipliers (l, m) of distributed couplings: node i feels w_i (l + m
     # x b_i). Zero for rigid ones. Those of bushings follow, then the bushings' motions, six each, m
     # and rad.
-    multipliers: Array
+    multipliers: np.ndarray
 
 
 class Border(NamedTuple):
@@ -69,22 +67,22 @@ class Border(NamedTuple):
 
     # Shape (n, 3, border): how nodes that are no unknowns move with the border; dimensionless for
     # translations, m/rad for rotations.
-    constraint: Array
+    constraint: np.ndarray
     # Shape (n, 3, border): the border's forces on free nodes, N over the unit of each unknown
-    columns: Array
+    columns: np.ndarray
     # Shape (border, border): J over the units of both unknowns, so N/m, N and N·m for interface
     # freedoms.
-    block: Array
+    block: np.ndarray
 
 
 class ArmMoments(NamedTuple):
     """N of an energy R : N, N·m, and its derivatives along k inputs."""
 
-    moments: Array  # shape (3, 3)
-    changes: Array  # shape (3, 3, k)
-    second: Array  # shape (3, 3, k, k)
+    moments: np.ndarray  # shape (3, 3)
+    changes: np.ndarray  # shape (3, 3, k)
+    second: np.ndarray  # shape (3, 3, k, k)
 
-    def turned(self, rotation: Array) -> ArmMoments:
+    def turned(self, rotation: np.ndarray) -> ArmMoments:
         """Return N Q^T and its derivatives, of the rotation Q, (3, 3)."""
         return ArmMoments(
             np.einsum("xy,zy->xz", self.moments, rotation),
@@ -103,15 +101,17 @@ class SectionCoupling(ABC):
 
     multipliers = 0
 
-    def __init__(self, points: Array) -> None:
+    def __init__(self, points: np.ndarray) -> None:
         self.points = points
 
-    def node_positions(self, interface: Array) -> Array | None:
+    def node_positions(self, interface: np.ndarray) -> np.ndarray | None:
         """Return the displacements, (s, 3), m, by an interface at (6,), m and rad; None if free."""
         return None
 
     @abstractmethod
-    def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
+    def residual(
+        self, state: CoupledState, forces: np.ndarray, wrench: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the coupling's nodal forces, and the forces out of balance in the border.
 
         Internal forces have shape (s, 3), N, the wrench (6,), N and N·m; the results (s, 3), N, and
@@ -119,14 +119,14 @@ class SectionCoupling(ABC):
         """
 
     @abstractmethod
-    def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
+    def bordered(self, state: CoupledState, forces: np.ndarray, wrench: np.ndarray) -> Border:
         """Return the border of the body's tangent.
 
         Internal forces have shape (s, 3), N, the wrench (6,), N and N·m.
         """
 
     @abstractmethod
-    def wrench_columns(self, state: CoupledState) -> Array:
+    def wrench_columns(self, state: CoupledState) -> np.ndarray:
         """Return minus the derivative of the border's residual by the wrench.
 
         Shape (6 + multipliers, 6), dimensionless; rows of constraints are zero.
@@ -134,7 +134,11 @@ class SectionCoupling(ABC):
 
     @abstractmethod
     def arm_moments(
-        self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
+        self,
+        state: CoupledState,
+        forces: tuple[np.ndarray, np.ndarray],
+        fields: np.ndarray,
+        border: np.ndarray,
     ) -> ArmMoments:
         """Return N, 3x3, by which the coupling's energy depends on the rotation matrix R: as R : N.
 
@@ -149,21 +153,21 @@ class _Attachment(NamedTuple):
     """A section's indices in the body and in the border."""
 
     section: SectionCoupling
-    nodes: Array  # shape (s,): nodes of the section
+    nodes: np.ndarray  # shape (s,): nodes of the section
     # (3, 3): turns a vector of the body to the interface's axes; None if they are the same.
-    rotation: Array | None
+    rotation: np.ndarray | None
     freedoms: slice  # place of this interface's freedoms among all
-    chosen: Array  # indices of the section's border that are unknowns: locked freedoms are not
-    border: Array  # indices of these in the complete border
+    chosen: np.ndarray  # indices of the section's border that are unknowns: locked freedoms are not
+    border: np.ndarray  # indices of these in the complete border
 
-    def inwards(self, field: Array) -> Array:
+    def inwards(self, field: np.ndarray) -> np.ndarray:
         """Return a nodal field (n, 3, ...) of the body at the section: (s, 3, ...), in its axes."""
         local = field[self.nodes]
         if self.rotation is None:
             return local
         return np.einsum("ij,sj...->si...", self.rotation, local)
 
-    def outwards(self, field: Array) -> Array:
+    def outwards(self, field: np.ndarray) -> np.ndarray:
         """Turn a field of the section, (s, 3) or (s, 3, k), into the body's axes."""
         if self.rotation is None:
             return field
@@ -195,37 +199,40 @@ class Coupling:
     def __init__(
         self,
         size: int,
-        sections: Sequence[tuple[SectionCoupling, Array, Array | None]],
-        active: Array,
-        anchors: Array,
+        sections: Sequence[tuple[SectionCoupling, np.ndarray, np.ndarray | None]],
+        active: np.ndarray,
+        anchors: np.ndarray,
         frames: int = 0,
-        springs: Sequence[tuple[tuple[int, ...], Array]] = (),
+        springs: Sequence[tuple[tuple[int, ...], np.ndarray]] = (),
     ) -> None:
         self.active = active
         self._sprung = PER_INTERFACE * frames
         self.freedoms = PER_INTERFACE * len(sections) - self._sprung
-        self._moving = active = np.append(active, self.freedoms + np.arange(self._sprung))
-        self.motions = len(active) + 3 * len(anchors)
+        # The border in its order: active motions of interfaces and all of frames, the anchors'
+        # displacements, the sections' multipliers. All sections' motions, and places for their
+        # multipliers, are six each in the order of the sections.
+        self._moving = np.append(active, self.freedoms + np.arange(self._sprung))
+        self.motions = len(self._moving) + 3 * len(anchors)
+        self.border = self.motions + sum(section.multipliers for section, _, _ in sections)
         self._anchors = anchors
-        self._anchored = np.arange(len(active), self.motions)
+        self._anchored = np.arange(len(self._moving), self.motions)
         self._size = size
         self._attachments: list[_Attachment] = []
         forced = [np.empty(0, dtype=int)]
-        self.border = self.motions
+        next_multiplier = self.motions
         for number, (section, nodes, axes) in enumerate(sections):
-            first = PER_INTERFACE * number
-            chosen_freedoms = np.flatnonzero((active >= first) & (active < first + PER_INTERFACE))
-            more = np.arange(section.multipliers)
-            chosen = np.concatenate([active[chosen_freedoms] - first, PER_INTERFACE + more])
-            border = np.concatenate([chosen_freedoms, self.border + more])
-            freedoms = slice(first, first + PER_INTERFACE)
+            freedoms = slice(PER_INTERFACE * number, PER_INTERFACE * (number + 1))
+            moving = (freedoms.start <= self._moving) & (self._moving < freedoms.stop)
+            multipliers = np.arange(section.multipliers)
+            chosen = np.append(self._moving[moving] - freedoms.start, PER_INTERFACE + multipliers)
+            border = np.append(np.flatnonzero(moving), next_multiplier + multipliers)
             self._attachments.append(_Attachment(section, nodes, axes, freedoms, chosen, border))
-            forced.append(first + more)
-            self.border += len(more)
+            forced.append(freedoms.start + multipliers)
+            next_multiplier += section.multipliers
         self._forced = np.concatenate(forced)
 
         # For each spring the indices of its motions among all, and in the border.
-        self._springs: list[tuple[Array, Array, Array]] = []
+        self._springs: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         for numbers, stiffness in springs:
             ends = [self._attachments[number] for number in numbers]
             at = np.concatenate([np.r_[end.freedoms] for end in ends])
@@ -233,7 +240,7 @@ class Coupling:
             self._springs.append((at, border, stiffness))
 
     @property
-    def constrained(self) -> Array:
+    def constrained(self) -> np.ndarray:
         """Nodes that an interface moves and that are no unknowns, shape (k,), int64, indices."""
         zero = np.zeros(PER_INTERFACE)
         following = [
@@ -254,7 +261,7 @@ class Coupling:
         parts = [(spring_motion.relative_motion(motions[at])[0], k) for at, _, k in self._springs]
         return float(sum(0.5 * q @ k @ q for q, k in parts))
 
-    def spring_energies(self, border: Array) -> Array:
+    def spring_energies(self, border: np.ndarray) -> np.ndarray:
         """Return twice the springs' mutual energies, shape (k, k), J, of motions (border, k)."""
         total = np.zeros((border.shape[1],) * 2)
         for at, where, spring in self._springs:
@@ -262,7 +269,7 @@ class Coupling:
             total += motions.T @ spring @ motions
         return total
 
-    def moved(self, state: CoupledState, nodes: Array, border: Array) -> CoupledState:
+    def moved(self, state: CoupledState, nodes: np.ndarray, border: np.ndarray) -> CoupledState:
         """Return the state after a correction; rigid sections are placed exactly.
 
         nodes: shape (n, 3), m: the correction of the free nodes.
@@ -281,7 +288,9 @@ class Coupling:
         interface, sprung = np.split(motions, [self.freedoms])
         return CoupledState(node_motions, interface, np.append(multipliers, sprung))
 
-    def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
+    def residual(
+        self, state: CoupledState, forces: np.ndarray, wrench: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the forces out of balance.
 
         forces: shape (n, 3), N: the internal nodal forces.
@@ -305,7 +314,7 @@ class Coupling:
         border[self._anchored] = nodal[self._anchors].ravel()
         return nodal, border
 
-    def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
+    def bordered(self, state: CoupledState, forces: np.ndarray, wrench: np.ndarray) -> Border:
         """Return the border of the body's tangent.
 
         forces: shape (n, 3), N: the internal nodal forces.
@@ -334,7 +343,7 @@ class Coupling:
         constraint[self._anchors[:, None], np.arange(3), self._anchored.reshape(-1, 3)] = 1.0
         return Border(constraint, columns, block)
 
-    def wrench_columns(self, state: CoupledState) -> Array:
+    def wrench_columns(self, state: CoupledState) -> np.ndarray:
         """Return minus the derivative of the border's residual by the wrench.
 
         Shape (border, 6 i), dimensionless; rows of constraints are zero.
@@ -350,21 +359,24 @@ class Coupling:
     def third(
         self,
         state: CoupledState,
-        forces: tuple[Array, Array],
-        fields: Array,
-        border: Array,
-        origin: Array,
-    ) -> Array:
-        """Return the third derivatives of the couplings' energies along the inputs.
+        forces: tuple[np.ndarray, np.ndarray],
+        fields: np.ndarray,
+        border: np.ndarray,
+        origin: np.ndarray,
+    ) -> np.ndarray:
+        """Return the third derivatives of the couplings' energies along k inputs, (k, k, k).
 
-        Displacements are relative to those at an origin, shape (6 i,): the energy depends on
-        R = R' R0 alone, so R' : N R0^T is differentiated in place of R : N.
+        A section's energy is R : N, with R the interface's rotation and N its `ArmMoments`. Loads
+        work on displacements relative to those at an origin: on the vector of R' = R R0^T, so that
+        the energy is differentiated as R' : N R0^T. A spring's is `spring_motion`'s.
 
-        forces: Shapes (n, 3), N, and (n, 3, k): internal nodal forces less dead ones, and their
+        state: where the derivatives are taken.
+        forces: shapes (n, 3), N, and (n, 3, k): internal nodal forces less dead ones, and their
         change with the inputs at the nodes that are `constrained`.
-        fields, border: Shapes (n, 3, k), m per unit of each input, and (border, k): change with the
-        inputs.
-        Result: shape (k, k, k), J over the units of three inputs.
+        fields: shape (n, 3, k), m per unit of each input: change of the nodes with the inputs.
+        border: shape (border, k): change of the border's unknowns with the inputs.
+        origin: shape (6 i,), m and rad: the interfaces' displacements that count as zero.
+        Result: J over the units of three inputs.
         """
         total = np.zeros((border.shape[1],) * 3)
         motions, _ = self._unknowns(state)
@@ -385,7 +397,7 @@ class Coupling:
             total += _third_of_rotation(vector[3:], turn, moments.turned(back))
         return total
 
-    def displacement_rows(self, border: Array) -> Array:
+    def displacement_rows(self, border: np.ndarray) -> np.ndarray:
         """Pick the interface displacements out of border unknowns: (border, k) -> (6 i, k).
 
         In m and rad, or both over the unit of a load; locked freedoms are zero.
@@ -402,14 +414,17 @@ class Coupling:
             freedoms = attached.freedoms
             yield attached, CoupledState(nodes, motions[freedoms], multipliers[freedoms])
 
-    def _unknowns(self, state: CoupledState) -> tuple[Array, Array]:
+    def _unknowns(self, state: CoupledState) -> tuple[np.ndarray, np.ndarray]:
         """Return copies of the motions and multipliers of interfaces and bushings, six of each."""
         multipliers, sprung = np.split(state.multipliers, [self.freedoms + self._sprung])
         return np.append(state.interface, sprung), multipliers.copy()
 
 
-def _third_of_rotation(vector: Array, turned: Array, arms: ArmMoments) -> Array:
-    """Return the third derivatives of R(r) : N, shape (k, k, k), along changes of r, (3, k)."""
+def _third_of_rotation(vector: np.ndarray, turned: np.ndarray, arms: ArmMoments) -> np.ndarray:
+    """Return the third derivatives of R(r) : N, shape (k, k, k), along changes of r, (3, k).
+
+    By the product rule R_abc : N + sum R_ab : N_c + sum R_a : N_bc; N_abc is zero.
+    """
     _, first, second, third = rotation_derivatives(vector)
     once = np.einsum("ixy,xybc,ia->bca", first, arms.second, turned)
     twice = np.einsum("ijxy,xyc,ia,jb->abc", second, arms.changes, turned, turned, optimize=True)

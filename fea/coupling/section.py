@@ -17,8 +17,6 @@ from wrenchbook.fea.mesh.mapping import area_weights
 from wrenchbook.fea.mesh.mesh import FacetGroup
 from wrenchbook.fea.tensors import rotation_less_identity, skew, spin_per_vector, spin_slope
 
-Array = np.ndarray
-
 
 class Rigid(SectionCoupling):
     """Tie u_i = t + (R - I) x_i for the section's nodes, x_i measured from the interface point.
@@ -28,12 +26,14 @@ class Rigid(SectionCoupling):
     guide holds are simply left out.
     """
 
-    def node_positions(self, interface: Array) -> Array:
+    def node_positions(self, interface: np.ndarray) -> np.ndarray:
         """Return where an interface at (6,), m and rad, puts the nodes, (s, 3), m."""
         R_minus_I = rotation_less_identity(interface[3:])
         return interface[:3] + self.points @ R_minus_I.T
 
-    def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
+    def residual(
+        self, state: CoupledState, forces: np.ndarray, wrench: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return zero forces at the nodes, (s, 3), and the resultants less the wrench, (6,).
 
         forces: shape (s, 3), N: internal, at the section's nodes. wrench: shape (6,), N and N·m.
@@ -43,7 +43,7 @@ class Rigid(SectionCoupling):
         border = np.concatenate([forces.sum(axis=0) - wrench[:3], spin.T @ (moment - wrench[3:])])
         return np.zeros_like(forces), border
 
-    def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
+    def bordered(self, state: CoupledState, forces: np.ndarray, wrench: np.ndarray) -> Border:
         """Return the constraint, (s, 3, 6), and the block, (6, 6): moments by the arms' rotation.
 
         forces: shape (s, 3), N: internal, at the section's nodes. wrench: shape (6,), N and N·m.
@@ -59,14 +59,18 @@ class Rigid(SectionCoupling):
         constraint[:, :, 3:] = -skew(arms) @ spin
         return Border(constraint, np.zeros_like(constraint), block)
 
-    def wrench_columns(self, state: CoupledState) -> Array:
+    def wrench_columns(self, state: CoupledState) -> np.ndarray:
         """Return the columns of `SectionCoupling.wrench_columns`, shape (6, 6)."""
         columns = np.eye(PER_INTERFACE)
         columns[3:, 3:] = spin_per_vector(state.interface[3:]).T
         return columns
 
     def arm_moments(
-        self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
+        self,
+        state: CoupledState,
+        forces: tuple[np.ndarray, np.ndarray],
+        fields: np.ndarray,
+        border: np.ndarray,
     ) -> ArmMoments:
         """Return sum f x^T, 3x3 and N·m, and its derivatives along k inputs.
 
@@ -79,7 +83,7 @@ class Rigid(SectionCoupling):
             np.zeros((3, 3, border.shape[1], border.shape[1])),
         )
 
-    def _turned(self, state: CoupledState) -> Array:
+    def _turned(self, state: CoupledState) -> np.ndarray:
         """Return R x_i of the nodes, shape (s, 3), m."""
         return self.points + self.points @ rotation_less_identity(state.interface[3:]).T
 
@@ -88,20 +92,20 @@ class Rigid(SectionCoupling):
 class InterfaceSection:
     """The interface's nodes with their weights in a mean."""
 
-    node_ids: Array  # sorted, shape (s,), int64
+    node_ids: np.ndarray  # sorted, shape (s,), int64
     # Shape (s,), m^2: the integral of each node's shape function over the section. Those of the
     # corners of quad8 facets are negative, as they must be for a constant traction. Of any scale
     # where the bundle has `weights` of another kind.
-    weights: Array
+    weights: np.ndarray
     area: float  # area of the section's facets, m^2
-    centre: Array  # the area centre, shape (3,), m
+    centre: np.ndarray  # the area centre, shape (3,), m
     # False where a bare node group has no area: then every node has the same weight, their sum is
     # 1, and `area` has no meaning.
     by_area: bool
 
 
 def section_of_facets(
-    points: Array, group: FacetGroup, node_ids: Array | None = None
+    points: np.ndarray, group: FacetGroup, node_ids: np.ndarray | None = None
 ) -> InterfaceSection:
     """Return the section of the facets of `group`.
 
@@ -119,7 +123,7 @@ def section_of_facets(
     return InterfaceSection(ids, weights, area, centre, by_area=True)
 
 
-def section_of_nodes(points: Array, node_ids: Array) -> InterfaceSection:
+def section_of_nodes(points: np.ndarray, node_ids: np.ndarray) -> InterfaceSection:
     """Return the section of nodes that bound no facet: all have the same weight.
 
     points: shape (n, 3), m.
@@ -152,13 +156,15 @@ class Distributed(SectionCoupling):
 
     multipliers = PER_INTERFACE
 
-    def __init__(self, points: Array, weights: Array) -> None:
+    def __init__(self, points: np.ndarray, weights: np.ndarray) -> None:
         super().__init__(points)
         self._weights = weights / weights.sum()
         self._centre = self._weights @ points
         self._arms = points - self._centre
 
-    def residual(self, state: CoupledState, forces: Array, wrench: Array) -> tuple[Array, Array]:
+    def residual(
+        self, state: CoupledState, forces: np.ndarray, wrench: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the forces of the multipliers, and the forces out of balance under a wrench (6,).
 
         Shape (s, 3), N, at the nodes; shape (12,) in the interface freedoms, N and N·m, and in
@@ -175,7 +181,7 @@ class Distributed(SectionCoupling):
         ]
         return nodal, np.concatenate([-turned.force - wrench[:3], turning, *gaps])
 
-    def bordered(self, state: CoupledState, forces: Array, wrench: Array) -> Border:
+    def bordered(self, state: CoupledState, forces: np.ndarray, wrench: np.ndarray) -> Border:
         """Return the derivatives of the residual by the border; no node is constrained.
 
         Forces have shape (s, 3), N, the wrench shape (6,), N and N·m.
@@ -207,7 +213,7 @@ class Distributed(SectionCoupling):
         block[_ROTATION, _ROTATION] += spin_slope(state.interface[3:], excess)
         return Border(np.zeros_like(columns), columns, block)
 
-    def wrench_columns(self, state: CoupledState) -> Array:
+    def wrench_columns(self, state: CoupledState) -> np.ndarray:
         """Return the columns of `SectionCoupling.wrench_columns`, shape (12, 6)."""
         columns = np.zeros((2 * PER_INTERFACE, PER_INTERFACE))
         columns[_TRANSLATION, :3] = np.eye(3)
@@ -215,7 +221,11 @@ class Distributed(SectionCoupling):
         return columns
 
     def arm_moments(
-        self, state: CoupledState, forces: tuple[Array, Array], fields: Array, border: Array
+        self,
+        state: CoupledState,
+        forces: tuple[np.ndarray, np.ndarray],
+        fields: np.ndarray,
+        border: np.ndarray,
     ) -> ArmMoments:
         """Return -l c^T - [m]x Q, 3x3 and N·m, Q = sum w (x + u) rho^T, and its derivatives.
 
@@ -251,11 +261,11 @@ class _Turned:
         self.force = state.multipliers[:3]
         self.moment = state.multipliers[3:]
 
-    def inertia(self) -> Array:
+    def inertia(self) -> np.ndarray:
         """Return sum w (x b^T - (b . x) I), shape (3, 3), m^2."""
         outer = (self.points * self.weights[:, None]).T @ self.arms
         return outer - np.trace(outer) * np.eye(3)
 
-    def carried_moment(self) -> Array:
+    def carried_moment(self) -> np.ndarray:
         """Return the moment about the interface point that the multipliers balance, (3,), N·m."""
         return -np.cross(self.centre, self.force) + self.inertia() @ self.moment

@@ -11,37 +11,34 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrenchbook.fea.tensors import rotation, rotation_vector, skew, spin_per_vector
-
-Array = np.ndarray
+from wrenchbook.fea.tensors import COMPLEX_STEP, rotation, rotation_vector, skew, spin_per_vector
 
 _PER_FRAME = 6  # motions of a frame: translation and rotation vector
 _TURNS = (3, 4, 5, 9, 10, 11)  # the rotations among the motions of two frames
-_COMPLEX_STEP = 2.0**-100  # m or rad: its square vanishes against any number here
 _STEP = 1e-3  # rad: differences of fourth order leave out its fourth power
 # Weights of a first derivative by differences of fourth order.
 _SLOPE = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
 
 
-def relative_motion(motions: Array) -> tuple[Array, Array]:
+def relative_motion(motions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return q, (6,), m and rad, of one frame's motion, (6,), or two, (12,), and B, (6, k)."""
     first = np.zeros(3) if len(motions) == _PER_FRAME else motions[3:_PER_FRAME]
     turned = rotation_vector(rotation(first).T @ rotation(motions[-3:]))
     return _motion_and_jacobian(motions, turned)
 
 
-def energy_hessian(motions: Array, stiffness: Array) -> Array:
+def energy_hessian(motions: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
     """Return the second derivatives of the energy by the motions, shape (k, k)."""
     q, jacobian = relative_motion(motions)
     columns = []
     turned, rate = q[3:], jacobian[3:]
-    for unit in 1j * _COMPLEX_STEP * np.eye(len(motions)):
+    for unit in 1j * COMPLEX_STEP * np.eye(len(motions)):
         q, jacobian = _motion_and_jacobian(motions + unit, turned + rate @ unit)
-        columns.append(np.imag(jacobian.T @ stiffness @ q) / _COMPLEX_STEP)
+        columns.append(np.imag(jacobian.T @ stiffness @ q) / COMPLEX_STEP)
     return np.stack(columns, axis=1)
 
 
-def energy_third_derivatives(motions: Array, stiffness: Array) -> Array:
+def energy_third_derivatives(motions: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
     """Return the third derivatives of the energy by the motions, shape (k, k, k).
 
     Those by translations alone are zero: at fixed rotations the energy is quadratic.
@@ -57,7 +54,7 @@ def energy_third_derivatives(motions: Array, stiffness: Array) -> Array:
     return tensor
 
 
-def _motion_and_jacobian(motions: Array, turned: Array) -> tuple[Array, Array]:
+def _motion_and_jacobian(motions: np.ndarray, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return q and B, (6,) and (6, k), of motions (k,) by the rotation vector of q."""
     if len(motions) == _PER_FRAME:
         return motions, np.eye(_PER_FRAME)

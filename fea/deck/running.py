@@ -17,29 +17,30 @@ from typing import Any
 import numpy as np
 
 from wrenchbook.fea.failure import SolveFailed
-from wrenchbook.fea.readers import DeckReader, DeckRun, OutputError, Reading, reader_named
+from wrenchbook.fea.readers import (
+    MAX_QUOTED,
+    DeckReader,
+    DeckRun,
+    OutputError,
+    Reading,
+    reader_named,
+)
 from wrenchbook.fea.solution import Progress
 from wrenchbook.fea.spec.mesh_source import UNITS
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
-from wrenchbook.fea.spec.schema import Deck
-
-Array = np.ndarray
-
-LOADS = ("FX", "FY", "FZ", "MX", "MY", "MZ")
-"""The placeholders, each with a $ before it, in the order of the wrench contract."""
+from wrenchbook.fea.spec.schema import PLACEHOLDERS, Deck
 
 PRINTED = "printed.txt"
 """File of the program's standard output and errors."""
 
-_PLACEHOLDER = re.compile(rb"\$([FM][XYZ])\b")
+_PLACEHOLDER = re.compile(rb"\$[FM][XYZ]\b")
 _PACKAGES = {"ccx": "CalculiX: on Debian and Ubuntu, apt-get install calculix-ccx"}
-_MAX_QUOTED = 400  # characters of a solver's output in a message: longer texts are cut
 
 
 def missing_placeholders(deck: bytes) -> list[str]:
     """Return the placeholders that a deck's text lacks."""
-    there = {name.decode() for name in _PLACEHOLDER.findall(deck)}
-    return [f"${load}" for load in LOADS if load not in there]
+    there = {word.decode() for word in _PLACEHOLDER.findall(deck)}
+    return [placeholder for placeholder in PLACEHOLDERS if placeholder not in there]
 
 
 def filled(deck: bytes, loads: Sequence[float]) -> bytes:
@@ -58,12 +59,14 @@ def filled(deck: bytes, loads: Sequence[float]) -> bytes:
             "Write each placeholder where its load acts; if a guide takes the load, write it in a "
             "comment line.",
         )
-    pairs = zip(LOADS, loads, strict=True)
-    values = {load.encode(): f"{value:.12e}".encode() for load, value in pairs}
-    return _PLACEHOLDER.sub(lambda match: values[match[1]], deck)
+    pairs = zip(PLACEHOLDERS, loads, strict=True)
+    values = {word.encode(): f"{value:.12e}".encode() for word, value in pairs}
+    return _PLACEHOLDER.sub(lambda match: values[match[0]], deck)
 
 
-def run_deck(deck: Deck, wrench: Array, folder: Path, progress: Progress) -> tuple[Array, int]:
+def run_deck(
+    deck: Deck, wrench: np.ndarray, folder: Path, progress: Progress
+) -> tuple[np.ndarray, int]:
     """Run a deck once, in a folder made for it.
 
     wrench: shape (6,), N and N·m, with the kind of moment that the deck needs.
@@ -106,7 +109,7 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
         raise solver_failed(program, _ending(code), complaint.quoted, run.folder)
     if code != 0:
         text = run.printed.read_text(encoding="utf-8", errors="replace").strip()
-        raise solver_failed(program, _ending(code), text[-_MAX_QUOTED:] or "nothing", run.folder)
+        raise solver_failed(program, _ending(code), text[-MAX_QUOTED:] or "nothing", run.folder)
     try:
         return reader.read(run, deck.output)
     except OutputError as error:
@@ -315,16 +318,6 @@ def solver_failed(program: str, ending: str, quoted: str, folder: Path) -> Solve
 def bad_output(message: str, folder: Path) -> SolveFailed:
     """Return the failure of output in which the interface's motion cannot be found."""
     return SolveFailed("bad_output", message, _files_hint(folder))
-
-
-def not_reciprocal(message: str) -> SolveFailed:
-    """Return the failure of a compliance that violates reciprocity."""
-    return SolveFailed(
-        "not_reciprocal",
-        message,
-        "Check that each placeholder stands at its own freedom with a plus sign, that point and "
-        "rotation name the loaded sets, and that unit is the unit of the deck.",
-    )
 
 
 def _files_hint(folder: Path) -> str:

@@ -10,13 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from wrenchbook.fea.deck.running import not_reciprocal, run_deck
+from wrenchbook.fea.deck.running import run_deck
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solution import Progress, Solution, checked_wrench
-from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, Deck
-from wrenchbook.fea.tensors import spin_per_vector
-
-Array = np.ndarray
+from wrenchbook.fea.spec.schema import FREEDOMS, LOADS, Bundle, Deck
+from wrenchbook.fea.tensors import TINY, spin_per_vector
 
 FOLDER = "deck"
 """Subfolder of the work folder; below it each run of the command has a separate folder."""
@@ -27,20 +25,19 @@ _MOMENT_GAP = 1e-5
 _MAX_RUNS = 12  # runs of a nonlinear deck; a rotation of 20 degrees takes half of them
 # Largest relative differences of sums of displacements, and of the works of two loads on each
 # other's displacements (square roots of the works' product): CalculiX prints seven digits.
-_LINEAR_GAP = 1e-5
+LINEAR_GAP = 1e-5
 _RECIPROCAL_GAP = 1e-4
 _ZERO_WORK = 1e-9  # relative to the largest work; smaller ones are roundoff
-_TINY = 1e-300  # replaces a displacement of 0 in a divisor
 # Part of a step: with a smaller change, Broyden's update would divide by almost zero.
-_LEAST_CHANGE = 1e-3
+_MIN_CHANGE = 1e-3
 
 
 def solve_deck(
     bundle: Bundle,
-    wrench: Sequence[float] | Array,
-    progress: Progress | None = None,
-    folder: Path | None = None,
-    accept: Callable[[Array], None] = lambda displacement: None,
+    wrench: Sequence[float] | np.ndarray,
+    progress: Progress | None,
+    folder: Path | None,
+    accept: Callable[[np.ndarray], None],
 ) -> Solution:
     """Solve a component for one wrench with its deck.
 
@@ -73,16 +70,17 @@ def solve_deck(
             work = np.nan
         else:
             sizes = np.maximum(np.abs(bundle.range.low), np.abs(bundle.range.high))
+            sizes = np.where(sizes > 0, sizes, sizes.max())  # a range may be 0, a single load not
             displacement, compliance = _linear(runs, loads, sizes)
             _require_reciprocity(compliance, sizes)
-            work = float(loads @ displacement)
+            work = 0.5 * float(loads @ displacement)
     accept(displacement)
     report(1.0, "done")
     return Solution(
         wrench=loads,
         displacement=displacement,
         compliance=compliance,
-        strain_energy=0.5 * work,
+        strain_energy=work,
         work=work,
         unknowns=runs.unknowns,
         seconds=time.perf_counter() - started,
@@ -95,7 +93,7 @@ class _Runs:
     """The runs of one solve."""
 
     def __init__(
-        self, deck: Deck, folder: Path, progress: Progress, accept: Callable[[Array], None]
+        self, deck: Deck, folder: Path, progress: Progress, accept: Callable[[np.ndarray], None]
     ) -> None:
         self.deck = deck
         self.accept = accept
@@ -103,7 +101,7 @@ class _Runs:
         self._folder = folder
         self._progress = progress
 
-    def run(self, name: str, wrench: Array, begin: float, end: float) -> Array:
+    def run(self, name: str, wrench: np.ndarray, begin: float, end: float) -> np.ndarray:
         """Run the deck; its part of the progress is from `begin` to `end`."""
 
         def progress(fraction: float, message: str) -> None:
@@ -114,7 +112,7 @@ class _Runs:
         return displacement
 
 
-def _linear(runs: _Runs, wrench: Array, sizes: Array) -> tuple[Array, Array]:
+def _linear(runs: _Runs, wrench: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return displacement, shape (6,), and compliance, shape (6, 6), of a linear deck.
 
     sizes: shape (6,), N and N·m: the six single loads, those of the load range, for which the deck
@@ -125,29 +123,29 @@ def _linear(runs: _Runs, wrench: Array, sizes: Array) -> tuple[Array, Array]:
     """
     displacement = runs.run("wrench", wrench, 0.0, 1.0 / 7.0)
     columns = []
-    for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
-        load = np.zeros(6)
-        load[i] = sizes[i]
-        columns.append(runs.run(name, load, (i + 1) / 7.0, (i + 2) / 7.0) / sizes[i])
+    for i, load in enumerate(LOADS):
+        single = sizes[i] * np.eye(6)[i]
+        run = runs.run(load.lower(), single, (i + 1) / 7.0, (i + 2) / 7.0)
+        columns.append(run / sizes[i])
     compliance = np.stack(columns, axis=1)
 
     # Each entry relative to the largest translation or rotation: entries that are zero by symmetry
     # are roundoff.
     largest = (np.abs(compliance) @ np.abs(wrench)).reshape(2, 3).max(axis=1)
     gaps = np.abs(compliance @ wrench - displacement).reshape(2, 3).max(axis=1)
-    if (gaps > _LINEAR_GAP * largest).any():
-        gap = float((gaps / np.maximum(largest, _TINY)).max())
+    if (gaps > LINEAR_GAP * largest).any():
+        gap = float((gaps / np.maximum(largest, TINY)).max())
         raise SolveFailed(
             "not_linear",
             f"The deck's answer to this wrench differs by {gap:.1e} of its size from the sum of "
-            f"its answers to single loads; at most {_LINEAR_GAP:g} is roundoff.",
+            f"its answers to single loads; at most {LINEAR_GAP:g} is roundoff.",
             "Set nonlinear = true in [analysis], or remove what is nonlinear from the "
             "deck: NLGEOM, contact, plasticity, loads other than the wrench.",
         )
     return displacement, compliance
 
 
-def _require_reciprocity(compliance: Array, sizes: Array) -> None:
+def _require_reciprocity(compliance: np.ndarray, sizes: np.ndarray) -> None:
     """Check that a compliance is that of an elastic body.
 
     No load of `sizes`, shape (6,), N and N·m, does negative work, and two loads do the same work on
@@ -161,7 +159,7 @@ def _require_reciprocity(compliance: Array, sizes: Array) -> None:
     floor = _ZERO_WORK * float(np.abs(works).max())
     if (works < -floor).any():
         i = int(np.argmin(works))
-        raise not_reciprocal(
+        raise _not_reciprocal(
             f"A unit load along {FREEDOMS[i]} moves {FREEDOMS[i]} by {compliance[i, i]:.6e}, in "
             "the opposite direction."
         )
@@ -170,14 +168,24 @@ def _require_reciprocity(compliance: Array, sizes: Array) -> None:
     i, j = np.unravel_index(int(np.argmax(gap)), gap.shape)
     if gap[i, j] > floor:
         first, second = FREEDOMS[i], FREEDOMS[j]
-        raise not_reciprocal(
+        raise _not_reciprocal(
             f"A unit load on {second} moves {first} by {compliance[i, j]:.6e}, one on "
             f"{first} moves {second} by {compliance[j, i]:.6e}: in an elastic body the two "
             "are equal."
         )
 
 
-def _nonlinear(runs: _Runs, wrench: Array) -> Array:
+def _not_reciprocal(message: str) -> SolveFailed:
+    """Return the failure of a compliance that violates reciprocity."""
+    return SolveFailed(
+        "not_reciprocal",
+        message,
+        "Check that each placeholder stands at its own freedom with a plus sign, that point and "
+        "rotation name the loaded sets, and that unit is the unit of the deck.",
+    )
+
+
+def _nonlinear(runs: _Runs, wrench: np.ndarray) -> np.ndarray:
     """Return the displacement of a nonlinear deck under a spatial wrench.
 
     The virtual work of a spatial moment M is M . J(r) dr, with J the left Jacobian of the rotation
@@ -208,7 +216,7 @@ def _nonlinear(runs: _Runs, wrench: Array) -> Array:
             change = excess - before
             row = step @ inverse
             scale = float(row @ change)
-            if abs(scale) >= _LEAST_CHANGE * float(step @ step):
+            if abs(scale) >= _MIN_CHANGE * float(step @ step):
                 inverse = inverse + np.outer(step - inverse @ change, row) / scale
         step = -inverse @ excess
         before = excess

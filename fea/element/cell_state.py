@@ -9,7 +9,6 @@ import numpy as np
 from wrenchbook.fea.mesh.mapping import Gradients
 from wrenchbook.fea.tensors import COLUMNS, ROWS
 
-Array = np.ndarray
 Which = slice | np.ndarray
 """Cells of a block: a slice, or their indices."""
 
@@ -29,10 +28,10 @@ class CellState(ABC):
         self,
         gradients: Gradients,
         part: Which,
-        displacement: Array | None,
-        thermal: Array | None = None,
+        displacement: np.ndarray | None,
+        thermal: np.ndarray | None = None,
     ) -> None:
-        self.wS: Array
+        self.wS: np.ndarray
         self.thermal = thermal
         self.slopes = gradients.slopes[part]
         self.weights = gradients.weights[part]
@@ -42,11 +41,11 @@ class CellState(ABC):
             self.F = self.H + np.eye(3)
             self.E = green_strain(self.H)
 
-    def gradient(self, displacement: Array) -> Array:
+    def gradient(self, displacement: np.ndarray) -> np.ndarray:
         """Return the gradients of a field, shape (cells, 3, nodes), m, at the points."""
         return displacement[:, None] @ self.slopes.swapaxes(2, 3)
 
-    def extrapolate(self, step: Array) -> None:
+    def extrapolate(self, step: np.ndarray) -> None:
         """Replace the stress by its linear extrapolation from the state one step before.
 
         This method holds for a law whose stress is linear in E, which is quadratic in the
@@ -57,12 +56,12 @@ class CellState(ABC):
         E = green_strain(aim) - 0.5 * (change.swapaxes(2, 3) @ change)
         self.wS = self.weighted_change(self.elastic(E))
 
-    def elastic(self, strain: Array) -> Array:
+    def elastic(self, strain: np.ndarray) -> np.ndarray:
         """Return strains less the thermal ones, shape (cells, points, 3, 3), dimensionless."""
         return strain if self.thermal is None else strain - self.thermal
 
     @abstractmethod
-    def weighted_change(self, strain: Array) -> Array:
+    def weighted_change(self, strain: np.ndarray) -> np.ndarray:
         """Return the change of `wS`, Pa m^3, with E, both of shape (..., cells, points, 3, 3)."""
 
     def energy(self) -> float:
@@ -70,10 +69,10 @@ class CellState(ABC):
         return 0.5 * float(np.vdot(self.wS, self.elastic(self.E)))
 
     @abstractmethod
-    def tangent(self, out: Array) -> None:
+    def tangent(self, out: np.ndarray) -> None:
         """Write the tangent stiffness, shape (cells, size, size), N/m."""
 
-    def changes(self, fields: Array) -> tuple[Array, Array, Array]:
+    def changes(self, fields: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the changes by fields, m, shape (k, cells, 3, nodes).
 
         All fields' 3x3 matrices are stacked, so that each product is computed at once.
@@ -90,7 +89,7 @@ class CellState(ABC):
         dE = np.moveaxis(strain.reshape(*self.F.shape[:2], count, 3, 3), 2, 0)
         return dF, dE, self.weighted_change(dE)
 
-    def second(self, fields: Array) -> Array:
+    def second(self, fields: np.ndarray) -> np.ndarray:
         """Return the energy's second derivatives along fields, (k, cells, 3, nodes), m: (k, k), J.
 
         They are the integral of E_a : C : E_b + S : E_ab, see `third`.
@@ -99,7 +98,7 @@ class CellState(ABC):
         along = dE.reshape(len(fields), -1) @ wdS.reshape(len(fields), -1).T
         return along + _by_field(dF) @ _by_field(dF @ self.wS).T
 
-    def third(self, fields: Array) -> Array:
+    def third(self, fields: np.ndarray) -> np.ndarray:
         """Return the energy's third derivatives along k fields: (k, k, k), J.
 
         The fields have shape (k, cells, 3, nodes), m. With E_a = sym(F^T grad a) and
@@ -111,14 +110,14 @@ class CellState(ABC):
         products = [_by_field(dF @ stress) @ rows.T for stress in wdS]  # grad a (C : E_c) : grad b
         return symmetrised(np.stack(products, axis=2)) + self.third_of_law(fields, dE)
 
-    def third_of_law(self, fields: Array, strain: Array) -> Array:
+    def third_of_law(self, fields: np.ndarray, strain: np.ndarray) -> np.ndarray:
         """Return the addition of C's change to `third`, J: shape (k, k, k), or 0 for a constant C.
 
         `strain` has shape (k, cells, points, 3, 3), dimensionless: the strains of the fields.
         """
         return np.zeros((len(fields),) * 3)
 
-    def cauchy(self, fields: Array) -> tuple[Array, Array]:
+    def cauchy(self, fields: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return Cauchy stresses, Pa, and their changes with fields, m, shape (k, ...)."""
         F_T = self.F.swapaxes(2, 3)
         shape = (*self.F.shape[:2], len(fields))
@@ -133,26 +132,26 @@ class CellState(ABC):
         changes -= stress[:, :, None] * growth[..., None]
         return stress, np.moveaxis(changes, 2, 0)
 
-    def forces(self) -> Array:
+    def forces(self) -> np.ndarray:
         """Integrate P_iJ dN_a/dX_J, shape (cells, 3, nodes), N."""
         P = self.F @ self.wS
         cells, points, _, nodes = self.slopes.shape
         stacked = P.transpose(0, 2, 1, 3).reshape(cells, 3, 3 * points)
         return stacked @ self.slopes.reshape(cells, 3 * points, nodes)
 
-    def stressed(self) -> Array:
+    def stressed(self) -> np.ndarray:
         """Integrate dN_a . S dN_b, shape (cells, nodes, nodes), N/m: the geometric stiffness."""
         cells, points, _, nodes = self.slopes.shape
         below = self.slopes.reshape(cells, 3 * points, nodes)
         return below.swapaxes(1, 2) @ (self.wS @ self.slopes).reshape(cells, 3 * points, nodes)
 
 
-def green_strain(H: Array) -> Array:
+def green_strain(H: np.ndarray) -> np.ndarray:
     """Return sym H + H^T H / 2 for displacement gradients H, shape (..., 3, 3), dimensionless."""
     return 0.5 * (H + H.swapaxes(-1, -2) + H.swapaxes(-1, -2) @ H)
 
 
-def symmetrised(product: Array) -> Array:
+def symmetrised(product: np.ndarray) -> np.ndarray:
     """Sum products symmetric in their first two indices over the positions of the third: (k, k, k).
 
     The result has the unit of the products.
@@ -160,13 +159,13 @@ def symmetrised(product: Array) -> Array:
     return product + product.swapaxes(1, 2) + product.swapaxes(0, 2)
 
 
-def _each_transposed(below: Array) -> Array:
+def _each_transposed(below: np.ndarray) -> np.ndarray:
     """Transpose each of the stacked 3x3 matrices: (..., 3 k, 3)."""
     each = below.reshape(*below.shape[:2], below.shape[2] // 3, 3, 3)
     return each.swapaxes(3, 4).reshape(below.shape)
 
 
-def _by_field(below: Array) -> Array:
+def _by_field(below: np.ndarray) -> np.ndarray:
     """Return stacked 3x3 matrices, (..., 3 k, 3), by field: (k, m)."""
     each = below.reshape(-1, below.shape[-2] // 3, 9)
     return np.ascontiguousarray(each.swapaxes(0, 1)).reshape(each.shape[1], -1)
@@ -182,10 +181,10 @@ class DenseState(CellState):
     """Strains and stresses of a few cells of a general material, with complete 6x6 moduli."""
 
     @abstractmethod
-    def moduli(self) -> Array:
+    def moduli(self) -> np.ndarray:
         """Return the change of `wS` with E, shape (cells, points, 6, 6), Pa times m^3."""
 
-    def tangent(self, out: Array) -> None:
+    def tangent(self, out: np.ndarray) -> None:
         """Write the tangent stiffness, shape (cells, size, size), N/m."""
         cells, points, _, nodes = self.slopes.shape
         B = self._strains_of_unknowns()
@@ -198,7 +197,7 @@ class DenseState(CellState):
             for axis in range(3):
                 K[:, axis, :, axis] += geometric
 
-    def _strains_of_unknowns(self) -> Array:
+    def _strains_of_unknowns(self) -> np.ndarray:
         """Return the six strains of each unit displacement, shape (cells, points, 6, size)."""
         cells, points, _, nodes = self.slopes.shape
         F = np.broadcast_to(np.eye(3), (cells, points, 3, 3)) if self.undeformed else self.F

@@ -16,8 +16,6 @@ import numpy as np
 from wrenchbook.fea.element.cell_state import CellState, Which
 from wrenchbook.fea.mesh.mapping import Gradients
 
-Array = np.ndarray
-
 _CHUNK = 64  # cells at a time, whose temporaries fit the cache
 
 
@@ -28,9 +26,9 @@ class CellStiffness(ABC):
     gradients: Gradients  # shape gradients and weights of the cells
     # Shape (cells, points or 1, 3, 3), 1/K: thermal strain per kelvin; None if no temperature is an
     # input.
-    expansion: Array | None = field(default=None, kw_only=True)
+    expansion: np.ndarray | None = field(default=None, kw_only=True)
     # The same shape: the thermal strain; None without. Neo-Hookean cells have none
-    thermal: Array | None = field(default=None, kw_only=True)
+    thermal: np.ndarray | None = field(default=None, kw_only=True)
 
     @property
     def size(self) -> int:
@@ -45,7 +43,7 @@ class CellStiffness(ABC):
         """Whether the volumetric strain is projected, see `fea.element.pressure_projection`."""
         return False
 
-    def thermal_strain(self, part: Which) -> Array | None:
+    def thermal_strain(self, part: Which) -> np.ndarray | None:
         """Return the thermal strain of a few cells, (cells, points or 1, 3, 3), or None."""
         return None if self.thermal is None else self.thermal[part]
 
@@ -65,25 +63,27 @@ class CellStiffness(ABC):
         return replace(self.stretched(stretch), thermal=growth + 0.5 * growth @ growth)
 
     @abstractmethod
-    def stretched(self, stretch: Array) -> CellStiffness:
+    def stretched(self, stretch: np.ndarray) -> CellStiffness:
         """Return the cells with moduli for E after a stress-free stretch, (cells, 3, 3)."""
 
     @abstractmethod
-    def state(self, part: Which, displacement: Array | None) -> CellState:
+    def state(self, part: Which, displacement: np.ndarray | None) -> CellState:
         """Return strains and stresses of a few cells.
 
         displacement: of these cells, shape (cells, 3, nodes), m; None for the undeformed state.
         """
 
     @abstractmethod
-    def small_stress(self, strain: Array, part: Which) -> Array:
+    def small_stress(self, strain: np.ndarray, part: Which) -> np.ndarray:
         """Return the stresses of small strains times the weights, N·m.
 
         strain: strains of a few cells, shape (k, cells, points, 3, 3), dimensionless.
         Result: shape (k, cells, points, 3, 3), Pa times m^3.
         """
 
-    def forces(self, displacement: Array, step: Array | None = None) -> tuple[Array, float, float]:
+    def forces(
+        self, displacement: np.ndarray, step: np.ndarray | None = None
+    ) -> tuple[np.ndarray, float, float]:
         """Return the internal forces, the strain energy and the least det F.
 
         displacement: shape (cells, 3, nodes), m.
@@ -104,7 +104,9 @@ class CellStiffness(ABC):
             least = min(least, float(np.linalg.det(state.F).min()))
         return forces, energy, least
 
-    def tangent(self, displacement: Array | None, step: Array | None, cells: Array) -> Array:
+    def tangent(
+        self, displacement: np.ndarray | None, step: np.ndarray | None, cells: np.ndarray
+    ) -> np.ndarray:
         """Return the tangent stiffness of some cells.
 
         displacement: of these cells, shape (k, 3, nodes), m; None for the undeformed state.
@@ -122,7 +124,7 @@ class CellStiffness(ABC):
             state.tangent(out[chunk])
         return out
 
-    def small_strain_forces(self, fields: Array, first: int = 0) -> Array:
+    def small_strain_forces(self, fields: np.ndarray, first: int = 0) -> np.ndarray:
         """Return the forces of several small displacement fields, by way of their stresses.
 
         fields: shape (k, cells, 3, nodes), m: of the cells from `first` on.
@@ -138,7 +140,7 @@ class CellStiffness(ABC):
             forces[:, part] = stacked @ slopes.reshape(cells, 3 * points, nodes)
         return forces
 
-    def strain_energy_products(self, fields: Array, first: int = 0) -> Array:
+    def strain_energy_products(self, fields: np.ndarray, first: int = 0) -> np.ndarray:
         """Integrate strain : C : strain for pairs of small displacement fields.
 
         fields: shape (k, cells, 3, nodes), m: of the cells from `first` on.
@@ -152,7 +154,7 @@ class CellStiffness(ABC):
             total += strain.reshape(count, -1) @ stress.reshape(count, -1).T
         return total
 
-    def small_stresses(self, fields: Array) -> Array:
+    def small_stresses(self, fields: np.ndarray) -> np.ndarray:
         """Return the stresses of several small displacement fields at the quadrature points.
 
         fields: shape (k, cells, 3, nodes), m.
@@ -167,7 +169,9 @@ class CellStiffness(ABC):
             axis=1,
         )
 
-    def cauchy_stresses(self, displacement: Array, fields: Array) -> tuple[Array, Array]:
+    def cauchy_stresses(
+        self, displacement: np.ndarray, fields: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the Cauchy stresses at the quadrature points, and their change with fields.
 
         sigma = F S F^T / J, and d sigma = (dF S F^T + F dS F^T + F S dF^T) / J - sigma tr(dF F^-1).
@@ -185,7 +189,7 @@ class CellStiffness(ABC):
             np.concatenate([changes for _, changes in pairs], axis=1),
         )
 
-    def _small_strain(self, fields: Array, part: slice) -> tuple[Array, Array]:
+    def _small_strain(self, fields: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
         """Return elastic strains and weighted stresses, each (k, cells, points, 3, 3)."""
         H = fields[:, :, None] @ self.gradients.slopes[part].swapaxes(2, 3)
         strain = 0.5 * (H + H.swapaxes(3, 4))

@@ -37,14 +37,12 @@ from wrenchbook.fea.element.cell_state import (
 from wrenchbook.fea.element.st_venant_kirchhoff import IsotropicStiffness, projected_gram, weighted
 from wrenchbook.fea.tensors import COLUMNS, ROWS, deviator
 
-Array = np.ndarray
-
 
 @dataclass(frozen=True, eq=False)
 class NeoHookeanStiffness(IsotropicStiffness):
     """Neo-Hookean cells of one block; first_lame and shear are those at small strains."""
 
-    def state(self, part: Which, displacement: Array | None) -> CellState:
+    def state(self, part: Which, displacement: np.ndarray | None) -> CellState:
         """Return strains and stresses, displacements of shape (cells, 3, nodes), m."""
         if displacement is None:
             return super().state(part, None)
@@ -59,7 +57,7 @@ class _State(DenseState):
     Shapes: (cells, points), with (3, 3) of matrices; shear and first_lame (cells, 1), Pa.
     """
 
-    def __init__(self, cells: NeoHookeanStiffness, part: Which, displacement: Array) -> None:
+    def __init__(self, cells: NeoHookeanStiffness, part: Which, displacement: np.ndarray) -> None:
         super().__init__(cells.gradients, part, displacement)
         self._cells = cells
         self._part = part
@@ -79,7 +77,7 @@ class _State(DenseState):
         self.deviatoric = 2.0 * _times(self.scale, self.inverse @ deviator(self.E))
         self.wS = self.deviatoric + _times(self.pressure * self.J, self.inverse)
 
-    def extrapolate(self, step: Array) -> None:
+    def extrapolate(self, step: np.ndarray) -> None:
         """Replace the stress and the pressure by their linear extrapolations.
 
         The pressure in the moduli too: with the true forces this is Newton's method for
@@ -98,12 +96,12 @@ class _State(DenseState):
         deviatoric = before.deviatoric + before._deviatoric_change(strain, along, inside)
         self.wS = deviatoric + _times(self.pressure * self.J, self.inverse)
 
-    def weighted_change(self, strain: Array) -> Array:
+    def weighted_change(self, strain: np.ndarray) -> np.ndarray:
         along = self._along(strain)
         pressure = self._pressure_of(self.J * along)
         return self._at_pressure(strain, along) + _times(pressure * self.J, self.inverse)
 
-    def third_of_law(self, fields: Array, strain: Array) -> Array:
+    def third_of_law(self, fields: np.ndarray, strain: np.ndarray) -> np.ndarray:
         """Return the third derivatives of W along strains: shape (k, k, k), J.
 
         With g = mu J^(-2/3), m = tr C / 3, s_a = tr E_a, P_a = J kappa J t_a and the module's t_a,
@@ -129,38 +127,40 @@ class _State(DenseState):
         sums = pairs @ np.stack([of_tt, of_p]).reshape(2, 1, count, -1).swapaxes(-1, -2)
         return of_q + symmetrised(np.asarray(sums.sum(axis=0)))
 
-    def _pressure_of(self, growth: Array) -> Array:
+    def _pressure_of(self, growth: np.ndarray) -> np.ndarray:
         """Return the pressure of J - 1, shape (..., cells, points), times the weights."""
         projected = self.first_lame * weighted(growth, self.weights, self.modes)
         return projected + self._local_pressure_of(growth)
 
-    def _local_pressure_of(self, growth: Array) -> Array:
+    def _local_pressure_of(self, growth: np.ndarray) -> np.ndarray:
         """Return the part of `_pressure_of` that is not projected."""
         return 2.0 / 3.0 * self.shear * self.weights * growth
 
-    def _along(self, strain: Array) -> Array:
+    def _along(self, strain: np.ndarray) -> np.ndarray:
         """Return the change of ln J along strains, tr(C^-1 E): shape (..., cells, points)."""
         return np.sum(self.inverse * strain, axis=(-2, -1))
 
-    def _sandwiched(self, strain: Array) -> Array:
+    def _sandwiched(self, strain: np.ndarray) -> np.ndarray:
         """Return C^-1 E C^-1, minus half the change of C^-1 along E: the shape of `strain`."""
         return self.inverse @ strain @ self.inverse
 
-    def _at_pressure(self, strain: Array, along: Array) -> Array:
+    def _at_pressure(self, strain: np.ndarray, along: np.ndarray) -> np.ndarray:
         """Return the change of `wS` along E while the pressure stays; `along` is `_along` of it."""
         inside = self._sandwiched(strain)
         pressed = _times(along, self.inverse) - 2.0 * inside
         deviatoric = self._deviatoric_change(strain, along, inside)
         return deviatoric + _times(self.pressure * self.J, pressed)
 
-    def _deviatoric_change(self, strain: Array, along: Array, inside: Array) -> Array:
+    def _deviatoric_change(
+        self, strain: np.ndarray, along: np.ndarray, inside: np.ndarray
+    ) -> np.ndarray:
         """Return the change along E of `deviatoric`, by `_along` and `_sandwiched` of E."""
         trace = np.trace(strain, axis1=-2, axis2=-1)
         deviatoric = _times(self.mean_C, inside) - _times(along / 3.0, np.eye(3))
         deviatoric += _times(self.mean_C * along / 3.0 - trace / 3.0, self.inverse)
         return 2.0 * _times(self.scale, deviatoric)
 
-    def moduli(self) -> Array:
+    def moduli(self) -> np.ndarray:
         strains = np.broadcast_to(UNIT_STRAINS[:, None, None], (6, *self.E.shape))
         # A projected pressure has no modulus at a point: see `tangent`.
         pressure_of = self._pressure_of if self.modes is None else self._local_pressure_of
@@ -169,7 +169,7 @@ class _State(DenseState):
         changes = self._at_pressure(strains, along) + _times(pressure * self.J, self.inverse)
         return np.moveaxis(changes[..., ROWS, COLUMNS], 0, -1)
 
-    def tangent(self, out: Array) -> None:
+    def tangent(self, out: np.ndarray) -> None:
         super().tangent(out)
         if self.modes is not None:
             cells, points, _, nodes = self.slopes.shape
@@ -189,6 +189,6 @@ class _State(DenseState):
         return float(np.vdot(self.weights, density) + 0.5 * np.vdot(self.pressure, self.growth))
 
 
-def _times(factor: Array, matrices: Array) -> Array:
+def _times(factor: np.ndarray, matrices: np.ndarray) -> np.ndarray:
     """Multiply matrices, shape (..., 3, 3), by numbers, shape (...)."""
     return factor[..., None, None] * matrices

@@ -24,15 +24,13 @@ from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.mesh import CellBlock
 from wrenchbook.fea.mesh.reference_cell import reference_element
 
-Array = np.ndarray
-
 NEARLY_INCOMPRESSIBLE = 0.4
 """Poisson's ratio above which the volumetric strain is projected."""
 
 PRESSURES = {"hex20": 4, "hex27": 4}
 """Kinds of cells that project, and their number of pressure functions: 1 and the coordinates."""
 
-ROUNDING = 1e-9
+_ROUNDOFF = 1e-9
 """Rounding of a Poisson's ratio: a computed ratio of 0.49 is still at its limit."""
 
 LARGEST_RATIO = {
@@ -55,13 +53,13 @@ singular), hex20 by 10 % with the projection, and full integration of any kind b
 """
 
 
-def require_no_locking(block: CellBlock, poisson: Array) -> None:
+def require_no_locking(block: CellBlock, poisson: np.ndarray) -> None:
     """Refuse cells that would lock, by their Poisson's ratios, shape (cells,), dimensionless.
 
     Raises SolveFailed of kind ``locking_material`` if a cell would lock.
     """
     limit = LARGEST_RATIO[block.kind]
-    bad = poisson > limit + ROUNDING
+    bad = poisson > limit + _ROUNDOFF
     if bad.any():
         raise SolveFailed(
             "locking_material",
@@ -70,12 +68,12 @@ def require_no_locking(block: CellBlock, poisson: Array) -> None:
         )
 
 
-def projects(block: CellBlock, poisson: Array) -> Array:
+def projects(block: CellBlock, poisson: np.ndarray) -> np.ndarray:
     """Return for each cell whether its volumetric strain is projected, shape (cells,), bool.
 
     Poisson's ratios have shape (cells,) and are dimensionless.
     """
-    return (poisson > NEARLY_INCOMPRESSIBLE + ROUNDING) & (block.kind in PRESSURES)
+    return (poisson > NEARLY_INCOMPRESSIBLE + _ROUNDOFF) & (block.kind in PRESSURES)
 
 
 def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:
@@ -90,7 +88,9 @@ def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:
     )
 
 
-def volume_modes(points: Array, block: CellBlock, weights: Array, integration: str) -> Array:
+def volume_modes(
+    points: np.ndarray, block: CellBlock, weights: np.ndarray, integration: str
+) -> np.ndarray:
     """Return the functions onto which the volumetric strain of each cell is projected.
 
     points: shape (n, 3), m.

@@ -24,35 +24,33 @@ from wrenchbook.fea.element.cell_state import UNIT_STRAINS, CellState, DenseStat
 from wrenchbook.fea.element.cell_stiffness import CellStiffness
 from wrenchbook.fea.tensors import COLUMNS, ROWS
 
-Array = np.ndarray
-
 
 @dataclass(frozen=True, eq=False)
 class IsotropicStiffness(CellStiffness):
     """Isotropic cells of one block."""
 
     # first_lame, shear: shape (cells,), Pa: lambda and mu
-    first_lame: Array
-    shear: Array
+    first_lame: np.ndarray
+    shear: np.ndarray
     # Shape (cells, points, modes), m^1.5: orthonormal functions onto which the volumetric strain is
     # projected, times the weights; None without projection.
-    volume_modes: Array | None = None
+    volume_modes: np.ndarray | None = None
 
     @property
     def projected(self) -> bool:
         """Whether the volumetric strain is projected."""
         return self.volume_modes is not None
 
-    def state(self, part: Which, displacement: Array | None) -> CellState:
+    def state(self, part: Which, displacement: np.ndarray | None) -> CellState:
         """Return strains and stresses; `displacement` has shape (cells, 3, nodes), m."""
         return _State(self, part, displacement)
 
-    def stretched(self, stretch: Array) -> IsotropicStiffness:
+    def stretched(self, stretch: np.ndarray) -> IsotropicStiffness:
         """Return the cells after a stress-free stretch (cells, 3, 3), equal in all directions."""
         factor = stretch[:, 0, 0]
         return replace(self, first_lame=self.first_lame / factor, shear=self.shear / factor)
 
-    def small_stress(self, strain: Array, part: Which) -> Array:
+    def small_stress(self, strain: np.ndarray, part: Which) -> np.ndarray:
         """Return weighted stresses, Pa times m^3, of strains: shape (k, cells, points, 3, 3)."""
         weights = self.gradients.weights[part]
         stress = (2 * weights * self.shear[part, None])[..., None, None] * strain
@@ -61,7 +59,7 @@ class IsotropicStiffness(CellStiffness):
         stress += volumetric[..., None, None] * np.eye(3)
         return stress
 
-    def modes_of(self, part: Which) -> Array | None:
+    def modes_of(self, part: Which) -> np.ndarray | None:
         """Return the volume modes of a few cells, shape (cells, points, modes), m^1.5."""
         return None if self.volume_modes is None else self.volume_modes[part]
 
@@ -69,7 +67,9 @@ class IsotropicStiffness(CellStiffness):
 class _State(CellState):
     """Strains and stresses of a few cells at one displacement (None: undeformed)."""
 
-    def __init__(self, cells: IsotropicStiffness, part: Which, displacement: Array | None) -> None:
+    def __init__(
+        self, cells: IsotropicStiffness, part: Which, displacement: np.ndarray | None
+    ) -> None:
         super().__init__(cells.gradients, part, displacement, cells.thermal_strain(part))
         self.first_lame = cells.first_lame[part, None]
         self.shear = cells.shear[part, None]
@@ -77,13 +77,13 @@ class _State(CellState):
         if displacement is not None:
             self.wS = self.weighted_change(self.elastic(self.E))
 
-    def weighted_change(self, strain: Array) -> Array:
+    def weighted_change(self, strain: np.ndarray) -> np.ndarray:
         trace = np.trace(strain, axis1=-2, axis2=-1)
         volumetric = self.first_lame * weighted(trace, self.weights, self.modes)
         shear = 2 * self.weights * self.shear
         return volumetric[..., None, None] * np.eye(3) + shear[..., None, None] * strain
 
-    def tangent(self, out: Array) -> None:
+    def tangent(self, out: np.ndarray) -> None:
         cells, points, _, nodes = self.slopes.shape
         size = 3 * nodes
         g = (self.slopes if self.undeformed else self.F @ self.slopes).reshape(cells, points, size)
@@ -95,7 +95,7 @@ class _State(CellState):
         K += gram.swapaxes(1, 3)
         K += self._shear_and_stress().transpose(0, 1, 3, 2, 4)
 
-    def _shear_and_stress(self) -> Array:
+    def _shear_and_stress(self) -> np.ndarray:
         """Integrate mu (F F^T)_ik dN_a . dN_b + delta_ik dN_a . S dN_b as (cells, i, k, a, b)."""
         cells, points, _, nodes = self.slopes.shape
         stacked = self.slopes.reshape(cells, 3 * points, nodes)
@@ -115,7 +115,7 @@ class _State(CellState):
         return total
 
 
-def weighted(trace: Array, weights: Array, modes: Array | None) -> Array:
+def weighted(trace: np.ndarray, weights: np.ndarray, modes: np.ndarray | None) -> np.ndarray:
     """Return weights times the trace, or its projection, m^3: shape (..., cells, points)."""
     if modes is None:
         return weights * trace
@@ -123,7 +123,7 @@ def weighted(trace: Array, weights: Array, modes: Array | None) -> Array:
     return (modes @ parts)[..., 0]
 
 
-def projected_gram(modes: Array, g: Array) -> Array:
+def projected_gram(modes: np.ndarray, g: np.ndarray) -> np.ndarray:
     """Integrate the products of the projected volumetric strains of unit displacements.
 
     Shapes (cells, points, modes), m^1.5, and (cells, points, size), 1/m: (cells, size, size), m.
@@ -141,13 +141,13 @@ class OrthotropicStiffness(CellStiffness):
 
     # Shape (cells, points or 1, 6, 6), Pa: stresses (xx, yy, zz, xy, xz, yz) by strains, the shears
     # 2 E_ij, in the axes of the mesh.
-    elasticity: Array
+    elasticity: np.ndarray
 
-    def state(self, part: Which, displacement: Array | None) -> CellState:
+    def state(self, part: Which, displacement: np.ndarray | None) -> CellState:
         """Return strains and stresses; `displacement` has shape (cells, 3, nodes), m."""
         return _OrthotropicState(self, part, displacement)
 
-    def stretched(self, stretch: Array) -> OrthotropicStiffness:
+    def stretched(self, stretch: np.ndarray) -> OrthotropicStiffness:
         """Return the cells after a stress-free stretch, shape (cells, 3, 3)."""
         inverse = np.linalg.inv(stretch)[:, None]
         strains = (inverse @ UNIT_STRAINS @ inverse)[..., ROWS, COLUMNS] * _SHEARS_TWICE
@@ -155,11 +155,11 @@ class OrthotropicStiffness(CellStiffness):
         elasticity = strains @ self.elasticity @ strains.swapaxes(2, 3)
         return replace(self, elasticity=np.linalg.det(stretch)[:, None, None, None] * elasticity)
 
-    def small_stress(self, strain: Array, part: Which) -> Array:
+    def small_stress(self, strain: np.ndarray, part: Which) -> np.ndarray:
         """Return weighted stresses, Pa times m^3, of strains: shape (k, cells, points, 3, 3)."""
         return _stress(self._weighted(part), strain)
 
-    def _weighted(self, part: Which) -> Array:
+    def _weighted(self, part: Which) -> np.ndarray:
         """Return elasticities times weights, shape (cells, points, 6, 6), Pa times m^3."""
         return self.elasticity[part] * self.gradients.weights[part][..., None, None]
 
@@ -167,20 +167,20 @@ class OrthotropicStiffness(CellStiffness):
 class _OrthotropicState(DenseState):
     """Strains and stresses of a few orthotropic cells at one displacement."""
 
-    def __init__(self, cells: OrthotropicStiffness, part: Which, displacement: Array | None):
+    def __init__(self, cells: OrthotropicStiffness, part: Which, displacement: np.ndarray | None):
         super().__init__(cells.gradients, part, displacement, cells.thermal_strain(part))
         self._moduli = cells._weighted(part)
         if displacement is not None:
             self.wS = self.weighted_change(self.elastic(self.E))
 
-    def weighted_change(self, strain: Array) -> Array:
+    def weighted_change(self, strain: np.ndarray) -> np.ndarray:
         return _stress(self._moduli, strain)
 
-    def moduli(self) -> Array:
+    def moduli(self) -> np.ndarray:
         return self._moduli
 
 
-def turned_elasticity(elasticity: Array, directions: Array) -> Array:
+def turned_elasticity(elasticity: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Return an elasticity in other axes.
 
     elasticity: shape (6, 6), Pa: in the material's directions, as in `OrthotropicStiffness`.
@@ -193,7 +193,7 @@ def turned_elasticity(elasticity: Array, directions: Array) -> Array:
     return np.ascontiguousarray(back[..., ROWS, COLUMNS].swapaxes(-1, -2))
 
 
-def _stress(elasticity: Array, strain: Array) -> Array:
+def _stress(elasticity: np.ndarray, strain: np.ndarray) -> np.ndarray:
     """Return C : E, shapes (..., 6, 6) and (..., 3, 3)."""
     six = strain[..., ROWS, COLUMNS] * _SHEARS_TWICE
     stress = (elasticity @ six[..., None])[..., 0]

@@ -1,1 +1,1 @@
-"""Exports: VTK states, CalculiX decks, records of failures."""
+"""Exports: CalculiX decks, reduced parts, records of failed solves with their last state."""

@@ -12,28 +12,22 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import assert_never
 
 import numpy as np
 
-from wrenchbook.fea.bundle.read import BundleError, bundle_of, read_bundle
+from wrenchbook.fea.bundle.read import FILE_NAME, BundleError, bundle_in
 from wrenchbook.fea.component import AttachedInterface, ComponentModel, build
 from wrenchbook.fea.mesh.io.translated import rows_of
 from wrenchbook.fea.spec.material import Orthotropic
 from wrenchbook.fea.spec.problems import BundleProblem
-from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, TEMPERATURE
-
-Array = np.ndarray
-
-PLACEHOLDERS = ("$FX", "$FY", "$FZ", "$MX", "$MY", "$MZ")
-"""Placeholders of the wrench, in the order of the wrench contract."""
+from wrenchbook.fea.spec.schema import ACCELERATIONS, FREEDOMS, PLACEHOLDERS, TEMPERATURE
 
 # Their nodes are in the same order as those of `fea.mesh.mesh`.
 _ELEMENTS = {"hex20": "C3D20R", "tet10": "C3D10", "wedge15": "C3D15"}
-_ZERO = 1e-12  # component of a unit vector; smaller ones are roundoff
+_MIN_COMPONENT = 1e-12  # component of a unit vector; smaller ones are roundoff
 
 # CalculiX halves increments that are too large. Its default tolerance leaves errors of up to 5e-3
 # in small rotations.
@@ -154,7 +148,7 @@ def _springs(component: ComponentModel) -> Iterator[str]:
             for end, sign in zip(ends, signs, strict=True):
                 for freedom, x in enumerate(sign * (motion @ rotation)):
                     half, axis = divmod(freedom, 3)  # half 1: the frame's second node, of rotations
-                    if abs(x) > _ZERO:
+                    if abs(x) > _MIN_COMPONENT:
                         terms.append((first + 2 * end + half, axis + 1, x))
             yield f"*NODE\n{node}, {at}\n*BOUNDARY\n{node}, 2, 3"
             yield from _equation([(node, 1, -1.0), *terms])
@@ -228,13 +222,14 @@ def _sliding(component: ComponentModel) -> Iterator[str]:
         dependent = np.argsort(-np.diagonal(projector))[:held_count]
         rows = np.linalg.solve(projector[np.ix_(dependent, dependent)], projector[dependent])
         for axis, row in zip(dependent, rows, strict=True):
-            others = [i for i in range(3) if i not in dependent and abs(row[i]) > _ZERO]
-            terms = [f"{node}, {i + 1}, {_numbers([row[i]])}" for i in (axis, *others)]
-            equation = f"*EQUATION\n{len(terms)}\n" + ", ".join(terms)
-            yield equation if others else f"*BOUNDARY\n{node}, {axis + 1}"
+            others = [i for i in range(3) if i not in dependent and abs(row[i]) > _MIN_COMPONENT]
+            if others:
+                yield from _equation([(node, i + 1, row[i]) for i in (axis, *others)])
+            else:
+                yield f"*BOUNDARY\n{node}, {axis + 1}"
 
 
-def _orientation(number: int, orthotropic: Orthotropic, axes: Array) -> Iterator[str]:
+def _orientation(number: int, orthotropic: Orthotropic, axes: np.ndarray) -> Iterator[str]:
     """Yield directions by a point on x and a point on y, or by two points of a cylinder's axis."""
     if orthotropic.cylinder is not None:
         cylinder = orthotropic.cylinder
@@ -350,17 +345,12 @@ def main(arguments: list[str] | None = None) -> int:
     )
     path = parser.parse_args(arguments).bundle
     try:
-        if path.is_dir():
-            bundle = read_bundle(path)
-        else:
-            bundle = bundle_of(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
-        component = build(bundle)
+        component = build(bundle_in(path / FILE_NAME if path.is_dir() else path))
         origin = f"Made by: python -m wrenchbook.fea.export.calculix {path.name}"
         units = "Metres, newtons, pascals; the axes are those of the interface frame."
         sys.stdout.write(deck_of(component, (component.bundle.title, origin, units)))
-    except (BundleError, OSError, tomllib.TOMLDecodeError) as error:
-        place = "" if isinstance(error, BundleError) else f"{path}: "
-        print(f"{place}{error}", file=sys.stderr)
+    except BundleError as error:
+        print(error, file=sys.stderr)
         return 1
     return 0
 

@@ -16,8 +16,6 @@ from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.io.read import MESHIO_KINDS
 
-Array = np.ndarray
-
 HISTORY, LAST_STATE = "history.json", "last_state.vtu"  # files in the attempt's folder
 _COLUMNS = ("load_factor", "iteration", "residual_norm")  # fields of each iteration of the history
 _NAMES = {kind: name for name, kind in MESHIO_KINDS.items()}
@@ -67,7 +65,7 @@ def _write(path: Path, write: Callable[[Path], None]) -> None:
         )
 
 
-def write_state(path: Path, component: ComponentModel, displacements: Array) -> None:
+def write_state(path: Path, component: ComponentModel, displacements: np.ndarray) -> None:
     """Write the undeformed mesh with a displacement at each point.
 
     path: ends in ``.vtu``.

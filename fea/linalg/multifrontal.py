@@ -16,6 +16,7 @@ memory together.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from bisect import bisect_right
 from collections.abc import Callable
 from functools import cached_property, partial
@@ -29,8 +30,6 @@ from threadpoolctl import ThreadpoolController
 
 from wrenchbook.fea.linalg.nested_dissection import Dissection, Substructure
 
-Array = np.ndarray
-
 _BLAS = ("trsm", "syrk")
 _LAPACK = ("potrf", "trttf", "tfsm")
 _ROUTINES: dict[Any, Any] = {  # by precision and name
@@ -43,7 +42,7 @@ _getrf, _getrs = get_lapack_funcs(("getrf", "getrs"), dtype=np.float64)
 # Fronts of up to 3,500 unknowns take twice the time with two threads of BLAS.
 _ONE_THREAD = ThreadpoolController().wrap(limits=1, user_api="blas")
 
-Leaf = Callable[[int], Array]
+Leaf = Callable[[int], np.ndarray]
 """Returns the matrix of a leaf by its index, its unknowns in the order of the substructure's."""
 
 _WIDTH = 256
@@ -61,9 +60,9 @@ class Condensed(NamedTuple):
 
     starts: list[int]  # first unknown of each block column, and after the last
     # For each block column from a to b of n unknowns, shape (n - a, b - a), in Fortran's order
-    blocks: list[Array]
+    blocks: list[np.ndarray]
 
-    def holding(self, unknown: int) -> tuple[int, Array]:
+    def holding(self, unknown: int) -> tuple[int, np.ndarray]:
         """Return the start of an unknown's block column, and the column: (n - a, b - a), N/m."""
         column = bisect_right(self.starts, unknown) - 1
         return self.starts[column], self.blocks[column]
@@ -80,7 +79,9 @@ class _Stretch(NamedTuple):
 class Route(NamedTuple):
     """Destination of a child's condensed stiffness in its parent."""
 
-    indices: Array  # shape (n,), ascending: of the child's unknowns among the m + b of the parent
+    indices: (
+        np.ndarray
+    )  # shape (n,), ascending: of the child's unknowns among the m + b of the parent
     pivots: int  # number of these unknowns that the parent eliminates
     stretches: list[_Stretch]  # in ascending order
 
@@ -91,7 +92,9 @@ def columns_of(unknowns: int) -> list[int]:
     return [unknowns * i // count for i in range(count + 1)]
 
 
-def products(left: Array, right: Array, square: Callable[[Array], Array] | None) -> Condensed:
+def products(
+    left: np.ndarray, right: np.ndarray, square: Callable[[np.ndarray], np.ndarray] | None
+) -> Condensed:
     """Return the lower triangle of left^T right, which is symmetric.
 
     left, right: shape (m, n): N^0.5/m^0.5 both, or N/m and dimensionless; in Fortran's order.
@@ -114,13 +117,13 @@ def products(left: Array, right: Array, square: Callable[[Array], Array] | None)
     return Condensed(starts, blocks)
 
 
-def add_leaf(target: Condensed, matrix: Array) -> None:
+def add_leaf(target: Condensed, matrix: np.ndarray) -> None:
     """Subtract a leaf's stiffness of its boundary, shape (n, n), N/m, from minus the condensed."""
     for (a, b), block in zip(pairwise(target.starts), target.blocks, strict=True):
         block -= matrix[a:, a:b]
 
 
-def route(part: Condensed, indices: Array, eliminated: int, boundary: int) -> Route:
+def route(part: Condensed, indices: np.ndarray, eliminated: int, boundary: int) -> Route:
     """Return the route of a child whose unknowns have the `indices`, shape (n,), in its parent.
 
     `eliminated` and `boundary` are the parent's numbers m and b of unknowns.
@@ -136,7 +139,7 @@ def route(part: Condensed, indices: Array, eliminated: int, boundary: int) -> Ro
     return Route(indices, pivots, list(map(_Stretch, ordered, ordered[1:], firsts)))
 
 
-def add_to_pivots(A: Array, B: Array, part: Condensed, way: Route) -> None:
+def add_to_pivots(A: np.ndarray, B: np.ndarray, part: Condensed, way: Route) -> None:
     """Add a child's condensed stiffness to the rows of the pivots.
 
     It is added by stretches of columns, whose rows in A may have gaps: stretches in both directions
@@ -231,7 +234,7 @@ class MultifrontalFactor:
         return 0 if self.definite else sum(front.negatives for front in self._fronts)
 
     @_ONE_THREAD
-    def solve(self, loads: Array) -> Array:
+    def solve(self, loads: np.ndarray) -> np.ndarray:
         """Solve for several load cases.
 
         loads: shape (unknowns, k), N, in the order of elimination.
@@ -242,15 +245,37 @@ class MultifrontalFactor:
         x = np.array(loads / scale, dtype=np.float32 if self._single else float, order="C")
         fronts = list(zip(self._dissection.substructures, self._fronts, strict=True))
         for part, front in fronts:
-            if part.eliminated:
-                front.forward(x, part)
+            front.forward(x, part)
         for part, front in reversed(fronts):
-            if part.eliminated:
-                front.backward(x, part)
+            front.backward(x, part)
         return x * scale
 
 
-class _CholeskyFront:
+class _Front(ABC):
+    """The eliminated unknowns of one substructure, m of them, by its boundary of b."""
+
+    __slots__ = ()
+    pivots: np.ndarray  # shape (m,), N/m: sizes of the pivots
+
+    @property
+    def negatives(self) -> int:
+        """Number of negative eigenvalues of the pivot block."""
+        return 0
+
+    @abstractmethod
+    def products(self) -> Condensed:
+        """Return the change of the boundary's stiffness by the elimination."""
+
+    @abstractmethod
+    def forward(self, x: np.ndarray, part: Substructure) -> None:
+        """Eliminate the unknowns from loads, shape (unknowns, k), in place."""
+
+    @abstractmethod
+    def backward(self, x: np.ndarray, part: Substructure) -> None:
+        """Replace the unknowns' loads by displacements, those of the boundary known, in place."""
+
+
+class _CholeskyFront(_Front):
     """L and W of one substructure; L packed into a rectangle of half its square.
 
     The packed form is LAPACK's (Gustavson, Wasniewski, Dongarra and Langou 2010), which solves with
@@ -259,7 +284,7 @@ class _CholeskyFront:
 
     __slots__ = ("L", "W", "pivots")
 
-    def __init__(self, A: Array, B: Array) -> None:
+    def __init__(self, A: np.ndarray, B: np.ndarray) -> None:
         routines = _ROUTINES[A.dtype]
         L, info = routines["potrf"](A, lower=1, clean=0, overwrite_a=1)
         if info:
@@ -271,18 +296,17 @@ class _CholeskyFront:
         self.L, _ = routines["trttf"](L, uplo="L")
 
     def products(self) -> Condensed:
-        """Return the change of the boundary's stiffness by the elimination."""
         syrk = _ROUTINES[self.W.dtype]["syrk"]
         return products(self.W, self.W, partial(syrk, 1.0, trans=1, lower=1))
 
-    def forward(self, x: Array, part: Substructure) -> None:
+    def forward(self, x: np.ndarray, part: Substructure) -> None:
         rows = slice(part.start, part.stop)
         y = _ROUTINES[x.dtype]["tfsm"](1.0, self.L, x[rows], uplo="L")
         x[rows] = y
         if part.boundary.size:
             x[part.boundary] -= self.W.T @ y
 
-    def backward(self, x: Array, part: Substructure) -> None:
+    def backward(self, x: np.ndarray, part: Substructure) -> None:
         rows = slice(part.start, part.stop)
         y = x[rows]
         if part.boundary.size:
@@ -290,18 +314,19 @@ class _CholeskyFront:
         x[rows] = _ROUTINES[x.dtype]["tfsm"](1.0, self.L, y, uplo="L", trans="T")
 
 
-class _LUFront:
+class _LUFront(_Front):
     """LU of the pivot block and A^-1 B of one substructure."""
 
-    __slots__ = ("A", "B", "W", "lu", "swaps")
+    __slots__ = ("A", "B", "W", "lu", "pivots", "swaps")
 
-    def __init__(self, A: Array, B: Array) -> None:
+    def __init__(self, A: np.ndarray, B: np.ndarray) -> None:
         self.A = A = np.tril(A) + np.tril(A, -1).T
         self.lu, self.swaps, info = _getrf(A)
         if info > 0:  # exactly singular: the factor only serves to name the node
-            pivots = np.einsum("ii->i", self.lu)
+            diagonal = np.einsum("ii->i", self.lu)
             # Smaller than any roundoff, but its inverse does not overflow.
-            pivots[pivots == 0] = np.finfo(float).eps ** 2 * np.abs(A).max()
+            diagonal[diagonal == 0] = np.finfo(float).eps ** 2 * np.abs(A).max()
+        self.pivots = np.abs(np.diagonal(self.lu))
         self.B = B
         self.W = _getrs(self.lu, self.swaps, B)[0] if B.size else B
 
@@ -311,19 +336,15 @@ class _LUFront:
         return product
 
     @property
-    def pivots(self) -> Array:
-        return np.abs(np.diagonal(self.lu))
-
-    @property
     def negatives(self) -> int:
         return int((np.linalg.eigvalsh(self.A) < 0).sum())
 
-    def forward(self, x: Array, part: Substructure) -> None:
+    def forward(self, x: np.ndarray, part: Substructure) -> None:
         rows = slice(part.start, part.stop)
         if part.boundary.size:
             x[part.boundary] -= self.W.T @ x[rows]
 
-    def backward(self, x: Array, part: Substructure) -> None:
+    def backward(self, x: np.ndarray, part: Substructure) -> None:
         rows = slice(part.start, part.stop)
         y = _getrs(self.lu, self.swaps, x[rows])[0]
         if part.boundary.size:
@@ -331,11 +352,36 @@ class _LUFront:
         x[rows] = y
 
 
-def _eliminate(dissection: Dissection, leaf: Leaf, kind: type, single: bool = False) -> Any:
-    """Factorise front by front; return the fronts, and the diagonal of the matrix."""
+_Kind = type[_CholeskyFront] | type[_LUFront]
+
+
+class _EmptyFront(_Front):
+    """A front without eliminated unknowns."""
+
+    __slots__ = ("_boundary",)
+    pivots = np.empty(0)
+
+    def __init__(self, boundary: int) -> None:
+        self._boundary = boundary
+
+    def products(self) -> Condensed:
+        none = np.empty((0, self._boundary), order="F")
+        return products(none, none, None)
+
+    def forward(self, x: np.ndarray, part: Substructure) -> None:
+        pass
+
+    def backward(self, x: np.ndarray, part: Substructure) -> None:
+        pass
+
+
+def _eliminate(
+    dissection: Dissection, leaf: Leaf, kind: _Kind, single: bool = False
+) -> tuple[list[_Front], np.ndarray]:
+    """Factorise front by front; return the fronts, and the diagonal of the matrix, (unknowns,)."""
     diagonal = np.zeros(dissection.unknowns)
     dtype = np.float32 if single else np.float64
-    fronts: list = []
+    fronts: list[_Front] = []
     condensed: dict[int, Condensed] = {}
     for number, part in enumerate(dissection.substructures):
         if part.children:
@@ -353,25 +399,12 @@ def _eliminate(dissection: Dissection, leaf: Leaf, kind: type, single: bool = Fa
     return fronts, diagonal
 
 
-class _EmptyFront:
-    """A front without eliminated unknowns."""
-
-    pivots = np.empty(0)
-    negatives = 0
-
-    def __init__(self, boundary: int) -> None:
-        self._none = np.empty((0, boundary), order="F")
-
-    def products(self) -> Condensed:
-        return products(self._none, self._none, None)
-
-
-def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed]:
+def _leaf(part: Substructure, matrix: np.ndarray, kind: _Kind) -> tuple[_Front, Condensed]:
     """Return the front of a leaf and its condensed stiffness."""
     pivots = slice(0, part.eliminated)
     boundary = slice(part.eliminated, None)
     matrix = matrix.T  # symmetric; columns then are contiguous as in a front
-    front = _EmptyFront(part.boundary.size)
+    front: _Front = _EmptyFront(part.boundary.size)
     if part.eliminated:
         front = kind(
             matrix[pivots, pivots].copy(order="F"), matrix[pivots, boundary].copy(order="F")
@@ -382,15 +415,15 @@ def _leaf(part: Substructure, matrix: Array, kind: type) -> tuple[Any, Condensed
 
 
 def _branch(
-    part: Substructure, condensed: dict[int, Condensed], kind: type, dtype: Any
-) -> tuple[Any, Condensed]:
+    part: Substructure, condensed: dict[int, Condensed], kind: _Kind, dtype: type[np.floating]
+) -> tuple[_Front, Condensed]:
     """Return a branch's front and condensed stiffness; delete those of its children."""
     eliminated, boundary = part.eliminated, part.boundary.size
     ways = [
         route(condensed[child], indices, eliminated, boundary)
         for child, indices in zip(part.children, part.indices, strict=True)
     ]
-    front = _EmptyFront(boundary)
+    front: _Front = _EmptyFront(boundary)
     if eliminated:
         A = np.zeros((eliminated, eliminated), order="F", dtype=dtype)
         B = np.zeros((eliminated, boundary), order="F", dtype=dtype)

@@ -24,8 +24,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-Array = np.ndarray
-
 _LEAF_NODES = 256
 """Number of nodes of a leaf, summed over its cells: 12 hex20 or 25 tet10.
 
@@ -58,11 +56,11 @@ _DIAGONALS = np.array(
 class Incidence(NamedTuple):
     """Pairs of nodes and cells, sorted by node; shape (k,) each, indices."""
 
-    nodes: Array
-    cells: Array
+    nodes: np.ndarray
+    cells: np.ndarray
 
 
-def incidence(cells: list[Array], free: Array) -> Incidence:
+def incidence(cells: list[np.ndarray], free: np.ndarray) -> Incidence:
     """Return the incidence of all cells and free nodes.
 
     cells: the nodes of each cell, indices.
@@ -82,11 +80,11 @@ class Cutter:
     centres: shape (cells, 3), m: where each cell is.
     """
 
-    def __init__(self, centres: Array) -> None:
+    def __init__(self, centres: np.ndarray) -> None:
         self._centres = centres
         self._rank = np.empty(len(centres), dtype=np.int64)
 
-    def halves(self, cells: Array, pairs: Incidence) -> list[tuple[Array, Incidence]]:
+    def halves(self, cells: np.ndarray, pairs: Incidence) -> list[tuple[np.ndarray, Incidence]]:
         """Return two sets of cells, each with its incidence.
 
         cells: shape (c,), int64: numbers of at least two cells, dimensionless.
@@ -100,7 +98,7 @@ class Cutter:
             for half, part in ((~beyond, ~side), (beyond, side))
         ]
 
-    def _best(self, cells: Array, pairs: Incidence) -> Array:
+    def _best(self, cells: np.ndarray, pairs: Incidence) -> np.ndarray:
         """Return which cells lie beyond the cheapest cut, shape (c,), bool."""
         count = cells.size
         centres = self._centres[cells]
@@ -132,7 +130,7 @@ class Cutter:
         return chosen
 
 
-def _directions(centres: Array) -> Array:
+def _directions(centres: np.ndarray) -> np.ndarray:
     """Return unit directions to cut across, shape (k, 3), of cells at centres, shape (c, 3)."""
     if len(centres) <= _FEW_CELLS:
         return _AXES
@@ -143,7 +141,7 @@ def _directions(centres: Array) -> Array:
     return np.concatenate([_AXES, principal, _DIAGONALS])
 
 
-def _on_both_sides(ranks: Array, starts: Array, count: int) -> Array:
+def _on_both_sides(ranks: np.ndarray, starts: np.ndarray, count: int) -> np.ndarray:
     """Return the number of nodes on both sides of a cut before each rank, shape (count + 1,)."""
     if not starts.size:
         return np.zeros(count + 1, dtype=np.int64)
@@ -158,24 +156,24 @@ def _on_both_sides(ranks: Array, starts: Array, count: int) -> Array:
 class Substructure:
     """One node of the tree. Positions are indices of unknowns in the order of elimination."""
 
-    cells: Array  # shape (c,), int64: indices of the cells of a leaf; empty for a branch
+    cells: np.ndarray  # shape (c,), int64: indices of the cells of a leaf; empty for a branch
     # Indices of the two children in `Dissection.substructures`; empty for a leaf
     children: tuple[int, ...]
     # start, stop: the eliminated unknowns are the positions start .. stop - 1
     start: int = 0
     stop: int = 0
     # Shape (b,), int64: ascending positions of the unknowns handed on to the parent
-    boundary: Array = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    boundary: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     # For each child, shape (b of the child,), int64: indices of its boundary among this part's
     # unknowns (eliminated first, then the boundary).
-    indices: tuple[Array, ...] = ()
+    indices: tuple[np.ndarray, ...] = ()
 
     @property
     def eliminated(self) -> int:
         """The number of unknowns that are eliminated in this node."""
         return self.stop - self.start
 
-    def find(self, positions: Array) -> Array:
+    def find(self, positions: np.ndarray) -> np.ndarray:
         """Return the indices of positions among the unknowns of this substructure.
 
         Positions and result have the same shape.
@@ -193,9 +191,9 @@ class Dissection:
     """The tree in the order of elimination, children before parents."""
 
     substructures: tuple[Substructure, ...]  # all nodes of the tree
-    nodes: Array  # shape (free nodes,): indices of mesh nodes in the order of elimination
+    nodes: np.ndarray  # shape (free nodes,): indices of mesh nodes in the order of elimination
     # Shape (mesh nodes,): index of each mesh node in that order, -1 for nodes that are not free
-    positions: Array
+    positions: np.ndarray
 
     @property
     def unknowns(self) -> int:
@@ -209,7 +207,7 @@ class Dissection:
         return sum(m * m // 2 + m * b for m, b in sizes)
 
 
-def dissect(cells: list[Array], centres: Array, free: Array) -> Dissection:
+def dissect(cells: list[np.ndarray], centres: np.ndarray, free: np.ndarray) -> Dissection:
     """Cut a mesh into nested substructures.
 
     centres: shape (cells, 3), m: where each cell is.
@@ -223,7 +221,7 @@ def dissect(cells: list[Array], centres: Array, free: Array) -> Dissection:
 class _Builder:
     """Collects substructures bottom up: first their nodes, then positions when all are known."""
 
-    def __init__(self, cells: list[Array], free: Array, cutter: Cutter) -> None:
+    def __init__(self, cells: list[np.ndarray], free: np.ndarray, cutter: Cutter) -> None:
         self.cells = cells
         self.cutter = cutter
         self.sizes = np.array([len(nodes) for nodes in cells], dtype=np.int64)
@@ -232,10 +230,10 @@ class _Builder:
         every = np.concatenate([np.empty(0, dtype=np.int64), *cells])
         self.uses = np.bincount(every, minlength=free.size)
         self.parts: list[Substructure] = []
-        self.eliminated: list[Array] = []
-        self.boundaries: list[Array] = []
+        self.eliminated: list[np.ndarray] = []
+        self.boundaries: list[np.ndarray] = []
 
-    def cut(self, cells: Array, pairs: Incidence) -> tuple[int, Array, Array]:
+    def cut(self, cells: np.ndarray, pairs: Incidence) -> tuple[int, np.ndarray, np.ndarray]:
         """Add the tree over `cells`; return its number, boundary nodes and their uses in it."""
         if cells.size <= 1 or self.sizes[cells].sum() <= _LEAF_NODES:
             nodes = np.concatenate([self.cells[c] for c in cells]) if cells.size else cells
@@ -251,8 +249,8 @@ class _Builder:
         )
 
     def _add(
-        self, cells: Array, children: tuple[int, ...], nodes: Array, uses: Array
-    ) -> tuple[int, Array, Array]:
+        self, cells: np.ndarray, children: tuple[int, ...], nodes: np.ndarray, uses: np.ndarray
+    ) -> tuple[int, np.ndarray, np.ndarray]:
         """Add a part; eliminate nodes with all `uses` in it. Return number, boundary and uses."""
         nodes, inverse = np.unique(nodes, return_inverse=True)
         uses = np.bincount(inverse, weights=uses, minlength=nodes.size).astype(np.int64)
@@ -281,6 +279,6 @@ class _Builder:
         return Dissection(tuple(self.parts), order, positions)
 
 
-def unknowns_of(nodes: Array) -> Array:
+def unknowns_of(nodes: np.ndarray) -> np.ndarray:
     """Return the three unknowns of each node or position, indices of shapes (...) to (..., 3)."""
     return 3 * nodes[..., None] + np.arange(3)

@@ -12,8 +12,6 @@ from wrenchbook.fea.mesh.mesh import Mesh, row_numbers
 from wrenchbook.fea.mesh.quality import edge_lengths
 from wrenchbook.fea.mesh.surface import connected
 
-Array = np.ndarray
-
 _COINCIDENT = 1e-2
 """Fraction of the shortest edge within which two nodes count as coincident."""
 
@@ -26,8 +24,8 @@ class Bodies:
     """Groups of cells that are connected by faces."""
 
     count: int  # number of bodies; numbered from the body with the most cells
-    cells: Array  # number of cells of each body, shape (count,), int64
-    nodes: list[Array]  # the nodes of each body, shape (k,), int64: indices, ascending
+    cells: np.ndarray  # number of cells of each body, shape (count,), int64
+    nodes: list[np.ndarray]  # the nodes of each body, shape (k,), int64: indices, ascending
 
 
 def bodies_of(mesh: Mesh) -> Bodies:
@@ -58,7 +56,7 @@ def bodies_of(mesh: Mesh) -> Bodies:
     return Bodies(count, sizes[order], np.split(nodes, cuts))
 
 
-def _faces(mesh: Mesh) -> tuple[Array, Array]:
+def _faces(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Return a face number for each face of each cell, equal for equal corners, and the cell."""
     corners = []
     owners = []
@@ -74,7 +72,7 @@ def _faces(mesh: Mesh) -> tuple[Array, Array]:
     return row_numbers(np.concatenate(corners)), np.concatenate(owners)
 
 
-def stacked_singly(mesh: Mesh) -> Array:
+def stacked_singly(mesh: Mesh) -> np.ndarray:
     """Return the middles of hex20 cells that are stacked singly, without cells at their sides.
 
     Shape (k, 3), m. Two or more cells in a row, each joined to others along one direction only, are
@@ -102,7 +100,7 @@ def stacked_singly(mesh: Mesh) -> Array:
     return np.concatenate(middles)[(times[faces_of_single] > 1).any(axis=0)]
 
 
-def coincident_nodes(mesh: Mesh) -> Array:
+def coincident_nodes(mesh: Mesh) -> np.ndarray:
     """Return pairs of coincident surface nodes that share no unknowns and do not depend on others.
 
     Shape (k, 2), int64: indices of nodes.
@@ -115,7 +113,7 @@ def coincident_nodes(mesh: Mesh) -> Array:
     return pairs if mesh.dependents is None else pairs[~mesh.dependents.among(pairs)]
 
 
-def gap(mesh: Mesh, nodes: Array, others: Array) -> float:
+def gap(mesh: Mesh, nodes: np.ndarray, others: np.ndarray) -> float:
     """Return the least distance, m, between two sets of nodes, each of shape (k,), int64."""
     tree = KDTree(mesh.points[nodes])
     return float(tree.query(mesh.points[others])[0].min())

@@ -21,8 +21,6 @@ from wrenchbook.fea.mesh.surface import connected
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import Bolt
 
-Array = np.ndarray
-
 _LEVEL = 1e-9  # part of the shank's length: a cell whose middle is in the plane is above it
 
 
@@ -32,18 +30,18 @@ class BoltCut:
 
     key: str  # key in the bundle: ``bolt[0]``
     bolt: Bolt
-    nodes: Array  # shape (k,), int64: nodes of the cut, on its lower side
+    nodes: np.ndarray  # shape (k,), int64: nodes of the cut, on its lower side
     slip: int  # the point whose displacement is the shift of the upper side against the lower
-    cells: tuple[Array, ...]  # for each block the indices of the upper cells at the cut
+    cells: tuple[np.ndarray, ...]  # for each block the indices of the upper cells at the cut
     area: float  # area of the cut, projected on the plane across the axis, m^2
 
     @property
-    def copies(self) -> Array:
+    def copies(self) -> np.ndarray:
         """The nodes of the upper side, shape (k,), in the order of `nodes`."""
         return self.slip - len(self.nodes) + np.arange(len(self.nodes))
 
     @property
-    def axis(self) -> Array:
+    def axis(self) -> np.ndarray:
         """Unit vector from the lower to the upper side, shape (3,), in the mesh's axes."""
         return np.array(self.bolt.axis)
 
@@ -88,8 +86,8 @@ def cut_bolts(
 class _Sides(NamedTuple):
     """Both sides of a cut through a shank."""
 
-    above: list[Array]  # shape (m,), bool, of each block: cells above the cut, at it
-    nodes: Array  # shape (k,), int64: nodes of the cut, sorted
+    above: list[np.ndarray]  # shape (m,), bool, of each block: cells above the cut, at it
+    nodes: np.ndarray  # shape (k,), int64: nodes of the cut, sorted
     area: float  # of the cut, projected on the plane across the axis, m^2
 
 
@@ -124,7 +122,9 @@ def _sides(mesh: Mesh, bolt: Bolt, key: str, problems: list[BundleProblem]) -> _
     return _Sides(above, nodes, float(abs(vector @ bolt.axis)))
 
 
-def _upper_cells(mesh: Mesh, shank: _Shank, heights: Array) -> tuple[list[Array], Array]:
+def _upper_cells(
+    mesh: Mesh, shank: _Shank, heights: np.ndarray
+) -> tuple[list[np.ndarray], np.ndarray]:
     """Return the cells above a cut that touch it, (m,) bool of each block, and its nodes, (k,)."""
     above = [
         inside & (heights[block.nodes].mean(axis=1) > level)
@@ -143,9 +143,9 @@ def _why_uncut(
     mesh: Mesh,
     bolt: Bolt,
     shank: _Shank,
-    heights: Array,
-    above: list[Array],
-    nodes: Array,
+    heights: np.ndarray,
+    above: list[np.ndarray],
+    nodes: np.ndarray,
     has_faces: bool,
 ) -> str:
     """Return the reason for which a shank cannot be cut at these nodes, "" if it can."""
@@ -187,11 +187,11 @@ def _why_uncut(
 class _Shank(NamedTuple):
     """Cells of a shank, and the cut through it."""
 
-    cells: list[Array]  # shape (m,), bool, of each block
-    levels: list[Array]  # shape (m,), m, of each block: height of the cut at each cell
+    cells: list[np.ndarray]  # shape (m,), bool, of each block
+    levels: list[np.ndarray]  # shape (m,), m, of each block: height of the cut at each cell
 
 
-def _of_region(mesh: Mesh, bolt: Bolt, heights: Array) -> _Shank:
+def _of_region(mesh: Mesh, bolt: Bolt, heights: np.ndarray) -> _Shank:
     """Return the region's cells, and a plane cut across the axis, by nodes' heights, (n,), m."""
     chosen = [
         np.isin(np.arange(len(block)), cells)
@@ -203,7 +203,7 @@ def _of_region(mesh: Mesh, bolt: Bolt, heights: Array) -> _Shank:
     return _Shank(chosen, [np.full(len(block), height) for block in mesh.blocks])
 
 
-def _of_group(mesh: Mesh, bolt: Bolt, heights: Array) -> _Shank:
+def _of_group(mesh: Mesh, bolt: Bolt, heights: np.ndarray) -> _Shank:
     """Return the cells at the group's facets, and the cut through the group.
 
     The height is that of the cell's own nodes in the group, which may be curved.
@@ -217,7 +217,7 @@ def _of_group(mesh: Mesh, bolt: Bolt, heights: Array) -> _Shank:
     return _Shank([touch.sum(axis=1) > 0 for touch in touched], levels)
 
 
-def _pieces(mesh: Mesh, chosen: Sequence[Array], nodes: Array) -> int:
+def _pieces(mesh: Mesh, chosen: Sequence[np.ndarray], nodes: np.ndarray) -> int:
     """Return the number of pieces of cells, (m,) bool of each block, connected by some nodes."""
     pairs = []
     first = len(mesh.points)  # indices of cells come after those of nodes
@@ -230,7 +230,7 @@ def _pieces(mesh: Mesh, chosen: Sequence[Array], nodes: Array) -> int:
     return int(connected(rows, columns, int(ends.max()) + 1).max()) + 1
 
 
-def _nodes_of(mesh: Mesh, chosen: Sequence[Array]) -> Array:
+def _nodes_of(mesh: Mesh, chosen: Sequence[np.ndarray]) -> np.ndarray:
     """Return the nodes of cells, (m,) bool of each block, sorted, (k,)."""
     parts = [block.nodes[cells].ravel() for block, cells in zip(mesh.blocks, chosen, strict=True)]
     return np.unique(np.concatenate(parts))

@@ -14,8 +14,6 @@ import numpy as np
 from wrenchbook.fea.spec.mesh_source import UNITS
 from wrenchbook.fea.spec.schema import FREEDOMS, Tie
 
-Array = np.ndarray
-
 _FORCES = {"in": 4.4482216152605, "ft": 4.4482216152605, "um": 1e-6}
 """Force unit in N of a length unit: pounds for inches and feet, micronewtons for micrometres.
 
@@ -98,9 +96,9 @@ class DeckSpring:
 
     where: str
     ends: tuple[CoupledGroup, ...]
-    stiffness: Array  # shape (6, 6), along the global axes, in the deck's units
+    stiffness: np.ndarray  # shape (6, 6), along the global axes, in the deck's units
 
-    def in_si(self, unit: str) -> Array:
+    def in_si(self, unit: str) -> np.ndarray:
         """Return the stiffness in N/m, N and N·m for the deck's length unit."""
         size = np.repeat([1.0, in_si("length", unit)], 3)
         return self.stiffness * np.outer(size, size) * in_si("force", unit) / size[3]

@@ -17,8 +17,6 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-Array = np.ndarray
-
 
 class CircularError(ValueError):
     """A node depends on itself through others; `node` is its index."""
@@ -31,9 +29,9 @@ class CircularError(ValueError):
 class Entries(NamedTuple):
     """Terms of the displacements of dependent nodes, e of them."""
 
-    nodes: Array  # shape (e,), int64: the dependent node of each term
-    masters: Array  # shape (e,), int64: the node that moves it
-    weights: Array  # shape (e,): part of the master's displacement
+    nodes: np.ndarray  # shape (e,), int64: the dependent node of each term
+    masters: np.ndarray  # shape (e,), int64: the node that moves it
+    weights: np.ndarray  # shape (e,): part of the master's displacement
 
     @classmethod
     def joined(cls, parts: Sequence[Entries]) -> Entries:
@@ -49,14 +47,14 @@ class Entries(NamedTuple):
 class Dependents:
     """Nodes whose displacements follow from those of other nodes."""
 
-    nodes: Array  # shape (d,), int64: the dependent nodes, which are no unknowns, ascending
+    nodes: np.ndarray  # shape (d,), int64: the dependent nodes, which are no unknowns, ascending
     # Shape (n, n): displacements of all nodes by those of the others; the row of an independent
     # node is that of the identity, the column of a dependent node is empty.
     map: csr_array
 
     @classmethod
-    def of(cls, size: int, entries: tuple[Array, Array, Array]) -> Dependents:
-        """Return dependents of n = `size` nodes by the fields of `Entries`.
+    def of(cls, size: int, entries: Entries) -> Dependents:
+        """Return dependents of n = `size` nodes.
 
         Masters that are dependent themselves are replaced by their masters.
 
@@ -90,18 +88,18 @@ class Dependents:
         """Return the dependents among the first `size` nodes with masters among them, if any."""
         nodes, masters, weights = self.entries
         valid = ~np.isin(nodes, nodes[masters >= size]) & (nodes < size)
-        entries = nodes[valid], masters[valid], weights[valid]
+        entries = Entries(nodes[valid], masters[valid], weights[valid])
         return Dependents.of(size, entries) if valid.any() else None
 
-    def expanded(self, fields: Array) -> Array:
+    def expanded(self, fields: np.ndarray) -> np.ndarray:
         """Return displacement fields (n, 3, ...), m, with those of the dependent nodes set."""
         return (self.map @ fields.reshape(len(fields), -1)).reshape(fields.shape)
 
-    def among(self, cells: Array) -> Array:
+    def among(self, cells: np.ndarray) -> np.ndarray:
         """Return which cells, nodes of shape (m, a), have dependent nodes: (m,), bool."""
         return np.asarray(np.isin(cells, self.nodes).any(axis=1))
 
-    def outer(self, cells: Array) -> tuple[Array, Array]:
+    def outer(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the nodes that move cells of nodes (m, a): (m, s), and weights, (m, a, s).
 
         A cell of fewer outer nodes than others repeats its last, with zero weights.

@@ -19,8 +19,6 @@ from wrenchbook.fea.mesh.facets import EDGES, FaceFinder, corners_of_cell
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetGroup, Mesh
 from wrenchbook.fea.spec.problems import BundleProblem
 
-Array = np.ndarray
-
 SECOND = {"hex8": "hex20", "tet4": "tet10", "wedge6": "wedge15", "pyramid5": "pyramid13"}
 """Each kind of first-order cell, and the kind with midside nodes that replaces it."""
 
@@ -79,7 +77,7 @@ def second_order(mesh: Mesh) -> Mesh:
     )
 
 
-def _first_order_edges(mesh: Mesh) -> tuple[Array, Array]:
+def _first_order_edges(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Return the edges of first-order cells, (e, 2), pairs of nodes in order, each once.
 
     The second result, (e,), has the midside node that a second-order cell gives an edge, or -1.
@@ -102,7 +100,7 @@ def _first_order_edges(mesh: Mesh) -> tuple[Array, Array]:
     return edges, middles
 
 
-def _find(pairs: Array, queries: Array) -> tuple[Array, Array]:
+def _find(pairs: np.ndarray, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the indices of `queries` among sorted unique `pairs`, and whether each is there."""
     if not len(pairs):
         return np.zeros(len(queries), dtype=np.int64), np.zeros(len(queries), dtype=bool)

@@ -18,15 +18,13 @@ from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.surface import NEAR, Point, Surface, unit
 from wrenchbook.fea.spec.mesh_source import FaceSelector
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
-
-Array = np.ndarray
+from wrenchbook.fea.tensors import TINY
 
 # Part of a facet's size: its triangles deviate less from a round face, at 16 cells a turn.
 _EDGE = 2e-2
 _ANGLE = 10.0  # degrees: tolerance of `normal` without `angle`
 # Part of the side of a square of the chosen area: a thinner wall has two sides in a box.
 _THIN = 0.5
-_TINY = 1e-300  # replaces a length of 0 in a divisor
 _ACROSS = 0.5  # cosine of a cylinder's axis and a facet's normal: its ends have 1, its side 0
 _OPPOSED = -0.99  # cosine of the normals of two sides of a wall: 8 degrees
 _ROUNDOFF = 1e-9  # relative: bundles write directions and positions with about as many digits
@@ -38,7 +36,7 @@ def choose(surface: Surface, groups: Mapping[str, FaceSelector]) -> Mesh:
 
     Raises BundleError if a key selects nothing, or probably more than intended.
     """
-    masks: dict[str, Array] = {}
+    masks: dict[str, np.ndarray] = {}
     problems: list[BundleProblem] = []
     there = {*surface.mesh.node_groups, *surface.mesh.facet_groups}
     users = {n: {group for group in groups if group == c.inside} for n, c in groups.items()}
@@ -73,7 +71,7 @@ def choose(surface: Surface, groups: Mapping[str, FaceSelector]) -> Mesh:
 
 def _of_file(
     surface: Surface, name: str, where: str, problems: list[BundleProblem]
-) -> Array | None:
+) -> np.ndarray | None:
     """Return the facets of a group of the mesh file, a mask of shape (f,)."""
     if (group := surface.mesh.facet_groups.get(name)) is not None:
         rows = [n[:, : corners_of(kind)].tolist() for kind, n in group.blocks]
@@ -83,7 +81,9 @@ def _of_file(
     return np.asarray(np.isin(surface.corners, nodes).all(axis=1)) if len(nodes) else None
 
 
-def _chosen(surface: Surface, choice: FaceSelector, where: str, inside: Array | None) -> Array:
+def _chosen(
+    surface: Surface, choice: FaceSelector, where: str, inside: np.ndarray | None
+) -> np.ndarray:
     """Return the facets of a group within `inside`, masks of shape (f,)."""
     if lost := {*choice.faces} - {face.number for face in surface.faces}:
         message = f"there is no face {min(lost)}; write numbers from 1 to {len(surface.faces)}"
@@ -114,13 +114,13 @@ class _Restriction(NamedTuple):
     """Facets that a key allows."""
 
     key: str
-    allowed: Array  # shape (f,), bool
-    excess: Array  # shape (f,): distance of each facet from being allowed
+    allowed: np.ndarray  # shape (f,), bool
+    excess: np.ndarray  # shape (f,): distance of each facet from being allowed
     unit: str  # unit and meaning of `excess`
 
 
 def _restrictions(
-    surface: Surface, choice: FaceSelector, inside: Array | None
+    surface: Surface, choice: FaceSelector, inside: np.ndarray | None
 ) -> Iterator[_Restriction]:
     """Yield the restrictions of a choice; `inside` as of `_chosen`."""
     if choice.box is not None:
@@ -148,7 +148,7 @@ def _nearest(surface: Surface, point: Point, where: str) -> int:
     edges = np.roll(x, -1, axis=1) - x
     # Above the inside of a triangle it is the distance to its plane, else that to an edge.
     sides = np.einsum("tex,tx->te", np.cross(x, edges), normals)
-    along = -np.einsum("tex,tex->te", x, edges) / np.maximum((edges**2).sum(axis=2), _TINY)
+    along = -np.einsum("tex,tex->te", x, edges) / np.maximum((edges**2).sum(axis=2), TINY)
     to_edges = np.linalg.norm(x + np.clip(along, 0, 1)[:, :, None] * edges, axis=2).min(axis=1)
     height = np.abs(np.einsum("tx,tx->t", x[:, 0], normals))
     distance = np.where((sides >= 0).all(axis=1), height, to_edges)
@@ -161,7 +161,7 @@ def _nearest(surface: Surface, point: Point, where: str) -> int:
     return numbers[0]
 
 
-def _in_plane(surface: Surface, choice: FaceSelector, where: str) -> Array:
+def _in_plane(surface: Surface, choice: FaceSelector, where: str) -> np.ndarray:
     """Return the facets in the plane of a choice, a mask of shape (f,)."""
     plane = choice.plane
     normal = np.eye(3)["xyz".index(plane)] if isinstance(plane, str) else np.array(plane)
@@ -181,7 +181,7 @@ def _in_plane(surface: Surface, choice: FaceSelector, where: str) -> Array:
     return level
 
 
-def _round(surface: Surface, choice: FaceSelector, where: str) -> Array:
+def _round(surface: Surface, choice: FaceSelector, where: str) -> np.ndarray:
     """Return the facets on a cylinder, or on all of a radius, a mask of shape (f,)."""
     radius = float(choice.radius or 0)
     if choice.cylinder is None:
@@ -206,7 +206,7 @@ def _round(surface: Surface, choice: FaceSelector, where: str) -> Array:
     return on
 
 
-def _check_sides(surface: Surface, chosen: Array, where: str) -> None:
+def _check_sides(surface: Surface, chosen: np.ndarray, where: str) -> None:
     """Refuse a box round both sides of a thin wall."""
     parts = {
         f: chosen & (surface.numbers == f.number) for f in surface.faces if f.normal is not None

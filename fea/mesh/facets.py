@@ -9,8 +9,6 @@ import numpy as np
 
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, row_numbers
 
-Array = np.ndarray
-
 _HEX_FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
 _HEX_EDGES = (
     *((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4)),
@@ -91,9 +89,9 @@ class Face:
     point: tuple[float, float, float] | None = None  # a point on that axis, m
 
 
-def faces_of(blocks: tuple[CellBlock, ...]) -> dict[str, Array]:
+def faces_of(blocks: tuple[CellBlock, ...]) -> dict[str, np.ndarray]:
     """Return every face of every cell by facet kind, shape (f, k), int64: indices of its nodes."""
-    by_kind: dict[str, list[Array]] = {}
+    by_kind: dict[str, list[np.ndarray]] = {}
     for block in blocks:
         for face in FACES[block.kind]:
             by_kind.setdefault(_KIND_OF_FACET[len(face)], []).append(block.nodes[:, face])
@@ -110,7 +108,7 @@ def outer_surface(blocks: tuple[CellBlock, ...]) -> FacetGroup:
     return FacetGroup(tuple(outer))
 
 
-def facets_within(surface: FacetGroup, node_ids: Array) -> FacetGroup:
+def facets_within(surface: FacetGroup, node_ids: np.ndarray) -> FacetGroup:
     """Return the facets of `surface` whose nodes are all among `node_ids`.
 
     `node_ids` are indices, shape (k,), int64.
@@ -135,7 +133,7 @@ class FaceFinder:
         for kind, nodes in faces_of(blocks).items():
             self._by_corners[corners_of(kind)].append(FacetBlock(kind, nodes))
 
-    def find(self, kind: str, nodes: Array) -> tuple[list[FacetBlock], int]:
+    def find(self, kind: str, nodes: np.ndarray) -> tuple[list[FacetBlock], int]:
         """Return the faces with the corners of the facets `nodes`, and the number without any.
 
         nodes: shape (f, k): indices of their nodes, corners first.
@@ -154,7 +152,7 @@ class FaceFinder:
         return blocks, len(sought)
 
 
-def triangles_of(group: FacetGroup) -> Array:
+def triangles_of(group: FacetGroup) -> np.ndarray:
     """Return the facets cut into triangles, seen from outside, (t, 3), int64: nodes."""
     rows = [nodes[:, TRIANGLES[kind]].reshape(-1, 3) for kind, nodes in group.blocks]
     return np.concatenate([np.empty((0, 3), dtype=np.int64), *rows])

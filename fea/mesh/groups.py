@@ -7,8 +7,6 @@ import numpy as np
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.problems import BundleProblem, suggest
 
-Array = np.ndarray
-
 _NO_FACETS = (
     " (it has none at all: choose facets by [mesh.groups.NAME]; "
     "`wrenchbook check FOLDER --faces` lists the faces with the lines to write)"
@@ -20,7 +18,7 @@ _NO_CELLS = (
 _MAX_LISTED = 30  # names of groups in a message: about three lines of a terminal
 
 
-def group_nodes(mesh: Mesh, key: str, name: str, problems: list[BundleProblem]) -> Array:
+def group_nodes(mesh: Mesh, key: str, name: str, problems: list[BundleProblem]) -> np.ndarray:
     """Return the nodes of a facet group or node group, shape (k,), int64, sorted.
 
     A missing group is a problem at `key`; then k = 0.

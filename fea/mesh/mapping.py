@@ -12,20 +12,26 @@ from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_eleme
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.tensors import determinant
 
-Array = np.ndarray
-
 _FLAT = 1e-9
 """Part of the largest determinant of a cell: below it a cell is flat but for roundoff."""
 _MAX_LISTED = 5  # cells in a message: more would hide its remedy
 
 
-def determinants(points: Array, block: CellBlock) -> Array:
+def jacobians(nodes: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Return dx_i/dxi_j of the isoparametric maps of cells or facets, shape (m, q, d, r).
+
+    nodes: shape (m, k, d), m: positions of their nodes.
+    slopes: shape (q, k, r): dN_a/dxi_j at q points, of `tabulate` or a `ReferenceElement`.
+    """
+    return nodes.swapaxes(1, 2)[:, None] @ slopes
+
+
+def determinants(points: np.ndarray, block: CellBlock) -> np.ndarray:
     """Return det(dx/dxi) of each cell at each point of its full quadrature, shape (m, q), m^3."""
-    slopes = reference_element(block.kind).slopes
-    return determinant(np.einsum("mad,qai->mqdi", points[block.nodes], slopes, optimize=True))
+    return determinant(jacobians(points[block.nodes], reference_element(block.kind).slopes))
 
 
-def extreme_determinants(points: Array, block: CellBlock) -> tuple[Array, Array]:
+def extreme_determinants(points: np.ndarray, block: CellBlock) -> tuple[np.ndarray, np.ndarray]:
     """Return the extremes of det(dx/dxi) over the nodes and quadrature points of each cell.
 
     A cell can fold over at a corner although every quadrature point has a positive determinant; its
@@ -35,12 +41,12 @@ def extreme_determinants(points: Array, block: CellBlock) -> tuple[Array, Array]
     Returns least, largest: each of shape (m,), m^3: the least, and the largest in size.
     """
     _, slopes = tabulate(block.kind, node_coordinates(block.kind))
-    at_nodes = determinant(np.einsum("mad,qai->mqdi", points[block.nodes], slopes, optimize=True))
+    at_nodes = determinant(jacobians(points[block.nodes], slopes))
     every = np.concatenate([determinants(points, block), at_nodes], axis=1)
     return every.min(axis=1), np.abs(every).max(axis=1)
 
 
-def folded_cells(points: Array, block: CellBlock) -> Array:
+def folded_cells(points: np.ndarray, block: CellBlock) -> np.ndarray:
     """Return the indices, (k,), of cells that are inside out or flat at a node or quadrature point.
 
     points: shape (n, 3), in m or any other unit.
@@ -49,7 +55,7 @@ def folded_cells(points: Array, block: CellBlock) -> Array:
     return np.flatnonzero(~(least > _FLAT * largest))
 
 
-def right_way_round(points: Array, block: CellBlock) -> CellBlock:
+def right_way_round(points: np.ndarray, block: CellBlock) -> CellBlock:
     """Return the block, renumbered if all its cells are mirrored.
 
     Only a complete block is renumbered: a few mirrored cells among others are an error of the mesh.
@@ -86,17 +92,17 @@ def cell_problems(mesh: Mesh) -> list[BundleProblem]:
 class Gradients:
     """Gradients and weights of the cells of one block in the undeformed state."""
 
-    slopes: Array  # shape (cells, points, 3, nodes), 1/m: dN_a/dX_J at each quadrature point
-    weights: Array  # shape (cells, points), m^3: the volume of each point
+    slopes: np.ndarray  # shape (cells, points, 3, nodes), 1/m: dN_a/dX_J at each quadrature point
+    weights: np.ndarray  # shape (cells, points), m^3: the volume of each point
     # Shape (points, nodes), or (cells, points, nodes) if they differ: the shape functions
-    values: Array
+    values: np.ndarray
 
-    def of_outer(self, weights: Array) -> Gradients:
+    def of_outer(self, weights: np.ndarray) -> Gradients:
         """Return the gradients by the nodes on which the cells depend; see `Dependents.outer`."""
         return Gradients(self.slopes @ weights[:, None], self.weights, self.values @ weights)
 
 
-def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradients:
+def cell_gradients(points: np.ndarray, block: CellBlock, integration: str) -> Gradients:
     """Map the reference gradients of a block to its cells.
 
     points: shape (n, 3), m.
@@ -106,7 +112,6 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
     positive at each node and quadrature point.
     """
     element = reference_element(block.kind, integration)
-    jacobian = points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes  # dX_i/dxi_j
     bad = folded_cells(points, block)
     if bad.size:
         listed = ", ".join(str(cell) for cell in bad[:_MAX_LISTED])
@@ -115,12 +120,13 @@ def cell_gradients(points: Array, block: CellBlock, integration: str) -> Gradien
             f"{bad.size} of {len(block)} {block.kind} cells are inverted or flat (cell numbers "
             f"{listed}{', ...' if bad.size > _MAX_LISTED else ''}).",
         )
+    jacobian = jacobians(points[block.nodes], element.slopes)
     weights = determinant(jacobian) * element.weights
     slopes = np.linalg.inv(jacobian).transpose(0, 1, 3, 2) @ element.slopes.transpose(0, 2, 1)
     return Gradients(np.ascontiguousarray(slopes), weights, element.values)
 
 
-def area_weights(points: Array, group: FacetGroup) -> tuple[Array, Array]:
+def area_weights(points: np.ndarray, group: FacetGroup) -> tuple[np.ndarray, np.ndarray]:
     """Integrate each node's shape function over a section.
 
     Returns nodes: shape (k,): the section's nodes, ascending. weights: shape (k,), m^2; their sum
@@ -130,7 +136,7 @@ def area_weights(points: Array, group: FacetGroup) -> tuple[Array, Array]:
     weights = np.zeros(nodes.size)
     for kind, facets in group.blocks:
         element = reference_element(kind)
-        tangents = points[facets].transpose(0, 2, 1)[:, None] @ element.slopes
+        tangents = jacobians(points[facets], element.slopes)
         area = np.linalg.norm(np.cross(tangents[..., 0], tangents[..., 1]), axis=-1)
         part = (area * element.weights) @ element.values
         weights += np.bincount(

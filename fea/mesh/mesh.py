@@ -19,8 +19,6 @@ from wrenchbook.fea.mesh.deck_content import DeckContent
 if TYPE_CHECKING:  # a process that only reads bundles does not import sparse matrices
     from wrenchbook.fea.mesh.dependents import Dependents
 
-Array = np.ndarray
-
 NODES_PER_CELL: dict[str, int] = {
     "hex8": 8,
     "hex20": 20,
@@ -43,7 +41,7 @@ class CellBlock:
     """Cells of one kind."""
 
     kind: str  # a key of `NODES_PER_CELL`
-    nodes: Array  # shape (m, k), int64: the nodes of each cell in VTK order
+    nodes: np.ndarray  # shape (m, k), int64: the nodes of each cell in VTK order
 
     def __post_init__(self) -> None:
         _require_columns(self.kind, self.nodes, NODES_PER_CELL)
@@ -56,7 +54,7 @@ class FacetBlock(NamedTuple):
     """Facets of one kind."""
 
     kind: str  # a key of `NODES_PER_FACET`
-    nodes: Array  # shape (f, k), int64: indices of the nodes of each facet in VTK order
+    nodes: np.ndarray  # shape (f, k), int64: indices of the nodes of each facet in VTK order
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +68,7 @@ class FacetGroup:
             _require_columns(kind, nodes, NODES_PER_FACET)
 
     @property
-    def node_ids(self) -> Array:
+    def node_ids(self) -> np.ndarray:
         """Sorted indices of the nodes of the group, each once, shape (k,), int64."""
         return np.unique(np.concatenate([nodes.ravel() for _, nodes in self.blocks]))
 
@@ -79,21 +77,21 @@ class FacetGroup:
 class Mesh:
     """Points, cells and the named groups of both."""
 
-    points: Array  # shape (n, 3), metres
+    points: np.ndarray  # shape (n, 3), metres
     blocks: tuple[CellBlock, ...]  # the cells; several blocks may have the same kind
     # For each cell group one array of cell indices, shape (m,), int64, per block of `blocks` (empty
     # where the block has none of its cells). Regions may overlap; a cell may be in none.
-    regions: Mapping[str, tuple[Array, ...]] = field(default_factory=dict)
+    regions: Mapping[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
     # Named parts of the surface
     facet_groups: Mapping[str, FacetGroup] = field(default_factory=dict)
     # Named sets of nodes, each of shape (k,), int64
-    node_groups: Mapping[str, Array] = field(default_factory=dict)
+    node_groups: Mapping[str, np.ndarray] = field(default_factory=dict)
     # Other contents of the mesh's input deck; None for other meshes
     deck: DeckContent | None = None
     dependents: Dependents | None = None  # nodes that depend on others
     # Weights that a deck gives to nodes, by their group: nodes, shape (k,), int64, -1 for nodes in
     # no cell, and weights, shape (k,), of any scale. Other nodes of the group have none.
-    node_weights: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    node_weights: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     @property
     def unknowns(self) -> int:
@@ -110,7 +108,7 @@ class Mesh:
         return dict(counts)
 
 
-def row_numbers(rows: Array) -> Array:
+def row_numbers(rows: np.ndarray) -> np.ndarray:
     """Return the ranks of rows of indices (or -1), (k, c) to (k,): as `numpy.unique`, faster."""
     numbers = rows[:, 0]
     above = int(rows.max(initial=0)) + 2
@@ -119,7 +117,7 @@ def row_numbers(rows: Array) -> Array:
     return numbers
 
 
-def _require_columns(kind: str, nodes: Array, columns: dict[str, int]) -> None:
+def _require_columns(kind: str, nodes: np.ndarray, columns: dict[str, int]) -> None:
     if kind not in columns:
         raise ValueError(f"the kind must be one of {', '.join(columns)}, not {kind!r}")
     if nodes.ndim != 2 or nodes.shape[1] != columns[kind]:

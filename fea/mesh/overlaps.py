@@ -14,8 +14,6 @@ from wrenchbook.fea.mesh.facets import TRIANGLES, corners_of
 from wrenchbook.fea.mesh.mesh import FacetBlock
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, tabulate
 
-Array = np.ndarray
-
 _PAIRS = 10_000  # triangles that are cut at a time: about 50 MB
 _MAX_STEPS = 20  # largest number of Newton steps for a point in a facet, which takes three to five
 _EXACT = 1e-12  # relative to the size of a facet: roundoff
@@ -27,16 +25,16 @@ _BARYCENTRIC = np.array([1 - _POINTS.sum(axis=0), *_POINTS])
 class Overlaps(NamedTuple):
     """Triangles in which facets of two surfaces overlap, on the planes of the first."""
 
-    first: Array  # shape (s,), int64: facet of the first surface
-    second: Array  # shape (s,), int64: facet of the second
-    weights: Array  # shape (s, q), m^2: weights of q quadrature points
-    here: Array  # shape (s, q, k): shape functions of the first facet at these points
-    there: Array  # shape (s, q, l): shape functions of the second facet
-    gaps: Array  # shape (s, q), m: distance between both facets
+    first: np.ndarray  # shape (s,), int64: facet of the first surface
+    second: np.ndarray  # shape (s,), int64: facet of the second
+    weights: np.ndarray  # shape (s, q), m^2: weights of q quadrature points
+    here: np.ndarray  # shape (s, q, k): shape functions of the first facet at these points
+    there: np.ndarray  # shape (s, q, l): shape functions of the second facet
+    gaps: np.ndarray  # shape (s, q), m: distance between both facets
 
 
 def overlaps(
-    points: Array, first: FacetBlock, second: FacetBlock, plane: Array, distance: float
+    points: np.ndarray, first: FacetBlock, second: FacetBlock, plane: np.ndarray, distance: float
 ) -> Iterator[Overlaps]:
     """Yield overlaps of facets of two surfaces within a distance, m, some triangles at a time.
 
@@ -70,13 +68,13 @@ def overlaps(
 class _Triangles(NamedTuple):
     """Facets cut into t triangles."""
 
-    corners: Array  # shape (t, 3, 3), m
-    middles: Array  # shape (t, 3), m
-    radii: Array  # shape (t,), m: from the middle to the farthest corner
-    facets: Array  # shape (t,), int64: the facet of each
+    corners: np.ndarray  # shape (t, 3, 3), m
+    middles: np.ndarray  # shape (t, 3), m
+    radii: np.ndarray  # shape (t,), m: from the middle to the farthest corner
+    facets: np.ndarray  # shape (t,), int64: the facet of each
 
 
-def _triangles(points: Array, block: FacetBlock) -> _Triangles:
+def _triangles(points: np.ndarray, block: FacetBlock) -> _Triangles:
     """Return the facets of a block as triangles between their corners."""
     split = np.array(TRIANGLES["tri3" if corners_of(block.kind) == 3 else "quad4"])
     corners = points[block.nodes[:, split]].reshape(-1, 3, 3)
@@ -85,7 +83,7 @@ def _triangles(points: Array, block: FacetBlock) -> _Triangles:
     return _Triangles(corners, middles, radii, np.arange(len(corners)) // len(split))
 
 
-def _located(kind: str, nodes: Array, at: Array) -> tuple[Array, Array]:
+def _located(kind: str, nodes: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the shape functions (s, q, k) of flat facets (s, k, 2) at points (s, q, 2).
 
     By Newton's method; also whether it converges at all points of each facet, (s,), bool.
@@ -108,7 +106,7 @@ def _located(kind: str, nodes: Array, at: Array) -> tuple[Array, Array]:
     return values, np.asarray(converged.all(axis=1))
 
 
-def _intersections(*pairs: Array) -> tuple[Array, Array]:
+def _intersections(*pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the intersections of pairs of triangles, twice (p, 3, 2), cut into triangles.
 
     Result: the index of each one's pair, (s,), and its corners, (s, 3, 2).
@@ -152,6 +150,6 @@ def _intersections(*pairs: Array) -> tuple[Array, Array]:
     return pair[row], cuts[row, number]
 
 
-def _cross(a: Array, b: Array) -> Array:
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the cross products of vectors in a plane, (..., 2) each."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -27,13 +27,10 @@ from wrenchbook.fea.mesh.mapping import extreme_determinants
 from wrenchbook.fea.mesh.mesh import CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates
 from wrenchbook.fea.spec.problems import point_text
-from wrenchbook.fea.tensors import determinant
-
-Array = np.ndarray
+from wrenchbook.fea.tensors import TINY, determinant
 
 _IDEAL_VOLUME = {"tet": 0.5**0.5, "pyr": 0.5**0.5, "wed": 0.75**0.5, "hex": 1.0}
 """Volume that the three edges of length 1 at a corner of the ideal cell span, by kind of cell."""
-_NO_LENGTH = 1e-300  # m: replaces a length of 0 in a divisor
 
 
 @dataclass(frozen=True)
@@ -42,14 +39,14 @@ class Measure:
 
     name: str  # key of the measure in the report
     # From points of shape (n, 3), m, and a block of m cells to the values, shape (m,), no unit
-    of: Callable[[Array, CellBlock], Array]
+    of: Callable[[np.ndarray, CellBlock], np.ndarray]
     # limit, larger_is_worse: the limit of a bad cell, and on which side of it cells are bad
     limit: float
     larger_is_worse: bool
     description: str  # the description of a bad cell
 
 
-def scaled_jacobian(points: Array, block: CellBlock) -> Array:
+def scaled_jacobian(points: np.ndarray, block: CellBlock) -> np.ndarray:
     """Return the least scaled Jacobian of each cell's corners, shape (m,)."""
     # For each corner itself and its three neighbours, right-handed.
     coordinates = node_coordinates(block.kind)
@@ -68,20 +65,20 @@ def scaled_jacobian(points: Array, block: CellBlock) -> Array:
     return np.minimum(scaled.min(axis=1) / _IDEAL_VOLUME[block.kind[:3]], 1.0)
 
 
-def jacobian_ratio(points: Array, block: CellBlock) -> Array:
+def jacobian_ratio(points: np.ndarray, block: CellBlock) -> np.ndarray:
     """Return the least over the largest determinant of each cell, shape (m,)."""
     least, largest = extreme_determinants(points, block)
     return np.divide(least, largest, out=np.zeros(len(block)), where=largest > 0)
 
 
-def aspect_ratio(points: Array, block: CellBlock) -> Array:
+def aspect_ratio(points: np.ndarray, block: CellBlock) -> np.ndarray:
     """Return the longest over the shortest edge of each cell, shape (m,)."""
     lengths = edge_lengths(points, block)
-    shortest = np.maximum(lengths.min(axis=1), _NO_LENGTH)
+    shortest = np.maximum(lengths.min(axis=1), TINY)
     return lengths.max(axis=1) / shortest
 
 
-def edge_curvature(points: Array, block: CellBlock) -> Array:
+def edge_curvature(points: np.ndarray, block: CellBlock) -> np.ndarray:
     """Return the largest relative offset of a midside node of each cell, shape (m,)."""
     pairs = np.array(EDGES[block.kind])
     corners = corners_of_cell(block.kind)
@@ -90,10 +87,10 @@ def edge_curvature(points: Array, block: CellBlock) -> Array:
     ends = points[block.nodes[:, pairs]]
     middle = points[block.nodes[:, corners : corners + len(pairs)]]
     offset = np.linalg.norm(middle - ends.mean(axis=2), axis=2)
-    return (offset / np.maximum(edge_lengths(points, block), _NO_LENGTH)).max(axis=1)
+    return (offset / np.maximum(edge_lengths(points, block), TINY)).max(axis=1)
 
 
-def edge_lengths(points: Array, block: CellBlock) -> Array:
+def edge_lengths(points: np.ndarray, block: CellBlock) -> np.ndarray:
     """Return the straight lengths of each cell's edges, shape (m, edges), m."""
     ends = points[block.nodes[:, EDGES[block.kind]]]
     return np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)

@@ -19,8 +19,6 @@ from skfem.refdom import RefTet, RefTri
 
 from wrenchbook.fea.mesh.facets import EDGES, corners_of_cell
 
-Array = np.ndarray
-
 _HEX_CORNERS = "000 100 110 010 001 101 111 011"
 _HEX_EDGES = "500 150 510 050 501 151 511 051 005 105 115 015"
 _WEDGE_CORNERS = "000 100 010 001 101 011"
@@ -71,8 +69,8 @@ _WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (2, 3)}
 _MASS_SIMPLEX_DEGREES = {**_SIMPLEX_DEGREES, "tet4": 2, "tet10": 4}
 _MASS_WEDGE_RULES = {"wedge6": (2, 2), "wedge15": (4, 3)}
 
-_ROUNDOFF = 1e-12  # roundoff of reference coordinates, which are 0, 1/2 and 1
-_TINY = 1e-30  # replaces a height of 0 below a pyramid's apex in a divisor
+_SAME_NODE = 1e-12  # roundoff of reference coordinates, which are 0, 1/2 and 1
+_MIN_HEIGHT = 1e-30  # replaces a height of 0 below a pyramid's apex in a divisor
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +78,9 @@ class ReferenceElement:
     """Shape functions tabulated at quadrature points, all dimensionless."""
 
     kind: str  # a kind of cell or facet of `fea.mesh.mesh`
-    values: Array  # shape (points, nodes): N_a at each point
-    slopes: Array  # shape (points, nodes, dimension): dN_a/dxi at each point
-    weights: Array  # shape (points,): quadrature weights; their sum is the reference volume
+    values: np.ndarray  # shape (points, nodes): N_a at each point
+    slopes: np.ndarray  # shape (points, nodes, dimension): dN_a/dxi at each point
+    weights: np.ndarray  # shape (points,): quadrature weights; their sum is the reference volume
 
 
 @cache
@@ -119,7 +117,7 @@ def reference_element(kind: str, integration: str = "full") -> ReferenceElement:
     return ReferenceElement(kind, values, slopes, weights)
 
 
-def node_coordinates(kind: str) -> Array:
+def node_coordinates(kind: str) -> np.ndarray:
     """Return the reference coordinates of the nodes in VTK order, shape (nodes, dimension)."""
     digits = [[int(digit) for digit in node] for node in _COORDINATES[kind].split()]
     coordinates = np.array(digits, dtype=float)
@@ -127,7 +125,7 @@ def node_coordinates(kind: str) -> Array:
     return coordinates
 
 
-def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
+def tabulate(kind: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return shape functions (points, nodes) and slopes (points, nodes, dimension) at points.
 
     The points are reference coordinates, shape (points, dimension); all are dimensionless.
@@ -139,7 +137,7 @@ def tabulate(kind: str, points: Array) -> tuple[Array, Array]:
     coordinates = node_coordinates(kind)
     distance = np.abs(coordinates[:, None, :] - np.asarray(element.doflocs)[None, :, :]).max(axis=2)
     order = distance.argmin(axis=1)
-    if distance.min(axis=1).max() > _ROUNDOFF or len(set(order.tolist())) != len(coordinates):
+    if distance.min(axis=1).max() > _SAME_NODE or len(set(order.tolist())) != len(coordinates):
         raise AssertionError("scikit-fem moved the nodes of a reference element")
     values, slopes = zip(*(element.lbasis(points.T, int(i)) for i in order), strict=True)
     return np.stack(values, axis=1), np.moveaxis(np.stack(slopes), (0, 1, 2), (1, 2, 0)).copy()
@@ -156,7 +154,7 @@ _PRODUCTS = {
 }
 
 
-def _products(kind: str, points: Array) -> tuple[Array, Array]:
+def _products(kind: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return values and slopes of the shape functions of `_PRODUCTS` at points; see `tabulate`."""
     factors_at = _wedge_factors if kind == "wedge15" else _pyramid_factors
     factors, slopes = factors_at(*points.T)
@@ -179,7 +177,9 @@ def _products(kind: str, points: Array) -> tuple[Array, Array]:
     return N.T, dN.swapaxes(0, 1)
 
 
-def _wedge_factors(x: Array, y: Array, h: Array) -> tuple[dict[str, Array], dict[str, tuple]]:
+def _wedge_factors(
+    x: np.ndarray, y: np.ndarray, h: np.ndarray
+) -> tuple[dict[str, np.ndarray], dict[str, tuple]]:
     """Serendipity wedge (Zienkiewicz and Taylor, volume 1): factors and their slopes by letter.
 
     h is the height and d = 1 - h; a, b and c are barycentric in a triangle.
@@ -190,14 +190,16 @@ def _wedge_factors(x: Array, y: Array, h: Array) -> tuple[dict[str, Array], dict
     return factors, slopes | {"d": (0, 0, -ones), "h": (0, 0, ones)}
 
 
-def _pyramid_factors(x: Array, y: Array, h: Array) -> tuple[dict[str, Array], dict[str, tuple]]:
+def _pyramid_factors(
+    x: np.ndarray, y: np.ndarray, h: np.ndarray
+) -> tuple[dict[str, np.ndarray], dict[str, tuple]]:
     """Rational pyramid (Bedrosian 1992): factors and their slopes by letter.
 
     h is the height and d = 1 - h; p = x/d, q = 1 - p, r = y/d and s = 1 - r, so that the faces are
     those of hexahedra and tetrahedra. At the apex slopes are those on the line p = r = 1/2.
     """
     ones = np.ones_like(h)
-    d = np.maximum(1 - h, _TINY)
+    d = np.maximum(1 - h, _MIN_HEIGHT)
     p, r = (np.where(h < 1, each / d, 0.5) for each in (x, y))
     factors = {"d": d, "h": h, "p": p, "q": 1 - p, "r": r, "s": 1 - r}
     slopes = {"d": (0, 0, -ones), "h": (0, 0, ones)}
@@ -206,19 +208,19 @@ def _pyramid_factors(x: Array, y: Array, h: Array) -> tuple[dict[str, Array], di
     return factors, slopes
 
 
-def _gauss(count: int) -> tuple[Array, Array]:
+def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Gauss points and weights on [0, 1]."""
     positions, weight = np.polynomial.legendre.leggauss(count)
     return (positions + 1) / 2, weight / 2
 
 
-def _simplex(dimension: int, degree: int) -> tuple[Array, Array]:
+def _simplex(dimension: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Points (q, dimension) and weights (q,) of a triangle or tetrahedron, exact to a degree."""
     points, weights = get_quadrature(RefTet if dimension == 3 else RefTri, degree)
     return np.ascontiguousarray(points.T), np.asarray(weights)
 
 
-def _wedge(degree: int, count: int) -> tuple[Array, Array]:
+def _wedge(degree: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Points (q, 3) and weights (q,): a triangle's of a degree at `count` heights of a wedge."""
     flat, flat_weights = _simplex(2, degree)
     positions, weight = _gauss(count)

@@ -23,8 +23,6 @@ from wrenchbook.fea.spec.mesh_source import Generator, GeometryFile
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import Bundle
 
-Array = np.ndarray
-
 # The parameters of each generator that are numbers of cells; a finer mesh multiplies them.
 _COUNTS = {
     "bar": ("cells_along", "cells_across"),
@@ -50,17 +48,12 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
         return replace(bundle, mesh=finer)
     if not isinstance(mesh, Generator):
         return None
-    counts = {
-        name: max(_fewest(mesh, name), math.floor(mesh.parameters[name] * factor + 0.5))
-        for name in _COUNTS[mesh.generator]
-    }
+    counts = {}
+    for name in _COUNTS[mesh.generator]:
+        bounds = keys_of(type(mesh))[name].metadata
+        fewest = next(cast("int", bound.ge) for bound in bounds if isinstance(bound, Ge))
+        counts[name] = max(fewest, math.floor(mesh.parameters[name] * factor + 0.5))
     return replace(bundle, mesh=replace(mesh, **counts))
-
-
-def _fewest(mesh: Generator, name: str) -> int:
-    """Return the least number of cells that a generator's parameter may have."""
-    bounds = keys_of(type(mesh))[name].metadata
-    return next(cast("int", bound.ge) for bound in bounds if isinstance(bound, Ge))
 
 
 # The first-order cell or facet with the same corners as each second-order one.
@@ -80,17 +73,17 @@ _DENOMINATOR = 64
 4^3."""
 
 # Largest rounding of a shape function at a point of a pattern, where it is a multiple of 1/64.
-_ZERO = 1e-9
+_ROUNDOFF = 1e-9
 
 
 class _Pattern(NamedTuple):
     """The children of one kind of cell or facet: their nodes are points in the parent."""
 
-    children: Array  # shape (children, nodes): indices of points
+    children: np.ndarray  # shape (children, nodes): indices of points
     # Shape (corners, points), uint64: linear weights of the parent's corners at each point, times
     # `_DENOMINATOR`. Adjacent cells have the same weights at a common point.
-    weights: Array
-    values: Array  # shape (points, nodes): the parent's shape functions
+    weights: np.ndarray
+    values: np.ndarray  # shape (points, nodes): the parent's shape functions
 
 
 @cache
@@ -104,7 +97,7 @@ def _pattern(kind: str) -> _Pattern:
     return _Pattern(numbers.reshape(nodes.shape[:2]), weights, tabulate(kind, points)[0])
 
 
-def _children(linear: str) -> list[Array]:
+def _children(linear: str) -> list[np.ndarray]:
     """Return the corners of each child, shape (corners, dimension), in the parent's coordinates."""
     points = node_coordinates(linear)
     if linear in ("hex8", "quad4"):
@@ -121,7 +114,7 @@ def _children(linear: str) -> list[Array]:
     return [_between(points, pattern) for pattern in patterns]
 
 
-def _between(points: Array, pattern: str) -> Array:
+def _between(points: np.ndarray, pattern: str) -> np.ndarray:
     """Return the corners of one child, as a pattern such as "00 01 02" names them."""
     return np.array([0.5 * (points[int(a)] + points[int(b)]) for a, b in pattern.split()])
 
@@ -130,12 +123,12 @@ def _between(points: Array, pattern: str) -> Array:
 class _FinerNodes:
     """Nodes of the finer mesh, and their positions in the cells of the coarse mesh."""
 
-    points: Array  # shape (nodes, 3), m
-    numbers: list[Array]  # for each block, shape (cells, points of its pattern): nodes
+    points: np.ndarray  # shape (nodes, 3), m
+    numbers: list[np.ndarray]  # for each block, shape (cells, points of its pattern): nodes
     # corner_keys, keys: the random keys of the coarse nodes, and the finer nodes' sums of them in
     # ascending order, both uint64. The sum is the same in each cell or facet that has the node.
-    corner_keys: Array
-    keys: Array
+    corner_keys: np.ndarray
+    keys: np.ndarray
 
 
 def halved(mesh: Mesh) -> Mesh:
@@ -194,12 +187,12 @@ def _finer_nodes(mesh: Mesh) -> _FinerNodes:
     return _FinerNodes(np.concatenate(points)[first], numbers, corner_keys, unique_keys)
 
 
-def _point_keys(corner_keys: Array, nodes: Array, pattern: _Pattern) -> Array:
+def _point_keys(corner_keys: np.ndarray, nodes: np.ndarray, pattern: _Pattern) -> np.ndarray:
     """Return the keys of the points of cells or facets, shape (cells, points), uint64."""
     return corner_keys[nodes[:, : len(pattern.weights)]] @ pattern.weights
 
 
-def _children_nodes(numbers: Array, pattern: _Pattern) -> Array:
+def _children_nodes(numbers: np.ndarray, pattern: _Pattern) -> np.ndarray:
     """Return the children's nodes, (8 cells, nodes), the children of a parent consecutive."""
     return numbers[:, pattern.children].reshape(-1, pattern.children.shape[1])
 
@@ -214,11 +207,11 @@ def _split_facets(group: FacetGroup, faces: FaceFinder, finer: _FinerNodes) -> F
     return FacetGroup(tuple(blocks))
 
 
-def _split_nodes(mesh: Mesh, group: Array, finer: _FinerNodes) -> Array:
+def _split_nodes(mesh: Mesh, group: np.ndarray, finer: _FinerNodes) -> np.ndarray:
     """Return the finer nodes, sorted, that depend on nodes of the group only."""
     inside = []
     for block, numbers in zip(mesh.blocks, finer.numbers, strict=True):
-        matters = np.abs(_pattern(block.kind).values) > _ZERO
+        matters = np.abs(_pattern(block.kind).values) > _ROUNDOFF
         outside = ~np.isin(block.nodes, group)
         inside.append(numbers[outside.astype(int) @ matters.T.astype(int) == 0])
     return np.unique(np.concatenate(inside))

@@ -14,8 +14,8 @@ from scipy.sparse.csgraph import connected_components
 from wrenchbook.fea.mesh.facets import TRIANGLES, Face, corners_of, outer_surface, triangles_of
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
+from wrenchbook.fea.tensors import TINY
 
-Array = np.ndarray
 Point = tuple[float, float, float]
 
 NEAR = 1e-3
@@ -27,13 +27,12 @@ _FLAT = 2e-3  # rad: roundoff of coordinates in single precision turns facets by
 _EVEN = 1e-4  # part of a face's size: largest deviation of a plane face from its plane
 # Radius over a face's size; a flatter arc does not determine a radius to three digits.
 _MAX_RADIUS = 10.0
-_TINY = 1e-300  # replaces a length or an area of 0 in a divisor
 _MIN_FIT_POINTS = 6  # one more than the five numbers of a cylinder, so that a misfit shows
 _FIT_POINTS = 2000  # points of a face in a fit: enough for these five numbers
 _FIT = 1e-12  # relative accuracy of these numbers: roundoff
 _FIT_STEPS = 50  # largest number of evaluations of such a fit
 # Least square of a radius over a face's size, which roundoff may make negative.
-_LEAST_SQUARE = 1e-30
+_MIN_SQUARE = 1e-30
 _UNKNOWN = Face(0, "Curved", 0.0, (0.0, 0.0, 0.0), None, None)
 
 
@@ -52,7 +51,7 @@ class Surface:
         self,
         mesh: Mesh,
         group: FacetGroup | None = None,
-        numbers: Array | None = None,
+        numbers: np.ndarray | None = None,
         faces: tuple[Face, ...] = (),
     ) -> None:
         self.mesh = mesh
@@ -70,7 +69,7 @@ class Surface:
         parts = np.linalg.norm(self.vectors, axis=1, keepdims=True)
         self.areas = self._of_facets(parts)[:, 0]
         self.normals = unit(self._of_facets(self.vectors))
-        weight = np.maximum(self.areas, _TINY)[:, None]
+        weight = np.maximum(self.areas, TINY)[:, None]
         self.middles = self._of_facets(parts * points.mean(axis=1)) / weight
         self.sizes = np.linalg.norm(np.ptp(mesh.points[self.corners], axis=1), axis=1)
 
@@ -79,18 +78,18 @@ class Surface:
         self.numbers = numbers
         self.faces = faces
 
-    def _of_facets(self, values: Array) -> Array:
+    def _of_facets(self, values: np.ndarray) -> np.ndarray:
         """Sum values of triangles, shape (t, k), by facet."""
         columns = [np.bincount(self.owners, column, len(self.corners)) for column in values.T]
         return np.stack(columns, axis=1)
 
-    def group(self, chosen: Array) -> FacetGroup:
+    def group(self, chosen: np.ndarray) -> FacetGroup:
         """Return the chosen facets, a mask of shape (f,), as a group."""
         ends = np.cumsum([len(nodes) for _, nodes in self.blocks])
         parts = zip(self.blocks, np.split(chosen, ends[:-1]), strict=True)
         return FacetGroup(tuple(FacetBlock(k, n[part]) for (k, n), part in parts if part.any()))
 
-    def _smooth_pairs(self) -> tuple[Array, Array]:
+    def _smooth_pairs(self) -> tuple[np.ndarray, np.ndarray]:
         """Return pairs of facets with a common edge that is not sharp, (p,) and (p,)."""
         normals = unit(self.vectors)
         edges = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -102,7 +101,7 @@ class Surface:
         smooth = np.einsum("ij,ij->i", normals[facet], normals[neighbour]) > _SMOOTH
         return self.owners[facet[smooth]], self.owners[neighbour[smooth]]
 
-    def _smooth_parts(self) -> tuple[Array, tuple[Face, ...]]:
+    def _smooth_parts(self) -> tuple[np.ndarray, tuple[Face, ...]]:
         """Split the surface at sharp edges, and smooth parts that are no cylinder at planes.
 
         Return the number of each facet's face, (f,), from 1 on, and the faces.
@@ -134,7 +133,7 @@ class Surface:
             numbers[parts[i]] = number
         return numbers, tuple(replace(faces[i], number=n) for n, i in enumerate(ranked, 1))
 
-    def _in_planes(self, smooth: Array, flat: Array) -> Array:
+    def _in_planes(self, smooth: np.ndarray, flat: np.ndarray) -> np.ndarray:
         """Return which facets are in a plane of more than a strip, a mask of shape (f,).
 
         smooth, flat: the smooth part and the flat part of each facet, (f,). A plane in a smooth
@@ -153,7 +152,7 @@ class Surface:
         np.maximum.at(high, index, flat[facets])
         return np.asarray(np.isin(flat, low[(low == high) & (times > 1)]))
 
-    def _face(self, members: Array) -> Face:
+    def _face(self, members: np.ndarray) -> Face:
         """Return the plane, cylinder or curved face of facets, by their indices (k,)."""
         points = self.mesh.points[np.unique(self.corners[members])]
         areas = self.areas[members]
@@ -168,7 +167,7 @@ class Surface:
             return replace(face, kind="Plane", normal=_three(np.round(mean, 12)))
         return self.cylinder(members, face) or face
 
-    def cylinder(self, members: Array, face: Face = _UNKNOWN) -> Face | None:
+    def cylinder(self, members: np.ndarray, face: Face = _UNKNOWN) -> Face | None:
         """Return `face` with the axis and radius of the cylinder through facets, or None.
 
         members: indices of the facets, (k,). A radius that `face` already has is kept.
@@ -191,7 +190,7 @@ class Surface:
         return replace(face, kind="Cylinder", radius=radius, axis=axis, point=_three(point))
 
 
-def _fitted_cylinder(points: Array) -> Array | None:
+def _fitted_cylinder(points: np.ndarray) -> np.ndarray | None:
     """Return b, c, d, e and the radius of the cylinder through points, or None.
 
     Its axis has the point (0, b, c) and the direction (1, d, e). points: shape (k, 3), of the size
@@ -200,7 +199,7 @@ def _fitted_cylinder(points: Array) -> Array | None:
     # Imported here, as it takes 50 ms of a solve's start.
     from scipy.optimize import least_squares
 
-    def misfit(values: Array, at: Array) -> Array:
+    def misfit(values: np.ndarray, at: np.ndarray) -> np.ndarray:
         """Return the distances of points (k, 3) from a cylinder, (k,)."""
         arms = np.cross(at - [0, *values[:2]], unit(np.array([[1, *values[2:4]]])))
         return np.linalg.norm(arms, axis=1) - values[4]
@@ -209,7 +208,7 @@ def _fitted_cylinder(points: Array) -> Array | None:
     sample = points[:: max(1, len(points) // _FIT_POINTS)]
     columns = np.column_stack([2 * sample[:, 1:], np.ones(len(sample))])
     b, c, constant = np.linalg.lstsq(columns, (sample[:, 1:] ** 2).sum(axis=1))[0]
-    start = np.array([b, c, 0, 0, np.sqrt(max(constant + b**2 + c**2, _LEAST_SQUARE))])
+    start = np.array([b, c, 0, 0, np.sqrt(max(constant + b**2 + c**2, _MIN_SQUARE))])
     if len(sample) < _MIN_FIT_POINTS or np.abs(misfit(start, sample)).max() > start[4]:
         return None
     fit = least_squares(misfit, start, args=(sample,), xtol=_FIT, ftol=_FIT, max_nfev=_FIT_STEPS).x
@@ -218,23 +217,23 @@ def _fitted_cylinder(points: Array) -> Array | None:
     return fit
 
 
-def unit(vectors: Array) -> Array:
+def unit(vectors: np.ndarray) -> np.ndarray:
     """Return vectors (k, 3) at length one; zero stays zero."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), _TINY)
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), TINY)
 
 
-def connected(first: Array, second: Array, count: int) -> Array:
+def connected(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
     """Return the part of each of `count` items, (count,), of which pairs, (p,) each, are joined."""
     graph = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
     return connected_components(graph, directed=False)[1]
 
 
-def members_of(labels: Array) -> list[Array]:
+def members_of(labels: np.ndarray) -> list[np.ndarray]:
     """Return the indices of the items of each label, ascending, by ascending labels, (n,)."""
     order = np.argsort(labels, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
 
 
-def _three(values: Array) -> Point:
+def _three(values: np.ndarray) -> Point:
     """Return three numbers as plain floats; + 0.0 makes -0.0 a plain 0."""
     return float(values[0]) + 0.0, float(values[1]) + 0.0, float(values[2]) + 0.0

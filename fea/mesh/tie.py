@@ -20,13 +20,12 @@ from scipy.spatial import KDTree
 from wrenchbook.fea.mesh.dependents import CircularError, Dependents, Entries
 from wrenchbook.fea.mesh.facets import corners_of
 from wrenchbook.fea.mesh.groups import no_facets
+from wrenchbook.fea.mesh.mapping import jacobians
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.overlaps import overlaps
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.spec.schema import Tie
-
-Array = np.ndarray
 
 _GAP = 0.1  # part of the mean edge: straight edges, eight round a circle, are 0.097 off it
 # Parameter of Popp's transformation: any value in (0, 1/3) makes the integrals positive.
@@ -45,7 +44,7 @@ _UNSURE = 0.02  # part of a facet, covered or not: roundoff, and gaps between cu
 # 25 degrees.
 _WHOLE = 0.9
 _NEIGHBOURS = 8  # main nodes beside a sliding node, some on its plane of symmetry if the surface is
-_SAME = 1e-9  # part of a projector: axes are written to about as many digits
+_ROUNDOFF = 1e-9  # part of a projector: axes are written to about as many digits
 
 _OF_TIE = (
     "{count} secondary nodes, such as the one at {at} m, also belong to {where}, but a node can "
@@ -61,7 +60,7 @@ _OF_DECK = (
 class TiedNodes:
     """Secondary nodes that depend on a main surface."""
 
-    nodes: Array  # shape (t,), int64, ascending
+    nodes: np.ndarray  # shape (t,), int64, ascending
     untied: int  # number of the other nodes of the secondary surface
     gap: float  # the largest distance between the surfaces where they are tied, m
     distance: float  # largest distance of tied facets, m
@@ -74,8 +73,8 @@ class TiedNodes:
 def joined(
     mesh: Mesh,
     ties: Sequence[Tie],
-    held: Array,
-    sections: Sequence[tuple[str, Array]],
+    held: np.ndarray,
+    sections: Sequence[tuple[str, np.ndarray]],
     problems: list[BundleProblem],
 ) -> tuple[Mesh, tuple[TiedNodes, ...]]:
     """Return a mesh whose tied nodes depend on others, and lie where these put them, and the ties.
@@ -133,8 +132,8 @@ def joined(
 
 
 def _bound_nodes(
-    mesh: Mesh, pair: Tie, held: Array, follows: Array
-) -> tuple[dict[str, Array], float]:
+    mesh: Mesh, pair: Tie, held: np.ndarray, follows: np.ndarray
+) -> tuple[dict[str, np.ndarray], float]:
     """Return which secondary nodes, (k,), must not be tied, by the reason.
 
     The second result is the least distance of nodes of the two surfaces, m.
@@ -151,15 +150,15 @@ def _bound_nodes(
     bound = {
         # This node connects both surfaces.
         f'are in "{pair.main}"': np.isin(nodes, main),
-        "are fixed": np.trace(held[nodes], axis1=1, axis2=2) >= 3 - _SAME,
+        "are fixed": np.trace(held[nodes], axis1=1, axis2=2) >= 3 - _ROUNDOFF,
         "already follow others": follows[nodes],
-        "slide where it does not": (np.abs(loose).max(axis=(2, 3)) > _SAME).all(axis=1),
+        "slide where it does not": (np.abs(loose).max(axis=(2, 3)) > _ROUNDOFF).all(axis=1),
     }
     return bound, float(gaps.min())
 
 
 def _shared(
-    mesh: Mesh, nodes: Array, uses: Sequence[tuple[str, Array]], key: str, text: str
+    mesh: Mesh, nodes: np.ndarray, uses: Sequence[tuple[str, np.ndarray]], key: str, text: str
 ) -> Iterator[BundleProblem]:
     """Yield a problem at `key` for each use, a key and nodes, that has some of `nodes`.
 
@@ -172,7 +171,7 @@ def _shared(
             yield BundleProblem(key, text.format(count=shared.size, at=at, where=where))
 
 
-def _why_untied(pair: Tie, tied: TiedNodes, gap: float, bound: Mapping[str, Array]) -> str:
+def _why_untied(pair: Tie, tied: TiedNodes, gap: float, bound: Mapping[str, np.ndarray]) -> str:
     """Return the reason for which no node is tied.
 
     gap: the least distance of nodes of the two surfaces, m.
@@ -213,7 +212,11 @@ def _why_untied(pair: Tie, tied: TiedNodes, gap: float, bound: Mapping[str, Arra
 
 
 def tied_nodes(
-    points: Array, secondary: FacetGroup, main: FacetGroup, distance: float | None, free: Array
+    points: np.ndarray,
+    secondary: FacetGroup,
+    main: FacetGroup,
+    distance: float | None,
+    free: np.ndarray,
 ) -> tuple[TiedNodes, Entries]:
     """Tie two surfaces; also return the dependences of the tied nodes.
 
@@ -261,21 +264,21 @@ def tied_nodes(
     return TiedNodes(np.flatnonzero(tied), loose, gap, distance, cut, beyond, within), follow
 
 
-def _mean_edge(points: Array, blocks: Sequence[FacetBlock]) -> float:
+def _mean_edge(points: np.ndarray, blocks: Sequence[FacetBlock]) -> float:
     """Return the mean length of the edges of facets, m."""
     corners = [points[nodes[:, : corners_of(kind)]] for kind, nodes in blocks]
     edges = [np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).ravel() for at in corners]
     return float(np.concatenate(edges).mean())
 
 
-def _areas(points: Array, block: FacetBlock) -> Array:
+def _areas(points: np.ndarray, block: FacetBlock) -> np.ndarray:
     """Return the area of each facet between its corners, (f,), m^2."""
     at = points[block.nodes[:, : corners_of(block.kind)]]
     across = np.cross(at, np.roll(at, -1, axis=1))
     return np.linalg.norm(across.sum(axis=1), axis=1) / 2
 
 
-def _partly_covered(areas: Array, covered: Array) -> float:
+def _partly_covered(areas: np.ndarray, covered: np.ndarray) -> float:
     """Return the size of the largest main facet that is covered in part, over the tie's, or 0.
 
     areas, covered: shape (f,), m^2: of each main facet, and of its tied part.
@@ -289,24 +292,31 @@ class _Mixed(NamedTuple):
     """Integrals over s overlaps of secondary facets with facets of a block of the main surface."""
 
     block: int  # index of the main block
-    facets: Array  # shape (s,), int64: the secondary facet
-    main_facets: Array  # shape (s,), int64: the facet of the main block
-    masters: Array  # shape (s, l), int64: nodes of the main facet
-    products: Array  # shape (s, k, l), m^2: of transformed functions and those of the main facet
-    gaps: Array  # shape (s, q), m: distance between both facets
-    areas: Array  # shape (s,), m^2
+    facets: np.ndarray  # shape (s,), int64: the secondary facet
+    main_facets: np.ndarray  # shape (s,), int64: the facet of the main block
+    masters: np.ndarray  # shape (s, l), int64: nodes of the main facet
+    products: (
+        np.ndarray
+    )  # shape (s, k, l), m^2: of transformed functions and those of the main facet
+    gaps: np.ndarray  # shape (s, q), m: distance between both facets
+    areas: np.ndarray  # shape (s,), m^2
 
 
 class _Integrals(NamedTuple):
     """Integrals over the overlaps of f secondary facets with the main surface."""
 
-    mass: Array  # shape (f, k, k), m^2: products of transformed functions
+    mass: np.ndarray  # shape (f, k, k), m^2: products of transformed functions
     mixed: list[_Mixed]
-    off: Array  # shape (f,), m: largest distance of a facet to main facets too far from it
+    off: np.ndarray  # shape (f,), m: largest distance of a facet to main facets too far from it
 
 
 def _integrals(
-    points: Array, block: FacetBlock, main: FacetGroup, plane: Array, distance: float, edge: float
+    points: np.ndarray,
+    block: FacetBlock,
+    main: FacetGroup,
+    plane: np.ndarray,
+    distance: float,
+    edge: float,
 ) -> _Integrals:
     """Integrate over the overlaps of a secondary block with the main surface.
 
@@ -333,7 +343,9 @@ def _integrals(
     return _Integrals(mass, mixed, off)
 
 
-def _dual_entries(part: _Mixed, nodes: Array, dual: Array, is_tied: Array) -> Entries:
+def _dual_entries(
+    part: _Mixed, nodes: np.ndarray, dual: np.ndarray, is_tied: np.ndarray
+) -> Entries:
     """Return the products of dual and main functions, m^2, as weights of the secondary nodes.
 
     nodes: shape (f, k), int64: of the secondary facets. dual: shape (f, k, k).
@@ -349,9 +361,9 @@ def _dual_entries(part: _Mixed, nodes: Array, dual: Array, is_tied: Array) -> En
 class _Transform(NamedTuple):
     """Popp's transformation of the unknowns of a facet of k nodes, e of them midside nodes."""
 
-    values: Array  # shape (k, k): nodal values by transformed unknowns
-    middles: Array  # shape (e,): local indices of midside nodes
-    ends: Array  # shape (e, 2): local indices of both ends of their edges
+    values: np.ndarray  # shape (k, k): nodal values by transformed unknowns
+    middles: np.ndarray  # shape (e,): local indices of midside nodes
+    ends: np.ndarray  # shape (e, 2): local indices of both ends of their edges
 
 
 def _transform(kind: str, size: int) -> _Transform:
@@ -365,7 +377,7 @@ def _transform(kind: str, size: int) -> _Transform:
     return _Transform(transform, count + corner, ends)
 
 
-def _mean_planes(points: Array, kind: str, nodes: Array) -> tuple[Array, Array]:
+def _mean_planes(points: np.ndarray, kind: str, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two directions in the mean plane of each facet, (f, 3, 2), unit vectors in columns.
 
     The second result is the area, m^2, of each quadrature point in that plane, (f, q).
@@ -376,11 +388,13 @@ def _mean_planes(points: Array, kind: str, nodes: Array) -> tuple[Array, Array]:
     arms = at[:, :count] - at[:, :count].mean(axis=1)[:, None]
     normal = np.cross(arms, np.roll(arms, -1, axis=1)).sum(axis=1)
     plane = np.linalg.qr(np.stack([normal, arms[:, 0], arms[:, 1]], axis=2)).Q[:, :, 1:]
-    areas = np.einsum("fki,qkj->fqij", at @ plane, element.slopes)
-    return plane, np.abs(np.linalg.det(areas)) * element.weights
+    areas = np.linalg.det(jacobians(at @ plane, element.slopes))
+    return plane, np.abs(areas) * element.weights
 
 
-def _followed(entries: Sequence[Entries], tied: Array, covered: Array, ends: Array) -> Entries:
+def _followed(
+    entries: Sequence[Entries], tied: np.ndarray, covered: np.ndarray, ends: np.ndarray
+) -> Entries:
     """Return the dependences of the tied nodes from those of transformed unknowns.
 
     entries: with products of dual and main functions, m^2, as weights.

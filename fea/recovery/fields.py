@@ -19,8 +19,6 @@ from wrenchbook.fea.recovery.stress import (
 from wrenchbook.fea.solution import Solution
 from wrenchbook.fea.tensors import von_mises
 
-Array = np.ndarray
-
 MAX_POINTS = 20_000
 """Integration points whose stresses are stored, some 1.5 MB a row; of more only the largest is."""
 
@@ -32,16 +30,16 @@ class SolveFields:
     # Whether the slopes are the complete answer: fields = slopes @ inputs, a temperature among them
     # relative to its reference.
     linear: bool
-    vertices: Array  # shape (v, 3), m, undeformed
-    triangles: Array  # shape (t, 3), int32
+    vertices: np.ndarray  # shape (v, 3), m, undeformed
+    triangles: np.ndarray  # shape (t, 3), int32
     full_vertices: int  # number of vertices of the outer surface before it was simplified
-    displacement: Array  # shape (v, 3), m
-    displacement_slopes: Array  # shape (v, 3, k), m/N, m/(N·m), m/K: change with each input
+    displacement: np.ndarray  # shape (v, 3), m
+    displacement_slopes: np.ndarray  # shape (v, 3, k), m/N, m/(N·m), m/K: change with each input
     # p integration points; p = 0 if there are more than `MAX_POINTS`.
-    stress: Array  # shape (p, 6), Pa, Cauchy's: xx, yy, zz, xy, xz, yz
-    stress_slopes: Array  # shape (p, 6, k), Pa/N, Pa/(N·m), Pa/K
-    places: Array  # shape (p, 3), m, undeformed
-    materials: Array  # shape (p,), int32, index into `regions`
+    stress: np.ndarray  # shape (p, 6), Pa, Cauchy's: xx, yy, zz, xy, xz, yz
+    stress_slopes: np.ndarray  # shape (p, 6, k), Pa/N, Pa/(N·m), Pa/K
+    places: np.ndarray  # shape (p, 3), m, undeformed
+    materials: np.ndarray  # shape (p,), int32, index into `regions`
     regions: tuple[str, ...]  # the materials' regions
     largest: float  # von Mises stress over all integration points, Pa
     largest_at: tuple[float, float, float]  # point of the largest value, m
@@ -67,7 +65,7 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     regions = tuple(material.region for material in component.materials)
     equivalent = von_mises(stress)
     worst = int(equivalent.argmax())
-    surface = surface_of(component.mesh)
+    surface = shown_surface(component.mesh)
     return SolveFields(
         linear=linear,
         vertices=body.points[surface.nodes],
@@ -88,8 +86,12 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
 
 
 def _stresses(
-    component: ComponentModel, body: ElasticBody, solution: Solution, slopes: Array, shown: slice
-) -> tuple[Array, Array]:
+    component: ComponentModel,
+    body: ElasticBody,
+    solution: Solution,
+    slopes: np.ndarray,
+    shown: slice,
+) -> tuple[np.ndarray, np.ndarray]:
     """Return stresses, shape (p, 6), Pa, and their change with the inputs, (p, 6, k)."""
     loads = len(solution.displacement)
     if not component.analysis.nonlinear:
@@ -109,16 +111,16 @@ MAX_VERTICES = 40_000
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class ShownSurface:
     """Triangles between some of a mesh's nodes; all are indices."""
 
-    nodes: Array  # shape (v,), int64: the mesh's node of each vertex
-    triangles: Array  # shape (t, 3), int32: vertices, anticlockwise seen from outside
+    nodes: np.ndarray  # shape (v,), int64: the mesh's node of each vertex
+    triangles: np.ndarray  # shape (t, 3), int32: vertices, anticlockwise seen from outside
     # Number of nodes of the outer surface; more than the vertices if it was simplified.
     full_count: int
 
 
-def surface_of(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> Surface:
+def shown_surface(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> ShownSurface:
     """Return the outer surface, simplified if it has more than `max_vertices`.
 
     A simplified surface has fewer vertices, each a node of the mesh in its place, so that its
@@ -130,10 +132,12 @@ def surface_of(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> Surface:
     if count > max_vertices:
         vertices, triangles = _clustered(mesh.points[nodes], triangles, max_vertices)
         nodes = nodes[vertices]
-    return Surface(nodes, triangles.astype(np.int32), count)
+    return ShownSurface(nodes, triangles.astype(np.int32), count)
 
 
-def _clustered(points: Array, triangles: Array, max_vertices: int) -> tuple[Array, Array]:
+def _clustered(
+    points: np.ndarray, triangles: np.ndarray, max_vertices: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the remaining points, (v,), and the triangles between these, (t, 3).
 
     Vertex clustering (Rossignac and Borrel 1993): the points in each box of a grid are merged into
@@ -158,7 +162,7 @@ def _clustered(points: Array, triangles: Array, max_vertices: int) -> tuple[Arra
     return first[used], renumbered.reshape(-1, 3)
 
 
-def _boxes(points: Array, size: float) -> Array:
+def _boxes(points: np.ndarray, size: float) -> np.ndarray:
     extent = np.ptp(points, axis=0)
     sizes = np.where(extent > 0, np.minimum(size, 0.75 * extent), size)  # a plate keeps both faces
     return np.floor((points - points.min(axis=0)) / sizes).astype(np.int64)

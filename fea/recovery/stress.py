@@ -11,12 +11,12 @@ from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.solution import Solution
 from wrenchbook.fea.tensors import COLUMNS, ROWS, von_mises
 
-Array = np.ndarray
-
 _HALF_KELVIN = 0.5  # K: the difference's error is the square of the thermal strain in it, 1e-10
 
 
-def integration_points(component: ComponentModel, points: Array) -> tuple[Array, Array]:
+def integration_points(
+    component: ComponentModel, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return points and materials of the integration, in the order of `ElasticBody.parts`.
 
     component: its mesh's cells and their materials.
@@ -33,7 +33,7 @@ def integration_points(component: ComponentModel, points: Array) -> tuple[Array,
     return np.concatenate(coordinates), np.concatenate(materials).astype(np.int32)
 
 
-def small_stress(body: ElasticBody, fields: Array, loads: int | None = None) -> Array:
+def small_stress(body: ElasticBody, fields: np.ndarray, loads: int | None = None) -> np.ndarray:
     """Return the stresses of small displacement fields: xx, yy, zz, xy, xz, yz.
 
     fields: shape (n, 3, k), m over some unit.
@@ -53,11 +53,11 @@ def small_stress(body: ElasticBody, fields: Array, loads: int | None = None) -> 
 
 def cauchy_stress(
     body: ElasticBody,
-    displacement: Array,
-    tangents: Array,
-    temperature: float = 0.0,
+    displacement: np.ndarray,
+    tangents: np.ndarray,
+    temperature: float,
     loads: int = 0,
-) -> tuple[Array, Array]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the Cauchy stresses of a displaced body, and their change with the inputs.
 
     displacement: shape (n, 3), m.
@@ -85,7 +85,7 @@ def cauchy_stress(
     return stress_field, slopes
 
 
-def stress_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> Array:
+def stress_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> np.ndarray:
     """Return the stresses of a solution, shape (p, 6), Pa: Cauchy's, or the small-strain ones."""
     nodes = solution.nodes @ component.axes.T
     temperature = component.warming(solution.wrench)
@@ -94,14 +94,14 @@ def stress_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     return cauchy_stress(body, nodes, np.empty((*nodes.shape, 0)), temperature)[0]
 
 
-def _six(stress: Array) -> Array:
+def _six(stress: np.ndarray) -> np.ndarray:
     """Return six numbers a point: (k, cells, points, 3, 3), or without k, to (k, p, 6)."""
     six = stress[..., ROWS, COLUMNS]
     *before, cells, points, _ = six.shape
     return six.reshape(*before, cells * points, 6)
 
 
-def most_used(component: ComponentModel, body: ElasticBody, fields: Array) -> Array:
+def most_used(component: ComponentModel, body: ElasticBody, fields: np.ndarray) -> np.ndarray:
     """Return the largest part of the yield strength that each unit load uses, shape (k,).
 
     `fields` has shape (n, 3, k), m over each unit, in the body's axes. The von Mises stress is a
@@ -115,7 +115,7 @@ def most_used(component: ComponentModel, body: ElasticBody, fields: Array) -> Ar
     return np.array(used)
 
 
-def _strengths(component: ComponentModel) -> Array:
+def _strengths(component: ComponentModel) -> np.ndarray:
     """Return the yield strength of each material, Pa; infinite if it has none."""
     return np.array([material.yield_strength or np.inf for material in component.materials])
 

@@ -1,1 +1,1 @@
-"""Equilibrium: linear, Newton, load steps, arc length."""
+"""Equilibrium by Newton's method, load steps and arc length; linear response, modes, buckling."""

@@ -16,21 +16,19 @@ import numpy as np
 from wrenchbook.fea.assembly.linearisation import Linearisation
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.solver.newton import Equilibrium, Report, Stuck, correct, tangent_after
-
-Array = np.ndarray
+from wrenchbook.fea.tensors import TINY
 
 _MAX_STEPS = 80  # steps of a path before its kind is "lost"
 _MAX_ITERATIONS = 10  # iterations of a step before it is halved
 _FEW_ITERATIONS = 5  # iterations up to which the next step grows
 _GROWTH = 1.6  # ratio of the next step to the last
-_LEAST = 1.0 / 256  # shortest step, over the first step
+_MIN_LENGTH = 1.0 / 256  # shortest step, over the first step
 # Longest step, over the first, that can distinguish a limit point from a bifurcation.
-_FINE = 1.0 / 8
+_FINE_LENGTH = 1.0 / 8
 _MAX_NODE_STEP = 0.01  # largest motion of a node in one step, over the part's size
-_LONGEST = 8.0  # longest step, over the first step
+_MAX_LENGTH = 8.0  # longest step, over the first step
 _SAMPLES = 201  # samples of the cubic between two points, whose maximum is the critical load
 _MIN_COSINE = 0.7  # cosine of the largest angle by which a path may turn in one step
-_NO_MOTION = 1e-300  # replaces a motion of 0 in a divisor
 
 
 class Ending(NamedTuple):
@@ -50,7 +48,7 @@ class _Point(NamedTuple):
     size: float  # size of its load, in the unit of `ArcPath`'s `full`
     equilibrium: Equilibrium
     # Motion per unit of the load's size: free nodes, (n, 3), m, and border, (border,)
-    rate: tuple[Array, Array]
+    rate: tuple[np.ndarray, np.ndarray]
     speed: float  # Euclidean norm of all nodes' motion in it, m
 
 
@@ -67,7 +65,7 @@ class ArcPath:
     def __init__(
         self,
         system: System,
-        direction: Array,
+        direction: np.ndarray,
         full: float,
         factor: float,
         start: Equilibrium,
@@ -81,7 +79,7 @@ class ArcPath:
         self._point = self._point_at(factor * full, start)
         furthest = _MAX_NODE_STEP * system.body.extent * self._point.speed
         farthest_node = np.abs(self._field(self._point)).max(initial=0.0)
-        longest = furthest / max(farthest_node, _NO_MOTION)
+        longest = furthest / max(farthest_node, TINY)
         self._first = min(step * full * self._point.speed, longest)
         self._length = self._first
 
@@ -93,19 +91,19 @@ class ArcPath:
         for _ in range(_MAX_STEPS):
             ahead = self._step()
             if ahead is None:
-                if self._length < _LEAST * self._first:
+                if self._length < _MIN_LENGTH * self._first:
                     break
                 continue
             step = self._between(ahead)
             product = float(np.linalg.norm(step)) * ahead.speed
             course = float(np.vdot(self._field(ahead), step)) / product if product > 0 else 1.0
-            if abs(course) < _MIN_COSINE and self._length > _LEAST * self._first:
+            if abs(course) < _MIN_COSINE and self._length > _MIN_LENGTH * self._first:
                 self._length *= 0.5
                 continue
             if course < 0:
                 return Ending("limit", self._limit_before(ahead), self._point.equilibrium)
             if not ahead.equilibrium.tangent.stable:
-                if self._length > _FINE * self._first:
+                if self._length > _FINE_LENGTH * self._first:
                     self._length *= 0.5
                     continue
                 middle = 0.5 * (self._point.size + ahead.size) / self._full
@@ -115,7 +113,7 @@ class ArcPath:
             accept(ahead.equilibrium, ahead.size / self._full)
             self._point = ahead
             if ahead.equilibrium.iterations <= _FEW_ITERATIONS:
-                self._length = min(_GROWTH * self._length, _LONGEST * self._first)
+                self._length = min(_GROWTH * self._length, _MAX_LENGTH * self._first)
         return Ending("lost", self._point.size / self._full, self._point.equilibrium)
 
     def _limit_before(self, ahead: _Point) -> float:
@@ -149,7 +147,7 @@ class ArcPath:
         return self._point_at(*equilibrium)
 
     def _correct(
-        self, nodes: Array, border: Array, size: float, normal: Array
+        self, nodes: np.ndarray, border: np.ndarray, size: float, normal: np.ndarray
     ) -> tuple[float, Equilibrium] | None:
         """Bring a predicted state into balance within the plane normal to the predictor."""
         system, balance = self._system, self._point.equilibrium.balance
@@ -180,7 +178,7 @@ class ArcPath:
             size += shift
         return None
 
-    def _rate(self, tangent: Linearisation) -> tuple[Array, Array]:
+    def _rate(self, tangent: Linearisation) -> tuple[np.ndarray, np.ndarray]:
         """Return the motion of free nodes and border per unit of the load's size."""
         nodal, edge = (columns @ self._direction[:, None] for columns in tangent.load_columns)
         nodes, border = tangent.solve(nodal, edge)
@@ -191,10 +189,10 @@ class ArcPath:
         field = rate[0] + equilibrium.tangent.border.constraint @ rate[1]
         return _Point(size, equilibrium, rate, float(np.linalg.norm(field)))
 
-    def _field(self, point: _Point) -> Array:
+    def _field(self, point: _Point) -> np.ndarray:
         """Return all nodes' motion per unit of the load's size at a point, shape (n, 3), m."""
         return point.rate[0] + point.equilibrium.tangent.border.constraint @ point.rate[1]
 
-    def _between(self, ahead: _Point) -> Array:
+    def _between(self, ahead: _Point) -> np.ndarray:
         """Return the nodes' motion from the last accepted point to another, shape (n, 3), m."""
         return ahead.equilibrium.balance.state.nodes - self._point.equilibrium.balance.state.nodes

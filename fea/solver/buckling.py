@@ -11,13 +11,11 @@ for an interface point in its section, not for a point on a long lever.
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 
 from wrenchbook.fea.assembly.body import ElasticBody, gather
 from wrenchbook.fea.assembly.system import System
-from wrenchbook.fea.solver.vibration import Inertia
-
-Array = np.ndarray
+from wrenchbook.fea.solver.vibration import Inertia, assembled
 
 # Number of modes of a subspace iteration, of both signs. The two extreme ones converge at the ratio
 # of the ninth eigenvalue to theirs.
@@ -29,9 +27,7 @@ _DEPENDENT = 1e-12
 _BUCKLING_SEED = 20170726  # seed of the start vectors: the same bundle gives the same digits
 
 
-def buckling_factors(
-    system: System, fields: Array, temperature: float = 0.0
-) -> tuple[float, float]:
+def buckling_factors(system: System, fields: np.ndarray, temperature: float) -> tuple[float, float]:
     """Return the multiples of a load, and of its opposite, at which the part buckles.
 
     system: the equations, in the interface frame.
@@ -67,20 +63,18 @@ def buckling_factors(
     return _factor(values.max()), _factor(-values.min())
 
 
-def geometric_stiffness(body: ElasticBody, fields: Array) -> csr_array:
+def geometric_stiffness(body: ElasticBody, fields: np.ndarray) -> csr_array:
     """Return G for the stresses of a small displacement field (n, 3), m; shape (n, n), N/m."""
-    rows, columns, entries = [], [], []
+    total = csr_array((body.size, body.size))
     for part, nodes in zip(body.parts, body.cells, strict=True):
         stress = part.small_stresses(gather(fields, nodes)[None])[0]
         slopes, weights = part.gradients.slopes, part.gradients.weights
         pulled = (weights[:, :, None, None] * stress) @ slopes
         cells, points, _, count = slopes.shape
         gradients = slopes.reshape(cells, 3 * points, count).swapaxes(1, 2)
-        entries.append((gradients @ pulled.reshape(cells, 3 * points, count)).ravel())
-        rows.append(np.repeat(nodes, count, axis=1).ravel())
-        columns.append(np.tile(nodes, (1, count)).ravel())
-    indices = np.concatenate(rows), np.concatenate(columns)
-    return csr_array(coo_array((np.concatenate(entries), indices), (body.size, body.size)))
+        matrices = gradients @ pulled.reshape(cells, 3 * points, count)
+        total = total + assembled(nodes, matrices, body.size)
+    return total
 
 
 def _factor(value: float) -> float:

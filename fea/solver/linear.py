@@ -10,8 +10,6 @@ from wrenchbook.fea.assembly.linearisation import Linearisation, contract
 from wrenchbook.fea.assembly.system import ROUNDOFF, System
 from wrenchbook.fea.failure import SolveFailed
 
-Array = np.ndarray
-
 # Largest number of corrections: one is enough for all but extreme parts, and each costs a solve.
 _MAX_CORRECTIONS = 4
 _SMALL = 1e-7  # relative size of a correction, whose own error is about its square
@@ -25,21 +23,21 @@ class LinearResponse:
 
     # Shape (6 i, k) for the k inputs of `Balance.wrench`: displacement = compliance @ inputs; m and
     # rad per N, N·m, K and m/s^2. That of the loads is symmetric. Locked freedoms are zero.
-    compliance: Array
+    compliance: np.ndarray
     # Shape (k, k): twice the energies of pairs of unit inputs, from the strains: of loads equal to
     # `compliance` but for roundoff, and in its units; J/K^2. With self-weight (k + 1, k + 1), the
     # last that of the weight, J.
-    energies: Array
+    energies: np.ndarray
     # Shape (n, 3, k): nodal displacements per unit of each input, m per N, N·m, K and m/s^2
-    fields: Array
+    fields: np.ndarray
     # asymmetry, energy_gap: measured before `compliance` was made symmetric, and its
     # difference from `energies`: both relative to sqrt(C_ii C_jj).
     asymmetry: float
     energy_gap: float
     # Shape (n, 3), m: nodal displacements under self-weight; zero without self-weight
-    sag: Array
+    sag: np.ndarray
     # Shape (6 i,), m and rad: the interfaces' displacements under self-weight.
-    sag_displacement: Array
+    sag_displacement: np.ndarray
 
 
 def linear_response(system: System) -> LinearResponse:
@@ -91,7 +89,7 @@ def linear_response(system: System) -> LinearResponse:
     return LinearResponse(compliance, energies, fields, asymmetry, energy_gap, sag, moved)
 
 
-def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]:
+def _refined(system: System, start: Linearisation) -> tuple[np.ndarray, np.ndarray, float]:
     """Return nodal fields, (n, 3, k), border, (border, k), and the size of the last correction.
 
     The k columns are the unit inputs, and self-weight last. Iterative refinement: the residual
@@ -125,6 +123,6 @@ def _refined(system: System, start: Linearisation) -> tuple[Array, Array, float]
     return nodes + border.constraint @ moved, moved, size
 
 
-def _relative(change: Array, fields: Array) -> float:
+def _relative(change: np.ndarray, fields: np.ndarray) -> float:
     largest = np.abs(fields).max(initial=0.0)
     return float(np.abs(change).max(initial=0.0) / largest) if largest > 0 else 0.0

@@ -9,7 +9,7 @@ import numpy as np
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.coupling import CoupledState, each_interface
-from wrenchbook.fea.failure import SolveFailed, gave_way
+from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solution import Iteration, Progress
 from wrenchbook.fea.solver.arc_length import ArcPath
 from wrenchbook.fea.solver.newton import (
@@ -21,11 +21,14 @@ from wrenchbook.fea.solver.newton import (
 )
 from wrenchbook.fea.tensors import rotation, rotation_vector
 
-Array = np.ndarray
-
 _LESS_WEIGHT = (
     "Correct gravity under [analysis] (m/s^2), or support the part so that it carries its weight."
 )
+# Failures of a path that ends below the full load, by the kind of its `Ending`.
+_GIVES_WAY = {
+    "limit": "The part snaps through at {} of {}, where its load has a maximum.",
+    "bifurcation": "The part buckles at {} of {}, where its equilibrium becomes unstable.",
+}
 # Kinds of failures that less load does not cure.
 _OF_ANY_LOAD = "mechanism", "ill_conditioned", "locking_material"
 
@@ -71,9 +74,9 @@ class LoadPath:
     def __init__(
         self,
         system: System,
-        wrench: Array,
-        progress: Progress | None = None,
-        unloaded: Equilibrium | None = None,
+        wrench: np.ndarray,
+        progress: Progress | None,
+        unloaded: Equilibrium | None,
         load: str = "this wrench",
     ) -> None:
         self._system = system
@@ -118,7 +121,7 @@ class LoadPath:
         # Outside of the block above, where the last attempt would keep its factor in memory.
         return self._follow_length(check, failure)
 
-    def last_state(self) -> tuple[float, Array]:
+    def last_state(self) -> tuple[float, np.ndarray]:
         """Return the load factor of the last converged state, and its nodes, shape (n, 3), m."""
         return self._factor, self._balance.state.nodes
 
@@ -162,7 +165,11 @@ class LoadPath:
             if equilibrium is not None:
                 check(equilibrium.balance)
                 return equilibrium
-        raise gave_way(ending.kind, ending.factor, self._load) or refused
+        if (message := _GIVES_WAY.get(ending.kind)) is None:
+            raise refused
+        failure = SolveFailed("snap_through", message.format(f"{ending.factor:.3g}", self._load))
+        failure.load_factor = ending.factor
+        raise failure
 
     def _return_to_load(self, beyond: Equilibrium) -> Equilibrium | None:
         """Go back from a state just beyond the full load to the full load."""
@@ -250,7 +257,7 @@ class LoadPath:
     def _advance(self, equilibrium: Equilibrium) -> float:
         """Work of the inputs `_direction` in a step, J; see `Linearisation.conjugate_rate`."""
         ends = (self._balance.state.interface, equilibrium.balance.state.interface)
-        advance: list[Array] = []
+        advance: list[np.ndarray] = []
         for before, after in zip(*(each_interface(end) for end in ends), strict=True):
             spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
             advance += [(after - before)[:3], spin]

@@ -11,8 +11,6 @@ from wrenchbook.fea.assembly.linearisation import Balance, Linearisation
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.coupling import largest_rotation
 
-Array = np.ndarray
-
 Report = Callable[[int, float], None]
 """Called after each iteration with its number and the norm of the forces out of balance, N."""
 
@@ -75,7 +73,7 @@ class Correction(NamedTuple):
 
     balance: Balance  # the new state with its forces
     # The aimed displacement and the change, both linear in the unknowns, shape (n, 3), m
-    aim: tuple[Array, Array]
+    aim: tuple[np.ndarray, np.ndarray]
     size: float  # largest change over the largest displacement
     # Its size in the energy norm, relative to the new state's: the root of the quotient of the
     # correction's energy and the strain energy.
@@ -154,7 +152,7 @@ def find_equilibrium(
 
 
 def correct(
-    system: System, balance: Balance, tangent: Linearisation, nodes: Array, border: Array
+    system: System, balance: Balance, tangent: Linearisation, nodes: np.ndarray, border: np.ndarray
 ) -> Correction:
     """Apply a correction and measure it.
 

@@ -21,8 +21,6 @@ from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.solver.vibration import Inertia, lowest_modes, static_shapes
 from wrenchbook.fea.tensors import skew
 
-Array = np.ndarray
-
 _HELD_SEED = 19680701  # seed of the held modes' start vector: the same bundle gives the same digits
 
 
@@ -31,25 +29,25 @@ class CraigBampton:
     """Stiffness and mass of f frames and n modes."""
 
     names: tuple[str, ...]  # names of the frames; that of supports is "base"
-    origins: Array  # shape (f, 3), m: origins of the undeformed frames, in the mesh's axes
-    rotations: Array  # shape (f, 3, 3): the columns are a frame's axes in the mesh's
+    origins: np.ndarray  # shape (f, 3), m: origins of the undeformed frames, in the mesh's axes
+    rotations: np.ndarray  # shape (f, 3, 3): the columns are a frame's axes in the mesh's
     # stiffness, mass: shape (6 f + n, 6 f + n): of six freedoms a frame along the mesh's axes, then
     # the modes; N/m, N, N·m and kg, kg·m, kg·m^2 for frames, (rad/s)^2 and 1 for modes, kg^0.5 and
     # kg^0.5·m between both.
-    stiffness: Array
-    mass: Array
+    stiffness: np.ndarray
+    mass: np.ndarray
     # held, free: Natural frequencies, Hz, ascending: with all frames held, shape (n,); and with
     # only the base held, by these matrices, shape (6 f - 6 + n,).
-    held: Array
-    free: Array
+    held: np.ndarray
+    free: np.ndarray
 
 
 def craig_bampton(
     system: System,
     mass: csr_array,
-    points: Array,
-    body: Array,
-    frames: Sequence[tuple[str, Array, Array]],
+    points: np.ndarray,
+    body: np.ndarray,
+    frames: Sequence[tuple[str, np.ndarray, np.ndarray]],
     modes: int,
 ) -> CraigBampton:
     """Return the part's matrices with a number of modes of the part with all frames held.
@@ -100,7 +98,9 @@ def craig_bampton(
     return CraigBampton(names, np.array(origins), rotations, stiffness, reduced_mass, held, free)
 
 
-def _reduced_stiffness(compliance: Array, elastic: Array, squares: Array) -> Array:
+def _reduced_stiffness(
+    compliance: np.ndarray, elastic: np.ndarray, squares: np.ndarray
+) -> np.ndarray:
     """Return the stiffness of f frames and n modes, shape (6 f + n, 6 f + n).
 
     compliance, elastic: of the interfaces, in their axes: shape (6 i, 6 i), and their motions
@@ -114,7 +114,7 @@ def _reduced_stiffness(compliance: Array, elastic: Array, squares: Array) -> Arr
     return 0.5 * (stiffness + stiffness.T)
 
 
-def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Array]:
+def _held_modes(inertia: Inertia, shapes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return squares of frequencies (count,), (rad/s)^2, and motions of unit mass, (size, count).
 
     By Lanczos' method with the inverse of the stiffness while the interfaces are held: a solve,
@@ -122,7 +122,7 @@ def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Arr
     """
     interface_rows = slice(inertia.first, inertia.first + inertia.active.size)
 
-    def held(loads: Array) -> Array:
+    def held(loads: np.ndarray) -> np.ndarray:
         moved = inertia.solved(loads)
         return moved - shapes @ moved[interface_rows]
 
@@ -132,12 +132,12 @@ def _held_modes(inertia: Inertia, shapes: Array, count: int) -> tuple[Array, Arr
     return squares[order], motions[:, order]
 
 
-def _nodal(inertia: Inertia, motions: Array) -> Array:
+def _nodal(inertia: Inertia, motions: np.ndarray) -> np.ndarray:
     """Return all nodes' motions, shape (n, 3, k), of unknowns (size, k)."""
     return np.stack([inertia.fields(motion)[0] for motion in motions.T], axis=2)
 
 
-def _rigid(arms: Array) -> Array:
+def _rigid(arms: np.ndarray) -> np.ndarray:
     """Return the motion of points at arms (n, 3), m, by a frame's unit motions: shape (n, 3, 6)."""
     translations = np.broadcast_to(np.eye(3), (len(arms), 3, 3))
     return np.concatenate([translations, -skew(arms)], axis=2)

@@ -16,9 +16,7 @@ from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling import Coupling
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE, from_origin
 from wrenchbook.fea.element.cell_state import CellState, symmetrised
-from wrenchbook.fea.tensors import skew, spin_per_vector, spin_slope
-
-Array = np.ndarray
+from wrenchbook.fea.tensors import COMPLEX_STEP, skew, spin_per_vector, spin_slope
 
 MAX_CURVATURE_INPUTS = 8
 """Largest number of inputs whose third derivatives are stored: 120 numbers a row (of 12: 364)."""
@@ -35,11 +33,8 @@ others.
 _BEND, _JERK = np.array([(-1, 16, -30, 16, -1), (-6, 12, 0, -12, 6)]) / 12
 """Weights of differences of second and third order, from two steps below to two above."""
 
-_COMPLEX_STEP = 1e-30
-"""Step of complex differences, K: exact to roundoff, as its square vanishes in any strain."""
 
-
-def packed(tensor: Array) -> Array:
+def packed(tensor: np.ndarray) -> np.ndarray:
     """Return the entries a <= b <= c of a symmetric tensor (k, k, k), in its unit: shape (p,).
 
     p = k (k + 1) (k + 2) / 6, in the order of `itertools.combinations_with_replacement`.
@@ -48,7 +43,7 @@ def packed(tensor: Array) -> Array:
     return tensor[tuple(indices.T)]
 
 
-def load_rates(coupling: Coupling, balance: Balance, compliance: Array) -> Array:
+def load_rates(coupling: Coupling, balance: Balance, compliance: np.ndarray) -> np.ndarray:
     """Return the change of the loads of the energy, (F, mu), with the inputs, shape (k, k).
 
     mu = J(r)^T M works on the rotation vector r; J is the left Jacobian, M the moment. Further
@@ -68,8 +63,8 @@ def load_rates(coupling: Coupling, balance: Balance, compliance: Array) -> Array
 
 
 def third_derivatives(
-    system: System, balance: Balance, tangent: Linearisation, origin: Array | None = None
-) -> Array:
+    system: System, balance: Balance, tangent: Linearisation, origin: np.ndarray | None = None
+) -> np.ndarray:
     """Return the third derivatives of the complementary energy by the loads (F, mu).
 
     balance, tangent: a state in balance, and the tangent there.
@@ -103,7 +98,7 @@ def third_derivatives(
     return tensor
 
 
-def _thermal_part(system: System, balance: Balance, fields: Array) -> Array:
+def _thermal_part(system: System, balance: Balance, fields: np.ndarray) -> np.ndarray:
     """Return the strain energy's third derivatives by the temperature and fields, (k, k, k), J.
 
     fields: shape (n, 3, k), m over the units of the k active inputs; the temperature is that behind
@@ -115,11 +110,11 @@ def _thermal_part(system: System, balance: Balance, fields: Array) -> Array:
     steps = _WARMER * np.arange(-2, 3)
     near = [system.body.at(temperature + step).forces(nodes) for step in steps]
     forces, energies, _ = zip(*near, strict=True)
-    warmer = system.body.at(temperature + 1j * _COMPLEX_STEP)
+    warmer = system.body.at(temperature + 1j * COMPLEX_STEP)
     ahead = warmer.derivatives(CellState.second, nodes, fields)
 
     tensor = np.zeros((fields.shape[2],) * 3)
-    tensor[:, :, warm] = np.imag(ahead) / _COMPLEX_STEP
+    tensor[:, :, warm] = np.imag(ahead) / COMPLEX_STEP
     bend = np.tensordot(_BEND / _WARMER**2, forces, 1)
     tensor[warm, warm] += contract(bend[:, :, None], fields)[0]
     tensor = symmetrised(tensor)
@@ -127,7 +122,7 @@ def _thermal_part(system: System, balance: Balance, fields: Array) -> Array:
     return tensor
 
 
-def second_derivatives_at_rest(system: System) -> Array:
+def second_derivatives_at_rest(system: System) -> np.ndarray:
     """Return the second derivatives of the displacements by the inputs, undeformed and unloaded.
 
     At no load they are those of the complementary energy, plus the derivatives of mu = M - r x M /

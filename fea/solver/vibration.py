@@ -13,11 +13,10 @@ from wrenchbook.fea.assembly.linearisation import contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.mesh.mapping import jacobians
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
-from wrenchbook.fea.tensors import skew
-
-Array = np.ndarray
+from wrenchbook.fea.tensors import determinant, skew
 
 # Part of the largest moment of inertia: a rod's least is 0 but for roundoff.
 _MOMENT_ROUNDOFF = 1e-9
@@ -35,9 +34,9 @@ class Riding:
     """
 
     mass: float  # kg, zero or more
-    inertia: Array  # shape (3, 3), kg·m^2: about its centre of mass, in the interface frame
+    inertia: np.ndarray  # shape (3, 3), kg·m^2: about its centre of mass, in the interface frame
     # Shape (3,), m: its centre of mass from the interface point, in the interface frame
-    centre: Array
+    centre: np.ndarray
 
     def __post_init__(self) -> None:
         for name in ("mass", "inertia", "centre"):
@@ -62,7 +61,7 @@ class Riding:
 
     @classmethod
     def of(
-        cls, mass: float = 0.0, inertia: Array | None = None, centre: Array | None = None
+        cls, mass: float = 0.0, inertia: np.ndarray | None = None, centre: np.ndarray | None = None
     ) -> Riding:
         """Return a rigid mass with three principal moments or six (xx, yy, zz, xy, xz, yz), kg·m^2.
 
@@ -85,7 +84,7 @@ class Riding:
         return cls(float(mass), tensor, position)
 
     @property
-    def matrix(self) -> Array:
+    def matrix(self) -> np.ndarray:
         """The mass matrix about the interface point, shape (6, 6): kg, kg·m and kg·m^2."""
         arm = skew(self.centre)
         matrix = np.zeros((PER_INTERFACE, PER_INTERFACE))
@@ -102,10 +101,10 @@ class Vibration:
 
     mass: float  # mass of the component itself, kg
     frequency: float  # Hz
-    interface: Array  # shape (6 i,): motion of the i interfaces, m and rad, of length one
+    interface: np.ndarray  # shape (6 i,): motion of the i interfaces, m and rad, of length one
     # Shape (6 i, 6 i): the component's mass as the interfaces' motion accelerates it, kg, kg·m and
     # kg·m^2; zero at locked freedoms.
-    condensed: Array
+    condensed: np.ndarray
 
 
 def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibration:
@@ -152,8 +151,8 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
 
 
 def lowest_modes(
-    inertia: Inertia, inverse: Callable[[Array], Array], start: Array, count: int
-) -> tuple[Array, Array]:
+    inertia: Inertia, inverse: Callable[[np.ndarray], np.ndarray], start: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return squares of frequencies (count,), (rad/s)^2, and modes (size, count), in any order.
 
     inverse: the inverse of the stiffness, loads (size,) to motions.
@@ -175,7 +174,7 @@ def lowest_modes(
     return squares, modes
 
 
-def _lowest_mode_of_massless(inertia: Inertia) -> Array:
+def _lowest_mode_of_massless(inertia: Inertia) -> np.ndarray:
     """Return the mode of a component without mass that carries a mass M, shape (size,).
 
     With the compliance C = L L^T of the interface, 1 / omega^2 is an eigenvalue of L^T M L.
@@ -204,7 +203,7 @@ def _lowest_mode_of_massless(inertia: Inertia) -> Array:
     return np.linalg.solve(compliance, lower @ vectors[:, -1]) @ moved.T
 
 
-def condensed_mass(inertia: Inertia) -> Array:
+def condensed_mass(inertia: Inertia) -> np.ndarray:
     """Return the mass condensed to the interfaces' motion, shape (6 i, 6 i), kg to kg·m^2.
 
     Guyan (1965): the kinetic energy of the motions under static loads at the interfaces.
@@ -220,7 +219,7 @@ def condensed_mass(inertia: Inertia) -> Array:
     return matrix
 
 
-def static_shapes(inertia: Inertia) -> tuple[Array, Array]:
+def static_shapes(inertia: Inertia) -> tuple[np.ndarray, np.ndarray]:
     """Return the unknowns by unit motions of each active interface freedom, shape (size, k).
 
     The second result is the compliance of these freedoms, shape (k, k), m/N and so on.
@@ -242,7 +241,7 @@ class Inertia:
     unknowns.
     """
 
-    def __init__(self, system: System, mass: csr_array, interface_mass: Array) -> None:
+    def __init__(self, system: System, mass: csr_array, interface_mass: np.ndarray) -> None:
         self._mass = mass
         self.interface_mass = interface_mass
         self._start = system.undeformed
@@ -256,7 +255,7 @@ class Inertia:
         self.first = 3 * self._free.size
         self.size = self.first + self._motions
 
-    def fields(self, x: Array) -> tuple[Array, Array]:
+    def fields(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return all nodes' motion (n, 3), m, and the interfaces' (6 i,), m and rad."""
         border = x[self.first :]
         nodes = self._constraint @ border
@@ -267,11 +266,11 @@ class Inertia:
         interface[self.active] = border[: self.active.size]
         return nodes, interface
 
-    def border(self, x: Array) -> Array:
+    def border(self, x: np.ndarray) -> np.ndarray:
         """Return the motion of the whole border, shape (border, 1); its multipliers are zero."""
         return np.append(x[self.first :], np.zeros(self._multipliers))[:, None]
 
-    def times(self, x: Array) -> Array:
+    def times(self, x: np.ndarray) -> np.ndarray:
         """Multiply by the mass matrix: shape (size,) to (size,), kg times the unit given."""
         nodes, interface = self.fields(np.asarray(x).reshape(-1))
         forces = np.asarray(self._mass @ nodes)
@@ -279,7 +278,7 @@ class Inertia:
         border[: self.active.size] += (self.interface_mass @ interface)[self.active]
         return np.concatenate([self._movable.released(forces)[self._free].ravel(), border])
 
-    def solved(self, loads: Array) -> Array:
+    def solved(self, loads: np.ndarray) -> np.ndarray:
         """Return K^-1 times loads, shape (size,) or (k, size): N and N·m to m and rad."""
         columns = np.asarray(loads).reshape(-1, self.size).T
         nodal = np.zeros((self._nodes, 3, columns.shape[1]))
@@ -293,15 +292,15 @@ class Inertia:
 class Applied(LinearOperator):
     """A linear map in SciPy's form."""
 
-    def __init__(self, size: int, apply: Callable[[Array], Array]) -> None:
+    def __init__(self, size: int, apply: Callable[[np.ndarray], np.ndarray]) -> None:
         super().__init__(np.dtype(float), (size, size))
         self._apply = apply
 
-    def _matvec(self, x: Array) -> Array:
+    def _matvec(self, x: np.ndarray) -> np.ndarray:
         return self._apply(x)
 
 
-def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
+def consistent_mass(mesh: Mesh, density: Sequence[np.ndarray]) -> csr_array:
     """Integrate density N_a N_b over all cells.
 
     It is the same for each of the three components of a displacement, so it stands once.
@@ -315,16 +314,22 @@ def consistent_mass(mesh: Mesh, density: Sequence[Array]) -> csr_array:
     for block, densities in zip(mesh.blocks, density, strict=True):
         # The mass matrix of each cell, shape (cells, nodes, nodes), kg.
         element = reference_element(block.kind, "mass")
-        jacobian = mesh.points[block.nodes].transpose(0, 2, 1)[:, None] @ element.slopes
-        weights = np.linalg.det(jacobian) * element.weights * densities[:, None]
+        volumes = determinant(jacobians(mesh.points[block.nodes], element.slopes))
+        weights = volumes * element.weights * densities[:, None]
         products = element.values[:, :, None] * element.values[:, None, :]
-        size = block.nodes.shape[1]
-        entries = (weights @ products.reshape(len(products), -1)).reshape(len(block), size, size)
-        rows = np.repeat(block.nodes, block.nodes.shape[1], axis=1)
-        columns = np.tile(block.nodes, (1, block.nodes.shape[1]))
-        indices = rows.ravel(), columns.ravel()
-        total = total + coo_array((entries.ravel(), indices), shape=(count, count)).tocsr()
+        entries = weights @ products.reshape(len(products), -1)
+        total = total + assembled(block.nodes, entries, count)
     if mesh.dependents is not None:
         follow = mesh.dependents.map
         total = follow.T @ total @ follow
     return csr_array(total)
+
+
+def assembled(nodes: np.ndarray, matrices: np.ndarray, size: int) -> csr_array:
+    """Return the sum of cells' matrices, (cells, s^2) in any shape, of nodes (cells, s).
+
+    Result: shape (size, size), in the unit of the matrices.
+    """
+    count = nodes.shape[1]
+    indices = np.repeat(nodes, count, axis=1).ravel(), np.tile(nodes, (1, count)).ravel()
+    return csr_array(coo_array((matrices.ravel(), indices), shape=(size, size)))

@@ -32,8 +32,6 @@ from pydantic_core import PydanticCustomError, core_schema
 
 from wrenchbook.fea.spec.problems import STEERING, BundleProblem, suggest
 
-Array = np.ndarray
-
 MAX_COUNT = 10**9  # largest number of cells, layers and faces: far above any mesh, within an int32
 _ORTHONORMAL = 1e-6  # axes are written to six digits and more
 _QUOTED = re.compile("'([^']*)'")  # the words of a choice in pydantic's ``expected``
@@ -167,10 +165,10 @@ def counted(count: int, message: str = "", names: str = "") -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def array_of(inner: Any, make: Callable[[Any], Array] = np.array) -> GetPydanticSchema:
+def array_of(inner: Any, make: Callable[[Any], np.ndarray] = np.array) -> GetPydanticSchema:
     """Make an array, of the shape of an `inner`, by `make`; an array is returned unchanged."""
 
-    def check(value: object, handler: Callable[[object], Any]) -> Array:
+    def check(value: object, handler: Callable[[object], Any]) -> np.ndarray:
         return value if isinstance(value, np.ndarray) else make(handler(value))
 
     return GetPydanticSchema(
@@ -232,7 +230,7 @@ BundleFile = Annotated[
         )
     ),
 ]
-Point = Annotated[Array, array_of(Three)]
+Point = Annotated[np.ndarray, array_of(Three)]
 
 
 def unit_vector(v: Sequence[float]) -> tuple[float, float, float]:
@@ -246,7 +244,7 @@ def _cross(a: Sequence[float], b: Sequence[float]) -> list[float]:
     return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
 
 
-def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
+def _orthonormal(rows: Sequence[Sequence[float]]) -> np.ndarray:
     """Return three directions made exactly orthonormal, shape (3, 3), dimensionless.
 
     Raises ValueError if they are not orthonormal to `_ORTHONORMAL`, or are left-handed.
@@ -277,10 +275,10 @@ def _orthonormal(rows: Sequence[Sequence[float]]) -> Array:
 _Directions = Annotated[
     tuple[Three, Three, Three], counted(3, "must be three directions, the frame's x, y and z")
 ]
-Axes = Annotated[Array, array_of(_Directions, _orthonormal)]
+Axes = Annotated[np.ndarray, array_of(_Directions, _orthonormal)]
 
 
-def mesh_axes() -> Array:
+def mesh_axes() -> np.ndarray:
     """Return the mesh's axes, shape (3, 3)."""
     return np.eye(3)
 

@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator
 
 from wrenchbook.fea.spec.keys import (
-    Array,
     Axes,
     MistakesError,
     Number,
@@ -29,17 +28,17 @@ EXPANDING = ("isotropic", "orthotropic")  # the laws whose cells have a thermal 
 
 MAX_ISOTROPIC_RATIO = 0.4
 """Smallest value of `Orthotropic.isotropic_ratio` at which any kind of cells locks."""
-_LARGEST_MODULUS = 1e100  # Pa: products of three, and their inverses, are finite numbers
+_MAX_MODULUS = 1e100  # Pa: products of three, and their inverses, are finite numbers
 _DIRECTION_LENGTHS = 1e-6, 1e6  # limits of a direction's length: two points in any length unit
 # Least eigenvalue of the scaled compliance: below it a material is stable only by roundoff.
-_LEAST_EIGENVALUE = 1e-9
-_LARGEST_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
+_MIN_EIGENVALUE = 1e-9
+_MAX_EXPANSION = 1e-2  # 1/K: rubber has 2e-4; a number without its 1e-6 is above
 
 
 def _small(expansion: tuple[float, float, float]) -> tuple[float, float, float]:
     """Refuse coefficients, 1/K, that lack their factor of 1e-6."""
-    if abs(most := max(expansion, key=abs)) > _LARGEST_EXPANSION:
-        end = f"{_LARGEST_EXPANSION:g} 1/K in size, not {most:g}"
+    if abs(most := max(expansion, key=abs)) > _MAX_EXPANSION:
+        end = f"{_MAX_EXPANSION:g} 1/K in size, not {most:g}"
         raise ValueError(f"must be at most {end}; for aluminium write 23e-6")
     return expansion
 
@@ -60,8 +59,8 @@ Expansion = Annotated[
 
 
 def _modulus(value: float) -> float:
-    if not 1 / _LARGEST_MODULUS <= value <= _LARGEST_MODULUS:
-        ends = f"from {1 / _LARGEST_MODULUS:g} to {_LARGEST_MODULUS:g} {{unit}}"
+    if not 1 / _MAX_MODULUS <= value <= _MAX_MODULUS:
+        ends = f"from {1 / _MAX_MODULUS:g} to {_MAX_MODULUS:g} {{unit}}"
         raise ValueError(f"must be {ends}, not {value:g}; for steel write 210e9")
     return value
 
@@ -194,7 +193,7 @@ class Orthotropic(Solid):
         """The `isotropic_ratio`, which identifies cells that would lock."""
         return self.isotropic_ratio
 
-    def directions(self, points: Array) -> Array:
+    def directions(self, points: np.ndarray) -> np.ndarray:
         """Return the directions 1, 2 and 3 at points (..., 3), m: shape (..., 3, 3), in rows.
 
         Points and directions are in the mesh's axes. On the axis any radial direction is right.
@@ -212,7 +211,7 @@ class Orthotropic(Solid):
         return np.stack([radial, around, np.broadcast_to(axial, radial.shape)], axis=-2)
 
     @property
-    def elasticity(self) -> Array:
+    def elasticity(self) -> np.ndarray:
         """Stresses (11, 22, 33, 12, 13, 23) by strains, the shears 2 E_ij: shape (6, 6), Pa."""
         matrix = np.diag([0.0, 0.0, 0.0, *self.shear_moduli])
         matrix[:3, :3] = np.linalg.inv(self._compliance)
@@ -225,7 +224,7 @@ class Orthotropic(Solid):
         scale = np.sqrt(np.array(self.youngs_moduli))
         with np.errstate(over="ignore"):
             scaled = self._compliance * np.outer(scale, scale)
-        return bool(np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled)[0] > _LEAST_EIGENVALUE)
+        return bool(np.isfinite(scaled).all() and np.linalg.eigvalsh(scaled)[0] > _MIN_EIGENVALUE)
 
     @property
     def isotropic_ratio(self) -> float:
@@ -239,7 +238,7 @@ class Orthotropic(Solid):
         return float((3 * bulk - 2 * shear) / (6 * bulk + 2 * shear))
 
     @property
-    def _compliance(self) -> Array:
+    def _compliance(self) -> np.ndarray:
         """Strains (11, 22, 33) by stresses (11, 22, 33): shape (3, 3), 1/Pa."""
         e1, e2, e3 = self.youngs_moduli
         nu12, nu13, nu23 = self.poisson_ratios

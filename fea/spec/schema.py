@@ -13,7 +13,6 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.json_schema import SkipJsonSchema
 
 from wrenchbook.fea.spec.keys import (
-    Array,
     Axes,
     BundleFile,
     Flag,
@@ -43,6 +42,10 @@ from wrenchbook.fea.spec.mesh_source import LengthUnit, MeshSource
 
 FREEDOMS = ("ux", "uy", "uz", "rx", "ry", "rz")
 """The interface's six degrees of freedom, in the order of the wrench contract."""
+LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+"""The six loads of a wrench, each works on the freedom at its place."""
+PLACEHOLDERS = tuple(f"${load.upper()}" for load in LOADS)
+"""The loads in the text of a ``[deck]``."""
 
 # Inputs that vary, the loads of three interfaces: 2^18 corners of 18 loads are 38 MB.
 MAX_INPUTS = 18
@@ -163,22 +166,22 @@ class Sliding:
     """x, y, z of the directions, in the mesh's axes"""
 
     @property
-    def directions(self) -> Array:
+    def directions(self) -> np.ndarray:
         """Unit vectors in the mesh's axes, shape (d, 3)."""
         return self.axes[["xyz".index(name) for name in sorted(self.along)]]
 
 
-_ROUNDING = 1e-9  # part of a stiffness' diagonal: decks write nine digits and more
+_ROUNDOFF = 1e-9  # part of a stiffness' diagonal: decks write nine digits and more
 
 
-def _stiffness(numbers: tuple[Any, ...]) -> Array:
+def _stiffness(numbers: tuple[Any, ...]) -> np.ndarray:
     """Return six stiffnesses, or 6 x 6, as a matrix whose energy is never negative."""
     matrix = np.array(numbers) if isinstance(numbers[0], tuple) else np.diag(numbers)
     diagonal = np.diagonal(matrix)
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     scaled = matrix / scale / scale[:, None]
     asymmetry = np.abs(scaled - scaled.T)
-    if asymmetry.max() > _ROUNDING:
+    if asymmetry.max() > _ROUNDOFF:
         i, j = divmod(int(asymmetry.argmax()), len(matrix))
         raise ValueError(
             f"must be symmetric, but row {i + 1}, column {j + 1} is {matrix[i, j]:.10g} and row "
@@ -188,7 +191,7 @@ def _stiffness(numbers: tuple[Any, ...]) -> Array:
         i = int(diagonal.argmin())
         freedom = f"that of {FREEDOMS[i]} is {diagonal[i]:.4g}"
         raise ValueError(f"must have no negative stiffness, but {freedom}; write 0 or more")
-    if (least := np.linalg.eigvalsh(scaled)[0]) < -_ROUNDING:
+    if (least := np.linalg.eigvalsh(scaled)[0]) < -_ROUNDOFF:
         raise ValueError(
             f"its least eigenvalue is negative ({least:.2g} times its diagonal), so some motion "
             "would release energy; reduce the off-diagonal numbers"
@@ -199,7 +202,7 @@ def _stiffness(numbers: tuple[Any, ...]) -> Array:
 
 
 _Rows = Annotated[tuple[Six, ...], counted(6)]
-Stiffness = Annotated[Array, array_of(Annotated[Any, either(Six, _Rows, 2)], _stiffness)]
+Stiffness = Annotated[np.ndarray, array_of(Annotated[Any, either(Six, _Rows, 2)], _stiffness)]
 
 
 @array_table
@@ -398,8 +401,8 @@ class MeasuredInterface(Interface):
     section: SkipJsonSchema[str] = field(default="", init=False)
     coupling: SkipJsonSchema[Any] = field(default="", init=False)
     weights: SkipJsonSchema[Any] = field(default="area", init=False)
-    point: SkipJsonSchema[Array | None] = field(default=None, init=False)
-    axes: SkipJsonSchema[Array] = field(default_factory=mesh_axes, init=False)
+    point: SkipJsonSchema[np.ndarray | None] = field(default=None, init=False)
+    axes: SkipJsonSchema[np.ndarray] = field(default_factory=mesh_axes, init=False)
     locked: SkipJsonSchema[Any] = field(default=(), init=False)
     name: Name = key("", '"left"')
     """its name"""
@@ -461,10 +464,10 @@ class DeclaredRange:
     """The loads expected."""
 
     # low, high: each of shape (6 i,), N and N·m, of i interfaces; zero for a held interface
-    low: Array
-    high: Array
+    low: np.ndarray
+    high: np.ndarray
 
-    def corners(self) -> Array:
+    def corners(self) -> np.ndarray:
         """Return the corners of the range, shape (k, 6 i), N and N·m.
 
         Raises ValueError if more than `MAX_INPUTS` inputs vary.

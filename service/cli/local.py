@@ -12,7 +12,7 @@ from contextlib import closing, contextmanager
 from dataclasses import MISSING, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 from annotated_types import Ge, Le
@@ -23,7 +23,15 @@ from wrenchbook.service.cli.connect import AsJson, in_folder
 from wrenchbook.service.cli.render import Screen, plain, print_json, show
 from wrenchbook.service.files.program import run_child, usable_cores
 from wrenchbook.service.keys import FILE as KEYS
-from wrenchbook.service.keys import MEGABYTES, OVERLAP_HOURS, RATE, Keyring, KeysError, require_keys
+from wrenchbook.service.keys import (
+    MEGABYTES,
+    OVERLAP_HOURS,
+    RATE,
+    Keyring,
+    KeysError,
+    Scope,
+    require_keys,
+)
 from wrenchbook.service.settings import (
     Settings,
     SettingsError,
@@ -320,7 +328,7 @@ KeyName = Annotated[str, typer.Argument(help="name of the key's owner")]
 def add(
     name: KeyName,
     scope: Annotated[
-        Literal["read", "write", "admin"],
+        Scope,
         typer.Option(help="read: GET and queries; write: also changes; admin: also keys and decks"),
     ] = "write",
     rate: Annotated[float, typer.Option(help="largest number of requests a second")] = RATE,

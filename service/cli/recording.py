@@ -17,7 +17,7 @@ from wrenchbook.service.cli.connect import (
     Server,
     connected,
 )
-from wrenchbook.service.cli.render import Screen, show
+from wrenchbook.service.cli.render import Screen, cell, show
 from wrenchbook.service.client import Client, Started
 from wrenchbook.service.contract import LOADS, OUTPUTS
 
@@ -78,11 +78,11 @@ def envelope(
     box = Table("input", "least", "largest")
     inputs = envelope.raw.get("inputs", LOADS)
     for load, low, high in zip(inputs, envelope.min, envelope.max, strict=True):
-        box.add_row(load, f"{low:.6g}", f"{high:.6g}")
+        box.add_row(load, cell(low, ".6g"), cell(high, ".6g"))
     bounds = Table("output", "largest displacement")
     outputs = envelope.raw.get("outputs", OUTPUTS)
     for output, bound in zip(outputs, envelope.displacement_bound, strict=True):
-        bounds.add_row(output, f"{bound:.4g}")
+        bounds.add_row(output, cell(bound, ".4g"))
     verdict = {True: "negligible", False: "not negligible", None: "not known to be negligible"}
     text = f"{envelope.count} wrenches; {envelope.bound}; {verdict[envelope.negligible]}."
     shown = [box, bounds, "\n".join(filter(None, [text, envelope.reason]))]

@@ -225,8 +225,13 @@ def matrix_table(
         # A number continues in the next line of a narrow terminal, so that its exponent is visible.
         table.add_column(heading, justify="right" if heading else "left", overflow="fold")
     for name, line in zip(rows, lines or [[None] * len(columns)] * len(rows), strict=True):
-        table.add_row(name, *("-" if value is None else f"{value:.2e}" for value in line))
+        table.add_row(name, *(cell(value, ".2e") for value in line))
     return table
+
+
+def cell(value: float | None, form: str) -> str:
+    """Return a number in a format; a dash for an unknown number."""
+    return "-" if value is None or math.isnan(value) else f"{value:{form}}"
 
 
 def stiffness_lines(body: dict[str, Any]) -> Iterator[Table | str]:

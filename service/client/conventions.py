@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import InvalidArgument
-from .rotation import SINGLE_PRECISION, sinc
-from .wrenches import Vector, single_wrench
+from .rotation import checked_rotation, sinc
+from .wrenches import Vector, floats_of, single_wrench
 
 Message: TypeAlias = Any  # an object of another program
 Side = Literal["parent", "child"]
@@ -53,23 +53,21 @@ def moved(
     -------
     numpy.ndarray
         Shape (6,): F = R f and M = R m + p x F.
+
+    Raises
+    ------
+    InvalidArgument
+        If a shape is wrong, a number is not finite, or the axes are no right-handed rotation: a
+        mirror changes the sign of moments.
     """
     checked = single_wrench(wrench)
     force = checked[:3]
     moment = checked[3:]
     if rotation is not None:
-        axes = np.asarray(rotation, dtype=float)
-        is_square = axes.shape == (3, 3)
-        is_rotation = is_square and np.allclose(axes @ axes.T, np.eye(3), atol=SINGLE_PRECISION)
-        if not is_rotation or np.linalg.det(axes) < 0.0:  # a mirror changes the sign of moments
-            raise InvalidArgument(
-                "rotation must be a right-handed rotation matrix of shape (3, 3), not "
-                f"{axes.tolist()}; from a quaternion q (x, y, z, w) make it with scipy: "
-                "Rotation.from_quat(q).as_matrix()"
-            )
+        axes = checked_rotation("rotation", rotation)
         force, moment = axes @ force, axes @ moment
     if point is not None:
-        moment = moment + np.cross(np.asarray(point, dtype=float), force)
+        moment = moment + np.cross(floats_of("point", point, (3,)), force)
     return np.concatenate([force, moment])
 
 

@@ -46,7 +46,8 @@ def checked_rotation(name: str, matrix: ArrayLike) -> Vector:
         raise InvalidArgument(
             f"{name} must be a right-handed rotation matrix with the frame's axes as columns, but "
             f"{name}^T {name} differs from the identity by {skew:.3g} (at most "
-            f"{SINGLE_PRECISION:g}), and the determinant is {determinant:.3g}"
+            f"{SINGLE_PRECISION:g}), and the determinant is {determinant:.3g}. From a quaternion q "
+            "(x, y, z, w) make it with scipy: Rotation.from_quat(q).as_matrix()"
         )
     return axes
 

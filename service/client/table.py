@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any, Self, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wrenchbook.surrogate.answer import bars_within
+from wrenchbook.surrogate.answer import allowed_by, bars_within
 from wrenchbook.surrogate.kernel.binding import PackedTable, kernel
 from wrenchbook.surrogate.kernel.format import write_file
+from wrenchbook.surrogate.table.rows import Tolerance as ErrorLimits
 
 from ..contract import COVERAGE, LOADS, Coverage
 from ..messages import Part
@@ -268,9 +269,7 @@ class Table:
         """Return the largest error of each output, shape (m,), m and rad; None for its own."""
         if tolerance is None:
             return None
-        pair = tolerance_body(tolerance)
-        kinds = (pair["translation"],) * 3 + (pair["rotation"],) * 3
-        return kinds * (self.packed.outputs // _PER_INTERFACE)
+        return allowed_by(ErrorLimits(**tolerance_body(tolerance)), self.space)
 
     def batch(
         self,

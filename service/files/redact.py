@@ -27,7 +27,11 @@ def redact(text: str) -> str:
     Only a text that begins with a folder of this machine counts as a path; ``N/m`` and
     ``/v1/jobs/3`` stay. A path with spaces is cut if it is quoted, or ends with one of `_SUFFIXES`.
     """
-    text = _TRACEBACK.sub("", text)
+    return cut_paths(_TRACEBACK.sub("", text))
+
+
+def cut_paths(text: str) -> str:
+    """Return a text with absolute paths cut to their last names, as `redact` does."""
     for pattern in _path_patterns():
         text = pattern.sub(r".../\g<name>", text)
     return text

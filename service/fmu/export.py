@@ -58,7 +58,10 @@ _WITHIN = (
 _INTEGERS = ("coverage", "within_tolerance")  # variables of FMI's type Integer
 _STEPS = {"canHandleVariableCommunicationStepSize": "true"}  # attribute of co-simulation only
 _GUID_ENDS = (0, 8, 12, 16, 20, 32)  # ends of its groups among 32 hexadecimal digits
-_TOLERANCE = "largest error bar of a covered answer; 0: the component's own. Give both or none"
+_TOLERANCE = (
+    "limit of a covered answer's interpolation error, and of the whole error bar for "
+    "within_tolerance; 0: the component's own. Give both or none"
+)
 
 
 def identifier_of(component: str) -> str:

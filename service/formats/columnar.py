@@ -15,7 +15,8 @@ from wrenchbook.service.formats.columns import ARRAYS, Columns, Layout, Writable
 from wrenchbook.service.formats.header import array_header, with_unit
 from wrenchbook.service.formats.options import MAX_ROWS, Array, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_columns, read_pieces
-from wrenchbook.surrogate.table.hdf5 import foreign_columns, foreign_tables, is_table
+from wrenchbook.surrogate.table.foreign import foreign_columns
+from wrenchbook.surrogate.table.hdf5 import foreign_tables, is_table
 from wrenchbook.surrogate.table.rows import unknown_column
 from wrenchbook.surrogate.table.space import Space
 

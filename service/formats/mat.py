@@ -14,7 +14,7 @@ from wrenchbook.service.formats.cells import ContentError
 from wrenchbook.service.formats.columnar import require_unpacked
 from wrenchbook.service.formats.options import Array, Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import PIECE, read_columns
-from wrenchbook.surrogate.table.hdf5 import matlab_object
+from wrenchbook.surrogate.table.foreign import matlab_object
 
 _MAX_NAMED = 8  # variables in a message: more would hide its remedy
 

@@ -29,6 +29,7 @@ from wrenchbook.service.formats.text import read_records
 MAX_UNPACKED = 1024 * 1024 * 1024  # bytes: a million rows of 12 numbers are 500 MB of XML
 MAX_IN_MEMORY = 64 * 1024 * 1024  # bytes of a member that is no sheet: texts, styles
 MAX_MEMBERS = 1000  # files in a workbook: sheets, styles and pictures are some dozens
+MAX_CELL = 32_767  # characters of a cell (limit of Excel): it repairs a file with more
 MAX_SHEET_ROWS = 1_048_575  # rows of a sheet below the header (ECMA-376)
 ABOUT_SHEET = "about"  # sheet of an export's metadata; it has no rows
 _BLOCK = 1 << 20  # bytes of a member in memory at once
@@ -42,7 +43,7 @@ _ESCAPE = re.compile(r"_x([0-9A-Fa-f]{4})_")
 
 
 class SheetFullError(ValueError):
-    """The table has more rows than a sheet allows."""
+    """The table has more rows than a sheet allows, or a text longer than a cell allows."""
 
 
 def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
@@ -86,11 +87,14 @@ def write_xlsx(
     try:
         _write_book(book, path, pieces, layout, metadata)
     except Exception as error:
-        writers: list[Any] = [getattr(sheet, "_writer", None) for sheet in book.worksheets]
-        for writer in filter(None, writers):
-            with suppress(Exception):  # the end of its file cannot be written either
-                writer.xf.close()
-            writer.cleanup()
+        # openpyxl removes the temporary file of a sheet only after a complete save.
+        written = [(sheet, getattr(sheet, "_writer", None)) for sheet in book.worksheets]
+        for sheet, writer in written:
+            if writer is not None:
+                for close in (sheet.close, writer.xf.close):
+                    with suppress(Exception):  # the end of its file cannot be written either
+                        close()
+                writer.cleanup()
         # Error names of lxml: IO_ENOSPC.
         number = getattr(errno, str(error).removeprefix("IO_"), None)
         if number is None:
@@ -132,9 +136,14 @@ def _write_cell(sheet: Any, text: str, kind: str) -> Any:
 
     if not text:
         return None
-    cell = WriteOnlyCell(sheet)
-    cell._value = text if kind == "n" else escape(text)
-    cell.data_type = kind
+    value = text if kind == "n" else escape(text)
+    if len(value) > MAX_CELL:  # openpyxl would cut it
+        raise SheetFullError(
+            f"the table has a text of {len(value):,} characters, more than {MAX_CELL:,}, the limit "
+            "of a cell; shorten it, or export the table as CSV, Parquet or HDF5"
+        )
+    cell = WriteOnlyCell(sheet, value)
+    cell.data_type = kind  # no formula, no error, and digits as they are
     return cell
 
 

@@ -21,6 +21,7 @@ from wrenchbook.service.http.permission import OPEN, PERMISSION, Permission, Rat
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.proxy import PEER, PEER_FIELD, ProxyTrust
 from wrenchbook.service.keys import MAX_KEYS, OWN_KEY, Key, Keyring, Scope, digest_of, is_loopback
+from wrenchbook.service.settings import listed
 from wrenchbook.service.tables.rows import iso_time
 
 _LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
@@ -67,13 +68,9 @@ def security_settings(
     (DNS rebinding) is refused. On other addresses it needs keys, and answers to any name unless
     some are listed. The environment has the server's own key.
     """
-
-    def listed(text: str | None) -> frozenset[str]:
-        return frozenset(part.strip().lower() for part in (text or "").split(",") if part.strip())
-
-    local, names = is_loopback(host), listed(hosts)
+    local, names = is_loopback(host), frozenset(listed(hosts and hosts.lower()))
     allowed = _LOOPBACK_NAMES | {host} | names if local or names else None
-    sites = frozenset(site.rstrip("/") for site in listed(origins))
+    sites = frozenset(site.rstrip("/").lower() for site in listed(origins))
     return SecuritySettings(not local, allowed, sites, os.environ.get(OWN_KEY), proxy)
 
 

@@ -18,7 +18,7 @@ from starlette.routing import BaseRoute
 from starlette.types import Message, Receive, Scope, Send
 
 from wrenchbook.service.actors import CALLER, Caller
-from wrenchbook.service.contract import CONTRACT_TEXT
+from wrenchbook.service.contract import CONTRACT_MARKDOWN
 from wrenchbook.service.events import Events
 from wrenchbook.service.http import openapi, problems
 from wrenchbook.service.http.access import AccessControl, SecuritySettings
@@ -227,7 +227,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         title="wrenchbook",
         version=version("wrenchbook"),
         summary=_SUMMARY,
-        description=f"The wrench contract:\n\n{CONTRACT_TEXT}",
+        description=f"The wrench contract:\n\n{CONTRACT_MARKDOWN}",
         lifespan=_opened,
         redirect_slashes=False,
         routes=_routes(),

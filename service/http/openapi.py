@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 from starlette.requests import Request
 from starlette.responses import Response
 
-from wrenchbook.service.contract import CONTRACT_TEXT
+from wrenchbook.service.contract import CONTRACT_MARKDOWN
 from wrenchbook.service.http.problems import MEDIA_TYPE
 from wrenchbook.service.http.routes import holds, naming
 from wrenchbook.service.messages import Problem
@@ -50,7 +50,7 @@ _OWN_ERRORS: Final = "/umbridge/"  # a protocol with its own form of errors
 # Options of the application, and of the router of its calls.
 OPTIONS: Final[dict[str, Any]] = {
     "openapi_url": None,  # `install` serves it with an ETag
-    # Service/http/routes/page.py has the documentation without another host's files.
+    # service/http/routes/page.py has the documentation without another host's files.
     "docs_url": None,
     "redoc_url": None,
 }
@@ -149,7 +149,7 @@ def _document(app: FastAPI, keys: bool, below: str) -> dict[str, Any]:
     for item, key, *tables in places(document):
         text = next((TEXTS[name][key] for name in tables if key in TEXTS.get(name, ())), None)
         if text is not None:
-            item["description"] = text.replace("{contract}", CONTRACT_TEXT)
+            item["description"] = text.replace("{contract}", CONTRACT_MARKDOWN)
     return document
 
 

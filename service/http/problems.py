@@ -20,7 +20,7 @@ from starlette.routing import Match
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.service import keys, ledger
 from wrenchbook.service.actors import NotPermittedError
-from wrenchbook.service.events import FIRST_POLL_S, TooManyListenersError
+from wrenchbook.service.events import TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.formats.rig import RigError
@@ -30,7 +30,7 @@ from wrenchbook.service.jobs.waiting import TooManyPollsError
 from wrenchbook.service.library import component
 from wrenchbook.service.library.rigs import ShippedRigError, UnknownRigError
 from wrenchbook.service.ops.logs import REQUEST_ID
-from wrenchbook.service.query import BeyondRangeError, NotCoveredError, SolveFailedError, job_link
+from wrenchbook.service.query import BeyondRangeError, NotCoveredError, SolveFailedError
 from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
 from wrenchbook.service.submission import NoSetupError
 from wrenchbook.service.tables.mapped import TableBehindError
@@ -74,6 +74,7 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     RigError: (422, "rig", "The rig is not accepted"),
     NoFieldsError: (409, "no-surface", "No deformed surface can be shown"),
     TooFarError: (409, "beyond-range", "Outside the component's load range"),
+    SolveFailedError: (424, "solve-failed", "The solve failed"),
     NotCoveredError: (409, "not-covered", "The table does not cover this"),
     BeyondRangeError: (409, "beyond-range", "Outside the component's load range"),
     ledger.BlockKeyError: (409, "block-key", "The block's number cannot be used"),
@@ -95,7 +96,6 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
 # Errors of a full disk, a quota and a limit of file sizes: bodies and parsed files are temporary
 # files.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_BUILT_S = "1"  # Retry-After, s: most tables are built in less
 _TYPE_ROOT = "urn:wrenchbook:problem:"
 
 
@@ -180,10 +180,6 @@ def problem_of(error: Exception) -> HttpProblemError:
         title = "The component bundle has mistakes"
         detail = f"Nothing was added. {error}"
         return HttpProblemError(422, "bad-bundle", title, detail, errors=errors)
-    if isinstance(error, SolveFailedError):
-        title = f"The solve failed: {error.kind}"
-        link = job_link(error.job)
-        return HttpProblemError(424, "solve-failed", title, str(error), job=link, **error.facts)
     if isinstance(error, OSError) and error.errno in _FULL:
         detail = f"{error.strerror}: the disk of the data directory or of temporary files "
         detail += "(TMPDIR) is full. Make room there, then send the request again."
@@ -191,17 +187,14 @@ def problem_of(error: Exception) -> HttpProblemError:
     kind = next((kind for kind in type(error).__mro__ if kind in _NAMED), None)
     if kind is None:
         raise error
+    status, name, title = _NAMED[kind]
+    if isinstance(error, SolveFailedError):
+        title = f"{title}: {error.kind}"
+    # The time to repeat the request, of errors that pass by themselves.
+    retry_s = getattr(error, "retry_s", None)
+    headers = None if retry_s is None else {"Retry-After": str(ceil(retry_s))}
     facts = getattr(error, "facts", {})
-    return HttpProblemError(*_NAMED[kind], str(error), headers=_retry_after(error), **facts)
-
-
-def _retry_after(error: Exception) -> dict[str, str] | None:
-    """Return the header with the time to repeat the request, for errors that pass by themselves."""
-    if isinstance(error, ledger.QuotaError):
-        return {"Retry-After": str(ceil(error.retry_s))}
-    if isinstance(error, ledger.LedgerBusyError):
-        return {"Retry-After": f"{FIRST_POLL_S:g}"}
-    return {"Retry-After": _BUILT_S} if isinstance(error, TableBehindError) else None
+    return HttpProblemError(status, name, title, str(error), headers=headers, **facts)
 
 
 def _methods_of(app: FastAPI, path: str) -> list[str]:
@@ -238,7 +231,7 @@ def install(app: FastAPI) -> None:
         return HttpProblemError(500, "internal", "Internal server error", detail).response()
 
     bodies = BundleError, keys.KeysError, ValidationError, RequestValidationError
-    for kind in (HttpProblemError, OSError, SolveFailedError, *bodies, *_NAMED):
+    for kind in (HttpProblemError, OSError, *bodies, *_NAMED):
         app.add_exception_handler(kind, answer)
     app.add_exception_handler(HTTPException, http_answer)
     app.add_exception_handler(ClientDisconnect, lambda *_: Response(status_code=CLIENT_GONE))

@@ -11,7 +11,7 @@ from typing import Final
 from wrenchbook.service.actors import USER
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.keys import SCOPES, Key, Scope, digest_of
-from wrenchbook.service.settings import Settings, SettingsError
+from wrenchbook.service.settings import Settings, SettingsError, listed
 
 PEER: Final = "wrenchbook.peer"  # key in a scope: the address of a connection
 PEER_FIELD: Final = b":peer"  # the same among the header fields; no caller can send a ":" in a name
@@ -48,8 +48,8 @@ class ProxyTrust:
         named = {"*", *(group.strip() for group in groups)}
         allowed: list[Scope] = [self.scopes[group] for group in named & self.scopes.keys()]
         if not allowed:
-            listed = ", ".join(sorted(named - {"*", ""}))[:200] or "none"
-            why = f"No group of {sent} has a scope here (groups: {listed}). Start the server with:"
+            others = ", ".join(sorted(named - {"*", ""}))[:200] or "none"
+            why = f"No group of {sent} has a scope here (groups: {others}). Start the server with:"
             raise _refused(why + " wrenchbook serve --trust-proxy-scopes GROUP=read")
         name = f"{USER}{sent}"
         scope = max(allowed, key=SCOPES.index)
@@ -96,11 +96,11 @@ def proxy_trust(settings: Settings) -> ProxyTrust | None:
                 f"{', '.join(SCOPES)}; write for example lab=write,*=read"
             )
         scopes[group] = SCOPES[SCOPES.index(word)]
-    listed = [part.strip() for part in (settings.trust_proxy_from or "").split(",") if part.strip()]
-    if not listed:
+    addresses = listed(settings.trust_proxy_from)
+    if not addresses:
         raise SettingsError("--trust-proxy-user needs an address; add --trust-proxy-from ADDRESS")
     try:
-        networks = tuple(ip_network(part) for part in listed)
+        networks = tuple(map(ip_network, addresses))
     except ValueError as error:
         raise SettingsError(f"--trust-proxy-from: {error}; write for example 10.0.0.0/8") from None
     return ProxyTrust(user.lower().encode(), networks, (groups or "").lower().encode(), scopes)

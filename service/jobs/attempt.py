@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, Literal
 
 from wrenchbook.service.files.durable import write_atomically
-from wrenchbook.service.files.redact import redact
+from wrenchbook.service.files.redact import cut_paths
 
 if TYPE_CHECKING:  # solvers need no ledger
     from wrenchbook.service.ledger import JobRecord
@@ -299,7 +299,7 @@ def zipped(folder: Path) -> IO[bytes]:
                 if not stat.S_ISREG(status.st_mode) or status.st_size > room:
                     missing.append(name)
                 elif path.suffix in _TEXTS and status.st_size <= _MAX_TEXT:
-                    archive.writestr(name, redact(content.read().decode(errors="replace")))
+                    archive.writestr(name, cut_paths(content.read().decode(errors="replace")))
                     room -= status.st_size
                 else:
                     with archive.open(name, "w", force_zip64=True) as target:

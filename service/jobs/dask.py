@@ -103,18 +103,10 @@ class _Task:
     run: asyncio.Task[None] | None = None
 
 
-class _FileStat(NamedTuple):
-    """Path, bytes and time of change, ns, of a component's file."""
-
-    path: str
-    size: int
-    changed: int
-
-
 class _SentBundle(NamedTuple):
     """A component's files on the cluster, as they were on the disk."""
 
-    files: list[_FileStat]
+    files: list[tuple[str, int, int]]  # paths, bytes and times of change, ns
     digest: str
     content: Future
 
@@ -549,10 +541,10 @@ class DaskEngine(attempts.Listeners):
             return sent.digest, sent.content
 
 
-def _file_stats(folder: Path) -> list[_FileStat]:
-    """Return the files of a folder, in the order of their paths."""
+def _file_stats(folder: Path) -> list[tuple[str, int, int]]:
+    """Return path, bytes and time of change, ns, of a folder's files, by path."""
     stats = ((path, path.stat()) for path in sorted(folder.rglob("*")))
-    return [_FileStat(str(path), stat.st_size, stat.st_mtime_ns) for path, stat in stats]
+    return [(str(path), stat.st_size, stat.st_mtime_ns) for path, stat in stats]
 
 
 def _store(task: _Task, payload: dict[str, Any]) -> None:

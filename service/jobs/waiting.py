@@ -114,6 +114,7 @@ class Polls:
         self._ledger = ledger
         self._waiters: set[_Waiter] = set()
         self._changed = asyncio.Event()
+        self.notify = self._changed.set  # poll for ended jobs after a commit; call it in the loop
         self._polling: asyncio.Task[None] | None = None
         self._stopping = False
 
@@ -142,10 +143,6 @@ class Polls:
         finally:
             self._waiters.discard(waiter)
         return await run_in_threadpool(self._read, job_ids)
-
-    def notify(self) -> None:
-        """Poll for ended jobs after a commit; call it in the loop."""
-        self._changed.set()
 
     def stop(self) -> None:
         """End all waits with the jobs' present state, as the server stops; call it in the loop."""

@@ -5,6 +5,7 @@ from wrenchbook.service.ledger.imports import (
     ImportOrigin as ImportOrigin,
     ImportRecord as ImportRecord,
     ImportSpan as ImportSpan,
+    import_numbers as import_numbers,
 )
 from wrenchbook.service.ledger.ledger import Ledger as Ledger
 from wrenchbook.service.ledger.packing import (

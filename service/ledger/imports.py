@@ -9,12 +9,10 @@ from __future__ import annotations
 import json
 import os
 import time
-from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import islice
-from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -122,12 +120,12 @@ def import_rows(
         try:
             with ledger.reading() as db:
                 start = sequences(db).get("rows", 0)
-            hidden = _insert_hidden(ledger, component, blocks, origin)
-            if hidden.number is None:
-                return Loaded(0, hidden.sent, None)
-            _enter_keys(ledger, hidden.parts)
-            new = _show(ledger, component, hidden.number, origin, start)
-            return Loaded(new, hidden.sent - new, hidden.number if new else None)
+            number, sent, parts = _insert_hidden(ledger, component, blocks, origin)
+            if number is None:
+                return Loaded(0, sent, None)
+            _enter_keys(ledger, parts)
+            new = _show(ledger, component, number, origin, start)
+            return Loaded(new, sent - new, number if new else None)
         except BaseException:
             _drop_hidden(ledger)
             raise
@@ -135,18 +133,14 @@ def import_rows(
         os.close(lock)
 
 
-class _HiddenRows(NamedTuple):
-    """Inserted rows that no table shows yet."""
-
-    number: int | None  # of the import, None if all rows were known
-    sent: int  # rows of the file
-    parts: list[tuple[int, bytes]]  # the first seq and the keys of rows inserted at once
-
-
 def _insert_hidden(
     ledger: Ledger, component: str, blocks: Iterable[NotedRows], origin: ImportOrigin
-) -> _HiddenRows:
-    """Insert the new rows of an import."""
+) -> tuple[int | None, int, list[tuple[int, bytes]]]:
+    """Insert the new rows of an import, which no table shows yet.
+
+    Returns the import's number, None if all rows were known; the number of the file's rows; the
+    first seq and the keys of rows inserted at once.
+    """
     number: int | None = None
     parts: list[tuple[int, bytes]] = []
     sent = 0
@@ -174,7 +168,7 @@ def _insert_hidden(
                 db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 1)", span)
             parts.append((first, b"".join(part_keys)))
             ledger.sync()  # otherwise the next durable commit waits until all is synced
-    return _HiddenRows(number, sent, parts)
+    return number, sent, parts
 
 
 def _enter_keys(ledger: Ledger, parts: Sequence[tuple[int, bytes]]) -> None:
@@ -316,13 +310,16 @@ def withdrawn_counts(db: Connection, component: str) -> Counter[int]:
 
 def _counts_by_import(db: Connection, component: str, seqs: Iterable[int]) -> Counter[int]:
     """Return the number of the given rows in each import; solved rows are in none."""
-    spans = import_spans(db, component)
-    counts = Counter[int]()
-    for seq in seqs:
-        at = bisect_right(spans, seq, key=itemgetter(0)) - 1
-        if at >= 0 and seq <= spans[at].last:
-            counts[spans[at].record.id] += 1
-    return counts
+    numbers = import_numbers(import_spans(db, component), np.array([*seqs], np.int64))
+    return Counter(numbers[numbers > 0].tolist())
+
+
+def import_numbers(spans: Sequence[ImportSpan], seqs: np.ndarray) -> np.ndarray:
+    """Return the number of each row's import, (n,), by `import_spans`; 0 for rows without one."""
+    bounds = [(span.first, span.last, span.record.id) for span in spans]
+    first, last, number = np.array(bounds or [(0, 0, 0)]).T
+    at = np.searchsorted(first, seqs, side="right") - 1
+    return np.where((at >= 0) & (seqs <= last[at]), number[at], 0)
 
 
 def restore_confirmed(db: Connection, component: str, keys: Sequence[bytes]) -> int:

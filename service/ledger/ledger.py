@@ -154,7 +154,6 @@ class Ledger:
     solve_seconds = _reads(statistics_sql.solve_seconds)
 
     withdraw = _writes(row_sql.withdraw)
-    restore = _writes(row_sql.restore)
     rewrite = _writes(repair_sql.rewrite)
     replay = _writes(repair_sql.replay)
     row = _reads(row_sql.get)
@@ -165,7 +164,7 @@ class Ledger:
     last_seq = _reads(row_sql.last_seq)
     count_new = _reads(row_sql.count_new)
     count_rows = _reads(row_sql.count_rows)
-    known_rows = _reads(row_sql.known_rows)
+    known_rows = _reads(row_sql.stored)
     withdrawn_keys = _reads(row_sql.withdrawn_keys)
     of_other_setups = _reads(row_sql.of_other_setups)
     digest = _reads(row_sql.digest)

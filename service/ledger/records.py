@@ -162,6 +162,8 @@ class LedgerUnavailableError(LedgerError):
 class LedgerBusyError(LedgerUnavailableError):
     """The ledger did not answer in time."""
 
+    retry_s = 10.0
+
 
 class ReadOnlyError(LedgerUnavailableError):
     """The ledger is a replica's copy; the message names the server that accepts writes."""

@@ -7,7 +7,6 @@ that one number states the position of a reader.
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Iterable, Iterator, Sequence, Set
 from hashlib import blake2b
@@ -44,8 +43,6 @@ from wrenchbook.service.ledger.records import (
 )
 from wrenchbook.surrogate.table.rows import Rows, joined
 from wrenchbook.surrogate.table.space import DEFAULT, Input, Output, Space
-
-_log = logging.getLogger(__name__)
 
 MAX_CHANGES = 20_000  # rows returned at once: bounds memory
 _COLUMNS = ", ".join(Record._fields)
@@ -280,14 +277,6 @@ def note_edit(
     audit.note(db, f"{kind}.{'withdraw' if withdrawn else 'restore'}", subject, component, **states)
 
 
-def restore(db: Connection, component: str, seq: int) -> None:
-    """Bring a withdrawn row back into the component's table.
-
-    Raises the errors of `withdraw`.
-    """
-    withdraw(db, component, seq, withdrawn=False)
-
-
 def edit(
     db: Connection,
     component: str,
@@ -476,11 +465,6 @@ def count_rows(db: Connection, component: str) -> int:
     """Return the number of a component's rows, with withdrawn ones and those of other setups."""
     select = f"SELECT coalesce(sum(count), 0) FROM rows WHERE component = ? AND {SHOWN}"
     return db.execute(select, (component,)).fetchone()[0]
-
-
-def known_rows(db: Connection, keys: Iterable[bytes]) -> set[bytes]:
-    """Return the given keys whose rows are in the ledger."""
-    return set(stored(db, list(keys)))
 
 
 def withdrawn_keys(db: Connection, component: str, keys: Iterable[bytes]) -> list[bytes]:

@@ -27,7 +27,8 @@ from wrenchbook.fea.spec.problems import STEERING
 from wrenchbook.service.files.redact import redact
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.sandbox import MIB, Limits, Part, Sandbox, SandboxError, run
-from wrenchbook.surrogate.table.hdf5 import TableFileError, leads_out
+from wrenchbook.surrogate.table.foreign import leads_out
+from wrenchbook.surrogate.table.hdf5 import TableFileError
 
 MAX_BUNDLE_BYTES: Final = 512 * 1024 * 1024  # bytes: a mesh of some million cells
 # Unpacked bytes by those of the zip, beyond the bytes of any zip: a mesh packs 3 to 20 times, a
@@ -274,7 +275,7 @@ def surface(folder: Path) -> Iterator[Part]:
     source, deck = bundle.mesh, bundle.deck
     unit = deck and deck.unit
     mesh = sources.mesh_of(source) if source else reader.read_mesh(deck and deck.file, unit)
-    outside = recovery.surface_of(mesh, PICTURE_VERTICES)
+    outside = recovery.shown_surface(mesh, PICTURE_VERTICES)
     points = mesh.points[outside.nodes]
     decimals = 5 - math.floor(math.log10(np.ptp(points, axis=0).max()))  # short JSON
     points = np.round(points, decimals)

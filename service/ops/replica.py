@@ -224,19 +224,15 @@ class Shipper:
                 "everything again"
             )
         if names:
-            newest = self._newest_manifest()
+            newest = None
+            try:
+                newest = self._replica.newest()
+            except ReplicaError:
+                if self._pointer:  # else the first round ever was cut off
+                    raise
             self._number = int(names[0][len(MANIFESTS) :].partition("-")[0])
             if newest is not None:
                 self._continue_from(newest)
-
-    def _newest_manifest(self) -> Manifest | None:
-        """Return the newest complete manifest; None if the first round ever was cut off."""
-        try:
-            return self._replica.newest()
-        except ReplicaError:
-            if self._pointer:
-                raise
-            return None
 
     def _continue_from(self, newest: Manifest) -> None:
         """Take over which files and blocks are there; ReplicaError if the origin is another."""

@@ -52,20 +52,28 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
         unknown = np.full(len(space.outputs), np.nan)
         return Bound(unknown, "unknown", "", "outside", None, "no wrench has come yet")
 
-    corners = _corners(low, high)
+    if 2 ** len(low) <= MAX_CORNERS:
+        corners = np.array(list(product(*zip(low, high, strict=True))))
+    else:
+        is_low = np.random.default_rng(0).random((MAX_CORNERS, len(low))) < 0.5
+        corners = np.where(is_low, low, high)
     with np.errstate(over="ignore"):
         centre = low / 2 + high / 2
-    # The error bar of a linear table grows with the size of each input and is largest here.
-    outermost = np.where(np.abs(low) > np.abs(high), low, high)
-    more = [centre[None], outermost[None], np.zeros((1, len(low)))]
+    # Zero load: a further input such as a temperature has its reference there, not the number 0.
+    zero = space.zero
+    from_zero = low - zero, high - zero
+    # The error bar of a linear table grows with the distance from it and is largest here.
+    outermost = np.where(np.abs(from_zero[0]) > np.abs(from_zero[1]), low, high)
+    more = [centre[None], outermost[None], zero[None]]
     more += [envelope.lowest, envelope.highest]
     answers = table.packed.batch(np.concatenate([corners, *more]))
     coverage = int(answers.coverage.max(initial=COVERED))
 
     if table.linear and table.fit.complete:
-        largest = _largest_linear(table, low, high) + answers.errors.max(axis=0)
-        at_zero = table.packed.batch(np.zeros((1, len(low)))).outputs[0]
-        largest = largest + np.abs(at_zero)
+        ends = np.stack([table.fit.matrix * end for end in from_zero])  # (2, outputs, inputs)
+        sums = [ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)]
+        largest = np.abs(sums).max(axis=0) + answers.errors.max(axis=0)
+        largest = largest + np.abs(table.packed.batch(zero[None]).outputs[0])
         kind = "bound"
         formula = EXACT
     else:
@@ -78,21 +86,6 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
         kind = "unknown"
     negligible, reason = _negligible(largest, space, tolerance, kind, coverage)
     return Bound(largest, kind, formula, COVERAGE[coverage], negligible, reason)
-
-
-def _corners(low: Floats, high: Floats) -> Floats:
-    """Return the corners of a box, or a random choice of `MAX_CORNERS` of them, (n, inputs)."""
-    if 2 ** len(low) <= MAX_CORNERS:
-        return np.array(list(product(*zip(low, high, strict=True))))
-    is_low = np.random.default_rng(0).random((MAX_CORNERS, len(low))) < 0.5
-    return np.where(is_low, low, high)
-
-
-def _largest_linear(table: ServedTable, low: Floats, high: Floats) -> Floats:
-    """Return the largest |C w| of the box of a linear table, shape (outputs,), m and rad."""
-    ends = np.stack([table.fit.matrix * low, table.fit.matrix * high])  # (2, outputs, inputs)
-    largest, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
-    return np.abs([largest, least]).max(axis=0)
 
 
 def _negligible(

@@ -151,11 +151,22 @@ class RecordingStore:
 
             first_index = {key: index for index, key in reversed(list(enumerate(keys)))}
             added = sorted(within.added + beyond.added, key=first_index.__getitem__)
-            _replace_recorded(db, name, within.dropped + beyond.dropped, added)
+            db.executemany(
+                "DELETE FROM recorded WHERE component = ? AND wrench = ?",
+                [(name, key) for key in within.dropped + beyond.dropped],
+            )
+            db.executemany(
+                "INSERT INTO recorded (component, wrench) VALUES (?, ?)",
+                [(name, key) for key in added],
+            )
             _save(db, name, "recording", after)
 
-        # The block is on the disk from now on.
-        self._remember(component, after.revision, (within.subset, beyond.subset))
+        # The block is on the disk from now on; the oldest cached subsets are dropped.
+        with self._lock:
+            self._subsets.pop(name, None)
+            self._subsets[name] = after.revision, component, (within.subset, beyond.subset)
+            while len(self._subsets) > MAX_SUBSETS:
+                del self._subsets[next(iter(self._subsets))]
         return BlockResult(after, known=False, outside=outside)
 
     def widen(self, name: str, wrenches: Floats, block: BlockKey | None) -> BlockResult:
@@ -239,16 +250,6 @@ class RecordingStore:
         beyond = tally.radius_outside, tally.within_outside * stretched, MAX_OUTSIDE
         return within, Subset(*_chosen(points, keys, ~inside), *beyond)
 
-    def _remember(
-        self, component: Component, revision: int, subsets: tuple[Subset, Subset]
-    ) -> None:
-        """Cache a recording's subsets as the newest; the oldest ones are dropped."""
-        with self._lock:
-            self._subsets.pop(component.name, None)
-            self._subsets[component.name] = revision, component, subsets
-            while len(self._subsets) > MAX_SUBSETS:
-                del self._subsets[next(iter(self._subsets))]
-
 
 def _chosen(
     points: Floats, keys: list[bytes], mask: NDArray[np.bool_]
@@ -256,20 +257,6 @@ def _chosen(
     """Return the points (n, inputs) and keys of a mask, shape (n,)."""
     indices = np.flatnonzero(mask)
     return points[indices], [keys[index] for index in indices.tolist()]
-
-
-def _replace_recorded(
-    db: Connection, component: str, dropped: list[bytes], added: list[bytes]
-) -> None:
-    """Delete the dropped wrenches of a recording and append the added ones."""
-    db.executemany(
-        "DELETE FROM recorded WHERE component = ? AND wrench = ?",
-        [(component, key) for key in dropped],
-    )
-    db.executemany(
-        "INSERT INTO recorded (component, wrench) VALUES (?, ?)",
-        [(component, key) for key in added],
-    )
 
 
 def _tally(db: Connection, component: str, kind: Kind) -> Tally:

@@ -87,8 +87,8 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
 class _Curve:
     """The load of one axis over its displacement.
 
-    `rows` are the least and the largest load of the table's rows, `rest` the displacement at zero
-    load, m or rad.
+    `rows` are the least and the largest load of the table's rows, `at_zero` the displacement at
+    zero load, m or rad.
 
     Raises BushingError if the axis has no curve.
     """
@@ -110,8 +110,10 @@ class _Curve:
         loads = table.rows.wrench[:, axis]
         rounding = _ROUNDING * (self.high - self.low)
         self.rows = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
-        self.rest = 0.0 if others == "displacement" else self._moved(0.0)
-        self.at(self.rest)
+        self.at_zero = 0.0 if others == "displacement" else self._moved(0.0)
+        if self.at_zero != self.at_zero:
+            raise BushingError("its displacement at zero load is unknown; add rows")
+        self.at(self.at_zero)
 
     def _moved(self, load: float) -> float:
         """Return the displacement of the axis by its load alone, m or rad."""
@@ -120,7 +122,7 @@ class _Curve:
 
     def end(self, side: int) -> float:
         """Return the last covered displacement on a side, m or rad."""
-        inside = self.rest
+        inside = self.at_zero
         outside = self._moved(self.high if side > 0 else self.low)
         middle = outside
         for _ in range(HALVINGS):
@@ -153,6 +155,9 @@ class _Curve:
             load = root_scalar(lambda f: self._moved(f) - d, bracket=span, xtol=tight).root
             wrench = load * self.unit + 0.0
             slope = packed.derivatives(wrench[None], without_rows=True)[0, axis, axis]
+            if slope == 0.0:  # a stop, or a single row
+                why = f"loads near {load:.4g} do not change its displacement"
+                raise BushingError(f"{why}; add rows at other loads")
             row = self.unit / slope
         reply = packed.batch(wrench[None], without_rows=True)
         coverage = int(reply.coverage[0])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.service.contract import Coverage
-from wrenchbook.service.ledger import ImportSpan
+from wrenchbook.service.ledger import ImportSpan, import_numbers
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.messages import FiniteArray, FloatArray, Message, Vector, left_out
 from wrenchbook.service.tables.build import build_table
@@ -112,7 +112,7 @@ def _selection(
 
     Raises UncomparableError if there are no rows to compare, or both sides are the same.
     """
-    of_import = _imports(rows.seq, spans)
+    of_import = import_numbers(spans, rows.seq)
     measured = rows.source != SOLVED
     for wanted in (number, against):
         if wanted is not None and not (measured & (of_import == wanted)).any():
@@ -274,14 +274,6 @@ def _incomparable(compared: Rows, reference: Rows, against: int | None) -> str:
         return ""
     beside = "" if against is None else f" beside those of import {against}"
     return f"there is no measured row{beside}; import some"
-
-
-def _imports(seq: NDArray[np.int64], spans: Spans) -> NDArray[np.int64]:
-    """Return the number of each row's import, (n,); 0 for rows without an import."""
-    bounds = [(span.first, span.last, span.record.id) for span in spans]
-    first, last, number = np.array(bounds or [(0, 0, 0)]).T
-    at = np.searchsorted(first, seq, side="right") - 1
-    return np.where((at >= 0) & (seq <= last[at]), number[at], 0)
 
 
 def _bound(bar: Floats, scatter: Floats) -> Floats:

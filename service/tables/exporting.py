@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.formats.columnar import write_parquet
 from wrenchbook.service.formats.columns import layout
 from wrenchbook.service.formats.csv import csv_text
@@ -15,7 +16,7 @@ from wrenchbook.service.formats.units import UnitError, chosen_units
 from wrenchbook.service.formats.xlsx import write_xlsx
 from wrenchbook.service.ledger import Ledger, TableAt
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.rows import CONTRACT_TEXT, ExportRows, table_meta
+from wrenchbook.service.tables.rows import ExportRows, table_meta
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.hdf5 import write_table
 from wrenchbook.surrogate.table.rows import Rows, joined
@@ -47,7 +48,7 @@ def export_table(
     An HDF5 export has `error`, the error estimate of the rows' solver.
 
     Raises UnitError as `check_units`, UnknownVersionError if there is no such version, and
-    SheetFullError if a sheet is too small for the rows.
+    SheetFullError if a sheet is too small for the rows or a cell for a text.
     """
     check_units(request)
     space = component.space

@@ -76,7 +76,9 @@ def import_files(
     if not refused:
         report["findings"] += _new_findings(ledger, read, table, component, origin)
         if dry_run:
-            loaded = _dry_run(ledger, component, pieces())
+            keys = [key for piece in pieces() for key in _keys(component, piece)]
+            new = len(set(keys) - ledger.known_rows(keys).keys())
+            loaded = Loaded(new, len(keys) - new, None)
         else:
             findings = _findings_by_key(component, report["findings"], pieces)
             origin = replace(origin, format=report["format"], rig=options.rig, findings=findings)
@@ -125,14 +127,6 @@ def _new_findings(
     if earlier is not None:
         findings.append(RigFinding("twice", TWICE.format(earlier)).body())
     return findings
-
-
-def _dry_run(ledger: Ledger, component: Component, pieces: Iterator[ParsedTable]) -> Loaded:
-    """Return the counts that an import of the pieces would have."""
-    keys = [key for piece in pieces for key in _keys(component, piece)]
-    distinct = set(keys)
-    new = len(distinct - ledger.known_rows(distinct))
-    return Loaded(new, len(keys) - new, None)
 
 
 def _keys(component: Component, piece: ParsedTable) -> list[bytes]:

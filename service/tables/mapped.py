@@ -56,6 +56,8 @@ ROW_DETAIL = "the displacement that a row of the table has at this wrench"
 class TableBehindError(Exception):
     """The table lacks rows that the ledger has; the caller should repeat the request."""
 
+    retry_s = 1.0  # most tables are built in less
+
     @classmethod
     def unbuilt(cls, name: str, why: str | None) -> TableBehindError:
         """Return the error of a table with rows that was never built since the start."""
@@ -191,13 +193,17 @@ class ServedTable:
         return None
 
     def method_detail(self, method: str) -> str:
-        """Return the details of a method, or its reason, in the group of the fewest rows."""
+        """Return the details of a method, or its reason, in the group of the fewest rows.
+
+        A table without rows answers by "estimate", which nobody asked for.
+        """
         group = self.packed.meta["groups"][0]
         if method == ROW:
             return ROW_DETAIL
         if method == "kriging" and group["kriging"]:
             return group["kriging"]
-        return group["method_reason"] if method == group["method"] else "asked for"
+        is_default = method in (group["method"], "estimate")
+        return group["method_reason"] if is_default else "asked for"
 
 
 class MappedTables:
@@ -319,9 +325,9 @@ class MappedTables:
         Return False after the timeout, or if the table cannot be built: see `faults`.
         """
         progress, end = self.progress(name), time.monotonic() + timeout
-        while (caught_up := progress()) is None and (left := end - time.monotonic()) > 0:
+        while (caught_up := progress()) is None and (remaining := end - time.monotonic()) > 0:
             with self._changed:  # notified by this process alone
-                self._changed.wait(min(left, POLL_S))
+                self._changed.wait(min(remaining, POLL_S))
         return caught_up is True
 
     def caught_up(self, name: str, timeout: float) -> ServedTable:
@@ -346,7 +352,7 @@ class MappedTables:
         """
         files = self._store.stamp()
         settled = time.time_ns() - files > SETTLED_NS
-        return self._library.version(), files, settled or time.monotonic(), self._state.read()
+        return self._library.version(), files, settled or time.monotonic(), self._state.stamp()
 
     def _follow(self) -> None:
         """Map new tables when woken, and keep the memory limit, until the tables are closed."""

@@ -6,20 +6,24 @@ table has them until the files are restored, or `resolve` solves their wrenches 
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 
 import numpy as np
 
-from wrenchbook.service.contract import CONTRACT
-from wrenchbook.service.ledger import ImportSpan, Ledger, NotedRows, packed, unpacked
+from wrenchbook.service.contract import CONTRACT_TEXT
+from wrenchbook.service.ledger import (
+    ImportSpan,
+    Ledger,
+    NotedRows,
+    import_numbers,
+    packed,
+    unpacked,
+)
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import Floats, Rows, joined
-
-CONTRACT_TEXT = " ".join(f"{word}: {meaning}." for word, meaning in CONTRACT.items())
 
 
 class ExportRows:
@@ -31,7 +35,6 @@ class ExportRows:
 
     def __init__(self, stored: NotedRows, spans: Sequence[ImportSpan] = ()) -> None:
         rows = stored.rows
-        firsts = [span.first for span in spans]
         self.wrench = rows.wrench
         self.displacement = rows.displacement
         self.uncertainty = rows.uncertainty
@@ -42,16 +45,13 @@ class ExportRows:
         self.note = stored.note
         self.seq = rows.seq.tolist()
         self.when = [iso_time(created) for created in stored.created]
-        self.who: list[str] = []
-        for seq in self.seq:
-            at = bisect_right(firsts, seq) - 1
-            is_imported = at >= 0 and seq <= spans[at].last
-            self.who.append(spans[at].record.who if is_imported else "")
+        senders = {span.record.id: span.record.who for span in spans}
+        self.who = [senders.get(of, "") for of in import_numbers(spans, rows.seq).tolist()]
 
 
-def iso_time(seconds: float) -> str:
+def iso_time(seconds: float, timespec: str = "seconds") -> str:
     """Return a time since the epoch as ISO 8601, UTC."""
-    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec=timespec)
 
 
 def table_meta(component: Component, version: int, error: SolverError | None = None) -> TableMeta:

@@ -18,11 +18,11 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 import scipy
 
+from wrenchbook.service.contract import CONTRACT_TEXT
 from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.files.program import code_digest
 from wrenchbook.service.ledger import Ledger, LedgerUnavailableError, RowEdit
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.rows import CONTRACT_TEXT
 from wrenchbook.service.tables.solver_errors import SolverErrors
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kernel.format import SUFFIX, PackedTableError
@@ -336,7 +336,6 @@ class InMemory(Protocol):
 
     def drop(self) -> None:
         """Drop rows and numpy table."""
-        ...
 
 
 def drop_least_used(tables: Iterable[InMemory], limit_mb: float) -> None:

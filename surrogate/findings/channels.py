@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kriging.readings import PLACE
-from ..table.polynomial import terms_of
+from ..table.polynomial import RANK, terms_of
 from ..table.rows import ROUNDING, ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import LOADS, OUTPUTS
-from .response import CONFIDENT, NORMAL, RANK, REMARKABLE, Cause, RigFinding, fitted, is_nines
+from .response import CONFIDENT, NORMAL, REMARKABLE, Cause, RigFinding, fitted, is_nines
 
 MIN_CHANNEL_ROWS = 12  # readings: fewer do not show the channel's normal behaviour
 MIN_EQUAL = 3  # rows of one value: two may be equal by rounding of the written digits
@@ -133,7 +133,8 @@ def _output_faults(terms: Floats, y: Floats) -> list[Fault]:
 
     high, low, run = _constant_rows(y, equal)
     steps = np.diff(np.sort(y))
-    step = float(np.median(steps[steps > equal]))  # of the readings
+    # Of the readings; between dense readings all steps may be rounding.
+    step = float(np.median(steps[steps > equal])) if steps.max() > equal else equal
     faults = list[Fault]()
     for end, suspects in ((1.0, high), (-1.0, low), (0.0, run)):  # 0: at neither end
         others = np.delete(all_rows, suspects)
@@ -171,10 +172,12 @@ def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Fault]:
     equal = ROUNDING * float(np.abs(load).max(initial=0.0))
     if known.sum() < MIN_CHANNEL_ROWS or np.ptp(load) <= equal:
         return []
-    off = y - fitted(terms, y)
-    size = float(np.ptp(y[known]))
     high, low, run = _constant_rows(load, equal)
     run = np.setdiff1d(run, np.concatenate((high, low)))
+    if max(len(high), len(low), len(run)) < MIN_EQUAL:
+        return []  # the fits below take most of the time
+    off = y - fitted(terms, y)
+    size = float(np.ptp(y[known]))
     moving = y.copy()
     moving[np.concatenate((high, low, run))] = np.nan
     is_enough = np.isfinite(moving).sum() >= ROWS_A_TERM * terms.shape[1]

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
-from ..table.polynomial import terms_of
+from ..table.polynomial import RANK, terms_of
 from ..table.rows import Floats
 from .response import RigFinding
 
@@ -20,7 +20,7 @@ MAX_DISPLACEMENTS = 2_000  # displacements that are fitted, evenly chosen: some 
 MAX_STEPS = 1 << 15  # steps of the time grid: limits the memory of the Fourier transforms
 MAX_LAG = 0.25  # largest lag of the search, as a part of the displacements' duration
 # Part of the displacements' variance: smaller residuals are the rounding of written digits.
-ROUNDING = 1e-9
+WRITTEN_DIGITS = 1e-9
 # Part of the displacements' duration: smaller steps are lost in the clock's digits.
 RESOLUTION = 1e-9
 # Peaks of the correlation that are fitted: a load shifted by half a period correlates as well.
@@ -38,8 +38,7 @@ DEVIATIONS = 4.0
 MIN_MISFIT = 0.003  # part of the displacements' deviation: misfits below it need no remark
 MAX_TAIL = 0.5  # ranges: largest weight of a displacement beyond the 1st and 99th percentiles
 SEARCH_ACCURACY = 0.05  # part of a step of the grid: the parabola of `vertex` then gives the digits
-# Smallest singular values, over the largest, of the response and of the loads.
-RANK, LOAD_RANK = 1e-9, 1e-6
+LOAD_RANK = 1e-6  # part of the loads' largest singular value: smaller ones are their noise
 TINY = 1e-300  # replaces a variance of zero in a divisor
 
 
@@ -315,7 +314,10 @@ class _Fit:
         correlation = correlation.clip(0.0, 1 - 1 / len(y))
         free = max(len(y) - terms.shape[1], 1) * (1 - correlation) / (1 + correlation)
         # As if all outputs erred together: the noise of the loads is in all outputs.
-        error = np.sqrt(2 * np.maximum(least, ROUNDING) * curvature / free).sum() / curvature.sum()
+        error = (
+            np.sqrt(2 * np.maximum(least, WRITTEN_DIGITS) * curvature / free).sum()
+            / curvature.sum()
+        )
         return lag, step * (DEVIATIONS * float(error) + INTERPOLATION_ERROR)
 
     def rate(self, lag: float) -> tuple[float, Floats]:

@@ -66,7 +66,7 @@ def find(
         return range_findings(rows, load_range) if len(rows) else []
     moves = np.eye(6) if solved is None else solved
     still = np.asarray(moves.any(axis=0) & ~moves.any(axis=1))
-    rows, findings = channel_findings(sampled(rows), load_range, still)
+    rows, findings = channel_findings(rows.take(_examined(len(rows))), load_range, still)
     if len(rows) < MIN_FIT_ROWS:
         return findings
     response = response_of(rows, load_range)
@@ -75,7 +75,8 @@ def find(
     good = rows.take(~wrong.any(axis=1))
     if len(good) < MIN_FIT_ROWS:
         return findings
-    response = response_of(good, load_range)
+    if wrong.any():
+        response = response_of(good, load_range)
     slopes = slopes_at_zero(good, load_range, response)
     fit = fit_of(slopes.matrix, slopes.covariance, load_range)
     known = None if solved is None else fit_of(solved, np.zeros((6, 6, 6)), load_range)
@@ -99,9 +100,9 @@ def find(
     return findings + correlation_findings(dependence_of(of_part, load_range))
 
 
-def sampled(rows: Rows) -> Rows:
-    """Return the examined rows, in their order."""
-    return rows.take(np.arange(0, len(rows), -(-len(rows) // MAX_ROWS)))
+def _examined(count: int) -> Indices:
+    """Return the positions of the examined ones of `count` rows, at least one, ascending."""
+    return np.arange(0, count, -(-count // MAX_ROWS))
 
 
 def without_effects(rows: Rows, load_range: LoadRange) -> tuple[Rows, Floats]:
@@ -140,7 +141,7 @@ def _effects(rows: Rows, load_range: LoadRange) -> tuple[Indices, Effects | None
     readings = rows.take(indices)
     if len(readings) < MIN_FIT_ROWS:
         return indices, None
-    positions = np.arange(0, len(readings), -(-len(readings) // MAX_ROWS))
+    positions = _examined(len(readings))
     shown = readings.take(positions)
     wrong = wrong_rows(shown, load_range, response_of(shown, load_range)).any(axis=1)
     return indices, effects_of(readings, load_range, positions[~wrong])

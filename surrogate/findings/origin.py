@@ -23,16 +23,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..kriging.correlation import Hyperparameters, covariance
+from ..kriging.correlation import (
+    Hyperparameters,
+    covariance,
+    covariances_of_values,
+    weighted_products,
+)
+from ..kriging.effects import INVERSE_SQUARES
 from ..kriging.equations import evenly
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
+from ..table.space import DEFAULT
 from .response import RobustFit
 
 # Rows used: they determine slopes to a tenth of the noise of a reading, in half a second.
 MAX_ROWS = 300
-# Pairs of theta and the logarithm of the weight of the term of all loads. Lengths are
-# exp(-theta / 2) half ranges: 0.5 to 4.
-KERNELS = tuple((theta, weight) for theta in (1.4, 0.0, -1.4, -2.8) for weight in (-3.0, 1.0))
+JOINT_WEIGHTS = np.exp([-3.0, 1.0])  # of the term of all loads over that of an axis
 RATIOS = np.exp(np.arange(-14.0, 8.0))  # noise over process variance: from 1e-6 to 1e3
 USUAL_STEP = 90  # percentile of an output's changes from row to row that counts as its usual step
 MIN_STEP = 0.05  # part of the usual step: smaller steps have no sure direction
@@ -127,13 +132,18 @@ def _posterior(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Flo
     zero_load = np.zeros((1, 6))
     means_of_terms = [_Mean.of(terms, y[:, output]) for output, terms in enumerate(columns)]
     # One entry for each kernel, noise and output.
-    shape = len(KERNELS), len(RATIOS), y.shape[1]
+    shape = len(INVERSE_SQUARES) * len(JOINT_WEIGHTS), len(RATIOS), y.shape[1]
     negative_log_likelihoods = np.empty(shape)
     means = np.empty((*shape, N_SLOPES))
     covariances = np.empty((*shape, N_SLOPES, N_SLOPES))
-    for number, (theta, weight) in enumerate(KERNELS):
-        kernel = Hyperparameters.of_logarithms(np.array([theta] * 6 + [weight]))
-        roots, vectors = np.linalg.eigh(covariance(x, values, x, values, kernel))
+    terms = covariances_of_values(x, DEFAULT.kriging_groups, INVERSE_SQUARES)
+    kernels = (
+        (axes + weight * joint, Hyperparameters(np.full(6, inverse_square), np.array([weight])))
+        for inverse_square, (axes, joint) in zip(INVERSE_SQUARES, terms, strict=True)
+        for weight in JOINT_WEIGHTS
+    )
+    for number, (matrix, kernel) in enumerate(kernels):
+        roots, vectors = np.linalg.eigh(matrix)
         inverse = 1 / (np.maximum(roots, 0.0) + RATIOS[:, None])  # D of each noise
         across, prior = np.zeros((n, N_SLOPES)), np.zeros((N_SLOPES, N_SLOPES))
         across[:, :6] = vectors.T @ covariance(x, values, zero_load, slopes, kernel)
@@ -172,7 +182,9 @@ class _Mean(NamedTuple):
         """Return the basis of terms (n, c) for readings (n,) over their range."""
         largest = np.abs(terms).max(axis=0)
         largest = np.where(largest > ZERO_LOAD, largest, 1.0)
-        left, sizes, right = np.linalg.svd(terms / largest)
+        # All right vectors, also where the terms are more than the readings.
+        is_wide = terms.shape[0] < terms.shape[1]
+        left, sizes, right = np.linalg.svd(terms / largest, full_matrices=is_wide)
         known = np.count_nonzero(sizes > DETERMINED * sizes[0])
         basis, parts = left[:, :known], right[:known].T / sizes[:known]
         along = basis.T @ y
@@ -196,8 +208,7 @@ def _posterior_by_noise(
     n = len(factors)
     count = factors.shape[1] - N_SLOPES - 1
     # (B, k, U' y)' D (B, k, U' y); `b`, `k` and -1 are the positions of the three.
-    products = (factors[:, :, None] * factors[:, None]).reshape(n, -1)
-    weighted = (inverse @ products).reshape(len(inverse), *[factors.shape[1]] * 2)
+    weighted = weighted_products(factors, inverse)
     b = slice(0, count)
     k = slice(count, count + N_SLOPES)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ..table.polynomial import terms_of
+from ..table.polynomial import RANK, terms_of
 from ..table.rows import Floats, LoadRange, Rows
 from ..table.space import OUTPUTS
 
@@ -27,8 +27,6 @@ ROUNDS = 30  # rounds of reweighting: the weights settle after 10 to 20
 BIWEIGHT = 4.685  # deviations: 95 % efficient for normal errors (Holland and Welsch 1977)
 NORMAL = 1.4826  # deviation over median absolute deviation, of normal errors
 EXACT = 1e-4  # part of an output's range: residuals below it are no error worth a remark
-# Part of the largest singular value: directions that the rows do not separate, and their ridge.
-RANK = 1e-9
 
 NEIGHBOURS = 8  # rows whose median residual is the local misfit of the response
 MIN_ROWS_TO_JUDGE = 12  # rows: with fewer the others do not show the expected value of a row
@@ -110,9 +108,12 @@ def response_of(rows: Rows, load_range: LoadRange) -> RobustFit:
         [np.percentile(values, [2, 98]) if len(values) else (0.0, 0.0) for values in known]
     ).T
     size = np.maximum(ends[1] - ends[0], np.finfo(float).tiny)
-    deviation = np.maximum(
-        np.array([_deviation(column[np.isfinite(column)]) for column in residual.T]), EXACT * size
-    )
+    deviation = EXACT * size
+    for output, column in enumerate(residual.T):
+        off = column[np.isfinite(column)]
+        if len(off):
+            usual = NORMAL * float(np.median(np.abs(off - np.median(off))))
+            deviation[output] = max(usual, deviation[output])
     return RobustFit(expected, residual, deviation, size, terms)
 
 
@@ -147,10 +148,6 @@ def _solved(x: Floats, y: Floats, weights: Floats) -> Floats:
     weighted = x * weights[:, None]
     normal = x.T @ weighted + RANK * max(float(weights.sum()), 1.0) * np.eye(x.shape[1])
     return np.asarray(np.linalg.solve(normal, weighted.T @ y), dtype=float)
-
-
-def _deviation(values: Floats) -> float:
-    return NORMAL * float(np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 
 
 def wrong_rows(rows: Rows, load_range: LoadRange, response: RobustFit) -> NDArray[np.bool_]:

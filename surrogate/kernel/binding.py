@@ -27,13 +27,13 @@ from .joint import JointSteps
 from .reasons import Reason, text_of
 from .replies import (
     AXIS,
-    NO_METHOD,
     REPLY_SIZE,
     AxisPart,
     Floats,
     Replies,
     Reply,
     ReplyReader,
+    Status,
     method_code,
     mistake,
 )
@@ -313,7 +313,7 @@ class PackedTable:
         coverage = np.empty(len(queries), dtype=np.uint8)
         work = self._work()
         wrong = kernel().without_gil.wb_answer_many(
-            *(self._handle, work.options(tolerance, method or self.method, without_rows)),
+            *(self.handle, work.options(tolerance, method or self.method, without_rows)),
             *(len(queries), queries.ctypes.data, out[0].ctypes.data, out[1].ctypes.data),
             *(coverage.ctypes.data, threads),
         )
@@ -349,7 +349,7 @@ class PackedTable:
         derivatives = np.empty((len(queries), self.outputs, self.inputs))
         work = self._work()
         wrong = kernel().without_gil.wb_derivative_many(
-            *(self._handle, work.options(tolerance, method or self.method, without_rows)),
+            *(self.handle, work.options(tolerance, method or self.method, without_rows)),
             *(len(queries), queries.ctypes.data, derivatives.ctypes.data, threads),
         )
         self._idle.append(work)
@@ -415,7 +415,7 @@ class PackedTable:
         stiffness = np.zeros(shape) if near is None else np.array(near, dtype=float).reshape(shape)
         work = self._work()
         wrong = kernel().with_gil.wb_inverse(
-            *(self._handle, work.options(None, method or self.method), target.ctypes.data),
+            *(self.handle, work.options(None, method or self.method), target.ctypes.data),
             *(wrench.ctypes.data, stiffness.ctypes.data, work.at[2]),
         )
         self._idle.append(work)
@@ -486,10 +486,10 @@ class PackedTable:
         work = self._work()
         work.fill(wrench)
         wrong = kernel().with_gil.wb_axis(
-            self._handle, group, axis, work.at[0], ctypes.addressof(reply)
+            self.handle, group, axis, work.at[0], ctypes.addressof(reply)
         )
         self._idle.append(work)
-        if wrong == NO_METHOD:
+        if wrong == Status.NO_METHOD:
             return None
         if wrong:
             raise mistake(wrong, None, self._packed, np.array([wrench], dtype=float))

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from ..table.space import axis_inputs
 from .binding import PackedTable
 from .format import GROUP_CAN_ANSWER
-from .reasons import axis_inputs
 from .replies import AxisPart, Reply
 
 

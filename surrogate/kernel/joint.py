@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 FREEDOMS = 6  # degrees of freedom of an interface: three translations, then three rotations
 MAX_INTERFACES = 4  # the largest number of interfaces of a joint, as in wb_joint.c
-OK, NOT_FINITE, SINGULAR, INDEFINITE, NO_MASS = 0, 1, 5, 7, 8  # status codes of wrenchbook.h
 
 
 def shape_of(interfaces: int, *numbers: int) -> tuple[int, ...]:

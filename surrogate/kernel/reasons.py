@@ -5,10 +5,12 @@ The kernel gives a code and its numbers; all other numbers are in the table's ar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
 from typing import NamedTuple
 
 from ..table.rows import ZERO_LOAD
+from ..table.space import axis_inputs
 from .format import Packed
 
 EMPTY = "the table has no rows"
@@ -33,10 +35,31 @@ TOO_FAR = (
 )
 
 
+class Code(IntEnum):
+    """The code of a reason: WB_REASON_... of surrogate/kernel/wrenchbook.h."""
+
+    EMPTY = 1
+    ONLY_BEYOND = 2
+    BEYOND_RANGE = 3
+    UNKNOWN_LOAD = 4
+    AXIS_NO_ROWS = 5
+    AXIS_OFF_HULL = 6
+    MOMENT_ALONE = 10
+    INTERACTION = 12
+    BEYOND_SPAN = 13
+    OVER_TOLERANCE = 14
+    NO_ERROR = 15
+    ERRORS_UNKNOWN = 16
+    BEYOND_LIMITS = 17
+    TOO_FAR = 19
+    NOT_IN_SCENE = 20
+    FEW_ROWS = 22
+
+
 class Reason(NamedTuple):
     """A reason as the kernel gives it: `wb_reason` of wrenchbook.h, whose `index` is `item`."""
 
-    code: int
+    code: int  # of `Code`
     group: int
     axis: int
     item: int
@@ -60,11 +83,6 @@ def _amount(packed: Packed, index: int, value: float) -> str:
     return f"{name} = {value:.10g} {unit}"
 
 
-def axis_inputs(axis: int) -> tuple[int, int, int]:
-    """Return the indices of an axis' loads: a force, and the moments about the other axes."""
-    return axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3
-
-
 def _axis_amounts(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     loads = axis_inputs(reason.axis)
     return ", ".join(_amount(packed, load, inputs[load]) for load in loads if inputs[load])
@@ -72,9 +90,9 @@ def _axis_amounts(reason: Reason, inputs: Sequence[float], packed: Packed) -> st
 
 def _filled(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     """Return the text of a reason that has numbers."""
-    if reason.code == _OFF_HULL:
+    if reason.code == Code.AXIS_OFF_HULL:
         return _off_hull(reason, inputs, packed)
-    side = "outputs" if reason.code == _OVER_TOLERANCE else "inputs"
+    side = "outputs" if reason.code == Code.OVER_TOLERANCE else "inputs"
     entry = packed.meta["space"][side][reason.item]
     ends = (0.0, 0.0)
     if reason.code in _RANGES:
@@ -115,33 +133,35 @@ def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
     return f"axis {name}: {amounts} together lie outside the hull of its {count} rows"
 
 
-# By code: WB_REASON_... of surrogate/kernel/wrenchbook.h.
-FIXED = {
-    1: EMPTY,
-    2: ONLY_BEYOND,
-    12: UNKNOWN_TOGETHER,
-    15: UNKNOWN_ERROR,
-    16: ERRORS_UNKNOWN,
-    17: LEAVES_LIMITS,
-    19: TOO_FAR,
-    22: FEW_ROWS,
+FIXED: Mapping[int, str] = {
+    Code.EMPTY: EMPTY,
+    Code.ONLY_BEYOND: ONLY_BEYOND,
+    Code.INTERACTION: UNKNOWN_TOGETHER,
+    Code.NO_ERROR: UNKNOWN_ERROR,
+    Code.ERRORS_UNKNOWN: ERRORS_UNKNOWN,
+    Code.BEYOND_LIMITS: LEAVES_LIMITS,
+    Code.TOO_FAR: TOO_FAR,
+    Code.FEW_ROWS: FEW_ROWS,
 }
 # Fields of the texts: those of `Reason`, and name, unit and range (low, high) of the load or
 # output.
-WITH_NUMBERS = {
-    3: "{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}",
-    4: "no row shows the influence of {name}; solve or import one",
-    5: "{axis}no rows to answer {amounts}; solve or import such rows",
-    10: "{axis}{amount} alone lies outside the rows, and the loads of this wrench are added up "
-    "from there",
-    13: "{name} = {value:.6g} {unit} is beyond the rows that show errors, {low:.6g} to {high:.6g} "
-    "{unit}; solve or import rows there",
-    14: "{axis}the interpolation error of {name}, {value:.2g} {unit}, is over the tolerance, "
-    "{limit:.2g} {unit}",
-    20: "{amount} cannot occur in the scene: {low:.6g}..{high:.6g} {unit}",
+WITH_NUMBERS: Mapping[int, str] = {
+    Code.BEYOND_RANGE: "{amount} is outside the load range, {low:.6g}..{high:.6g} {unit}",
+    Code.UNKNOWN_LOAD: "no row shows the influence of {name}; solve or import one",
+    Code.AXIS_NO_ROWS: "{axis}no rows to answer {amounts}; solve or import such rows",
+    Code.MOMENT_ALONE: "{axis}{amount} alone lies outside the rows, and the loads of this wrench "
+    "are added up from there",
+    Code.BEYOND_SPAN: "{name} = {value:.6g} {unit} is beyond the rows that show errors, {low:.6g} "
+    "to {high:.6g} {unit}; solve or import rows there",
+    Code.OVER_TOLERANCE: "{axis}the interpolation error of {name}, {value:.2g} {unit}, is over "
+    "the tolerance, {limit:.2g} {unit}",
+    Code.NOT_IN_SCENE: "{amount} cannot occur in the scene: {low:.6g}..{high:.6g} {unit}",
 }
-_RANGES = {3: "space/range", 13: "g{}/kriging/span_loads", 20: "scene/range"}
-_OFF_HULL, _OVER_TOLERANCE = 6, 14
+_RANGES: Mapping[int, str] = {
+    Code.BEYOND_RANGE: "space/range",
+    Code.BEYOND_SPAN: "g{}/kriging/span_loads",
+    Code.NOT_IN_SCENE: "scene/range",
+}
 
 
 def unmeasured_text(missing: int, packed: Packed) -> str:

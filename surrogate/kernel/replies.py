@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import struct
 from collections.abc import Mapping, Sequence
+from enum import IntEnum
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -29,8 +30,20 @@ REPLY_SIZE = REASONS_AT + MAX_REASONS * REASON.size + 8  # `solved`
 AXIS = struct.Struct("=8i6d" + REASON.format.lstrip("="))
 WITHIN = {1: True, 0: False, -1: None}
 VALUES = 11  # numbers of a reply before its outputs
-# WB_NOT_FINITE to WB_SINGULAR; the code above them is WB_NO_CONVERGENCE.
-NOT_FINITE, NO_METHOD, NO_MEMORY, NOT_SQUARE, SINGULAR = 1, 2, 3, 4, 5
+
+
+class Status(IntEnum):
+    """The values that the kernel's functions return: WB_OK to WB_NO_MASS of wrenchbook.h."""
+
+    OK = 0
+    NOT_FINITE = 1
+    NO_METHOD = 2
+    NO_MEMORY = 3
+    NOT_SQUARE = 4
+    SINGULAR = 5
+    NO_CONVERGENCE = 6
+    INDEFINITE = 7
+    NO_MASS = 8
 
 
 class InverseError(ArithmeticError):
@@ -169,7 +182,7 @@ def mistake(
     `displacement` (m,), m and rad: for an inverse, the displacement whose wrench is wanted.
     """
     space = packed.meta["space"]
-    if code == NOT_FINITE:
+    if code == Status.NOT_FINITE:
         names = space["inputs"]
         values = inputs
         if displacement is not None and np.isfinite(inputs).all():
@@ -179,15 +192,15 @@ def mistake(
         name = names[column]["name"]
         value = values[row, column]
         return ValueError(f"{where}{name} must be finite, not {value}")
-    if code == NO_METHOD:
+    if code == Status.NO_METHOD:
         return _no_method(method, packed)
-    if code == NO_MEMORY:
+    if code == Status.NO_MEMORY:
         return MemoryError(f"there is no memory for {len(inputs)} wrenches at once; send fewer")
-    if code == NOT_SQUARE:
+    if code == Status.NOT_SQUARE:
         counts = f"{len(space['inputs'])} loads for {len(space['outputs'])} outputs"
         return InverseError(f"the table has {counts}; an inverse needs as many of both")
     reached = _listed(space["inputs"], inputs[0])
-    if code == SINGULAR:
+    if code == Status.SINGULAR:
         return InverseError(
             f"the compliance at {reached or 'zero load'} is unknown or singular, so the "
             "displacement has no wrench there; solve or import rows near it"

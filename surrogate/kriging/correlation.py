@@ -18,6 +18,7 @@ Shapes are given for the n = 6 loads of one interface and g = 4 terms.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import combinations_with_replacement
@@ -227,6 +228,51 @@ def block(x: Floats, v: Floats, hyperparameters: Hyperparameters, here: int, the
     joined, sign = joins(loads, here, there)
     values = derivatives(delta, hyperparameters, order)[:, joined] * sign
     return values.reshape(len(x), len(v), here, there).swapaxes(1, 2)
+
+
+def covariances_of_values(
+    x: Floats, groups: Floats, inverse_squares: Iterable[float]
+) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the covariance (n, n) of values by the load groups, and that by the term of all loads.
+
+    There is a pair for each inverse square, which all loads have in common. The variance of each
+    term is 1, and `smoothness` 3.
+
+    `x` (n, l), half ranges; `groups` (g, l): see `Hyperparameters`.
+    """
+    apart = squared_differences(x)
+    squares = [apart @ group for group in groups]
+    for inverse_square in inverse_squares:
+        *axes, joint = (matern(inverse_square * square, 0)[0] for square in squares)
+        yield symmetric(np.sum(axes, axis=0), len(x)), symmetric(joint, len(x))
+
+
+def squared_differences(x: Floats) -> Floats:
+    """Return the squared differences of all pairs of rows at x (n, l), a row with itself included.
+
+    Shape (n (n + 1) / 2, l): each pair once, which halves the cost; see `symmetric`.
+    """
+    first, second = np.triu_indices(len(x))
+    return np.asarray((x[first] - x[second]) ** 2)
+
+
+def symmetric(values: Floats, n: int) -> Floats:
+    """Return the symmetric matrix (n, n) with these values (n (n + 1) / 2,) of all pairs."""
+    first, second = np.triu_indices(n)
+    matrix = np.empty((n, n))
+    matrix[first, second] = matrix[second, first] = values
+    return matrix
+
+
+def weighted_products(columns: Floats, weights: Floats) -> Floats:
+    """Return B' D B, (r, c, c), of columns B (n, c) for each diagonal D of weights (r, n)."""
+    count = columns.shape[1]
+    first, second = np.triu_indices(count)
+    rows = np.ascontiguousarray(columns.T)
+    products = weights @ (rows[first] * rows[second]).T
+    matrices = np.empty((len(weights), count, count))
+    matrices[:, first, second] = matrices[:, second, first] = products
+    return matrices
 
 
 def covariance(

@@ -24,11 +24,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, ndtri, stdtrit
 
-from ..table.polynomial import terms_of
+from ..table.polynomial import RANK, terms_of
 from ..table.rows import ZERO_LOAD, Floats, LoadRange, Rows
 from ..table.space import Space
-from .correlation import matern
-from .readings import RANK, Indices, Readings
+from .correlation import (
+    covariances_of_values,
+    matern,
+    squared_differences,
+    symmetric,
+    weighted_products,
+)
+from .readings import Indices, Readings
 from .settings import DEFAULTS
 
 # Standard deviations of a step of the response beyond which its direction is sure: 1 in 700 errs.
@@ -52,10 +58,11 @@ SCALE_DEVIATION = 0.0177
 NO_LOAD = 0.01
 BLOCK = 65_536  # rows computed at once: some 20 MB
 # Part of an effect that rounding may leave outside of the directions that rows determine.
-SAME = 1e-6
+UNDETERMINED = 1e-6
 TINY = 1e-24  # spreads squared: the rounding of equal values
 RATIOS = np.exp(np.arange(-20.0, 4.6, 0.75))  # noise over process variance: from none to all
-THETAS = (1.4, 0.0, -1.4, -2.8)  # logarithms of one over the squared length: 0.5 to 4 half ranges
+# One over the squared length: 0.5 to 4 half ranges.
+INVERSE_SQUARES = tuple(np.exp([1.4, 0.0, -1.4, -2.8]).tolist())
 # Weights, over that of an axis' term, of the term of all loads and of a response with kinks
 # (Matern 3/2 of each load).
 JOINT_AND_KINK_WEIGHTS = ((0.05, 0.0), (5.0, 0.0), (0.3, 0.1), (0.3, 2.0))
@@ -308,9 +315,15 @@ def _estimated(
     mean *= size
     mean[0] += offset
 
-    half_width, misfits = _half_widths(
-        moved, terms_of(x)[:, 1:], columns, contrasts[:, first:], deviation, free
+    misfits, of_misfit, is_identified = _by_polynomial(
+        moved, terms_of(x)[:, 1:], columns, contrasts[:, first:]
     )
+    deviation = np.hypot(deviation, of_misfit)
+    freedom = np.full(deviation.shape, float(free))
+    # Rows without a sure direction show nothing of a loop.
+    freedom[1] = np.maximum(np.count_nonzero(columns[:, 0], axis=0) - n + free, 1)
+    quantile = -stdtrit(freedom, CHANCE / 2)
+    half_width = np.where(is_identified, quantile * deviation, np.inf)
     if np.abs(x).max(axis=1).min() > NO_LOAD:  # a kink may be hidden where polynomials misfit
         one_sided = max(x.min(axis=0).max(), -x.max(axis=0).min()) > NO_LOAD
         half_width[0] = np.inf if one_sided else np.maximum(half_width[0], SURE * misfits)
@@ -370,8 +383,7 @@ def _posterior(
     result = _Posterior(np.empty(shape), *np.empty((2, *shape, len(contrasts))))
     for kernel, (vectors, D) in enumerate(spectra):
         B, data = vectors.T @ basis, vectors.T @ residual_data
-        products = B[:, :, None] * B[:, None]
-        normal = (D @ products.reshape(len(B), -1)).reshape(len(D), *[B.shape[1]] * 2)  # B' D B
+        normal = weighted_products(B, D)
         moments = D @ (B * data[:, None])
         square = D @ data**2
 
@@ -395,24 +407,22 @@ def _posterior(
     return result
 
 
-def _half_widths(
-    moved: Floats, terms: Floats, columns: Floats, contrasts: Floats, deviation: Floats, free: int
-) -> tuple[Floats, Floats]:
-    """Return half widths of the effects' intervals, (1 + c, k), and misfits, (k,), m and rad.
+def _by_polynomial(
+    moved: Floats, terms: Floats, columns: Floats, contrasts: Floats
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Return misfits, their part of each effect, and which effects the rows identify.
 
     A misfit is the root mean square of an output that a polynomial of the loads and the columns do
-    not explain. An effect that the rows do not identify has an infinite half width. The
-    contribution of a misfit to the effect is added in place to each `deviation`, (1 + c, k), m and
-    rad.
+    not explain, (k,), m and rad. Its part of an effect, (1 + c, k), m and rad, is that of `MISFIT`
+    if it has the form that the effect takes for its own. The last result has shape (1 + c, k).
 
     `moved` (n, k), m and rad; `terms` (n, t): the polynomial's terms but 1.
     `contrasts` (1 + c, 1 + c): the effects by the coefficients of 1 and the columns (n, c, k).
-    `free`: degrees of freedom.
     """
     n, outputs = moved.shape
-    half_width = np.empty_like(deviation)
-    freedom = np.full(len(deviation), float(free))
     misfits = np.empty(outputs)
+    of_misfit = np.empty((len(contrasts), outputs))
+    is_identified = np.empty((len(contrasts), outputs), dtype=bool)
     for output in range(outputs):
         all_columns = np.column_stack((terms, np.ones(n), columns[:, :, output]))
         effects = np.eye(all_columns.shape[1])[terms.shape[1] :]  # by all coefficients
@@ -421,17 +431,12 @@ def _half_widths(
         along = effects @ right.T
         residual = moved[:, output] - left @ (left.T @ moved[:, output])
         misfits[output] = np.linalg.norm(residual) / np.sqrt(max(n - len(sizes), 1))
-
         worst = np.sqrt(n) * np.linalg.norm(along / sizes, axis=1)
-        misfit = MISFIT * np.ptp(moved[:, output]) * worst
-        deviation[:, output] = np.hypot(deviation[:, output], misfit)
+        of_misfit[:, output] = MISFIT * np.ptp(moved[:, output]) * worst
         # A grid in the order of its loads is a straight function of time: no drift is identifiable.
-        is_identified = np.linalg.norm(effects - along @ right, axis=1) < SAME
-        # Rows without a sure direction show nothing of a loop.
-        freedom[1] = max(np.count_nonzero(columns[:, 0, output]) - n + free, 1)
-        quantile = -stdtrit(freedom, CHANCE / 2)
-        half_width[:, output] = np.where(is_identified, quantile * deviation[:, output], np.inf)
-    return half_width, misfits
+        outside = np.linalg.norm(effects - along @ right, axis=1)
+        is_identified[:, output] = outside < UNDETERMINED
+    return misfits, of_misfit, is_identified
 
 
 def _covariances(x: Floats, space: Space) -> Iterator[Floats]:
@@ -440,12 +445,9 @@ def _covariances(x: Floats, space: Space) -> Iterator[Floats]:
     `x` (n, 6): loads, half ranges.
     """
     points = np.concatenate((x, np.zeros((1, x.shape[1]))))
-    apart = np.abs(points[:, None] - points)
-    squares = [apart**2 @ group for group in space.kriging_groups]
-    kinks = matern(apart**2, 0, 1)[0].sum(axis=2)
-    for theta in THETAS:
-        *axes, joint = [matern(np.exp(theta) * square, 0)[0] for square in squares]
+    kinks = symmetric(matern(squared_differences(points), 0, 1)[0].sum(axis=1), len(points))
+    for axes, joint in covariances_of_values(points, space.kriging_groups, INVERSE_SQUARES):
         for joint_weight, kink_weight in JOINT_AND_KINK_WEIGHTS:
-            matrix = sum(axes) + joint_weight * joint + kink_weight * kinks
+            matrix = axes + joint_weight * joint + kink_weight * kinks
             across, at_zero = matrix[:-1, -1], matrix[-1, -1]
             yield (matrix[:-1, :-1] - np.outer(across, across) / at_zero) / at_zero

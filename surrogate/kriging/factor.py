@@ -37,7 +37,7 @@ from .settings import DEFAULTS, KrigingSettings
 Indices = NDArray[np.intp]
 
 # Variance, spreads squared, of the rounding of equal values.
-ROUNDING = float(np.finfo(float).eps) ** 2
+ROUNDING_VARIANCE = float(np.finfo(float).eps) ** 2
 
 
 class OutputGroup(NamedTuple):
@@ -151,7 +151,7 @@ class KrigingFactor(Factor):
         coefficients = self.mean_covariance @ (self.TF.T @ Ty)
         remainder = Ty - self.TF @ coefficients
         # A linear response leaves no remainder, and rounding may make the variance negative.
-        variance = np.maximum(np.einsum("eq,eq->q", remainder, Ty) / len(self.T), ROUNDING)
+        variance = np.maximum(np.einsum("eq,eq->q", remainder, Ty) / len(self.T), ROUNDING_VARIANCE)
         weights = self.T.T @ remainder
         return replace(self, coefficients=coefficients, weights=weights, variance=variance)
 

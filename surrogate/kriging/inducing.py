@@ -34,7 +34,7 @@ from ..table.rows import Floats
 from .correlation import Hyperparameters, covariance, mean_terms
 from .equations import Equations, evenly
 from .factor import (
-    ROUNDING,
+    ROUNDING_VARIANCE,
     Factor,
     Indices,
     KrigingFactor,
@@ -302,7 +302,7 @@ def likely_noise(sums: Sums, settings: KrigingSettings) -> LikelyNoise:
     logarithms = np.arange(*settings.ratio_bounds, STEP)
     ratios = np.exp(logarithms)[:, None]
     residual = total + sums.scatter - (1 / (values + ratios)) @ squares
-    variance = np.maximum(residual / ratios / freedom, ROUNDING)
+    variance = np.maximum(residual / ratios / freedom, ROUNDING_VARIANCE)
     negative = freedom * (np.log(variance) + logarithms[:, None])
     negative = 0.5 * (negative + np.log1p(values / ratios).sum(axis=1)[:, None])
     likelihood = np.exp(negative.min(axis=0) - negative)

@@ -28,7 +28,14 @@ from numpy.typing import NDArray
 
 from ..calibration import CONFIDENCE
 from ..table.rows import Floats
-from .correlation import Hyperparameters, covariance, matern, mean_terms
+from .correlation import (
+    Hyperparameters,
+    covariance,
+    matern,
+    mean_terms,
+    squared_differences,
+    symmetric,
+)
 from .equations import Equations, Scaling, evenly
 from .factor import (
     Indices,
@@ -107,8 +114,7 @@ def noisy_rows(
             # Directions in which the rows vary less than this are determined by the mean's prior.
             basis = left[:, (sizes > sizes[0] / np.sqrt(settings.mean_variance)).sum() :]
         if not known[:, 1:].any():
-            first, second = np.triu_indices(len(rows))
-            squares = ((rows.x[first] - rows.x[second]) ** 2).T
+            squares = squared_differences(rows.x).T
         repeats = np.maximum(rows.observations[:, outputs] - 1, 0.0).sum(axis=0)
         scatter = rows.scatter[:, outputs].sum(axis=0) / equations.typical_noise[outputs]
         scatter *= scale[outputs]
@@ -145,12 +151,10 @@ def spectrum(rows: NoisyRows, kernel: Hyperparameters, settings: KrigingSettings
     known = rows.equations.known
     terms = []
     if len(rows.squares):
-        matrix = np.empty((len(x), len(x)))
-        pairs = np.triu_indices(len(x))
         rates, weights = kernel.terms
         terms = [matern(rate @ rows.squares, 1, kernel.smoothness) for rate in rates]
-        matrix[pairs] = sum(weight * m[0] for weight, m in zip(weights, terms, strict=True))
-        matrix.T[pairs] = matrix[pairs]
+        values = [weight * m[0] for weight, m in zip(weights, terms, strict=True)]
+        matrix = symmetric(np.sum(values, axis=0), len(x))
     else:
         matrix = covariance(x, known, x, known, kernel)
     prior = np.tile(kernel.prior(rows.equations.n_derivatives), (len(x), 1))[known]

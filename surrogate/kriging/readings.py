@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..table.polynomial import terms_of
+from ..table.polynomial import RANK, terms_of
 from ..table.rows import Floats, LoadRange, Rows
 
 Indices = NDArray[np.intp]
@@ -26,8 +26,6 @@ MIN_UNEXPLAINED = 0.1
 # Half ranges: loads that differ by less are one place, and readings at one place show no direction.
 # Force sensors scatter by 1e-4 to 5e-3 of their range.
 PLACE = 0.02
-# Part of the largest singular value: smaller values are linear dependences, to rounding.
-RANK = 1e-9
 
 
 class Readings(NamedTuple):

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..table.polynomial import terms_of
+from ..table.polynomial import RANK, terms_of
 from ..table.rows import Floats, LoadRange, Rows
-from .effects import RANK
 from .readings import PLACE, Indices, positions_of, sessions_of
 
 # Pairs of rows: fewer show no correlation below 0.6.

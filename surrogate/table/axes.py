@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from .compliance import ComplianceFit
 from .merging import close_groups, merge
 from .rows import ZERO_LOAD, Floats, LoadRange, Rows
+from .space import axis_inputs
 
 OffAxis = Literal["correct", "ignore", "exclude"]
 
@@ -57,9 +58,7 @@ class LoadAxis(NamedTuple):
         return [load for load in range(6) if load not in self.inputs]
 
 
-AXES = tuple(
-    LoadAxis("xyz"[i], (i, 3 + (i + 1) % 3, 3 + (i + 2) % 3), (i, 3, 4, 5)) for i in range(3)
-)
+AXES = tuple(LoadAxis("xyz"[i], axis_inputs(i), (i, 3, 4, 5)) for i in range(3))
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from ..calibration import LEVEL, conformal_factor
+from .polynomial import RANK
 from .rows import SMALLEST, Floats, LoadRange, Rows
 
-RANK = 1e-9  # relative singular value below which the rows do not determine a direction
 # Squared length of a load's unit vector outside the span of the rows' wrenches: rounding.
 OFF_SPAN = 1e-6
 MIN_FREE = 1e-6  # one less a row's leverage: below it the other rows do not determine the row
 # Part of the largest displacement of its kind: the smallest error bar of any answer.
-ROUNDING = 1e-15
+MIN_ERROR = 1e-15
 # Largest gap of a linear deck's solves to its compliance: fea/deck/solving.py refuses larger ones.
 SAME_LINE = 1e-5
 # Part of the largest displacement: assumed error of measured rows without a residual.
@@ -65,7 +65,7 @@ def fit_compliance(rows: Rows, load_range: LoadRange, *, linear: bool) -> Compli
     by_fit = np.abs(fit.matrix) @ load_range.largest
     moved = np.maximum(np.abs(rows.displacement).max(axis=0), by_fit)
     kinds = load_range.space.largest_of_kind(moved)
-    least = np.maximum(ROUNDING * kinds, SMALLEST)
+    least = np.maximum(MIN_ERROR * kinds, SMALLEST)
     return replace(fit, error=np.maximum(fit.error, least))
 
 

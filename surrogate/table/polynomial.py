@@ -8,6 +8,8 @@ import numpy as np
 
 from .rows import ZERO_LOAD, Floats
 
+# Part of the largest singular value: smaller ones are linear dependences of terms, to rounding.
+RANK = 1e-9
 ROWS_A_TERM = 5  # rows of each term: with fewer the fit follows the noise of single rows
 
 

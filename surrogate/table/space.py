@@ -32,6 +32,11 @@ OUTPUT_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 _UNNAMED = "the component has one interface, without a name: give its wrench as force and moment"
 
 
+def axis_inputs(axis: int) -> tuple[int, int, int]:
+    """Return the indices of an axis' loads: a force, and the moments about the other axes."""
+    return axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3
+
+
 class SpaceError(ValueError):
     """Inputs that do not fit a space; `mistakes` has the field and the text of each."""
 
@@ -126,7 +131,7 @@ class Space:
             for name in self.interfaces
         ]
         if len(by_interface) == 1:
-            terms = [{i, 3 + (i + 1) % 3, 3 + (i + 2) % 3} for i in range(3)]
+            terms = [set(axis_inputs(axis)) for axis in range(3)]
         else:
             pairs = combinations(by_interface, 2) if len(by_interface) > 2 else ()
             terms = [*by_interface, *(first | second for first, second in pairs)]

@@ -20,9 +20,10 @@ import scipy.sparse as sparse
 
 from tests.benchmarks.unstructured import NAMES, part_of
 from tests.validation import calculix
-from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
+from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.linalg.nested_dissection import unknowns_of
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import PLACEHOLDERS
 
 ROUNDS = int(os.environ.get("WRENCHBOOK_BENCH_ROUNDS", "3"))
 PARDISO = os.environ.get("WRENCHBOOK_PARDISO")

@@ -14,7 +14,7 @@ from tests.benchmarks.located import Located
 from tests.benchmarks.test_mesh_error import SHARE, bundle_of, wrenches_of
 from wrenchbook.fea.accuracy.estimate import accuracy_of
 from wrenchbook.fea.mesh.refine import refined
-from wrenchbook.fea.recovery.fields import surface_of
+from wrenchbook.fea.recovery.fields import shown_surface
 from wrenchbook.fea.solve import Solver
 from wrenchbook.service.fields.shape import error_parts, vertex_modes
 from wrenchbook.surrogate.solver_error import SolverError
@@ -31,7 +31,7 @@ class Part:
         bundle = bundle_of(name, folder)
         self.solvers = [Solver(refined(bundle, factor)) for factor in (1.0, 1.5, 2.0)]
         own = self.solvers[0].component.mesh
-        self.nodes = surface_of(own).nodes
+        self.nodes = shown_surface(own).nodes
         places = own.points[self.nodes]
         middle, fine = (Located(solver.component.mesh, places) for solver in self.solvers[1:])
         self.fields = [lambda field: field[self.nodes], middle, fine]

@@ -78,7 +78,7 @@ def test_a_linear_answer_is_the_sum_of_those_of_its_inputs(tmp_path):
     total = sum(own.solve(part).displacement for part in parts)
     np.testing.assert_allclose(result.displacement, total, rtol=1e-11, atol=1e-18)
     cold = own.solve([*LOADS, 20.0, *DOWN])
-    assert cold.work == pytest.approx(2 * cold.strain_energy, rel=1e-9)
+    assert cold.work == pytest.approx(cold.strain_energy, rel=1e-9)
 
 
 @pytest.mark.parametrize(("nonlinear", "most"), [(False, 1e-6), (True, 1e-4)])

@@ -401,6 +401,12 @@ def test_a_field_with_a_mark_of_its_encoding_and_units_is_read_as_without(tmp_pa
     np.testing.assert_allclose(shape_on(nodes, file, 20.0), [0.0, 0.25, 1.0], atol=1e-15)
 
 
+def test_a_field_of_one_point_that_is_listed_twice_is_the_same_everywhere(tmp_path):
+    (tmp_path / "hot.csv").write_text("x,y,z,T\n0,0,0,50\n0,0,0,50\n")
+    nodes = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_array_equal(shape_on(nodes, tmp_path / "hot.csv", 20.0), [1.0, 1.0])
+
+
 def test_a_field_that_is_the_same_everywhere_answers_as_none(tmp_path):
     write(tmp_path, corners(), np.full(8, 100.0))
     field = warmed(bar(tmp_path, nonlinear=True))

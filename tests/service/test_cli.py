@@ -440,3 +440,17 @@ def test_a_package_that_is_missing_is_named_with_its_installation(
     status, _, error = run("joint", "bar", str(tmp_path / "arm.xml"))
     assert status == 1
     assert "pip install 'wrenchbook[mujoco]'" in error
+
+
+def test_an_envelope_without_wrenches_shows_a_dash_for_each_unknown_number(
+    run: Run, stub: Stub
+) -> None:
+    """It showed nan, and no other command does."""
+    unknown = [None] * 6
+    empty = {"count": 0, "min": unknown, "max": unknown, "displacement_bound": unknown}
+    empty |= {"negligible": None, "reason": "no wrench has come yet", "bound": {"kind": "unknown"}}
+    empty |= {"inputs": [*LOADS], "outputs": [*OUTPUTS]}
+    stub.answers(Answer(empty))
+    _, out, _ = run("envelope", "plate")
+    assert "nan" not in out
+    assert out.count("- ") >= 18

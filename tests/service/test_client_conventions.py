@@ -149,6 +149,12 @@ def test_a_wrench_moves_to_another_frame_and_point():
         conv.moved(WRENCH, rotation=np.ones((3, 3)))
 
 
+@pytest.mark.parametrize("point", [[0.5, np.nan, 0], [0.5, 0], 0.5])
+def test_a_point_that_is_none_is_refused(point):
+    with pytest.raises(ValueError, match="point must"):
+        conv.moved(WRENCH, point=point)
+
+
 def test_power_does_not_depend_on_where_a_wrench_is_expressed():
     # A twist of the same body at both points: v_q = v_p + w x (q - p).
     rng = np.random.default_rng(0)

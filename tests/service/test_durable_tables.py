@@ -113,8 +113,7 @@ def test_a_withdrawn_row_does_not_come_back_with_an_older_copy_of_the_ledger(sit
     site.close()
     copy = shutil.copy(site.folder / "ledger.sqlite", site.folder / "copy")
     site.open()
-    edit = site.ledger.restore if gone_in_copy else site.ledger.withdraw
-    edit("rig", row.seq)
+    site.ledger.withdraw("rig", row.seq, withdrawn=not gone_in_copy)
     site.insert(2, first=10)
     site.close()
     put_back(site, copy)
@@ -155,7 +154,7 @@ def test_a_withdrawn_row_leaves_the_table_and_its_file_and_comes_back(site):
         assert site.tables.surrogate("rig").version == version
     site.close()
     ledger = Ledger(site.folder / "ledger.sqlite")
-    ledger.restore("rig", gone.seq)  # while nobody serves
+    ledger.withdraw("rig", gone.seq, withdrawn=False)  # while nobody serves
     ledger.close()
     site.open()
     assert site.wrenches() == expected(10)

@@ -110,3 +110,20 @@ def test_a_curve_of_a_load_range_without_zero_names_the_load(http):  # noqa: F81
     refused = http.get("/v1/components/pulled/table", params={"format": "bushing"})
     text = "ux: the load range of fx, 20 to 100 N, does not contain 0 N, where the curve starts"
     assert text in refused.json()["detail"]
+
+
+def test_a_displacement_that_no_load_changes_has_no_curve(http):  # noqa: F811
+    """A division by its slope of zero made the stiffness infinite."""
+    load(http, [[0.0, 0.0, 1.0, *[0.0] * 3, 0.0, 0.0, 1e-6]], load_cell="moving")
+    query = {"format": "bushing", "others": "load"}
+    refused = http.get("/v1/components/rig/table", params=query)
+    assert refused.status_code == 409
+    assert "do not change its displacement; add rows at other loads" in refused.json()["detail"]
+
+
+def test_a_curve_of_a_table_without_rows_asks_for_rows(http):  # noqa: F811
+    """It asked for a wider load range."""
+    query = {"format": "bushing", "others": "load"}
+    refused = http.get("/v1/components/rig/table", params=query)
+    assert refused.status_code == 409
+    assert "at zero load is unknown; add rows" in refused.json()["detail"]

@@ -153,3 +153,10 @@ def test_a_component_says_which_method_answers_and_why_and_detail_says_how(http)
         body["on_thin"] = "estimate"
         reply = http.post("/v1/components/solved/displacement", json=body).json()
         assert reply.get("method_detail") == said
+
+
+def test_the_detail_of_a_table_without_rows_says_so(http):
+    """It said "asked for" although the query named no method."""
+    wrench = {"force": [1, 0, 0], "moment": [0, 0, 0], "on_thin": "estimate", "detail": True}
+    reply = http.post("/v1/components/plate_thin/displacement", json=wrench).json()
+    assert reply["method_detail"].startswith("the table has no rows")

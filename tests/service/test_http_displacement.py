@@ -132,7 +132,7 @@ def test_a_failed_solve_is_a_problem_with_kind_and_remedy(http, stand_in):
 
 def test_a_failure_that_ends_in_its_remedy_says_it_once():
     error = {"kind": "snap_through", "message": "It snaps. Guide it.", "remedy": "Guide it."}
-    job = SimpleNamespace(id=3, error=error)
+    job = SimpleNamespace(id=3, status="failed", error=error)
     assert (
         str(SolveFailedError(job))
         == "It snaps. Guide it. Once it is repaired, POST /v1/jobs/3/retry."

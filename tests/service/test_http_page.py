@@ -277,6 +277,13 @@ def test_the_log_of_a_failed_job_names_no_folder_of_the_machine(http, failed, fo
     assert reported.text == 'File "<data>/jobs/1/1/deck", in <wrenchbook>'
 
 
+def test_the_log_of_a_failed_job_names_no_other_folder_either(http, failed):
+    """A deck's command may print any path; the job's zip has cut them already."""
+    (failed / LOG).write_text("Traceback (most recent call last):\nread /tmp/lab/secret/mesh.inp")
+    text = http.get("/v1/jobs/1/log").text
+    assert text == "Traceback (most recent call last):\nread .../mesh.inp"
+
+
 def test_of_a_long_log_the_end_is_told_and_how_much_is_missing(http, failed):
     (failed / LOG).write_bytes(b"x" * 10 + b"y" * MAX_LOG_BYTES)
     reported = http.get("/v1/jobs/1/log").text

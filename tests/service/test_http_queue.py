@@ -12,6 +12,7 @@ from starlette.testclient import TestClient
 from tests.service.ledger_rows import claim
 from tests.until import until
 from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.routes.jobs import job_body
 from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.service.workspace import Settings, Workspace
 
@@ -384,3 +385,15 @@ def test_a_job_that_has_ended_does_not_wait(idle):
     (number,) = accept(idle, 1)
     idle.delete(f"/v1/jobs/{number}")
     assert idle.get(f"/v1/jobs/{number}").json()["waiting"] is None
+
+
+def test_a_job_of_lost_interfaces_has_its_displacement_as_one_list(tmp_path):
+    """Its rotation had nine numbers: those of both interfaces but three."""
+    workspace = Workspace(Settings(tmp_path, solvers=0))
+    workspace.ledger.accept("gone", "f", [1.0] * 12)
+    job = claim(workspace.ledger, "solver")
+    workspace.ledger.commit(job.id, job.attempt, [1e-6] * 12)
+    body = job_body(workspace, workspace.ledger.job(job.id))
+    workspace.close()
+    assert len(body["displacement"]) == len(body["wrench"]) == 12
+    assert "rotation" not in body

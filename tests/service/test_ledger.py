@@ -413,6 +413,49 @@ def test_nothing_is_noticed_without_a_commit(ledger, watcher):
     assert not calls
 
 
+def test_files_are_polled_seldom_while_nothing_is_committed(ledger, monkeypatch):
+    """An idle process polled its files fifty times a second."""
+    monkeypatch.setattr(workspace, "FOLLOWS_S", 0.0)
+    monkeypatch.setattr(workspace, "IDLE_POLL_S", 3600.0)
+    polls, looks = [], []
+    version = ledger.version
+    monkeypatch.setattr(ledger, "version", lambda: polls.append(1) or version())
+    watching = Watcher(ledger)
+    watching.on_change(lambda: None, lambda: looks.append(1))
+    watching.start()
+    until(lambda: len(polls) > 10)
+    watching.stop()
+    assert len(looks) <= 2  # at the subscription, and at the first poll
+
+
+def test_files_are_polled_often_after_a_commit(ledger, watcher, monkeypatch):
+    monkeypatch.setattr(workspace, "IDLE_POLL_S", 3600.0)
+    ledger.accept("bar", "f", WRENCH)
+    looks = []
+    watcher.on_change(lambda: None, lambda: looks.append(1))
+    until(lambda: len(looks) > 5)
+
+
+def test_the_watcher_goes_on_after_a_version_that_could_not_be_read(ledger, monkeypatch):
+    monkeypatch.setattr(workspace, "TROUBLE_S", 0.01)
+    version, failures = ledger.version, [MemoryError()]
+    noticed = threading.Event()
+    watching = Watcher(ledger)
+    watching.on_change(noticed.set)
+
+    def fail_once():
+        if failures:
+            raise failures.pop()
+        return version()
+
+    monkeypatch.setattr(ledger, "version", fail_once)
+    watching.start()
+    until(lambda: not failures)
+    ledger.accept("bar", "f", WRENCH)
+    assert noticed.wait(60)
+    watching.stop()
+
+
 def test_a_file_is_watched_along_until_its_subscription_ends(watcher, tmp_path):
     file = tmp_path / "note"
     noticed = threading.Event()

@@ -237,7 +237,7 @@ class LedgerAgainstReference(RuleBasedStateMachine):
             pick % len(self.rows)
         ]
         try:
-            (self.ledger.restore if back else self.ledger.withdraw)(component, seq)
+            self.ledger.withdraw(component, seq, withdrawn=not back)
         except RowStatusError:
             assert (seq in self.withdrawn) != back
             return

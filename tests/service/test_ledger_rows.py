@@ -105,7 +105,7 @@ def test_withdrawing_what_is_not_there_or_twice_is_refused_by_name(ledger):
         with pytest.raises(UnknownRowError, match=f"no row {seq}"):
             ledger.withdraw(component, seq)
     with pytest.raises(RowStatusError, match=r"row 1 of .* is already in the table"):
-        ledger.restore("plate", 1)
+        ledger.withdraw("plate", 1, withdrawn=False)
     ledger.withdraw("plate", 1)
     with pytest.raises(RowStatusError, match=r"row 1 of .* is already withdrawn"):
         ledger.withdraw("plate", 1)

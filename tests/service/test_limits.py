@@ -342,3 +342,15 @@ def test_an_attempts_zip_holds_what_lies_in_its_folder_and_nothing_it_points_to(
     assert not any(b"the machine's" in text for text in texts)
     assert not any(str(tmp_path).encode() in text for text in texts)
     assert b"link.txt" in b"".join(texts)
+
+
+def test_the_zip_of_an_attempt_has_the_traceback_of_its_log(tmp_path):
+    """The cause of a failure was cut out of the log as that of a reply is."""
+    (tmp_path / "log.txt").write_text(
+        'Traceback (most recent call last):\n  File "/tmp/lab/solve.py", line 3\nValueError: no'
+    )
+    with zipped(tmp_path) as file, zipfile.ZipFile(file) as archive:
+        text = archive.read("log.txt").decode()
+    assert text == (
+        'Traceback (most recent call last):\n  File ".../solve.py", line 3\nValueError: no'
+    )

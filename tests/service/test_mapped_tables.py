@@ -180,7 +180,7 @@ def test_a_stale_file_is_gone_once_the_builder_has_started(tmp_path, monkeypatch
         reader.ledger.withdraw("new", stored(reader.ledger, "new")[0].seq)
         assert reader.tables.catch_up("new", 600)
         builder.tables.stop()
-        reader.ledger.restore("new", 1)
+        reader.ledger.withdraw("new", 1, withdrawn=False)
     may_build, build = threading.Event(), builds.build_table
 
     def slow(*given):

@@ -173,6 +173,29 @@ def test_the_bound_of_13_inputs_contains_the_error_bar_where_all_inputs_are_larg
     assert np.allclose(result.displacement, np.abs(outermost).sum(), rtol=1e-12)
 
 
+def test_the_bound_of_a_temperature_in_kelvin_starts_from_its_reference_not_from_0_kelvin():
+    space = space_of([""], [Input("temperature", "K", "scalar", zero=293.15)])
+    low, high = np.append(-np.ones(6), 290.0), np.append(np.ones(6), 310.0)
+    matrix = np.random.default_rng(7).normal(size=(6, 7))
+
+    def batch(points):
+        moved = (points - space.zero) @ matrix.T
+        errors, coverage = np.zeros(moved.shape), (points < low).any(axis=1) * 2
+        return SimpleNamespace(outputs=moved, errors=errors, coverage=coverage)
+
+    table = SimpleNamespace(
+        load_range=LoadRange(low, high, space),
+        linear=True,
+        fit=SimpleNamespace(complete=True, matrix=matrix),
+        packed=SimpleNamespace(batch=batch),
+    )
+    envelope = EnvelopeState(Tally(), np.where(np.eye(7), low, space.zero), np.tile(high, (7, 1)))
+    corners = np.array(list(product(*zip(low, high, strict=True))))
+    result = bound_of(table, envelope, None)
+    assert np.allclose(result.displacement, np.abs(batch(corners).outputs).max(axis=0))
+    assert result.coverage == "covered"
+
+
 def test_the_bound_of_a_matrix_is_the_largest_at_the_corners_of_the_box():
     """By all 64 corners, of a complete compliance without an error bar and with zero at rest."""
     random = np.random.default_rng(5)

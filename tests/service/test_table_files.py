@@ -49,7 +49,7 @@ from wrenchbook.service.formats.units import (
     chosen_units,
     si_factor,
 )
-from wrenchbook.service.formats.xlsx import entry_sizes, write_xlsx
+from wrenchbook.service.formats.xlsx import SheetFullError, entry_sizes, write_xlsx
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange
 from wrenchbook.surrogate.table.space import Input, space_of
@@ -378,6 +378,12 @@ def test_an_infinite_number_of_a_data_frame_has_one_mistake():
 
 _ROWS = read_csv(f"{HEADER},note\n0,0,1,0,0,0,0,a\n0,0,2,0,0,0,0,b\n")
 BOOK, FRAME = written(write_xlsx, _ROWS), written(write_parquet, _ROWS)
+
+
+def test_a_text_longer_than_a_cell_of_a_sheet_is_refused_not_written_for_excel_to_cut():
+    rows = read_csv(f"{HEADER},note\n0,0,1,0,0,0,0,{'a' * 32_768}\n")
+    with pytest.raises(SheetFullError, match="32,768 characters, more than 32,767"):
+        written(write_xlsx, rows)
 
 
 def zipped(**members: bytes) -> bytes:

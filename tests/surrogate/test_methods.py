@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from wrenchbook.surrogate.methods import choose
+from wrenchbook.surrogate.build import choose
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 
 ERROR = 0.1  # m and rad, of every left-out row

@@ -1,7 +1,7 @@
 """The child process in which gmsh lists and meshes a geometry file; run as a program.
 
 It reads a request from standard input, writes plain arrays and JSON, and ends with its parent. It
-finds the bodies of a bundle's regions.
+numbers faces and bodies so that a bundle can name them, and finds the bodies of its regions.
 """
 
 from __future__ import annotations
@@ -13,19 +13,20 @@ import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.mesh.cad.entities import METRES, Solid, bodies_of, faces_of
+from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.generators import too_many
 from wrenchbook.fea.mesh.groups import near_message
-from wrenchbook.fea.spec.mesh_source import BodySelector, GeometryMeshing
+from wrenchbook.fea.spec.mesh_source import UNITS, BodySelector, GeometryMeshing
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 
-Array = np.ndarray
+METRES = UNITS["mm"]
+"""gmsh works in mm here: its geometry kernel's tolerances are absolute and made for mm."""
 
 _LIBRARIES = "libgl1 libglu1-mesa libxrender1 libxcursor1 libxft2 libxinerama1 libgomp1"
 
@@ -83,7 +84,7 @@ def main() -> None:
 
 def _meshed(
     gmsh: Any, geometry: GeometryMeshing, optimise: bool
-) -> tuple[dict[str, Any], dict[str, Array]]:
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Mesh the geometry; each body's cells, then each face's facets, are one block."""
     problems: list[BundleProblem] = []
     size = geometry.size
@@ -118,7 +119,7 @@ def _meshed(
     return fields, {"points": points.reshape(-1, 3)} | content
 
 
-def _cells(gmsh: Any, kind: int, entity: int, row: Array) -> Array:
+def _cells(gmsh: Any, kind: int, entity: int, row: np.ndarray) -> np.ndarray:
     _, nodes = gmsh.model.mesh.getElementsByType(kind, entity)
     return row[nodes.astype(np.int64)].reshape(-1, 10 if kind == _TET10 else 6)
 
@@ -168,7 +169,7 @@ def opened(path: Path) -> Iterator[Any]:
         gmsh.finalize()
 
 
-_NEAR = 1e-3
+_TOUCHING = 1e-3
 """Fraction of the cell size within which two points count as equal."""
 
 
@@ -196,13 +197,97 @@ def choose_bodies(
             off = [gmsh.model.occ.getDistance(0, vertex, 3, n)[0] * METRES for n in there]
             gmsh.model.occ.remove([(0, vertex)])
             close = [
-                n for n, each in zip(there, off, strict=True) if each <= min(off) + _NEAR * size
+                n for n, each in zip(there, off, strict=True) if each <= min(off) + _TOUCHING * size
             ]
             if message := near_message(point, "body", close, min(off), size):
                 problems.append(BundleProblem(f"{where}.near", message))
             numbers.update(close)
         chosen[name] = sorted(numbers)
     return chosen
+
+
+@dataclass(frozen=True)
+class Solid:
+    """One solid body: its number, volume (m^3) and centre of mass (m)."""
+
+    number: int
+    volume: float
+    centre: tuple[float, float, float]
+
+
+def bodies_of(gmsh: Any) -> tuple[Solid, ...]:
+    """Return the solid bodies of the open file."""
+    return tuple(
+        Solid(
+            number,
+            gmsh.model.occ.getMass(3, number) * METRES**3,
+            _metres(gmsh.model.occ.getCenterOfMass(3, number)),
+        )
+        for _, number in gmsh.model.getEntities(3)
+    )
+
+
+def faces_of(gmsh: Any) -> tuple[Face, ...]:
+    """Return the faces of the bodies of the open file."""
+    bounding = {
+        tag
+        for _, body in gmsh.model.getEntities(3)
+        for _, tag in gmsh.model.getBoundary([(3, body)], oriented=False)
+    }
+    # Older versions of gmsh only have getType.
+    type_of = getattr(gmsh.model, "getEntityType", None) or gmsh.model.getType
+    faces = []
+    for number in sorted(bounding):
+        kind, radius = type_of(2, number), None
+        if kind == "Cylinder":  # the inverse of its larger principal curvature
+            middle = _middle(gmsh, number)
+            largest, smallest, _, _ = gmsh.model.getPrincipalCurvatures(number, middle)
+            radius = METRES / max(abs(float(largest[0])), abs(float(smallest[0])))
+        area = gmsh.model.occ.getMass(2, number) * METRES**2
+        centre = _metres(gmsh.model.occ.getCenterOfMass(2, number))
+        normal = _outward(gmsh, number) if kind == "Plane" else None
+        faces.append(Face(number, kind, area, centre, normal, radius))
+    return tuple(faces)
+
+
+def _metres(point: Any) -> tuple[float, float, float]:
+    """Return a point of gmsh, mm, in m."""
+    x, y, z = (float(coordinate) * METRES for coordinate in point)
+    return x, y, z
+
+
+def _middle(gmsh: Any, number: int) -> list[float]:
+    """Return the middle of a face's ranges of parameters."""
+    low, high = gmsh.model.getParametrizationBounds(2, number)
+    return [0.5 * (a + b) for a, b in zip(low, high, strict=True)]
+
+
+def _outward(gmsh: Any, number: int) -> tuple[float, float, float]:
+    """Return a plane's unit normal, away from its body (the first one where two share it)."""
+    normal = np.array(gmsh.model.getNormal(number, _middle(gmsh, number)))
+    inside = _point_on(gmsh, number)
+    body = int(gmsh.model.getAdjacencies(2, number)[0][0])
+    # Small against the body behind the face.
+    step = 1e-4 * np.sqrt(gmsh.model.occ.getMass(2, number))
+    if gmsh.model.isInside(3, body, (inside + step * normal).tolist()):
+        normal = -normal
+    x, y, z = (round(float(component), 12) + 0.0 for component in normal)  # + 0.0: no -0.0
+    return x, y, z
+
+
+def _point_on(gmsh: Any, number: int) -> np.ndarray:
+    """Return a point within the edges of a face (its centre may lie in a hole), mm."""
+    low, high = gmsh.model.getParametrizationBounds(2, number)
+    for fraction in _FRACTIONS:
+        parameters = [a + s * (b - a) for a, b, s in zip(low, high, fraction, strict=True)]
+        if gmsh.model.isInside(2, number, parameters, parametric=True):
+            return np.array(gmsh.model.getValue(2, number, parameters))
+    return np.array(gmsh.model.occ.getCenterOfMass(2, number))
+
+
+# The middle, then points that fill the square evenly: additive recurrence of the plastic number
+# (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences").
+_FRACTIONS = [((0.5 + 0.7548776662 * i) % 1, (0.5 + 0.5698402910 * i) % 1) for i in range(200)]
 
 
 if __name__ == "__main__":

@@ -16,17 +16,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from wrenchbook.fea.mesh.cad.entities import METRES
 from wrenchbook.fea.mesh.face_choice import choose
 from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.io.raw import RawMesh, to_mesh
 from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.surface import Surface
-from wrenchbook.fea.spec.mesh_source import GeometryMeshing
+from wrenchbook.fea.spec.mesh_source import UNITS, GeometryMeshing
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
-
-Array = np.ndarray
 
 _ATTEMPTS: Final = ((True, 1.0), (False, 1.0), (True, 0.97), (True, 1.03))
 """Attempts: whether curved cells are optimised, and a factor on the cell size.
@@ -82,7 +79,7 @@ def surface_of_geometry(path: Path, geometry: GeometryMeshing) -> Surface:
     raise BundleError([BundleProblem("mesh.size", message)])
 
 
-def _surface(fields: dict[str, Any], arrays: dict[str, Array]) -> Surface:
+def _surface(fields: dict[str, Any], arrays: dict[str, np.ndarray]) -> Surface:
     """Return the mesh, and the number of each facet's face, from the answer of `child`."""
     points = arrays.pop("points")
     nodes = [arrays[str(i)] for i in range(len(arrays))]
@@ -93,7 +90,7 @@ def _surface(fields: dict[str, Any], arrays: dict[str, Array]) -> Surface:
     }
     faces = [Face(**face) for face in fields["faces"]]
     facets = [block for block in blocks if block[0] == "tri6"]
-    mesh = to_mesh(RawMesh(points, blocks, sets, facet_sets={_SURFACE: facets}), METRES)
+    mesh = to_mesh(RawMesh(points, blocks, sets, facet_sets={_SURFACE: facets}), UNITS["mm"])
     # The cells' own faces replace gmsh's facets, in the order of the cells.
     group = mesh.facet_groups[_SURFACE]
     owners = np.repeat([face.number for face in faces], [len(rows) for _, rows in facets])
@@ -104,7 +101,7 @@ def _surface(fields: dict[str, Any], arrays: dict[str, Array]) -> Surface:
     return Surface(replace(mesh, facet_groups={}), group, numbers, tuple(faces))
 
 
-def _order(facets: Array) -> Array:
+def _order(facets: np.ndarray) -> np.ndarray:
     """Return the order of facets (f, k) by their corners, in any rotation, (f,)."""
     return np.lexsort(np.sort(facets[:, :3], axis=1).T)
 
@@ -120,7 +117,7 @@ def list_shape(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
 
 def _in_child(
     path: Path, geometry: GeometryMeshing | None, optimise: bool = True
-) -> tuple[dict[str, Any], dict[str, Array]]:
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the answer of `child`: fields of JSON, and arrays.
 
     The child inherits the limits of this process, and ends with it.

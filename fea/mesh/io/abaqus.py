@@ -31,8 +31,6 @@ from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, NODES_PER_FACET
 from wrenchbook.fea.spec.deck_text import deck_text
 from wrenchbook.fea.spec.problems import MeshFileError, point_text, suggest
 
-Array = np.ndarray
-
 # Part of the size of a cylinder or of the distance along it: roundoff of coordinates.
 _ON_AXIS = 1e-9
 
@@ -87,13 +85,15 @@ class Deck:
     # For each *NODE, the number of nodes before it and its line; for each *ELEMENT, its line
     node_lines: list[tuple[int, str]] = field(default_factory=list)
     element_lines: list[str] = field(default_factory=list)
-    systems: dict[int, tuple[Array, Array]] = field(default_factory=dict)  # axes in rows, origin
+    systems: dict[int, tuple[np.ndarray, np.ndarray]] = field(
+        default_factory=dict
+    )  # axes in rows, origin
     # Weights of couplings, by node set and label; repeated ones add up
     weights: dict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
     n_members: int = 0  # of all sets together
 
 
-def axes_through(origin: Array, first: Array, second: Array) -> Array:
+def axes_through(origin: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return right-handed axes in rows: 1 from `origin` to `first`, 2 towards `second`.
 
     All shapes are (3,).
@@ -110,7 +110,7 @@ def axes_through(origin: Array, first: Array, second: Array) -> Array:
     return np.array([x, np.cross(z, x), z])
 
 
-def radial_axes(axis: Array, out: Array) -> Array:
+def radial_axes(axis: np.ndarray, out: np.ndarray) -> np.ndarray:
     """Return the radial, circumferential and axial directions at a point off an axis, in rows.
 
     axis: its direction, of any length; out: from a point of it to the point; both of shape (3,).
@@ -124,7 +124,7 @@ def radial_axes(axis: Array, out: Array) -> Array:
     return axes_through(np.zeros(3), np.cross(around, axis), around)
 
 
-def cartesian(kind: str, point: Array) -> Array:
+def cartesian(kind: str, point: np.ndarray) -> np.ndarray:
     """Return a point by its coordinates in a system R, C or S, angles in degrees, shape (3,)."""
     radius, (a, b) = point[0], np.radians(point[1:])
     if kind == "C":
@@ -531,7 +531,7 @@ def raw_mesh(deck: Deck) -> RawMesh:
     )
 
 
-def _by_block(deck: Deck, ids: list[int]) -> list[Array]:
+def _by_block(deck: Deck, ids: list[int]) -> list[np.ndarray]:
     """Return for each block the rows of the elements `ids`; unknown ones are skipped."""
     chosen: list[list[int]] = [[] for _ in deck.kinds]
     for element in ids:

@@ -395,12 +395,19 @@ def _take_boundary(reader: Reader, deck: Deck, keyword: Keyword) -> None:
             held = set(_BOUNDARY_TYPES[word])
         else:
             first, last, value = (*fields, "", "", "")[:3]  # a missing field is empty
-            if not first.isdigit():
+            ends = [int(text) if text.isdigit() else 0 for text in (first, last or first)]
+            if not 0 < ends[0] <= ends[1]:
+                written = ", ".join(filter(None, (first, last)))
                 types = ", ".join(_BOUNDARY_TYPES)
                 raise MeshFileError(
-                    f'has "{first}" as freedom of {target}; write 1 to 6, or {types}'
+                    f'has "{written}" as freedom of {target}; write 1 to 6, or {types}'
                 )
-            held = set(range(whole(first) - 1, min(whole(last or first), 6)))
+            held = set(range(ends[0] - 1, min(ends[1], 6)))
+            if ends[1] > 6:
+                reader.lack(
+                    keyword,
+                    f"has the freedom {ends[1]}, which is no motion and is left out; remove it",
+                )
             if held and real(value or "0"):
                 message = "has a prescribed displacement other than 0, which is taken as 0"
                 reader.lack(keyword, f"{message}; apply its load at an interface instead")

@@ -16,8 +16,6 @@ from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError, point_text
 from wrenchbook.fea.tensors import rotation as turned
 
-Array = np.ndarray
-
 STRIDE = 10**12
 """Number of labels of one instance; Abaqus has at most 9 digits, a larger label is refused."""
 
@@ -197,7 +195,7 @@ def _frame(keyword: Keyword, number: int) -> Frame:
     return Frame(name, number, tuple(rotation.ravel().tolist()), tuple(shift.tolist()))
 
 
-def numbers(keyword: Keyword, row: int, count: int) -> Array:
+def numbers(keyword: Keyword, row: int, count: int) -> np.ndarray:
     """Return numbers of a row, shape (count,); missing ones are 0."""
     fields = keyword.rows[row] if row < len(keyword.rows) else []
     return np.array([real(each or "0") for each in (*fields, *["0"] * count)[:count]])

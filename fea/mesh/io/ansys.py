@@ -308,8 +308,12 @@ def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
 
 def _nodes_of(archive: _Archive, name: str, last: str, step: str) -> list[str]:
     """Return the nodes of a command: from a number to the last, of a component, or all."""
+    if name.isdigit() and last:  # a range may have gaps
+        nodes = [str(i) for i in range(int(name), whole(last) + 1, whole(step or "1"))]
+        known = {row.partition(",")[0] for row in archive.nodes}
+        return [node for node in nodes if node in known]
     if name.isdigit():
-        return [str(i) for i in range(int(name), whole(last or name) + 1, whole(step or "1"))]
+        return [name]
     if name == "ALL" and archive.selected:
         raise MeshFileError("acts on ALL of a selection, which is not evaluated; name a component")
     if name == "ALL":

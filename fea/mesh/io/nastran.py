@@ -17,12 +17,10 @@ import numpy as np
 
 from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes
 from wrenchbook.fea.mesh.io.abaqus_keywords import whole
-from wrenchbook.fea.mesh.io.nastran_cards import node_numbers, read_cards, real
+from wrenchbook.fea.mesh.io.springs import ALONG
 from wrenchbook.fea.mesh.io.translated import Case, Translated
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError
-
-Array = np.ndarray
 
 _SOLIDS = {
     "CHEXA": {8: "C3D8", 20: "C3D20R"},
@@ -35,10 +33,10 @@ _ORDER = {
     "C3D20R": [*range(12), *range(16, 20), *range(12, 16)],
     "C3D15": [*range(9), *range(12, 15), *range(9, 12)],
 }
+_EXPONENT = re.compile(r"(?<=[\d.])([+-]\d+)$")  # of a number without a letter before it
 _QUIET = {"PARAM", "END BULK", "MPCADD"}  # cards without content, which no message lists
 _SYSTEMS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
 _MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
-_ALONG = 1e-6  # part of a length: decks write coordinates with 7 digits
 _FIRST_SPRING = 10**9  # number of the first element of springs: Nastran's own end at 1e8
 _NONLINEAR = re.compile(r"^\s*SOL\s+(106|NLSTATIC|400|60[01])\b", re.I | re.M)
 _CASE = re.compile(r"(SUBCASE|SUBC|SYM|SUBCOM|SYMCOM|REPCASE)\b\s*=?\s*(\d+)")
@@ -48,12 +46,89 @@ _CD = 5  # field of a GRID: number of the coordinate system of the node's freedo
 _MAT9_FIELDS = 29  # number, 21 constants, density, six expansions
 
 
+class _Card(NamedTuple):
+    """A card with its continuations."""
+
+    line: int  # its first line, from 1
+    name: str
+    fields: list[str]  # without the name
+
+
+def _read_cards(lines: list[str], text: DeckText, skipped: int) -> Iterator[_Card]:
+    """Yield each card with its continuations; `skipped` lines of the file come before the first."""
+    card: _Card | None = None
+    for number, line in enumerate(lines, start=skipped + 1):
+        line = line.partition("$")[0].expandtabs().rstrip()
+        if not line:
+            continue
+        head, fields, count = _split(line)
+        if head.upper() == "ENDDATA":
+            break
+        if any(fields[count + 1 :]):
+            extra = [field for field in fields[count:] if field]
+            raise MeshFileError(
+                f"line {text.place(number)}: {head} has more than {count} fields; continue with "
+                f'"{extra[0]}" on a new line'
+            )
+        fields = (fields + [""] * count)[:count]
+        if card is not None and head[:1] in ("", "+", "*"):
+            card.fields.extend(fields)
+            continue
+        if card is not None:
+            yield card
+        card = _Card(number, head.rstrip("*").upper(), fields)
+    if card is not None:
+        yield card
+
+
+def _split(line: str) -> tuple[str, list[str], int]:
+    """Cut a line at its commas, or at fixed columns: head, fields, and fields of its format."""
+    head, *fields = [text.strip() for text in line.split(",")]
+    count = 4 if line[:1] == "*" or head[:8].rstrip().endswith("*") else 8
+    if "," not in line:
+        head = line[:8].strip()
+        width = 64 // count
+        fields = [line[8 + width * i : 8 + width * (i + 1)].strip() for i in range(count)]
+    return head, fields, count
+
+
+def _real(field: str) -> float:
+    """Return a number, whose exponent may have no letter: 2.1+5."""
+    try:
+        return float(_EXPONENT.sub(r"e\1", field.upper().replace("D", "E") or "0"))
+    except ValueError:
+        raise MeshFileError(f'has "{field}" where a number must be; write a number') from None
+
+
+def _node_numbers(fields: list[str]) -> list[str]:
+    """Return the numbers of a list, which may have first THRU last BY step."""
+    fields = [text.upper() for text in fields if text]
+    numbers: list[str] = []
+    try:
+        while fields:
+            if fields[1:2] == ["THRU"]:
+                has_step = fields[3:4] == ["BY"]
+                step = int(fields[4]) if has_step else 1
+                first, last = int(fields[0]), int(fields[2])
+                if first > last:
+                    raise ValueError
+                numbers += map(str, range(first, last + 1, step))
+                fields = fields[5 if has_step else 3 :]
+            else:
+                numbers.append(str(int(fields[0])))
+                fields = fields[1:]
+    except (ValueError, IndexError):
+        message = f'lists "{", ".join(fields[:5])}"; write numbers, or first, THRU, last, BY, step'
+        raise MeshFileError(message) from None
+    return numbers
+
+
 class _System(NamedTuple):
     """A coordinate system, in basic axes."""
 
     kind: str  # R, C or S
-    axes: Array  # (3, 3): unit vectors in rows
-    origin: Array  # (3,)
+    axes: np.ndarray  # (3, 3): unit vectors in rows
+    origin: np.ndarray  # (3,)
 
 
 class _Entry(NamedTuple):
@@ -122,7 +197,7 @@ class _Bulk(Translated):
             if name[4] == "1":
                 points = np.array([self.point(self.grid(node)) for node in fields[1:4]])
             else:
-                numbers = np.array([real(text) for text in fields[2:11]]).reshape(3, 3)
+                numbers = np.array([_real(text) for text in fields[2:11]]).reshape(3, 3)
                 points = np.array([self.in_basic_axes(fields[1], point) for point in numbers])
             z, x, y = axes_through(*points)  # its second point is on z, its third in xz
         except MeshFileError as error:  # the current card names the system
@@ -131,16 +206,16 @@ class _Bulk(Translated):
             self.cards[number] = name, fields
         return _System(name[5], np.array([x, y, z]), points[0])
 
-    def in_basic_axes(self, number: str, point: Array) -> Array:
+    def in_basic_axes(self, number: str, point: np.ndarray) -> np.ndarray:
         """Return a point of a coordinate system, its angles in degrees, in basic axes: (3,)."""
         if number in _BASIC:
             return point
         kind, axes, origin = self.system(number)
         return origin + cartesian(kind, point) @ axes
 
-    def point(self, fields: list[str]) -> Array:
+    def point(self, fields: list[str]) -> np.ndarray:
         """Return the position of the node of a GRID, in basic axes, shape (3,)."""
-        return self.in_basic_axes(fields[1], np.array([real(text) for text in fields[2:5]]))
+        return self.in_basic_axes(fields[1], np.array([_real(text) for text in fields[2:5]]))
 
     def grid(self, node: str) -> list[str]:
         """Return the fields of a node's GRID.
@@ -158,14 +233,14 @@ class _Bulk(Translated):
         """
         _, fields = self.springs[number]
         if name == "CELAS2":  # has its own stiffness
-            return [real(fields[1])]
+            return [_real(fields[1])]
         kind = "PBUSH" if name == "CBUSH" else "PELAS"
         key = fields[1] or number
         if kind + key not in self.springs:
             raise MeshFileError(f"needs {kind} {key}, which no card defines")
-        return [real(text) for text in self.springs[kind + key][1]]
+        return [_real(text) for text in self.springs[kind + key][1]]
 
-    def oriented(self, name: str, axes: Array, kind: str = "R") -> str:
+    def oriented(self, name: str, axes: np.ndarray, kind: str = "R") -> str:
         """Add an orientation unless it is the basic one; return the option that names it."""
         if kind == "R" and np.array_equal(axes, np.eye(3)):
             return ""
@@ -173,7 +248,7 @@ class _Bulk(Translated):
         self.couplings += [f"*ORIENTATION, NAME=AXES_{name}{system}", _axes_text(axes)]
         return f", ORIENTATION=AXES_{name}"
 
-    def axes_at(self, number: str, node: str) -> Array:
+    def axes_at(self, number: str, node: str) -> np.ndarray:
         """Return the axes of a coordinate system at a node in rows, shape (3, 3)."""
         kind, axes, origin = self.system(number)
         if kind == "R":
@@ -201,10 +276,10 @@ def read_nastran(text: DeckText) -> Translated:
     data = _Bulk(nonlinear=_NONLINEAR.search(control) is not None)
     factor = _MASS_FACTOR.search(text)
     if factor is not None:
-        data.mass_factor = real(factor[1])
+        data.mass_factor = _real(factor[1])
 
     lines_before = text.count("\n") - bulk.count("\n")
-    cards = list(read_cards(bulk.splitlines(), text, lines_before))
+    cards = list(_read_cards(bulk.splitlines(), text, lines_before))
     for card in cards:  # nodes may come after cards that refer to them
         data.index(card.name, card.fields)
     for number, name, fields in cards:
@@ -254,7 +329,7 @@ def _entries(data: _Bulk, kind: str, number: str, used: set[tuple[str, str]]) ->
             yield _Entry(node, freedom, factor * value)
 
 
-def _along_axes(loads: Iterator[_Entry], turned: dict[str, Array]) -> Iterator[str]:
+def _along_axes(loads: Iterator[_Entry], turned: dict[str, np.ndarray]) -> Iterator[str]:
     """Yield rows of *CLOAD along the axes of each node for loads along the basic axes."""
     for node, freedom, value in loads:
         first = 1 if freedom in "123" else 4
@@ -264,14 +339,14 @@ def _along_axes(loads: Iterator[_Entry], turned: dict[str, Array]) -> Iterator[s
                 yield f"{node}, {first + i}, {cosine * value:.9g}"
 
 
-def _turn(data: _Bulk) -> dict[str, Array]:
+def _turn(data: _Bulk) -> dict[str, np.ndarray]:
     """Give nodes that are held in a system of their own (CD) its axes there; return them."""
     held = defaultdict[str, set[str]](set)  # freedoms of each node
     for (kind, _), entries in data.sets.items():
         if kind != "LOAD":
             for entry in entries:
                 held[entry.node].add(entry.freedom)
-    turned: dict[str, Array] = {}
+    turned: dict[str, np.ndarray] = {}
     for node, freedoms in held.items():
         number = data.grids[node][_CD] if node in data.grids else ""
         if number not in (*_BASIC, "-1"):
@@ -284,7 +359,7 @@ def _turn(data: _Bulk) -> dict[str, Array]:
     return turned
 
 
-def _axes_text(axes: Array) -> str:
+def _axes_text(axes: np.ndarray) -> str:
     """Return the first two rows of axes as a row of a deck."""
     return ", ".join(f"{component:.15g}" for component in axes[:2].ravel().tolist())
 
@@ -332,8 +407,10 @@ def _read_grid(data: _Bulk, _: str, fields: list[str]) -> None:
 
 def _hold(data: _Bulk, key: tuple[str, str], node: str, freedoms: str, value: str = "") -> None:
     """Add the freedoms of a node, such as "123", to a set; a row may have no node."""
+    if not {*freedoms} <= {*"0123456"}:
+        raise MeshFileError(f'has "{freedoms}" as freedoms; write digits from 1 to 6')
     held = sorted(set(freedoms) & set("123456")) if node else ()
-    data.sets[key] += [_Entry(node, freedom, real(value)) for freedom in held]
+    data.sets[key] += [_Entry(node, freedom, _real(value)) for freedom in held]
 
 
 def _read_cell(data: _Bulk, name: str, fields: list[str]) -> None:
@@ -358,21 +435,21 @@ def _read_cell(data: _Bulk, name: str, fields: list[str]) -> None:
 
 def _read_mat1(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read an isotropic material; the third of E, G and nu follows from the other two."""
-    young, shear, ratio = real(fields[1]), real(fields[2]), real(fields[3])
+    young, shear, ratio = _real(fields[1]), _real(fields[2]), _real(fields[3])
     if not fields[1]:
         young = 2 * shear * (1 + ratio)
     elif not fields[3] and shear:
         ratio = young / (2 * shear) - 1
     constants = data.constants[f"MAT_{fields[0]}"]
     constants["ELASTIC"] = f"{young:.9g}, {ratio:.9g}"
-    further = {"DENSITY": real(fields[4]) * data.mass_factor, "EXPANSION": real(fields[5])}
+    further = {"DENSITY": _real(fields[4]) * data.mass_factor, "EXPANSION": _real(fields[5])}
     constants |= {word: f"{value:.9g}" for word, value in further.items() if value}
 
 
 def _read_mat9(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read a material of nine constants; its shears are xy, yz, zx."""
     padded = [*fields, *[""] * _MAT9_FIELDS]
-    values = [real(text) for text in padded[:_MAT9_FIELDS]]
+    values = [_real(text) for text in padded[:_MAT9_FIELDS]]
     constants, density, expansion = values[1:22], values[22], values[23:]
     stiffness = np.zeros((6, 6))
     stiffness[np.triu_indices(6)] = constants
@@ -407,7 +484,11 @@ def _read_spc(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read SPC, two nodes with their freedoms and motions, or SPC1, a list of nodes."""
     rows = [fields[1:4], fields[4:7]]
     if name == "SPC1":
-        rows = [[node, fields[1], ""] for node in node_numbers(fields[2:])]
+        # A range may have gaps; a node of a list must be there.
+        nodes = _node_numbers(fields[2:])
+        if any(text.upper() == "THRU" for text in fields):
+            nodes = [node for node in nodes if node in data.grids]
+        rows = [[node, fields[1], ""] for node in nodes]
     for row in rows:
         _hold(data, ("SPC", fields[0]), *row)
 
@@ -418,13 +499,13 @@ def _read_sum(data: _Bulk, name: str, fields: list[str]) -> None:
         parts = [(1.0, part) for part in fields[1:] if part]
     else:
         pairs = zip(fields[2::2], fields[3::2], strict=False)
-        parts = [(real(fields[1]) * real(factor), part) for factor, part in pairs if part]
+        parts = [(_real(fields[1]) * _real(factor), part) for factor, part in pairs if part]
     data.sums[name.removesuffix("ADD"), fields[0]] = parts
 
 
 def _read_rbe2(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read a rigid element as a kinematic coupling, without its thermal expansion."""
-    nodes = node_numbers([text for text in fields[3:] if "." not in text])
+    nodes = _node_numbers([text for text in fields[3:] if "." not in text])
     freedoms = sorted(set("123") & set(fields[2]))
     turned = {data.grids[node][_CD] for node in nodes if node in data.grids}
     if not freedoms or (len(freedoms) < 3 and not turned <= {*_BASIC}):
@@ -450,8 +531,8 @@ def _read_rbe3(data: _Bulk, name: str, fields: list[str]) -> None:
         data.skipped[f"{name} of whose point {fields[3]} alone follow: here all freedoms do"] += 1
     weights = defaultdict[str, float](float)
     for i, end in zip(starts, [*starts[1:], len(fields)], strict=True):
-        for node in node_numbers(fields[i + 2 : end]):
-            weights[node] += real(fields[i])
+        for node in _node_numbers(fields[i + 2 : end]):
+            weights[node] += _real(fields[i])
     data.tie(f"{name}_{fields[0]}", [*weights], fields[2], "DISTRIBUTING", weights.values())
 
 
@@ -514,7 +595,7 @@ def _spring_ends(fields: list[str], is_bush: bool) -> list[_End]:
     return [_End(node, whole(freedom or "0")) for node, freedom in ends if node.strip("0")]
 
 
-def _end_axes(data: _Bulk, nodes: list[str]) -> Array:
+def _end_axes(data: _Bulk, nodes: list[str]) -> np.ndarray:
     """Return the common axes of the nodes of a spring in rows, shape (3, 3)."""
     axes = [data.axes_at(data.grid(node)[_CD], node) for node in nodes]
     if not all(np.allclose(axes[0], at_end) for at_end in axes[1:]):
@@ -522,7 +603,7 @@ def _end_axes(data: _Bulk, nodes: list[str]) -> Array:
     return axes[0]
 
 
-def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[float]) -> Array:
+def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[float]) -> np.ndarray:
     """Return the axes that a CBUSH defines in rows, shape (3, 3)."""
     first, last = data.grid(nodes[0]), data.grid(nodes[-1])
     system, offset = fields[7], fields[9]
@@ -534,7 +615,7 @@ def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[flo
     if offset not in ("", "-1"):
         raise MeshFileError(f"has the OCID {offset}, not -1")
     apart = data.point(last) - data.point(first)
-    across = np.linalg.norm(np.cross(apart, axes), axis=1) > _ALONG * np.linalg.norm(apart)
+    across = np.linalg.norm(np.cross(apart, axes), axis=1) > ALONG * np.linalg.norm(apart)
     if (across & (np.array(sizes[:3]) != 0)).any():
         raise MeshFileError("has a stiffness across the line between its nodes")
     return axes
@@ -543,7 +624,9 @@ def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[flo
 def _read_load(data: _Bulk, name: str, fields: list[str]) -> None:
     """Read a FORCE on the freedoms 1 to 3 of a node, or a MOMENT on 4 to 6, in basic axes."""
     number, node, system, size = fields[:4]
-    load = np.array([real(size) * real(text) for text in fields[4:7]]) @ data.axes_at(system, node)
+    load = np.array([_real(size) * _real(text) for text in fields[4:7]]) @ data.axes_at(
+        system, node
+    )
     for freedom, value in enumerate(load.tolist(), 1 if name == "FORCE" else 4):
         data.sets["LOAD", number].append(_Entry(node, str(freedom), value))
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wrenchbook.fea.mesh.dependents import CircularError, Dependents
+from wrenchbook.fea.mesh.dependents import CircularError, Dependents, Entries
 from wrenchbook.fea.mesh.facets import FaceFinder
 from wrenchbook.fea.mesh.mapping import right_way_round
 from wrenchbook.fea.mesh.mesh import (
@@ -20,34 +20,32 @@ from wrenchbook.fea.mesh.mesh import (
 )
 from wrenchbook.fea.spec.problems import MeshFileError, point_text
 
-Array = np.ndarray
-
-Block = tuple[str, Array]
+Block = tuple[str, np.ndarray]
 
 NODES_PER_LINE = {"point1": 1, "line2": 2, "line3": 3}
 """Kinds of cells that only give node groups: a group on an edge or a point of the part."""
 
-_LARGEST = 1e50  # largest coordinate: volumes of larger cells overflow
+_MAX_COORDINATE = 1e50  # largest coordinate: volumes of larger cells overflow
 
 
 @dataclass(frozen=True, eq=False)
 class RawMesh:
     """All contents of a mesh file, in the file's length unit."""
 
-    points: Array  # shape (n, 3); some may belong to no cell
+    points: np.ndarray  # shape (n, 3); some may belong to no cell
     # (kind, nodes) of cells, facets and lines, in the order of the file; nodes of shape (m, k),
     # int64.
     blocks: list[Block]
     # For each name, one array of element indices per block, shape (m,), int64
-    element_sets: Mapping[str, list[Array]] = field(default_factory=dict)
+    element_sets: Mapping[str, list[np.ndarray]] = field(default_factory=dict)
     # For each name, the nodes' indices, shape (k,), int64
-    node_sets: Mapping[str, Array] = field(default_factory=dict)
+    node_sets: Mapping[str, np.ndarray] = field(default_factory=dict)
     # Facet groups that the file defines as faces of cells
     facet_sets: Mapping[str, list[Block]] = field(default_factory=dict)
     # Dependent nodes of cells, their masters, and weights
     follow: list[tuple[int, int, float]] = field(default_factory=list)
     # Weights of nodes by the name of their set, in the form of `fea.mesh.mesh.Mesh`
-    node_weights: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    node_weights: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 def to_mesh(raw: RawMesh, metres: float) -> Mesh:
@@ -113,25 +111,25 @@ def _require_points(raw: RawMesh) -> None:
             )
 
 
-def _require_finite(points: Array) -> None:
+def _require_finite(points: np.ndarray) -> None:
     """Refuse coordinates, (n, 3), that are no numbers or too large."""
-    is_huge = ~(np.abs(points) < _LARGEST).all(axis=1)
+    is_huge = ~(np.abs(points) < _MAX_COORDINATE).all(axis=1)
     if is_huge.any():
         at = ", ".join(f"{x:g}" for x in points[is_huge][0])
         raise MeshFileError(
-            f"has a point at ({at}); coordinates must be finite and below {_LARGEST:g}, so export "
-            "it again"
+            f"has a point at ({at}); coordinates must be finite and below {_MAX_COORDINATE:g}, so "
+            "export it again"
         )
 
 
-def _regions(raw: RawMesh, new_rows: Mapping[str, Array]) -> dict[str, tuple[Array, ...]]:
+def _regions(raw: RawMesh, new_rows: Mapping[str, np.ndarray]) -> dict[str, tuple[np.ndarray, ...]]:
     """Return each element set as indices of cells within the joined block of their kind.
 
     new_rows: for each kind the index in the joined block of each of its cells, in the file's order.
     """
     regions = {}
     for name, numbers in raw.element_sets.items():
-        chosen: dict[str, list[Array]] = {kind: [] for kind in new_rows}
+        chosen: dict[str, list[np.ndarray]] = {kind: [] for kind in new_rows}
         n_before = dict.fromkeys(new_rows, 0)  # cells of the kind in earlier blocks
         for (kind, nodes), rows in zip(raw.blocks, numbers, strict=True):
             if kind in new_rows:
@@ -143,24 +141,22 @@ def _regions(raw: RawMesh, new_rows: Mapping[str, Array]) -> dict[str, tuple[Arr
     return regions
 
 
-def _dependents(raw: RawMesh, number: Array, points: Array) -> Dependents:
+def _dependents(raw: RawMesh, number: np.ndarray, points: np.ndarray) -> Dependents:
     """Return the equations of dependent nodes.
 
     number: the node of the mesh for each node of `raw`, -1 if it is in no cell.
     points: shape (nodes, 3), m.
     """
-    nodes = np.array([node for node, _, _ in raw.follow])
-    masters = np.array([master for _, master, _ in raw.follow])
-    weights = np.array([weight for _, _, weight in raw.follow])
+    nodes, masters, weights = map(np.array, zip(*raw.follow, strict=True))
     try:
-        return Dependents.of(len(points), (number[nodes], number[masters], weights))
+        return Dependents.of(len(points), Entries(number[nodes], number[masters], weights))
     except CircularError as error:
         at = point_text(points[error.node])
         message = f"has equations by which the node at {at} m follows itself; remove one of them"
         raise MeshFileError(message) from None
 
 
-def _without_twins(nodes: Array) -> tuple[Array, Array]:
+def _without_twins(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows to keep of cells that may occur twice, and each row's index among these.
 
     gmsh's 2.2 format writes a cell once for each group it is in; kept twice, it would be twice as
@@ -174,7 +170,7 @@ def _without_twins(nodes: Array) -> tuple[Array, Array]:
 
 
 def _facet_groups(
-    raw: RawMesh, number: Array, blocks: tuple[CellBlock, ...]
+    raw: RawMesh, number: np.ndarray, blocks: tuple[CellBlock, ...]
 ) -> dict[str, FacetGroup]:
     """Return the groups of surface elements (gmsh, VTK) and of faces of cells (Abaqus)."""
     chosen = {name: list(parts) for name, parts in raw.facet_sets.items()}
@@ -193,7 +189,7 @@ def _facet_groups(
                 f'has a group "{name}" with {lost} facets that are not faces of a solid cell; '
                 "mesh the surface and the solid together, or leave the group out"
             )
-        by_kind: dict[str, list[Array]] = {}
+        by_kind: dict[str, list[np.ndarray]] = {}
         for kind, nodes in (face for faces, _ in results for face in faces):
             by_kind.setdefault(kind, []).append(nodes)
         if by_kind:
@@ -202,7 +198,7 @@ def _facet_groups(
     return groups
 
 
-def _node_groups(raw: RawMesh, number: Array) -> dict[str, Array]:
+def _node_groups(raw: RawMesh, number: np.ndarray) -> dict[str, np.ndarray]:
     """Return the used nodes of each set; an element set has the nodes of its line elements.
 
     number: the node of the mesh for each node of `raw`, -1 if it is in no cell.

@@ -18,8 +18,6 @@ from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, Mesh
 from wrenchbook.fea.spec.mesh_source import UNITS
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError
 
-Array = np.ndarray
-
 MESHIO_KINDS = {
     "hexahedron": "hex8",
     "hexahedron20": "hex20",
@@ -89,7 +87,7 @@ def _read_meshio(path: Path) -> RawMesh:
     # gmsh's physical groups; the 2.2 format has them only as numbers of cells.
     tags = read.cell_data.get("gmsh:physical", [])
     names = {(int(tag), int(dim)): name for name, (tag, dim) in read.field_data.items()}
-    groups: dict[str, list[Array]] = {}
+    groups: dict[str, list[np.ndarray]] = {}
     for i, (block, part) in enumerate(zip(read.cells, tags, strict=False)):
         numbers = _as_numbers(part)
         for tag in np.unique(numbers[numbers > 0]).tolist():
@@ -134,11 +132,11 @@ def _read_silently(path: Path) -> meshio.Mesh:
         raise MeshFileError(f"cannot be read as {path.suffix}{why}; export it again") from None
 
 
-def _as_numbers(part: object) -> Array:
+def _as_numbers(part: object) -> np.ndarray:
     return np.asarray([] if part is None else part, dtype=np.int64).ravel()
 
 
-def _array_groups(read: meshio.Mesh) -> dict[str, list[Array]]:
+def _array_groups(read: meshio.Mesh) -> dict[str, list[np.ndarray]]:
     """Return the groups by integer cell arrays."""
     groups = {}
     for array, parts in read.cell_data.items():
@@ -149,7 +147,7 @@ def _array_groups(read: meshio.Mesh) -> dict[str, list[Array]]:
     return groups
 
 
-def _group_values(array: str, values: Array) -> list[tuple[str, int]]:
+def _group_values(array: str, values: np.ndarray) -> list[tuple[str, int]]:
     """Return name and value of each group in an array of integers, one value per node or cell."""
     if values.ndim != 1 or values.dtype.kind not in "iu":
         return []

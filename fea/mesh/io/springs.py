@@ -16,13 +16,12 @@ from wrenchbook.fea.mesh.io.reader import Reader, Step
 from wrenchbook.fea.spec.problems import MeshFileError
 from wrenchbook.fea.spec.schema import FREEDOMS
 
-Array = np.ndarray
-
 NODES = {"SPRING1": 1, "SPRING2": 2}
 """Number of nodes of an element of each type."""
 
 _UPRIGHT = tuple(np.eye(3).ravel().tolist())
-_ALONG = 1e-6  # relative accuracy of coordinates, which decks write with 7 digits
+ALONG = 1e-6
+"""Part of a length by which a point may be off a spring's line: decks write 7 digits."""
 
 
 def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
@@ -49,7 +48,7 @@ def take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
     """Add springs, joined if they connect the same couplings; note unusable ones in the reader."""
     remaining = dict(reader.springs)
-    joined: dict[tuple[int, ...], tuple[Keyword, Array]] = {}  # by the indices of couplings
+    joined: dict[tuple[int, ...], tuple[Keyword, np.ndarray]] = {}  # by the indices of couplings
     held = _held_freedoms(reader, step)
     for keyword in reader.spring_sections:
         try:
@@ -110,7 +109,7 @@ def _spring(
     held: Mapping[int, set[int]],
     keyword: Keyword,
     nodes: list[int],
-) -> tuple[tuple[int, ...], Array]:
+) -> tuple[tuple[int, ...], np.ndarray]:
     """Return the indices of the couplings that a spring connects, none to two, and its stiffness.
 
     Shape (6, 6): of the motion of one relative to the other, along the global axes.
@@ -163,7 +162,7 @@ class _Constants(NamedTuple):
     """Data lines of a *SPRING."""
 
     freedoms: list[int]  # from 0, at each node
-    axes: Array  # (3, 3): unit vectors in rows
+    axes: np.ndarray  # (3, 3): unit vectors in rows
     stiffness: float  # in the deck's units
 
 
@@ -198,7 +197,7 @@ def _constants(reader: Reader, keyword: Keyword, nodes: list[int]) -> _Constants
     return _Constants(freedoms, axes, stiffness)
 
 
-def _check_between(case: LoadCase, ends: list[CoupledGroup], shift: Array) -> None:
+def _check_between(case: LoadCase, ends: list[CoupledGroup], shift: np.ndarray) -> None:
     """Refuse a spring between two points that ``[[spring]]`` cannot represent.
 
     shift: the direction that it resists, shape (3,); zero for a spring of rotations.
@@ -212,7 +211,7 @@ def _check_between(case: LoadCase, ends: list[CoupledGroup], shift: Array) -> No
         raise MeshFileError("it joins a rigid with a distributed coupling")
     if first.weighted != second.weighted:
         raise MeshFileError("it joins a coupling with weights and one without")
-    if across > _ALONG * np.abs(points).max():
+    if across > ALONG * np.abs(points).max():
         raise MeshFileError(f"its points are {across:.3g} off the line of its direction")
     if case.nonlinear:
         raise MeshFileError("with NLGEOM its direction stays, but that of [[spring]] rotates")

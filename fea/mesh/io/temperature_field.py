@@ -14,17 +14,17 @@ from scipy.spatial import KDTree
 
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 
-Array = np.ndarray
-
 _COLUMNS = 4  # x, y, z, m, and the temperature
 # A name of the head, and its unit in brackets, such as "x [m]".
 _NAME = re.compile(r"\s*\"?\s*(?P<name>\w*)[^[(]*(?:[\[(]\s*(?P<unit>[^])]*?)\s*[\])])?")
 _ENCODING = "utf-8-sig"  # spreadsheets write a mark of the encoding before the first name
-_SAME = 1e-6  # part of the mesh's size: a node this near to a point of the file has its temperature
+_SAME_POINT = (
+    1e-6  # part of the mesh's size: a node this near to a point of the file has its temperature
+)
 _KEY = "inputs.temperature.field"
 
 
-def shape_on(nodes: Array, field: Path, reference: float) -> Array:
+def shape_on(nodes: np.ndarray, field: Path, reference: float) -> np.ndarray:
     """Return the rise of the temperature at nodes as a part of the largest, shape (n,).
 
     A node at a point of the file has its rise, others that of linear interpolation between points,
@@ -63,18 +63,18 @@ def shape_on(nodes: Array, field: Path, reference: float) -> Array:
             "long; write them in m, in the mesh's axes"
         )
 
-    between = distance > _SAME * size
-    if between.any() and len(points) > 1:
+    between = distance > _SAME_POINT * size
+    if between.any() and not same.all():  # more than one point
         inside = _interpolated(points, values, nodes[between])
         shape[between] = np.where(np.isnan(inside), shape[between], inside)
     return shape
 
 
-def _interpolated(points: Array, values: Array, nodes: Array) -> Array:
+def _interpolated(points: np.ndarray, values: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """Interpolate linearly in the space, plane or line of points, to nodes (n, 3); NaN outside."""
     centre = points.mean(axis=0)
     _, sizes, axes = np.linalg.svd(points - centre, full_matrices=False)
-    axes = axes[sizes > _SAME * sizes[0]]
+    axes = axes[sizes > _SAME_POINT * sizes[0]]
     here = (points - centre) @ axes.T
     there = (nodes - centre) @ axes.T
     if len(axes) == 1:
@@ -86,7 +86,7 @@ def _interpolated(points: Array, values: Array, nodes: Array) -> Array:
     return np.asarray(LinearNDInterpolator(here, values)(there))
 
 
-def _table(field: Path) -> Array:
+def _table(field: Path) -> np.ndarray:
     """Return x, y, z and temperature of each point, (p, 4); raise BundleError for a wrong file."""
     with field.open(encoding=_ENCODING, errors="replace") as file:
         head = file.readline().strip()

@@ -22,15 +22,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wrenchbook.surrogate.answer import UnknownMethodError
-from wrenchbook.surrogate.kernel.joint import (
-    FREEDOMS,
-    INDEFINITE,
-    MAX_INTERFACES,
-    NO_MASS,
-    NOT_FINITE,
-    JointSteps,
-    shape_of,
-)
+from wrenchbook.surrogate.kernel.joint import FREEDOMS, MAX_INTERFACES, JointSteps, shape_of
+from wrenchbook.surrogate.kernel.replies import Status
+from wrenchbook.surrogate.table.rows import ROTATION_LIMIT
 
 from ...contract import COVERAGE, LOAD_UNITS
 from ..conventions import quaternion_wxyz as quaternion
@@ -45,7 +39,7 @@ if TYPE_CHECKING:
 NOT_YET = -2  # coverage before the first step, beside the kernel's codes
 # Coverage by these codes, also from the end: -2 is NOT_YET, -1 a step without a wrench.
 COVERED_AS = np.array([*COVERAGE, None, COVERAGE[-1]], dtype=object)
-LARGEST_TURN = 20.0  # degrees: largest rotation of a table's rows
+LARGEST_TURN = math.degrees(ROTATION_LIMIT)  # of a table's rows
 # Ratio to the load range or to LARGEST_TURN: beyond it the pose is not that of the part.
 MAX_RANGES = 2.0
 ROUNDING = 1e-9  # relative: the difference of two ways to compute a pose's distance from the range
@@ -394,11 +388,11 @@ class Joint:
 
         Up to MAX_RANGES a pose only causes a warning.
         """
-        if status == INDEFINITE:
+        if status == Status.INDEFINITE:
             least, loads = self._weakest(self._stiffness[None])
             if least[0] < 0.0:
                 raise JointError(self._indefinite(np.ravel(self._static_wrench), loads[0]))
-        elif status == NO_MASS:
+        elif status == Status.NO_MASS:
             matrix = self._steps.inverse_masses[self._entry][np.ix_(self.free, self.free)]
             smallest = float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0])
             raise InvalidArgument(
@@ -406,7 +400,7 @@ class Joint:
                 f"definite, but its smallest eigenvalue is {smallest:.3g}, and it differs from its "
                 f"transpose by {np.abs(matrix - matrix.T).max():.3g}. {self._mass_remedy}"
             )
-        elif status == NOT_FINITE:
+        elif status == Status.NOT_FINITE:
             pose = self._steps.poses[self._entry]
             if np.isfinite(pose).all() and not pose[..., 3:].any(axis=-1).all():
                 raise InvalidArgument(

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.surrogate.kernel.joint import INDEFINITE, NO_MASS, NOT_FINITE, OK, JointSteps
+from wrenchbook.surrogate.kernel.joint import JointSteps
+from wrenchbook.surrogate.kernel.replies import Status
 
 from ..errors import InvalidArgument, JointWarning, warn
 from ..wrenches import Vector
@@ -23,21 +24,21 @@ if TYPE_CHECKING:
 Array: TypeAlias = Any  # an array of numpy or PyTorch
 BEYOND = -1  # status beside the kernel's codes: a pose beyond MAX_RANGES
 # Text of each status; the last is that of BEYOND.
-_STATUS = np.full(NO_MASS + 2, "no wrench at this pose", dtype=object)
-_STATUS[[OK, BEYOND, NOT_FINITE]] = "ok", "beyond twice the range", "not finite"
-_STATUS[[NO_MASS, INDEFINITE]] = "no inverse mass", "not positive definite"
+_STATUS = np.full(len(Status) + 1, "no wrench at this pose", dtype=object)
+_STATUS[[Status.OK, BEYOND, Status.NOT_FINITE]] = "ok", "beyond twice the range", "not finite"
+_STATUS[[Status.NO_MASS, Status.INDEFINITE]] = "no inverse mass", "not positive definite"
 
 
 def status_of(joint: Joint, steps: JointSteps) -> NDArray[np.int32]:
     """Return the codes (n,) of a call's joints; wrenches and forces without OK become NaN."""
     replies = steps.replies
     codes = np.array(steps.replies["status"])
-    doubtful = np.flatnonzero(codes == INDEFINITE)
+    doubtful = np.flatnonzero(codes == Status.INDEFINITE)
     if len(doubtful):
         least, _ = joint._weakest(replies["stiffness"][doubtful])
-        codes[doubtful[~(least < 0.0)]] = OK
-    codes[(codes == OK) & ~(replies["ranges"] <= MAX_RANGES)] = BEYOND
-    replies["wrench"][codes != OK] = replies["force"][codes != OK] = np.nan
+        codes[doubtful[~(least < 0.0)]] = Status.OK
+    codes[(codes == Status.OK) & ~(replies["ranges"] <= MAX_RANGES)] = BEYOND
+    replies["wrench"][codes != Status.OK] = replies["force"][codes != Status.OK] = np.nan
     return codes
 
 
@@ -130,7 +131,7 @@ class Joints:
     @property
     def failed(self) -> NDArray[np.bool_]:
         """Whether each joint had no wrench in the last step, (n,)."""
-        return self._codes != OK
+        return self._codes != Status.OK
 
     @property
     def status(self) -> NDArray[Any]:

@@ -15,6 +15,8 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wrenchbook.surrogate.table.rows import ROTATION_LIMIT
+
 from ..errors import CouplingDiverged, InvalidArgument
 from ..wrenches import Vector
 
@@ -43,7 +45,6 @@ DERIVED = 1e-3  # part of the largest answer so far: the tolerance if none is gi
 # and swing by more than 2 tolerances; more than 3 spans in a row do not become smaller.
 SPAN, SHORTEST, SWING, SPANS = 64, 12, 2.0, 3
 UNEXPLAINED = 0.5  # part of the variance of answers in a cycle; noise leaves 0.7 and more
-LARGEST_TURN = math.radians(20.0)  # limit of the wrench contract
 BEYOND = 16  # syncs in a row with an answer beyond the limit: the load causes it, and no overshoot
 LAGS = 4  # earlier answers in the autoregression of a cycle: enough for two oscillations
 
@@ -262,16 +263,16 @@ class CycleWatch:
 def within_limit(displacement: Vector) -> Vector:
     """Return a displacement (6,), m and rad, scaled down to the largest rotation of a table."""
     turned = math.sqrt(float(displacement[3:] @ displacement[3:]))
-    return displacement if turned <= LARGEST_TURN else displacement * (LARGEST_TURN / turned)
+    return displacement if turned <= ROTATION_LIMIT else displacement * (ROTATION_LIMIT / turned)
 
 
 def require_within_limit(displacement: Vector, component: str) -> None:
     """Raise CouplingDiverged if an equilibrium (6,), m and rad, rotates beyond all tables."""
     turned = math.degrees(math.sqrt(float(displacement[3:] @ displacement[3:])))
-    if turned > math.degrees(LARGEST_TURN):
+    if turned > math.degrees(ROTATION_LIMIT):
         raise CouplingDiverged(
             f"{component} would rotate by {turned:.3g} degrees, but tables end at "
-            f"{math.degrees(LARGEST_TURN):g}. Check the load against the component's range, the "
+            f"{math.degrees(ROTATION_LIMIT):g}. Check the load against the component's range, the "
             "scene for tipping or buckling, and the signs of the wrench and of stiffness="
         )
 

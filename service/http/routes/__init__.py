@@ -55,6 +55,11 @@ def json_reply(
     return Response(content, status, headers, "application/json")
 
 
+def attached(filename: str) -> dict[str, str]:
+    """Return the header of a reply that is saved as a file (RFC 6266)."""
+    return {"Content-Disposition": f'attachment; filename="{filename}"'}
+
+
 def next_page(response: Response, path: str, query: Mapping[str, Any]) -> str:
     """Return the URL of a list's next page, and set the header Link (RFC 8288)."""
     parameters = {

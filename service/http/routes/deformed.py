@@ -16,7 +16,7 @@ from wrenchbook.service.contract import LOADS, Coverage
 from wrenchbook.service.fields import surface_files
 from wrenchbook.service.http.openapi import BYTES, answers, component_router
 from wrenchbook.service.http.problems import bad_body
-from wrenchbook.service.http.routes import Newest, Opened, json_reply
+from wrenchbook.service.http.routes import Newest, Opened, attached, json_reply
 from wrenchbook.service.library.component import interface_of, require_single_wrench
 from wrenchbook.service.messages import DeformedShape, Stress
 from wrenchbook.service.workspace import Workspace
@@ -78,7 +78,7 @@ def _reply(workspace: Workspace, name: str, loads: NDArray[np.float64], form: st
     if form != "json":
         write, kind, ending = _FILES[form]
         headers = {
-            "Content-Disposition": f'attachment; filename="{name}.{ending}"',
+            **attached(f"{name}.{ending}"),
             "Wrenchbook-Coverage": shape.coverage,
             "Wrenchbook-Within-Tolerance": json.dumps(shape.within_tolerance),
         }

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
-from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Path, Query, Request
@@ -16,15 +15,16 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
 from wrenchbook.service.actors import ANY, CALLER
-from wrenchbook.service.contract import by_part
-from wrenchbook.service.files.redact import redact_values
+from wrenchbook.service.contract import OUTPUTS, by_part
+from wrenchbook.service.files.redact import cut_paths, redact_values
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.http.routes import Opened, WaitSeconds, next_page
+from wrenchbook.service.http.routes import Opened, WaitSeconds, attached, next_page
 from wrenchbook.service.jobs.attempt import LOG, pieces_of, read_progress, zipped
 from wrenchbook.service.jobs.waiting import why_waiting
 from wrenchbook.service.ledger import JobRecord, LedgerRow, Status, UnknownJobError
 from wrenchbook.service.query import job_link
+from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.space import DEFAULT
 
@@ -91,9 +91,12 @@ def job_body(
         body["row"] = job.row
         row = workspace.ledger.row(job.row) if rows is None else rows.get(job.row)
         if row is not None:  # GET /health/ready reports a damaged row
-            names = space.several if space else ()
-            parts = by_part(row.displacement, names)
-            body |= {"displacements": parts} if names else parts
+            parts = by_part(row.displacement, space.several if space else ())
+            if space and space.several:
+                parts = {"displacements": parts}
+            elif len(row.displacement) != len(OUTPUTS):  # of several unknown interfaces
+                parts = {"displacement": row.displacement}
+            body |= parts
     return body
 
 
@@ -177,9 +180,8 @@ def retry_job(job_id: JobId, workspace: Opened) -> dict[str, Any]:
 )
 def get_job_files(job_id: JobId, workspace: Opened) -> Response:
     folder = _attempt_files(workspace, workspace.ledger.job(job_id))
-    name = f"job-{job_id}.zip"
-    disposition = {"Content-Disposition": f'attachment; filename="{name}"'}
-    return StreamingResponse(pieces_of(zipped(folder)), 200, disposition, "application/zip")
+    headers = attached(f"job-{job_id}.zip")
+    return StreamingResponse(pieces_of(zipped(folder)), 200, headers, "application/zip")
 
 
 @router.get(
@@ -198,7 +200,7 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
         size = log.seek(0, 2)
         log.seek(max(0, size - MAX_LOG_BYTES))
         end = log.read(MAX_LOG_BYTES).decode(errors="replace")
-    shown = without_paths(end, workspace.settings.data)
+    shown = _without_paths(end, workspace.settings.data)
     if size > MAX_LOG_BYTES:
         shown = f"[the first {size - MAX_LOG_BYTES} bytes are in .../files]\n{shown}"
     return Response(shown, 200, None, "text/plain")
@@ -225,8 +227,8 @@ def _attempt_files(workspace: Workspace, job: JobRecord) -> pathlib.Path:
     raise HttpProblemError(404, "no-files", title, why)
 
 
-def without_paths(text: str, data: pathlib.Path) -> str:
-    """Return a text without this machine's folders, which are meaningless elsewhere."""
+def _without_paths(text: str, data: pathlib.Path) -> str:
+    """Return a log without folders of this machine; those of the program keep a name."""
     known = {
         str(data.absolute()): "<data>",
         str(CODE): "<wrenchbook>",
@@ -235,7 +237,7 @@ def without_paths(text: str, data: pathlib.Path) -> str:
     }
     for place in sorted(known, key=len, reverse=True):
         text = text.replace(place, known[place])
-    return text
+    return cut_paths(text)
 
 
 def _check_known(workspace: Workspace, component: str | None) -> None:
@@ -246,6 +248,4 @@ def _check_known(workspace: Workspace, component: str | None) -> None:
 
 def _time(seconds: float | None) -> str | None:
     """Return seconds since the epoch as ISO 8601 in UTC."""
-    if seconds is None:
-        return None
-    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
+    return None if seconds is None else iso_time(seconds, "milliseconds")

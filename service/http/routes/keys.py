@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Request
 from pydantic import Field
@@ -14,7 +14,16 @@ from wrenchbook.service.http.body import JsonRoute
 from wrenchbook.service.http.openapi import answers, refused
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import Opened, json_reply
-from wrenchbook.service.keys import MEGABYTES, OVERLAP_HOURS, RATE, Keyring
+from wrenchbook.service.keys import (
+    MAX_MEGABYTES,
+    MAX_PATTERNS,
+    MEGABYTES,
+    NAME,
+    OVERLAP_HOURS,
+    RATE,
+    Keyring,
+    Scope,
+)
 from wrenchbook.service.ledger import noted
 
 router = APIRouter(
@@ -28,11 +37,11 @@ router = APIRouter(
 class KeyBody(Body):
     """A new key."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}$")]
-    scope: Literal["read", "write", "admin"] = "write"
+    name: Annotated[str, Field(pattern=f"^{NAME.pattern}$")]
+    scope: Scope = "write"
     rate: Annotated[float, Field(strict=True, gt=0, lt=1000000000.0)] = RATE
-    megabytes: Annotated[int, Field(strict=True, gt=0, lt=2**20)] = MEGABYTES
-    components: Annotated[tuple[str, ...], Field(max_length=100)] = ANY
+    megabytes: Annotated[int, Field(strict=True, gt=0, le=MAX_MEGABYTES)] = MEGABYTES
+    components: Annotated[tuple[str, ...], Field(max_length=MAX_PATTERNS)] = ANY
     expires: Annotated[float, Field(strict=True)] | None = None
 
 

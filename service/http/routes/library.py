@@ -17,11 +17,11 @@ from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
 from wrenchbook.service.http.body import JsonRoute, read_body, read_limited
 from wrenchbook.service.http.openapi import TEXT, answers, component_router, refused, takes
 from wrenchbook.service.http.permission import permission_of
-from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.routes import Opened, json_reply
+from wrenchbook.service.http.problems import MAX_VALUE, HttpProblemError, bad_body
+from wrenchbook.service.http.routes import Opened, attached, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
-from wrenchbook.service.ledger import ImportOrigin, UnknownImportError
+from wrenchbook.service.ledger import ImportOrigin, UnknownImportError, import_numbers
 from wrenchbook.service.messages import ImportFinding, Message, Six
 from wrenchbook.service.tables.comparison import (
     Comparison,
@@ -245,7 +245,7 @@ def _compared(
     except UncomparableError as error:
         raise HttpProblemError(409, "no-comparison", "Nothing to compare", str(error)) from None
     if form == "csv":
-        headers = {"Content-Disposition": f'attachment; filename="{name}-comparison.csv"'}
+        headers = attached(f"{name}-comparison.csv")
         return Response(comparison_csv(reply, component.space), 200, headers, "text/csv")
     return json_reply(reply)
 
@@ -271,7 +271,7 @@ def get_stiffness(
     axis = axis or loads[int(np.argmax(varied[: len(loads)]))]
     for word, names, place in ((axis, loads, "axis"), (of, ("", *space.output_names), "of")):
         if word not in names:
-            message = f"must be one of {', '.join(filter(None, names))}, not {word[:40]!r}"
+            message = f"must be one of {', '.join(filter(None, names))}, not {word[:MAX_VALUE]!r}"
             raise bad_body([{"loc": place, "msg": message}])
     load = loads.index(axis)
     output = space.output_names.index(of) if of else load  # each interface has six of both
@@ -289,17 +289,13 @@ def get_stiffness(
 
 def _rows_of_import(workspace: Workspace, name: str, rows: Rows, number: int) -> Rows:
     """Return the rows of a component's import; raises UnknownImportError if it has none."""
-    masks = [
-        (part.first <= rows.seq) & (rows.seq <= part.last)
-        for part in workspace.ledger.import_spans(name)
-        if part.record.id == number
-    ]
-    if not masks:
+    spans = workspace.ledger.import_spans(name)
+    if all(span.record.id != number for span in spans):
         raise UnknownImportError(
             f"{name!r} has no import {number} with rows; list its imports with GET "
             f"/v1/components/{name}/imports"
         )
-    return rows.take(np.any(masks, axis=0))
+    return rows.take(import_numbers(spans, rows.seq) == number)
 
 
 def _two_loads(between: str) -> tuple[float, float]:

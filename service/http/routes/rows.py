@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Annotated, Any
 
 from fastapi import Path
@@ -30,25 +29,22 @@ def get_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
 
 @router.delete("", summary="Withdraw a row", responses=_EDITS)
 def withdraw_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
-    return _edited(workspace, name, row, workspace.ledger.withdraw, "withdrawn")
+    return _edited(workspace, name, row, withdrawn=True)
 
 
 @router.post("/restore", summary="Restore a withdrawn row", responses=_EDITS)
 def restore_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
-    return _edited(workspace, name, row, workspace.ledger.restore, "restored")
+    return _edited(workspace, name, row, withdrawn=False)
 
 
-def _edited(
-    workspace: Workspace, name: str, row: int, edit: Callable[[str, int], None], done: str
-) -> dict[str, Any]:
-    edit(workspace.library[name].name, row)
+def _edited(workspace: Workspace, name: str, row: int, *, withdrawn: bool) -> dict[str, Any]:
+    workspace.ledger.withdraw(workspace.library[name].name, row, withdrawn=withdrawn)
     current = workspace.tables.catch_up(name, CATCH_UP_S)
-    version = workspace.tables.surrogate(name).version
     return {
         "component": name,
         "row": row,
-        "status": done,
-        "table_version": version,
+        "status": "withdrawn" if withdrawn else "restored",
+        "table_version": workspace.tables.surrogate(name).version,
         "current": current,
     }
 

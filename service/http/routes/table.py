@@ -25,7 +25,7 @@ from wrenchbook.service.http.imports import Imported, ImportQuery
 from wrenchbook.service.http.openapi import BODIES, BYTES, answers, component_router, refused, takes
 from wrenchbook.service.http.permission import permission_of
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.routes import Opened, holds, json_reply, naming
+from wrenchbook.service.http.routes import Opened, attached, holds, json_reply, naming
 from wrenchbook.service.ledger import ImportOrigin
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.rigs import rig_of
@@ -114,8 +114,7 @@ async def get_table(
             content = await run_in_threadpool(bushing_csv, table, points, others)
         except BushingError as error:
             raise HttpProblemError(409, "no-bushing", "No bushing table", str(error)) from None
-        filename = f"{name}-{table.version}-bushing.csv"
-        headers = {"Content-Disposition": f'attachment; filename="{filename}"'}
+        headers = attached(f"{name}-{table.version}-bushing.csv")
         return Response(content, 200, headers, MEDIA_TYPES["csv"])
     if format == "packed":
         if table_version is not None:
@@ -135,8 +134,7 @@ async def _packed(workspace: Workspace, name: str, if_none_match: str | None) ->
     headers = naming(tag)
     if holds(if_none_match, tag):
         return Response(status_code=304, headers=headers)
-    filename = f"{name}-{table.version}{SUFFIX}"
-    headers["Content-Disposition"] = f'attachment; filename="{filename}"'
+    headers |= attached(f"{name}-{table.version}{SUFFIX}")
     content = await run_in_threadpool(lambda: table.packed.content)
     return Response(content, 200, headers, PACKED_TYPE)
 
@@ -162,8 +160,7 @@ def _export(
         raise
     headers = naming(_tag(component, version))
     if form != "json":
-        filename = f"{name}-v{version}.{ENDINGS[form]}"
-        headers["Content-Disposition"] = f'attachment; filename="{filename}"'
+        headers |= attached(f"{name}-v{version}.{ENDINGS[form]}")
     kind = MEDIA_TYPES[form] + ("; charset=utf-8" if form == "csv" else "")
     done = BackgroundTask(shutil.rmtree, folder, ignore_errors=True)
     return FileResponse(path, 200, headers, kind, done)

@@ -8,12 +8,12 @@ export function el(tag, attributes = {}, ...children) {
     else if (name === "value" || name === "checked" || name === "disabled") made[name] = value;
     else made.setAttribute(name, value === true ? "" : value);
   }
-  made.append(...children.flat(3).filter((one) => one !== null && one !== undefined && one !== false));
+  made.append(...children.flat(Infinity).filter((one) => one !== null && one !== undefined && one !== false));
   return made;
 }
 
 export function put(place, ...children) {
-  place.replaceChildren(...children.flat(3).filter((one) => one !== null && one !== undefined && one !== false));
+  place.replaceChildren(...children.flat(Infinity).filter((one) => one !== null && one !== undefined && one !== false));
   return place;
 }
 

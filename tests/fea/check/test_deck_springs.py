@@ -21,8 +21,9 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.check import as_text
 from wrenchbook.fea.check import report as check
 from wrenchbook.fea.component import build
-from wrenchbook.fea.export.calculix import PLACEHOLDERS, deck_of
+from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.solve import Solver
+from wrenchbook.fea.spec.schema import PLACEHOLDERS
 
 SIZES = {1: 3e3, 2: 2e3, 3: 5e3, 4: 2e5, 5: 3e5, 6: 1e5}  # N/mm and N·mm
 HOLD = "*BOUNDARY\nROOT, 1, 3\n"

@@ -208,6 +208,7 @@ LISTED = {
     "all": f"{ROOT_D}\n{TIP_F}",
     "labels": f"{ROOT_D.replace('ALL,0', 'UX,0,,,,UY,UZ')}\n{TIP_F}",
     "component": f"D,ROOT,ALL\n{TIP_F}",
+    "a range of no node": f"D,5000,ALL,0,,5010\n{ROOT_D}\n{TIP_F}",
     "deleted": f"{ROOT_D}\nD,MID,ALL\n{TIP_F}\nDDELE,MID,ALL",
     "all but the root deleted": f"D,ALL,ALL\nDDELE,ALL,ALL\n{ROOT_D}\n{TIP_F}",
     "two commands a line": f"{ROOT_D.replace('ALL,0', 'UX,0 $ D,ROOT,UY $ D,ROOT,UZ')}\n{TIP_F}",

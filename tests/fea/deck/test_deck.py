@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,10 +17,13 @@ from wrenchbook.fea import readers
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.fea.deck import running
 from wrenchbook.fea.deck.running import deck_report, filled
+from wrenchbook.fea.deck.solving import LINEAR_GAP
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.readers import NumbersReader, Reading
 from wrenchbook.fea.solve import solve
+from wrenchbook.fea.spec.schema import DeclaredRange
 from wrenchbook.fea.tensors import spin_per_vector
+from wrenchbook.surrogate.table.compliance import SAME_LINE
 
 NUMBER = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -63,6 +67,23 @@ def test_a_nonlinear_deck_answers_the_displacement_and_knows_no_compliance(tmp_p
     assert result.seconds > 0
 
 
+def test_a_linear_deck_answers_the_compliance_of_a_load_whose_range_is_0(tmp_path):
+    ends = np.array([10.0, 10, 10, 50, 50, 0])
+    bundle = replace(component(tmp_path, nonlinear=False), range=DeclaredRange(-ends, ends))
+    np.testing.assert_allclose(solve(bundle, WRENCH).compliance, 1e-6 * np.eye(6), atol=1e-15)
+
+
+def test_a_load_whose_range_is_0_must_be_linear_too(tmp_path):
+    ends = np.array([10.0, 10, 10, 50, 50, 0])
+    script = "answer(*(1e-6 * load for load in w[:5]), 1e-9 * w[5] ** 2)"
+    bundle = replace(component(tmp_path, script, nonlinear=False), range=DeclaredRange(-ends, ends))
+    assert failure(bundle).kind == "not_linear"
+
+
+def test_the_table_takes_as_rounding_what_the_check_of_a_linear_deck_lets_through():
+    assert SAME_LINE == LINEAR_GAP
+
+
 def test_a_linear_deck_answers_its_compliance_as_well(tmp_path):
     script = "answer(w[0] + w[4] / 2, 2 * w[1], 3 * w[2], w[3], w[4] + w[0] / 2, w[5] / 64)"
     reported = []
@@ -74,8 +95,8 @@ def test_a_linear_deck_answers_its_compliance_as_well(tmp_path):
     expected = np.diag([1, 2, 3, 1, 1, 1 / 64])
     expected[0, 4] = expected[4, 0] = 0.5
     np.testing.assert_allclose(result.compliance, expected, atol=1e-15)
-    assert result.work == pytest.approx(result.displacement.sum() * 1e-4)
-    assert result.strain_energy == pytest.approx(result.work / 2)
+    assert result.work == pytest.approx(result.displacement.sum() * 1e-4 / 2)
+    assert result.strain_energy == pytest.approx(result.work)
     assert reported[0] == (0.0, "wrench: starting")
     assert reported[-1] == (1.0, "done")
     assert [fraction for fraction, _ in reported] == sorted(fraction for fraction, _ in reported)

@@ -105,6 +105,18 @@ def test_the_command_tells_what_is_wrong_with_a_bundle(tmp_path, capsys):
     assert "component.toml" in capsys.readouterr().err
 
 
+def test_the_command_writes_the_deck_of_a_file_with_a_mark_of_its_encoding(tmp_path, capsys):
+    (tmp_path / "own.toml").write_text((FOLDER / "embedded.toml").read_text(), "utf-8-sig")
+    assert inpwriter.main([str(tmp_path / "own.toml")]) == 0
+    assert "*STEP" in capsys.readouterr().out
+
+
+def test_the_command_tells_that_a_file_is_no_text(tmp_path, capsys):
+    (tmp_path / "own.toml").write_bytes(b"\xff\xfe\x00")
+    assert inpwriter.main([str(tmp_path / "own.toml")]) == 1
+    assert "is not UTF-8 text" in capsys.readouterr().err
+
+
 @pytest.mark.ccx
 class TestWithCalculix:
     """What needs the solver."""

@@ -117,7 +117,7 @@ def test_a_factorisation_runs_on_one_thread_and_leaves_the_callers_as_they_were(
 
     def leaf(number):
         seen.append(blas_threads())
-        return tangent._leaf(number)
+        return tangent._leaf_matrix(number)
 
     with threadpool_limits(2, "blas"):
         before = blas_threads()

@@ -187,6 +187,10 @@ def test_the_spring_is_right_handed_and_ends_at_its_height_square_to_the_wire():
         np.testing.assert_allclose(offset, 0.0, atol=1e-15)
 
 
+def test_a_spring_of_hardly_any_turns_has_a_layer_of_cells():
+    assert len(Spring(0.002, 0.02, 0.05, active_turns=1e-12).mesh().blocks[0]) == 5
+
+
 def test_the_volume_of_the_spring_tends_to_wire_area_times_wire_length():
     exact = np.pi / 4 * WIRE**2 * WIRE_LENGTH
     springs = [Spring(WIRE, COIL, HEIGHT, TURNS, cells_per_turn=12 * n, core=n) for n in (1, 2)]

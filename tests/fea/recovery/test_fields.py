@@ -18,7 +18,7 @@ from wrenchbook.fea.mesh.facets import outer_surface
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, CellBlock, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates
 from wrenchbook.fea.recovery import fields as recovery
-from wrenchbook.fea.recovery.fields import surface_of
+from wrenchbook.fea.recovery.fields import shown_surface
 from wrenchbook.fea.recovery.stress import yielding
 from wrenchbook.fea.solve import Solver, solve
 from wrenchbook.fea.spec.material import Material
@@ -186,13 +186,13 @@ def edges(triangles):
 @pytest.mark.parametrize("kind", NODES_PER_CELL)
 def test_the_triangles_look_outwards_and_hold_the_volume(kind):
     mesh = box(kind, (2, 3, 2), SIDES)
-    result = surface_of(mesh)
+    result = shown_surface(mesh)
     assert volume(mesh.points[result.nodes], result.triangles) == pytest.approx(0.03, rel=1e-12)
 
 
 @pytest.mark.parametrize("kind", NODES_PER_CELL)
 def test_each_edge_has_one_triangle_on_each_side(kind):
-    triangles = surface_of(box(kind, (2, 3, 2), SIDES)).triangles
+    triangles = shown_surface(box(kind, (2, 3, 2), SIDES)).triangles
     forward, times = np.unique(edges(triangles), axis=0, return_counts=True)
     assert (times == 1).all()
     assert {tuple(e) for e in forward.tolist()} == {tuple(e[::-1]) for e in forward.tolist()}
@@ -200,20 +200,20 @@ def test_each_edge_has_one_triangle_on_each_side(kind):
 
 def test_midside_nodes_are_vertices():
     mesh = Mesh(node_coordinates("hex20"), (CellBlock("hex20", np.arange(20)[None]),))
-    result = surface_of(mesh)
+    result = shown_surface(mesh)
     assert result.nodes.tolist() == list(range(20))
     assert len(result.triangles) == 6 * 6
 
 
 def test_a_node_within_is_no_vertex():
     mesh = box("hex8", (3, 3, 3))
-    result = surface_of(mesh)
+    result = shown_surface(mesh)
     assert (len(mesh.points), len(result.nodes), result.full_count) == (64, 56, 56)
 
 
 def test_a_large_surface_is_simplified_and_says_so():
     mesh = box("hex20", (12, 12, 12), SIDES)
-    whole, result = surface_of(mesh), surface_of(mesh, max_vertices=500)
+    whole, result = shown_surface(mesh), shown_surface(mesh, max_vertices=500)
     assert result.full_count == len(whole.nodes) > 2000
     assert 200 < len(result.nodes) <= 500
     assert set(result.nodes.tolist()) <= set(whole.nodes.tolist())
@@ -227,7 +227,7 @@ def test_a_large_surface_is_simplified_and_says_so():
 
 def test_a_thin_plate_that_is_simplified_keeps_both_faces():
     mesh = box("hex8", (40, 40, 1), (0.4, 0.4, 0.004))
-    result = surface_of(mesh, max_vertices=500)
+    result = shown_surface(mesh, max_vertices=500)
     points = mesh.points[result.nodes]
     assert len(points) <= 500
     assert np.unique(points[:, 2]).tolist() == [0.0, 0.004]

@@ -53,12 +53,18 @@ def test_the_compliance_is_symmetric_positive_and_equal_to_its_strain_energies(k
     assert np.linalg.eigvalsh(linear.compliance * np.outer(scale, scale)).min() > 0.01
 
 
-def test_work_is_twice_the_strain_energy():
+def test_work_is_the_strain_energy():
     built = Solver(slender())
     for wrench in np.random.default_rng(1).standard_normal((5, 6)):
         result = built.solve(wrench)
-        assert result.work == pytest.approx(2 * result.strain_energy, rel=1e-10)
-        assert result.work == pytest.approx(wrench @ result.displacement, rel=1e-14)
+        assert result.work == pytest.approx(result.strain_energy, rel=1e-10)
+        assert result.work == pytest.approx(0.5 * wrench @ result.displacement, rel=1e-14)
+
+
+def test_the_work_of_a_small_load_is_the_same_by_a_linear_and_a_nonlinear_solve():
+    wrench = 1e-6 * np.random.default_rng(1).standard_normal(6)
+    linear, nonlinear = (Solver(slender(nonlinear=each)).solve(wrench) for each in (False, True))
+    assert linear.work == pytest.approx(nonlinear.work, rel=1e-5)
 
 
 def test_no_load_is_no_displacement_and_still_has_a_compliance():

@@ -22,6 +22,12 @@ LIMIT_S = 1200
 pytestmark = pytest.mark.browser
 ROOT = Path(__file__).parents[3]
 REPORT = "/v1/components/plate_thin/report"
+COLUMNS = [
+    *((name, "N") for name in ("fx", "fy", "fz")),
+    *((name, "N*m") for name in ("mx", "my", "mz")),
+    *((name, "m") for name in ("ux", "uy", "uz")),
+    *((name, "rad") for name in ("rx", "ry", "rz")),
+]
 
 
 @pytest.fixture(scope="module")
@@ -349,6 +355,28 @@ def test_two_logs_are_joined_and_the_lag_of_their_clocks_is_one_click(browser, c
     (kept,) = client.call_json("GET", "/v1/components/logs/imports")["imports"]
     assert kept["filename"] == "loads.csv, moved.csv"
     assert browser.mistakes() == []
+
+
+def test_the_rows_of_a_finding_are_links_to_the_rows_of_the_table(browser, client, tmp_path):
+    rng = np.random.default_rng(3)
+    span = np.array([900, 900, 900, 90, 90, 90])
+    client.add_component(
+        {"name": "turned", "title": "One", "range": {"force": [900] * 3, "moment": [90] * 3}}
+    )
+    wrench = span * rng.uniform(-1, 1, (40, 6))
+    moved = wrench * [1, 1, 1, 10, 10, 10] * 1e-6 + rng.normal(0, 1e-7, (40, 6))
+    moved[7, 2] *= -1  # a row of the wrong sign
+    header = ",".join(f"{name} [{unit}]" for name, unit in COLUMNS)
+    np.savetxt(
+        tmp_path / "one.csv", np.c_[wrench, moved], delimiter=",", header=header, comments=""
+    )
+    reply = client.import_table("turned", tmp_path / "one.csv")
+    assert [finding["count"] for finding in reply["findings"]] == [1]
+    browser.visit("#/c/turned")
+    link = browser.named(".note a", "")
+    assert browser.named(".note", "Outlier").text.splitlines()[-2] == f"Table row {link.text}."
+    link.click()
+    browser.named("table.rows", link.text)
 
 
 def test_a_field_left_after_the_check_keeps_the_import_button(browser, rig):

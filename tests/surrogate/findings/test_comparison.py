@@ -49,6 +49,16 @@ def test_a_rig_ten_percent_softer_than_the_solves_is_named_from_six_rows():
     assert "1.1 times" in result.message
 
 
+def test_an_offset_of_rounding_is_not_named():
+    rig = Rig(3, ("random",))
+    expected = rig.displacement[:6]
+    bars = 1e-3 * np.abs(expected)
+    (result,) = comparison_findings(1.1 * expected, expected, bars, solves=True)
+    assert "(ux is 1.1 times theirs, uy" in result.message
+    (result,) = comparison_findings(1.1 * expected + rig.size, expected, bars, solves=True)
+    assert f"{rig.size[0]:+.2g} m, uy" in result.message
+
+
 def test_outputs_that_the_table_does_not_know_are_not_compared():
     rig = Rig(4, ("random",))
     unknown = np.full_like(rig.displacement, np.nan)

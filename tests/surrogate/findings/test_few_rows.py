@@ -66,3 +66,11 @@ def test_an_axis_of_few_rows_among_many_is_no_channel_of_noise():
     many = np.outer(900 * np.sin(np.arange(190) / 9), np.eye(6)[0])
     few = np.outer(np.linspace(-90, 90, 10), np.eye(6)[5])
     assert "noise" not in causes(np.concatenate((many, few)), 1e-3)
+
+
+def test_dense_readings_that_differ_by_little_more_than_rounding_have_no_finding():
+    """All steps between sorted readings were rounding, and their median was that of none."""
+    wrench = np.random.default_rng(1).uniform(-1.0, 1.0, (500, 6)) * HIGH
+    rows = Rows.of(wrench, 1e-3 + 1e-14 * wrench / HIGH)
+    no_reference = {"zero"}  # of the constant part
+    assert {finding.cause for finding in find(rows, RANGE)} <= no_reference

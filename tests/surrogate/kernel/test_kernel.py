@@ -154,6 +154,26 @@ def test_a_closed_table_answers_no_more():
         packed.answer([0.0] * 6)
 
 
+@pytest.mark.parametrize(
+    ("call", "arguments"),
+    [
+        ("batch", (np.zeros((1, 6)),)),
+        ("derivatives", (np.zeros((1, 6)),)),
+        ("inverse", (np.zeros(6),)),
+        ("axis", (0, 0, [0.0] * 6)),
+        ("joints", (1,)),
+    ],
+)
+def test_a_closed_table_refuses_every_call(call, arguments):
+    """All calls but two gave the kernel a null pointer, which ended the process."""
+    from wrenchbook.surrogate.packed.writer import pack
+
+    packed = PackedTable.from_bytes(b"".join(pack(table_of("linear"))))
+    packed.close()
+    with pytest.raises(ValueError, match="closed"):
+        getattr(packed, call)(*arguments)
+
+
 def test_codes_are_those_of_the_header():
     header = (kernel_build.FOLDER / "wrenchbook.h").read_text()
     for number, name in enumerate(METHODS):
