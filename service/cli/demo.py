@@ -160,11 +160,10 @@ def _compare(out: Console, client: Client) -> str | None:
     solved = np.array([row.job.raw["translation"][2] for row in compared])
     answered = np.array([row.answer.vector for row in compared], dtype=float)[:, 2]
     error = np.abs(answered - solved)
-    rows = client.component(COMPONENT)["rows"]
     limit = component["tolerance"]
     out.print(
-        f"The table of {rows} rows answers in {np.median(times):.0f} µs; one solve takes "
-        f"{np.median(seconds):.1f} s.\n"
+        f"The table of {component['rows']} rows answers in {np.median(times):.0f} µs; one "
+        f"solve takes {np.median(seconds):.1f} s.\n"
         f"In {len(compared)} new solves u_z is up to {np.abs(solved).max():.1e} m.\n"
         f"Error of the table's u_z: median {np.median(error):.1e} m, largest {error.max():.1e} m.\n"
         f"Error bar of u_z, with the error of the mesh: median {np.median(bars):.1e} m.\n"
