@@ -152,7 +152,10 @@ def solved(http):
     assert reply.status_code == 201, reply.text
     reply = http.post(f"{URL}/displacement", json={**RIGHT, "on_thin": "wait", "wait_s": 60})
     assert reply.status_code == 200, reply.text
-    # A glance shows the present table; the component waits for the table with the solved row.
+    # The answer also queued the solves of the compliance. A glance shows the present table;
+    # the component waits for the table with all rows.
+    for job in http.get("/v1/jobs").json()["jobs"]:
+        assert http.get(f"/v1/jobs/{job['id']}", params={"wait_s": 60}).json()["status"] == "done"
     assert http.get(URL, params={"wait_s": 60}).json()["pending_rows"] == 0
     return http
 
