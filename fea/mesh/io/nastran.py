@@ -10,13 +10,22 @@ import itertools
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes
 from wrenchbook.fea.mesh.io.abaqus_keywords import whole
+from wrenchbook.fea.mesh.io.nastran_cards import (
+    BASIC,
+    CD,
+    SYSTEMS,
+    Bulk,
+    Entry,
+    axes_text,
+    node_numbers,
+    read_cards,
+    real,
+)
 from wrenchbook.fea.mesh.io.springs import ALONG
 from wrenchbook.fea.mesh.io.translated import Case, Translated
 from wrenchbook.fea.spec.deck_text import DeckText
@@ -33,236 +42,13 @@ _ORDER = {
     "C3D20R": [*range(12), *range(16, 20), *range(12, 16)],
     "C3D15": [*range(9), *range(12, 15), *range(9, 12)],
 }
-_EXPONENT = re.compile(r"(?<=[\d.])([+-]\d+)$")  # of a number without a letter before it
 _QUIET = {"PARAM", "END BULK", "MPCADD"}  # cards without content, which no message lists
-_SYSTEMS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
 _MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
 _FIRST_SPRING = 10**9  # number of the first element of springs: Nastran's own end at 1e8
 _NONLINEAR = re.compile(r"^\s*SOL\s+(106|NLSTATIC|400|60[01])\b", re.I | re.M)
 _CASE = re.compile(r"(SUBCASE|SUBC|SYM|SUBCOM|SYMCOM|REPCASE)\b\s*=?\s*(\d+)")
 _SELECTION = re.compile(r"(SPC|LOAD)\b\s*(?:\([^)]*\))?\s*=?\s*(\w+)")
-_BASIC = ("", "0")  # numbers of the basic coordinate system
-_CD = 5  # field of a GRID: number of the coordinate system of the node's freedoms
 _MAT9_FIELDS = 29  # number, 21 constants, density, six expansions
-
-
-class _Card(NamedTuple):
-    """A card with its continuations."""
-
-    line: int  # its first line, from 1
-    name: str
-    fields: list[str]  # without the name
-
-
-def _read_cards(lines: list[str], text: DeckText, skipped: int) -> Iterator[_Card]:
-    """Yield each card with its continuations; `skipped` lines of the file come before the first."""
-    card: _Card | None = None
-    for number, line in enumerate(lines, start=skipped + 1):
-        line = line.partition("$")[0].expandtabs().rstrip()
-        if not line:
-            continue
-        head, fields, count = _split(line)
-        if head.upper() == "ENDDATA":
-            break
-        if any(fields[count + 1 :]):
-            extra = [field for field in fields[count:] if field]
-            raise MeshFileError(
-                f"line {text.place(number)}: {head} has more than {count} fields; continue with "
-                f'"{extra[0]}" on a new line'
-            )
-        fields = (fields + [""] * count)[:count]
-        if card is not None and head[:1] in ("", "+", "*"):
-            card.fields.extend(fields)
-            continue
-        if card is not None:
-            yield card
-        card = _Card(number, head.rstrip("*").upper(), fields)
-    if card is not None:
-        yield card
-
-
-def _split(line: str) -> tuple[str, list[str], int]:
-    """Cut a line at its commas, or at fixed columns: head, fields, and fields of its format."""
-    head, *fields = [text.strip() for text in line.split(",")]
-    count = 4 if line[:1] == "*" or head[:8].rstrip().endswith("*") else 8
-    if "," not in line:
-        head = line[:8].strip()
-        width = 64 // count
-        fields = [line[8 + width * i : 8 + width * (i + 1)].strip() for i in range(count)]
-    return head, fields, count
-
-
-def _real(field: str) -> float:
-    """Return a number, whose exponent may have no letter: 2.1+5."""
-    try:
-        return float(_EXPONENT.sub(r"e\1", field.upper().replace("D", "E") or "0"))
-    except ValueError:
-        raise MeshFileError(f'has "{field}" where a number must be; write a number') from None
-
-
-def _node_numbers(fields: list[str]) -> list[str]:
-    """Return the numbers of a list, which may have first THRU last BY step."""
-    fields = [text.upper() for text in fields if text]
-    numbers: list[str] = []
-    try:
-        while fields:
-            if fields[1:2] == ["THRU"]:
-                has_step = fields[3:4] == ["BY"]
-                step = int(fields[4]) if has_step else 1
-                first, last = int(fields[0]), int(fields[2])
-                if first > last:
-                    raise ValueError
-                numbers += map(str, range(first, last + 1, step))
-                fields = fields[5 if has_step else 3 :]
-            else:
-                numbers.append(str(int(fields[0])))
-                fields = fields[1:]
-    except (ValueError, IndexError):
-        message = f'lists "{", ".join(fields[:5])}"; write numbers, or first, THRU, last, BY, step'
-        raise MeshFileError(message) from None
-    return numbers
-
-
-class _System(NamedTuple):
-    """A coordinate system, in basic axes."""
-
-    kind: str  # R, C or S
-    axes: np.ndarray  # (3, 3): unit vectors in rows
-    origin: np.ndarray  # (3,)
-
-
-class _Entry(NamedTuple):
-    """A motion or a load of a freedom in a set."""
-
-    node: str
-    freedom: str  # a digit from 1 to 6
-    value: float
-
-
-class _End(NamedTuple):
-    """An end of a spring."""
-
-    node: str
-    freedom: int  # the first, from 1
-
-
-@dataclass
-class _Bulk(Translated):
-    """A deck under construction, and the content of the file that later cards refer to."""
-
-    # By kind ("SPC", "LOAD") and number; the set ("GRID", "") has the supports of GRID cards
-    # themselves.
-    sets: dict[tuple[str, str], list[_Entry]] = field(default_factory=lambda: defaultdict(list))
-    # By kind and number of an SPCADD or LOAD: factors and numbers of sets
-    sums: dict[tuple[str, str], list[tuple[float, str]]] = field(default_factory=dict)
-    mass_factor: float = 1.0  # factor on all densities: PARAM,WTMASS
-    # Name and fields of coordinate systems, fields of nodes, and evaluated systems, by number
-    cards: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
-    grids: dict[str, list[str]] = field(default_factory=dict)
-    systems: dict[str, _System] = field(default_factory=dict)
-    # Name and fields of springs by number, and by name and number the stiffnesses of each property
-    springs: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
-
-    def index(self, name: str, fields: list[str]) -> None:
-        """Store a GRID or coordinate systems by number."""
-        if name == "GRID":
-            self.grids[fields[0]] = fields
-        elif name in _SYSTEMS:
-            self.cards[fields[0]] = name, fields
-            if name[4] == "1" and fields[4]:
-                self.cards[fields[4]] = name, fields[4:]
-
-    def system(self, number: str) -> _System:
-        """Return a coordinate system.
-
-        Raises MeshFileError if no card defines it, or its card is wrong or needs itself.
-        """
-        if number in _BASIC:
-            return _System("R", np.eye(3), np.zeros(3))
-        if number not in self.systems:
-            self.systems[number] = self._evaluated(number)
-        return self.systems[number]
-
-    def _evaluated(self, number: str) -> _System:
-        """Return the coordinate system of a card."""
-        if number not in self.cards:
-            message = f"needs coordinate system {number}, which no CORD card defines; add it"
-            raise MeshFileError(message)
-        name, fields = self.cards[number]
-        if not fields:
-            raise MeshFileError(f"needs {name} {number}, which needs itself; correct its RID")
-        # No fields during its own evaluation: a system must not refer to itself.
-        self.cards[number] = name, []
-        try:
-            if name[4] == "1":
-                points = np.array([self.point(self.grid(node)) for node in fields[1:4]])
-            else:
-                numbers = np.array([_real(text) for text in fields[2:11]]).reshape(3, 3)
-                points = np.array([self.in_basic_axes(fields[1], point) for point in numbers])
-            z, x, y = axes_through(*points)  # its second point is on z, its third in xz
-        except MeshFileError as error:  # the current card names the system
-            raise MeshFileError(f"needs {name} {number}, which {error}") from None
-        finally:
-            self.cards[number] = name, fields
-        return _System(name[5], np.array([x, y, z]), points[0])
-
-    def in_basic_axes(self, number: str, point: np.ndarray) -> np.ndarray:
-        """Return a point of a coordinate system, its angles in degrees, in basic axes: (3,)."""
-        if number in _BASIC:
-            return point
-        kind, axes, origin = self.system(number)
-        return origin + cartesian(kind, point) @ axes
-
-    def point(self, fields: list[str]) -> np.ndarray:
-        """Return the position of the node of a GRID, in basic axes, shape (3,)."""
-        return self.in_basic_axes(fields[1], np.array([_real(text) for text in fields[2:5]]))
-
-    def grid(self, node: str) -> list[str]:
-        """Return the fields of a node's GRID.
-
-        Raises MeshFileError if there is none.
-        """
-        if node not in self.grids:
-            raise MeshFileError(f"names node {node}, which no GRID defines; add it")
-        return self.grids[node]
-
-    def stiffnesses(self, name: str, number: str) -> list[float]:
-        """Return the stiffnesses of a spring.
-
-        Raises MeshFileError if its property is missing.
-        """
-        _, fields = self.springs[number]
-        if name == "CELAS2":  # has its own stiffness
-            return [_real(fields[1])]
-        kind = "PBUSH" if name == "CBUSH" else "PELAS"
-        key = fields[1] or number
-        if kind + key not in self.springs:
-            raise MeshFileError(f"needs {kind} {key}, which no card defines")
-        return [_real(text) for text in self.springs[kind + key][1]]
-
-    def oriented(self, name: str, axes: np.ndarray, kind: str = "R") -> str:
-        """Add an orientation unless it is the basic one; return the option that names it."""
-        if kind == "R" and np.array_equal(axes, np.eye(3)):
-            return ""
-        system = ", SYSTEM=CYLINDRICAL" if kind == "C" else ""
-        self.couplings += [f"*ORIENTATION, NAME=AXES_{name}{system}", _axes_text(axes)]
-        return f", ORIENTATION=AXES_{name}"
-
-    def axes_at(self, number: str, node: str) -> np.ndarray:
-        """Return the axes of a coordinate system at a node in rows, shape (3, 3)."""
-        kind, axes, origin = self.system(number)
-        if kind == "R":
-            return axes
-        out = self.point(self.grid(node)) - origin
-        try:
-            if kind == "C":
-                return radial_axes(axes[2], out)
-            return axes_through(np.zeros(3), out, np.cross(np.cross(axes[2], out), out))
-        except MeshFileError:
-            raise MeshFileError(
-                f"has node {node} on the axis of coordinate system {number}, where its directions "
-                "are not defined; use a rectangular system (CORD2R) there"
-            ) from None
 
 
 def read_nastran(text: DeckText) -> Translated:
@@ -273,13 +59,13 @@ def read_nastran(text: DeckText) -> Translated:
     parts = re.split(r"^\s*BEGIN[ \t,]+BULK.*$", text, maxsplit=1, flags=re.I | re.M)
     control = parts[0] if len(parts) > 1 else ""
     bulk = parts[-1]
-    data = _Bulk(nonlinear=_NONLINEAR.search(control) is not None)
+    data = Bulk(nonlinear=_NONLINEAR.search(control) is not None)
     factor = _MASS_FACTOR.search(text)
     if factor is not None:
-        data.mass_factor = _real(factor[1])
+        data.mass_factor = real(factor[1])
 
     lines_before = text.count("\n") - bulk.count("\n")
-    cards = list(_read_cards(bulk.splitlines(), text, lines_before))
+    cards = list(read_cards(bulk.splitlines(), text, lines_before))
     for card in cards:  # nodes may come after cards that refer to them
         data.index(card.name, card.fields)
     for number, name, fields in cards:
@@ -287,7 +73,7 @@ def read_nastran(text: DeckText) -> Translated:
         try:
             if read is not None:
                 read(data, name, fields)
-            elif name not in (*_QUIET, *_SYSTEMS):
+            elif name not in (*_QUIET, *SYSTEMS):
                 data.skipped[name] += 1
         except MeshFileError as error:
             raise MeshFileError(f"line {text.place(number)}: {name} {error}") from None
@@ -299,7 +85,7 @@ def read_nastran(text: DeckText) -> Translated:
     return data
 
 
-def _add_cases(data: _Bulk, control: str) -> None:
+def _add_cases(data: Bulk, control: str) -> None:
     """Make a case of each subcase from its selected sets."""
     used: set[tuple[str, str]] = set()
     turned = _turn(data)
@@ -319,17 +105,17 @@ def _add_cases(data: _Bulk, control: str) -> None:
             data.skipped[f"{kind} set {number}, which no case selects"] += len(unused)
 
 
-def _entries(data: _Bulk, kind: str, number: str, used: set[tuple[str, str]]) -> Iterator[_Entry]:
+def _entries(data: Bulk, kind: str, number: str, used: set[tuple[str, str]]) -> Iterator[Entry]:
     """Yield the entries of a set, or of the sum of sets with its number; add the sets to `used`."""
     for factor, part in data.sums.get((kind, number), [(1.0, number)]):
         used.add((kind, part))
         if part and (kind, part) not in data.sets:
             data.skipped[f"{kind} set {part}, which has no supported card"] = 1
         for node, freedom, value in data.sets.get((kind, part), ()):
-            yield _Entry(node, freedom, factor * value)
+            yield Entry(node, freedom, factor * value)
 
 
-def _along_axes(loads: Iterator[_Entry], turned: dict[str, np.ndarray]) -> Iterator[str]:
+def _along_axes(loads: Iterator[Entry], turned: dict[str, np.ndarray]) -> Iterator[str]:
     """Yield rows of *CLOAD along the axes of each node for loads along the basic axes."""
     for node, freedom, value in loads:
         first = 1 if freedom in "123" else 4
@@ -339,7 +125,7 @@ def _along_axes(loads: Iterator[_Entry], turned: dict[str, np.ndarray]) -> Itera
                 yield f"{node}, {first + i}, {cosine * value:.9g}"
 
 
-def _turn(data: _Bulk) -> dict[str, np.ndarray]:
+def _turn(data: Bulk) -> dict[str, np.ndarray]:
     """Give nodes that are held in a system of their own (CD) its axes there; return them."""
     held = defaultdict[str, set[str]](set)  # freedoms of each node
     for (kind, _), entries in data.sets.items():
@@ -348,23 +134,18 @@ def _turn(data: _Bulk) -> dict[str, np.ndarray]:
                 held[entry.node].add(entry.freedom)
     turned: dict[str, np.ndarray] = {}
     for node, freedoms in held.items():
-        number = data.grids[node][_CD] if node in data.grids else ""
-        if number not in (*_BASIC, "-1"):
+        number = data.grids[node][CD] if node in data.grids else ""
+        if number not in (*BASIC, "-1"):
             kind, axes, _ = data.system(number)
             # If both the radial and the circumferential freedom are held, or neither, the system's
             # own axes give the same.
             alike = kind == "C" and ("1" in freedoms) == ("2" in freedoms)
             turned[node] = axes if alike else data.axes_at(number, node)
-            data.transforms[_axes_text(turned[node])].append(node)
+            data.transforms[axes_text(turned[node])].append(node)
     return turned
 
 
-def _axes_text(axes: np.ndarray) -> str:
-    """Return the first two rows of axes as a row of a deck."""
-    return ", ".join(f"{component:.15g}" for component in axes[:2].ravel().tolist())
-
-
-def _selections(data: _Bulk, control: str) -> dict[str, dict[str, str]]:
+def _selections(data: Bulk, control: str) -> dict[str, dict[str, str]]:
     """Return by subcase the number of its set of each kind; without any, each set is a case."""
     common: dict[str, str] = {}
     current = common
@@ -397,7 +178,7 @@ def _selections(data: _Bulk, control: str) -> dict[str, dict[str, str]]:
     return cases
 
 
-def _read_grid(data: _Bulk, _: str, fields: list[str]) -> None:
+def _read_grid(data: Bulk, _: str, fields: list[str]) -> None:
     """Read a node: its position, and its supports."""
     coordinates = ", ".join(f"{x:.12g}" for x in data.point(fields).tolist())
     whole(fields[0])  # raises if it is no number
@@ -405,15 +186,15 @@ def _read_grid(data: _Bulk, _: str, fields: list[str]) -> None:
     _hold(data, ("GRID", ""), fields[0], fields[6])
 
 
-def _hold(data: _Bulk, key: tuple[str, str], node: str, freedoms: str, value: str = "") -> None:
+def _hold(data: Bulk, key: tuple[str, str], node: str, freedoms: str, value: str = "") -> None:
     """Add the freedoms of a node, such as "123", to a set; a row may have no node."""
     if not {*freedoms} <= {*"0123456"}:
         raise MeshFileError(f'has "{freedoms}" as freedoms; write digits from 1 to 6')
     held = sorted(set(freedoms) & set("123456")) if node else ()
-    data.sets[key] += [_Entry(node, freedom, _real(value)) for freedom in held]
+    data.sets[key] += [Entry(node, freedom, real(value)) for freedom in held]
 
 
-def _read_cell(data: _Bulk, name: str, fields: list[str]) -> None:
+def _read_cell(data: Bulk, name: str, fields: list[str]) -> None:
     """Read a cell; a missing midside node is "0"."""
     n_corners, n_all = _SOLIDS[name]
     count = max((i for i, text in enumerate(fields[2:], 1) if text), default=0)
@@ -433,23 +214,23 @@ def _read_cell(data: _Bulk, name: str, fields: list[str]) -> None:
     data.elements[kind, f"PSOLID_{fields[1] or fields[0]}"].append([fields[0], *nodes])
 
 
-def _read_mat1(data: _Bulk, name: str, fields: list[str]) -> None:
+def _read_mat1(data: Bulk, name: str, fields: list[str]) -> None:
     """Read an isotropic material; the third of E, G and nu follows from the other two."""
-    young, shear, ratio = _real(fields[1]), _real(fields[2]), _real(fields[3])
+    young, shear, ratio = real(fields[1]), real(fields[2]), real(fields[3])
     if not fields[1]:
         young = 2 * shear * (1 + ratio)
     elif not fields[3] and shear:
         ratio = young / (2 * shear) - 1
     constants = data.constants[f"MAT_{fields[0]}"]
     constants["ELASTIC"] = f"{young:.9g}, {ratio:.9g}"
-    further = {"DENSITY": _real(fields[4]) * data.mass_factor, "EXPANSION": _real(fields[5])}
+    further = {"DENSITY": real(fields[4]) * data.mass_factor, "EXPANSION": real(fields[5])}
     constants |= {word: f"{value:.9g}" for word, value in further.items() if value}
 
 
-def _read_mat9(data: _Bulk, name: str, fields: list[str]) -> None:
+def _read_mat9(data: Bulk, name: str, fields: list[str]) -> None:
     """Read a material of nine constants; its shears are xy, yz, zx."""
     padded = [*fields, *[""] * _MAT9_FIELDS]
-    values = [_real(text) for text in padded[:_MAT9_FIELDS]]
+    values = [real(text) for text in padded[:_MAT9_FIELDS]]
     constants, density, expansion = values[1:22], values[22], values[23:]
     stiffness = np.zeros((6, 6))
     stiffness[np.triu_indices(6)] = constants
@@ -465,7 +246,7 @@ def _read_mat9(data: _Bulk, name: str, fields: list[str]) -> None:
     data.skipped[f"expansion of {name}"] += any(expansion)
 
 
-def _read_psolid(data: _Bulk, name: str, fields: list[str]) -> None:
+def _read_psolid(data: Bulk, name: str, fields: list[str]) -> None:
     """Read the material of a region, and the axes of the material."""
     region = f"{name}_{fields[0]}"
     data.sections[region] = f"MAT_{fields[1]}"
@@ -480,12 +261,12 @@ def _read_psolid(data: _Bulk, name: str, fields: list[str]) -> None:
         data.skipped["CORDM of PSOLID of an element or a sphere, which counts for MAT9"] += 1
 
 
-def _read_spc(data: _Bulk, name: str, fields: list[str]) -> None:
+def _read_spc(data: Bulk, name: str, fields: list[str]) -> None:
     """Read SPC, two nodes with their freedoms and motions, or SPC1, a list of nodes."""
     rows = [fields[1:4], fields[4:7]]
     if name == "SPC1":
         # A range may have gaps; a node of a list must be there.
-        nodes = _node_numbers(fields[2:])
+        nodes = node_numbers(fields[2:])
         if any(text.upper() == "THRU" for text in fields):
             nodes = [node for node in nodes if node in data.grids]
         rows = [[node, fields[1], ""] for node in nodes]
@@ -493,22 +274,22 @@ def _read_spc(data: _Bulk, name: str, fields: list[str]) -> None:
         _hold(data, ("SPC", fields[0]), *row)
 
 
-def _read_sum(data: _Bulk, name: str, fields: list[str]) -> None:
+def _read_sum(data: Bulk, name: str, fields: list[str]) -> None:
     """Read SPCADD, and LOAD with a common factor and a factor of each set."""
     if name == "SPCADD":
         parts = [(1.0, part) for part in fields[1:] if part]
     else:
         pairs = zip(fields[2::2], fields[3::2], strict=False)
-        parts = [(_real(fields[1]) * _real(factor), part) for factor, part in pairs if part]
+        parts = [(real(fields[1]) * real(factor), part) for factor, part in pairs if part]
     data.sums[name.removesuffix("ADD"), fields[0]] = parts
 
 
-def _read_rbe2(data: _Bulk, name: str, fields: list[str]) -> None:
+def _read_rbe2(data: Bulk, name: str, fields: list[str]) -> None:
     """Read a rigid element as a kinematic coupling, without its thermal expansion."""
-    nodes = _node_numbers([text for text in fields[3:] if "." not in text])
+    nodes = node_numbers([text for text in fields[3:] if "." not in text])
     freedoms = sorted(set("123") & set(fields[2]))
-    turned = {data.grids[node][_CD] for node in nodes if node in data.grids}
-    if not freedoms or (len(freedoms) < 3 and not turned <= {*_BASIC}):
+    turned = {data.grids[node][CD] for node in nodes if node in data.grids}
+    if not freedoms or (len(freedoms) < 3 and not turned <= {*BASIC}):
         data.skipped[f"{name} of some freedoms only"] += 1
         return
     data.tie(f"{name}_{fields[0]}", nodes, fields[1], "KINEMATIC")
@@ -516,7 +297,7 @@ def _read_rbe2(data: _Bulk, name: str, fields: list[str]) -> None:
         data.couplings += freedoms
 
 
-def _read_rbe3(data: _Bulk, name: str, fields: list[str]) -> None:
+def _read_rbe3(data: Bulk, name: str, fields: list[str]) -> None:
     """Read a mean element as a distributed coupling; with UM, which changes it, it is skipped."""
     if "ALPHA" in fields:
         data.skipped[f"expansion of {name}"] += 1
@@ -531,12 +312,12 @@ def _read_rbe3(data: _Bulk, name: str, fields: list[str]) -> None:
         data.skipped[f"{name} of whose point {fields[3]} alone follow: here all freedoms do"] += 1
     weights = defaultdict[str, float](float)
     for i, end in zip(starts, [*starts[1:], len(fields)], strict=True):
-        for node in _node_numbers(fields[i + 2 : end]):
-            weights[node] += _real(fields[i])
+        for node in node_numbers(fields[i + 2 : end]):
+            weights[node] += real(fields[i])
     data.tie(f"{name}_{fields[0]}", [*weights], fields[2], "DISTRIBUTING", weights.values())
 
 
-def _read_spring(data: _Bulk, name: str, fields: list[str]) -> None:
+def _read_spring(data: Bulk, name: str, fields: list[str]) -> None:
     """Store a spring, or a property: the stiffness of one direction or of six."""
     if name == "PELAS":  # two properties a card, of four fields each
         springs = {f"{name}{fields[i]}": (name, [fields[i + 1]]) for i in (0, 4) if fields[i]}
@@ -553,7 +334,7 @@ def _read_spring(data: _Bulk, name: str, fields: list[str]) -> None:
     data.springs |= springs
 
 
-def _add_springs(data: _Bulk) -> None:
+def _add_springs(data: Bulk) -> None:
     """Convert each freedom of a spring to an element; the reader of the deck checks them."""
     elements = itertools.count(_FIRST_SPRING)
     refused = defaultdict[tuple[str, str], list[str]](list)  # element numbers by card and reason
@@ -586,6 +367,13 @@ def _add_springs(data: _Bulk) -> None:
         data.skipped[note] += len(numbers)
 
 
+class _End(NamedTuple):
+    """An end of a spring."""
+
+    node: str
+    freedom: int  # the first, from 1
+
+
 def _spring_ends(fields: list[str], is_bush: bool) -> list[_End]:
     """Return the ends of a spring without a grounded one, whose node is empty or 0."""
     if is_bush:
@@ -595,15 +383,15 @@ def _spring_ends(fields: list[str], is_bush: bool) -> list[_End]:
     return [_End(node, whole(freedom or "0")) for node, freedom in ends if node.strip("0")]
 
 
-def _end_axes(data: _Bulk, nodes: list[str]) -> np.ndarray:
+def _end_axes(data: Bulk, nodes: list[str]) -> np.ndarray:
     """Return the common axes of the nodes of a spring in rows, shape (3, 3)."""
-    axes = [data.axes_at(data.grid(node)[_CD], node) for node in nodes]
+    axes = [data.axes_at(data.grid(node)[CD], node) for node in nodes]
     if not all(np.allclose(axes[0], at_end) for at_end in axes[1:]):
         raise MeshFileError("has nodes with different axes (CD)")
     return axes[0]
 
 
-def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[float]) -> np.ndarray:
+def _bush_axes(data: Bulk, fields: list[str], nodes: list[str], sizes: list[float]) -> np.ndarray:
     """Return the axes that a CBUSH defines in rows, shape (3, 3)."""
     first, last = data.grid(nodes[0]), data.grid(nodes[-1])
     system, offset = fields[7], fields[9]
@@ -621,17 +409,15 @@ def _bush_axes(data: _Bulk, fields: list[str], nodes: list[str], sizes: list[flo
     return axes
 
 
-def _read_load(data: _Bulk, name: str, fields: list[str]) -> None:
+def _read_load(data: Bulk, name: str, fields: list[str]) -> None:
     """Read a FORCE on the freedoms 1 to 3 of a node, or a MOMENT on 4 to 6, in basic axes."""
     number, node, system, size = fields[:4]
-    load = np.array([_real(size) * _real(text) for text in fields[4:7]]) @ data.axes_at(
-        system, node
-    )
+    load = np.array([real(size) * real(text) for text in fields[4:7]]) @ data.axes_at(system, node)
     for freedom, value in enumerate(load.tolist(), 1 if name == "FORCE" else 4):
-        data.sets["LOAD", number].append(_Entry(node, str(freedom), value))
+        data.sets["LOAD", number].append(Entry(node, str(freedom), value))
 
 
-_READERS: dict[str, Callable[[_Bulk, str, list[str]], None]] = {
+_READERS: dict[str, Callable[[Bulk, str, list[str]], None]] = {
     "GRID": _read_grid,
     **dict.fromkeys(_SOLIDS, _read_cell),
     "MAT1": _read_mat1,
