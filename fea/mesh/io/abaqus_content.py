@@ -436,7 +436,8 @@ def _take_coupling(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     name = keyword.option("SURFACE")
     sets = deck.surfaces if keyword.frame.key(name) in deck.surfaces else deck.node_sets
     key = set_key(deck, sets, name, keyword.frame)
-    radius = real(keyword.options.get("INFLUENCE RADIUS", "inf"))
+    option = keyword.options.get("INFLUENCE RADIUS")
+    radius = real(option) if option else math.inf
     ref = _node(deck, keyword, "REF NODE")
     reader.couplings.append(Coupling(keyword, key, ref, radius=radius))
 

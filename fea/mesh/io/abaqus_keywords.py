@@ -6,8 +6,10 @@ are read once for each instance.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -206,10 +208,11 @@ def real(text: str) -> float:
 
     Raises MeshFileError if it is no number.
     """
-    try:
-        return float(text.lower().replace("d", "e"))
-    except ValueError:
-        raise MeshFileError(f'has "{text}" where a number must be; write a number') from None
+    with suppress(ValueError):
+        value = float(text.lower().replace("d", "e"))
+        if math.isfinite(value) and "_" not in text:
+            return value
+    raise MeshFileError(f'has "{text}" where a number must be; write a number')
 
 
 def whole(text: str) -> int:
@@ -217,11 +220,10 @@ def whole(text: str) -> int:
 
     Raises MeshFileError if it is no whole number.
     """
-    try:
-        return int(text)
-    except ValueError:
-        message = f'has "{text}" where a whole number must be; write a whole number'
-        raise MeshFileError(message) from None
+    with suppress(ValueError):
+        if "_" not in text:
+            return int(text)
+    raise MeshFileError(f'has "{text}" where a whole number must be; write a whole number')
 
 
 UNREADABLE = "has a data line that lacks a field, or has a number too large; write all its fields"

@@ -46,8 +46,9 @@ _QUIET = {"PARAM", "END BULK", "MPCADD"}  # cards without content, which no mess
 _MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
 _FIRST_SPRING = 10**9  # number of the first element of springs: Nastran's own end at 1e8
 _NONLINEAR = re.compile(r"^\s*SOL\s+(106|NLSTATIC|400|60[01])\b", re.I | re.M)
-_CASE = re.compile(r"(SUBCASE|SUBC|SYM|SUBCOM|SYMCOM|REPCASE)\b\s*=?\s*(\d+)")
-_SELECTION = re.compile(r"(SPC|LOAD)\b\s*(?:\([^)]*\))?\s*=?\s*(\w+)")
+_CASE = re.compile(r"(SUBCASE|SUBC|SYM|SUBCOM|SYMCOM|REPCASE)\b\s*=?\s*(\d+)", re.I)
+_SELECTION = re.compile(r"(SPC|LOAD)\b\s*(?:\([^)]*\))?\s*=?\s*(\w+)", re.I)
+_AGAIN = "is defined again; renumber one of the two"
 _MAT9_FIELDS = 29  # number, 21 constants, density, six expansions
 
 
@@ -67,13 +68,14 @@ def read_nastran(text: DeckText) -> Translated:
     lines_before = text.count("\n") - bulk.count("\n")
     cards = list(read_cards(bulk.splitlines(), text, lines_before))
     for card in cards:  # nodes may come after cards that refer to them
+        card.fields.extend([""] * (-len(card.fields) % 8))  # large-field lines have four
         data.index(card.name, card.fields)
     for number, name, fields in cards:
         read = _READERS.get(name)
         try:
             if read is not None:
                 read(data, name, fields)
-            elif name not in (*_QUIET, *SYSTEMS):
+            elif name not in _QUIET:
                 data.skipped[name] += 1
         except MeshFileError as error:
             raise MeshFileError(f"line {text.place(number)}: {name} {error}") from None
@@ -150,17 +152,17 @@ def _selections(data: Bulk, control: str) -> dict[str, dict[str, str]]:
     common: dict[str, str] = {}
     current = common
     cases: dict[str, dict[str, str]] = {}
-    for line in control.upper().splitlines():
+    for line in control.splitlines():
         line = line.partition("$")[0].strip()
         case, selection = _CASE.match(line), _SELECTION.match(line)
         if case is not None:
             current = dict(common)
-            if case[1] in ("SUBCASE", "SUBC", "SYM"):
+            if case[1].upper() in ("SUBCASE", "SUBC", "SYM"):
                 cases[f"SUBCASE {case[2]}"] = current
             else:
                 data.skipped[f"{case[1]}, a combination of subcases"] += 1
         elif selection is not None:
-            current[selection[1]] = selection[2] if selection[2].isdigit() else ""
+            current[selection[1].upper()] = selection[2] if selection[2].isdigit() else ""
 
     cases = cases or {"": common}
     for kind in ("SPC", "LOAD"):
@@ -176,6 +178,12 @@ def _selections(data: Bulk, control: str) -> dict[str, dict[str, str]]:
                 for number in alone
             }
     return cases
+
+
+def _check_system(data: Bulk, _: str, fields: list[str]) -> None:
+    """Refuse a coordinate system whose number an earlier card has."""
+    if data.cards[fields[0]][1] is not fields:
+        raise MeshFileError(f"{fields[0]} {_AGAIN}")
 
 
 def _read_grid(data: Bulk, _: str, fields: list[str]) -> None:
@@ -221,7 +229,7 @@ def _read_mat1(data: Bulk, name: str, fields: list[str]) -> None:
         young = 2 * shear * (1 + ratio)
     elif not fields[3] and shear:
         ratio = young / (2 * shear) - 1
-    constants = data.constants[f"MAT_{fields[0]}"]
+    constants = _constants_of(data, fields[0])
     constants["ELASTIC"] = f"{young:.9g}, {ratio:.9g}"
     further = {"DENSITY": real(fields[4]) * data.mass_factor, "EXPANSION": real(fields[5])}
     constants |= {word: f"{value:.9g}" for word, value in further.items() if value}
@@ -239,16 +247,25 @@ def _read_mat9(data: Bulk, name: str, fields: list[str]) -> None:
         return
     # Abaqus has 11, 12, 22, 13, 23, 33, then the shears 12, 13, 23.
     in_order = [*stiffness.T[:3, :3][np.tril_indices(3)], *np.diag(stiffness)[[3, 5, 4]]]
-    material = data.constants[f"MAT_{fields[0]}"]
+    material = _constants_of(data, fields[0])
     material["ELASTIC, TYPE=ORTHO"] = ", ".join(f"{constant:.12g}" for constant in in_order)
     if density:
         material["DENSITY"] = f"{density * data.mass_factor:.9g}"
     data.skipped[f"expansion of {name}"] += any(expansion)
 
 
+def _constants_of(data: Bulk, number: str) -> dict[str, str]:
+    """Return the constants of a new material; raise MeshFileError if its number is used."""
+    if f"MAT_{number}" in data.constants:
+        raise MeshFileError(f"{number} {_AGAIN}")
+    return data.constants[f"MAT_{number}"]
+
+
 def _read_psolid(data: Bulk, name: str, fields: list[str]) -> None:
     """Read the material of a region, and the axes of the material."""
     region = f"{name}_{fields[0]}"
+    if region in data.sections:
+        raise MeshFileError(f"{fields[0]} {_AGAIN}")
     data.sections[region] = f"MAT_{fields[1]}"
     # The system -1 has the axes of each element.
     system = None if fields[2] == "-1" else data.system(fields[2])
@@ -299,12 +316,13 @@ def _read_rbe2(data: Bulk, name: str, fields: list[str]) -> None:
 
 def _read_rbe3(data: Bulk, name: str, fields: list[str]) -> None:
     """Read a mean element as a distributed coupling; with UM, which changes it, it is skipped."""
-    if "ALPHA" in fields:
+    words = [text.upper() for text in fields]
+    if "ALPHA" in words:
         data.skipped[f"expansion of {name}"] += 1
-        fields = fields[: fields.index("ALPHA")]
+        fields = fields[: words.index("ALPHA")]
     starts = [i for i, text in enumerate(fields) if i > 3 and "." in text]
     is_partial = not all(set("123") <= set(fields[i + 1]) for i in starts)
-    if "UM" in fields or is_partial or not starts:
+    if "UM" in words or is_partial or not starts:
         why = "of some freedoms only" if is_partial else "with UM, or without real weights"
         data.skipped[f"{name} {why}"] += 1
         return
@@ -322,7 +340,7 @@ def _read_spring(data: Bulk, name: str, fields: list[str]) -> None:
     if name == "PELAS":  # two properties a card, of four fields each
         springs = {f"{name}{fields[i]}": (name, [fields[i + 1]]) for i in (0, 4) if fields[i]}
     elif name == "PBUSH":  # stiffnesses follow the word K at the start of a line of eight fields
-        rows = [i + 1 for i in range(1, len(fields), 8) if fields[i] == "K"]
+        rows = [i + 1 for i in range(1, len(fields), 8) if fields[i].upper() == "K"]
         sizes = fields[rows[0] : rows[0] + 6] if rows else []
         springs = {name + fields[0]: (name, [size or "0" for size in sizes])}
     else:
@@ -330,7 +348,7 @@ def _read_spring(data: Bulk, name: str, fields: list[str]) -> None:
     repeated = data.springs.keys() & springs
     if repeated:
         number = min(repeated).removeprefix(name)
-        raise MeshFileError(f"{number} is defined again; renumber one of the two")
+        raise MeshFileError(f"{number} {_AGAIN}")
     data.springs |= springs
 
 
@@ -418,6 +436,7 @@ def _read_load(data: Bulk, name: str, fields: list[str]) -> None:
 
 
 _READERS: dict[str, Callable[[Bulk, str, list[str]], None]] = {
+    **dict.fromkeys(SYSTEMS, _check_system),
     "GRID": _read_grid,
     **dict.fromkeys(_SOLIDS, _read_cell),
     "MAT1": _read_mat1,

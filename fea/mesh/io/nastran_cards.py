@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import defaultdict
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes
+from wrenchbook.fea.mesh.io.abaqus_keywords import whole
 from wrenchbook.fea.mesh.io.translated import Translated
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError
@@ -72,28 +75,30 @@ def _split(line: str) -> tuple[str, list[str], int]:
 
 def real(field: str) -> float:
     """Return a number, whose exponent may have no letter: 2.1+5."""
-    try:
-        return float(_EXPONENT.sub(r"e\1", field.upper().replace("D", "E") or "0"))
-    except ValueError:
-        raise MeshFileError(f'has "{field}" where a number must be; write a number') from None
+    with suppress(ValueError):
+        value = float(_EXPONENT.sub(r"e\1", field.upper().replace("D", "E") or "0"))
+        if math.isfinite(value) and "_" not in field:
+            return value
+    raise MeshFileError(f'has "{field}" where a number must be; write a number')
 
 
 def node_numbers(fields: list[str]) -> list[str]:
     """Return the numbers of a list, which may have first THRU last BY step."""
-    fields = [text.upper() for text in fields if text]
+    fields = [text for text in fields if text]
     numbers: list[str] = []
     try:
         while fields:
-            if fields[1:2] == ["THRU"]:
-                has_step = fields[3:4] == ["BY"]
-                step = int(fields[4]) if has_step else 1
-                first, last = int(fields[0]), int(fields[2])
+            words = [text.upper() for text in fields[:4]]
+            if words[1:2] == ["THRU"]:
+                has_step = words[3:] == ["BY"]
+                step = whole(fields[4]) if has_step else 1
+                first, last = whole(fields[0]), whole(fields[2])
                 if first > last:
                     raise ValueError
                 numbers += map(str, range(first, last + 1, step))
                 fields = fields[5 if has_step else 3 :]
             else:
-                numbers.append(str(int(fields[0])))
+                numbers.append(str(whole(fields[0])))
                 fields = fields[1:]
     except (ValueError, IndexError):
         message = f'lists "{", ".join(fields[:5])}"; write numbers, or first, THRU, last, BY, step'
@@ -139,7 +144,7 @@ class Bulk(Translated):
         if name == "GRID":
             self.grids[fields[0]] = fields
         elif name in SYSTEMS:
-            self.cards[fields[0]] = name, fields
+            self.cards.setdefault(fields[0], (name, fields))
             if name[4] == "1" and fields[4]:
                 self.cards[fields[4]] = name, fields[4:]
 
