@@ -138,12 +138,11 @@ def _exit_code(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress)
             f'"{program}" had not finished after {deck.timeout:g} s and was stopped.',
             "Write a larger timeout (seconds) under [deck], or make the deck smaller.",
         ) from None
-    except OSError as error:
+    except CannotStartError as error:
         package = f" ({_PACKAGES[program]})" if program in _PACKAGES else ""
         raise SolveFailed(
             "no_solver",
-            f'The program "{program}" of command under [deck] cannot be started: '
-            f"{error.strerror or error}.",
+            f'The program "{program}" of command under [deck] cannot be started: {error}.',
             f"Install it{package} where solves run, so that it is on the PATH there, or correct "
             "the command.",
         ) from None
@@ -174,6 +173,10 @@ class OutOfTime(Exception):  # noqa: N818 - an outcome, named as what happened
     """The program did not end in time and was killed."""
 
 
+class CannotStartError(Exception):
+    """The system cannot start the program; the message is the system's reason."""
+
+
 def run_command(
     command: Sequence[str],
     folder: Path,
@@ -191,20 +194,24 @@ def run_command(
     timeout: seconds.
     watch: called a few times a second during the run.
 
-    Raises OSError if the program cannot be started, OutOfTime if it takes longer than `timeout`.
+    Raises CannotStartError if the program cannot be started, OutOfTime if it takes longer than
+    `timeout`.
     """
     deadline = time.monotonic() + timeout
     child = None
     try:
         with printed.open("wb") as file, _deferred(signal.SIGTERM):
-            child = subprocess.Popen(
-                command,
-                cwd=folder,
-                stdin=subprocess.DEVNULL,
-                stdout=file,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
+            try:
+                child = subprocess.Popen(
+                    command,
+                    cwd=folder,
+                    stdin=subprocess.DEVNULL,
+                    stdout=file,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,
+                )
+            except OSError as error:
+                raise CannotStartError(error.strerror or str(error)) from None
         with _guarded(child.pid):
             while True:
                 remaining = deadline - time.monotonic()
@@ -288,7 +295,7 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
     if problems:
         raise BundleError(problems)
 
-    program = deck.command[0]
+    program = name = deck.command[0].replace("{job}", deck.file.stem)
     files = [file for file in deck.files if Path(program) == Path(file.name)]
     program = program if files and "/" in program else shutil.which(program)
     summary = {
@@ -302,8 +309,7 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
     if program:
         return summary, []
     message = (
-        f'the program "{deck.command[0]}" is not on the PATH of this machine; install it where '
-        "solves run"
+        f'the program "{name}" is not on the PATH of this machine; install it where solves run'
     )
     return summary, [BundleProblem("deck.command", message)]
 

@@ -72,7 +72,7 @@ def _scene_arrays(table: PackedTable, need: Need, groups: int, slopes: Mask) -> 
 
 
 def _cut_group(group: Arrays, need: Need, needs_all: bool, slopes: Mask) -> Arrays:
-    """Return a group's arrays; `slopes` (n,): the loads whose derivatives are removed."""
+    """Return a group's arrays; unmark in `slopes` (n,) the loads whose derivatives it loses."""
     flags = group["flags"]
     method = METHODS[flags[GROUP_METHOD]]
     needs_axes = not (method == "kriging" or (method == "linear" and flags[GROUP_EXACT]))

@@ -181,6 +181,16 @@ def test_a_missing_ccx_is_told_with_its_debian_package(tmp_path, monkeypatch):
     assert "calculix-ccx" in result.remedy
 
 
+def test_a_failed_progress_report_is_no_program_that_cannot_be_started(tmp_path, monkeypatch):
+    def progress(_, message):
+        if "half" in message:
+            raise ConnectionResetError
+
+    monkeypatch.setattr(NumbersReader, "stage", lambda *_: (0.5, "half"))
+    with pytest.raises(ConnectionResetError):
+        solve(component(tmp_path, "time.sleep(60)"), WRENCH, progress)
+
+
 def alive(pid):
     """Whether a process runs; one that has ended and waits to be reaped does not."""
     state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True)
@@ -331,6 +341,16 @@ def test_the_check_warns_of_a_program_that_is_not_here(tmp_path):
     reported, warnings = deck_report(component(tmp_path, command=["no-such-solver"]).deck)
     assert reported["program"] is None
     assert '"no-such-solver" is not on the PATH' in warnings[0].message
+
+
+def test_the_check_finds_a_program_that_is_named_by_its_job(tmp_path, monkeypatch):
+    program = tmp_path / "job"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    reported, warnings = deck_report(component(tmp_path, command=["{job}"]).deck)
+    assert reported["program"] == str(program)
+    assert warnings == []
 
 
 def test_the_check_names_every_missing_placeholder_set_and_include(tmp_path):
