@@ -24,8 +24,11 @@ _NO_CELL = (
 
 def take_equations(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Read equations: the number of terms, then node, freedom and factor of each."""
+    if "REMOVE" in keyword.options:
+        reader.lack(keyword, "removes equations, which remain in effect here; delete both instead")
+        return
     fields = [each for row in keyword.rows for each in row if each]
-    while fields and "REMOVE" not in keyword.options:
+    while fields:
         count = whole(fields[0])
         terms = fields[1 : 3 * count + 1]
         fields = fields[3 * count + 1 :]
