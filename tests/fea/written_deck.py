@@ -8,8 +8,6 @@ import numpy as np
 
 from wrenchbook.fea.mesh.mesh import Mesh
 
-Array = np.ndarray
-
 _TYPES = {
     "hex8": "C3D8",
     "tet4": "C3D4",

@@ -11,8 +11,6 @@ from tests.validation.clamped import attached, clamped, shipped
 from tests.validation.finding import Finding, case
 from wrenchbook.fea.solve import Solver
 
-Array = np.ndarray
-
 _NAMES = ("u_x", "u_y", "u_z", "r_x", "r_y", "r_z")
 _LOADS = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
 

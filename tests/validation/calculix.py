@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.validation.clamped import attached
 from tests.validation.finding import Finding
@@ -21,8 +22,6 @@ from wrenchbook.fea.coupling.coupling import each_interface
 from wrenchbook.fea.export.calculix import deck_of, further_placeholder, placeholders
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.tensors import spin_per_vector
-
-Array = np.ndarray
 
 _TIGHT = "*CONTROLS, PARAMETERS=FIELD\n1e-7, 1e-7\n"
 _ENDING = "*NODE PRINT"
@@ -41,7 +40,7 @@ class CalculixResult(NamedTuple):
         Wall time.
     """
 
-    displacement: Array
+    displacement: NDArray[np.float64]
     seconds: float
 
 
@@ -53,7 +52,7 @@ def installed() -> bool:
 def solve_rigid(
     part: ComponentModel,
     wrench: Sequence[float],
-    rotation: Array | None = None,
+    rotation: NDArray[np.float64] | None = None,
     *,
     tight: bool = True,
     timeout: float = 600.0,
@@ -123,7 +122,7 @@ def solve_distributed(
     )
 
 
-def _with_loads(part: ComponentModel, loads: Array) -> str:
+def _with_loads(part: ComponentModel, loads: NDArray[np.float64]) -> str:
     """Return the deck with nodal loads, shape (k, 3), N, in place of the rigid body."""
     linear = replace(part.analysis, nonlinear=False)
     deck = deck_of(attached(replace(part, analysis=linear), coupling="rigid"))
@@ -190,7 +189,7 @@ def same_mesh(
     yield Finding(quantity, _SOURCE, 0.0, gap, tolerance, "absolute")
 
 
-def worst_gap(result: Array, expected: Array) -> float:
+def worst_gap(result: NDArray[np.float64], expected: NDArray[np.float64]) -> float:
     """Return the largest relative difference of two displacements, shape (6,), m and rad.
 
     Both are exactly zero in what a guide holds.

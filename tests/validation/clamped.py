@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
@@ -17,8 +18,7 @@ from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.material import Material
 from wrenchbook.fea.spec.schema import Analysis, Bundle, DeclaredRange, Interface, Supports
 
-Array = np.ndarray
-Warp = Callable[[Array], Array]
+Warp = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 def clamped(
@@ -29,8 +29,8 @@ def clamped(
     *,
     coupling: str = "rigid",
     nonlinear: bool = False,
-    point: Array | None = None,
-    axes: Array | None = None,
+    point: NDArray[np.float64] | None = None,
+    axes: NDArray[np.float64] | None = None,
 ) -> ComponentModel:
     """Clamp one facet group of a mesh and attach the interface to another.
 

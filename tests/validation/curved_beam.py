@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.validation.boxes import box
 from tests.validation.clamped import clamped
 from tests.validation.finding import Finding, case
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
-
-Array = np.ndarray
 
 _INNER, _OUTER, _THICKNESS, _MATERIAL = 4.12, 4.32, 0.1, (1e7, 0.25)
 _SOURCE = "MacNeal and Harder 1985"
@@ -24,7 +23,7 @@ _COMMERCIAL = (1.009, 0.946)
 def curved(along: int, across: int) -> Mesh:
     """Return a quarter of a ring, clamped at ``x0``, its tip at ``x1``; hex20."""
 
-    def bend(points: Array) -> Array:
+    def bend(points: NDArray[np.float64]) -> NDArray[np.float64]:
         angle = np.pi / 2 * points[:, 0]
         radius = _INNER + (_OUTER - _INNER) * points[:, 1]
         return np.column_stack(

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.validation.boxes import box
 from tests.validation.clamped import clamped
@@ -13,8 +14,6 @@ from tests.validation.finding import Finding, case
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.material import Orthotropic
-
-Array = np.ndarray
 
 ALONG, ACROSS, SHEAR, RATIO = 135e9, 10e9, 5e9, 0.3
 """A carbon fibre ply, unidirectional: E1, E2 = E3, G12 = G13 (Pa) and nu12 = nu13."""
@@ -65,7 +64,7 @@ def ply(angle: float) -> Orthotropic:
     )
 
 
-def stiffness(angles: Sequence[float]) -> Array:
+def stiffness(angles: Sequence[float]) -> NDArray[np.float64]:
     """Return A, B and D of a laminate, shape (6, 6): N/m, N and N·m.
 
     From the plane stress stiffness of each ply, rotated by its angle, over the thickness.
@@ -78,7 +77,7 @@ def stiffness(angles: Sequence[float]) -> Array:
     return total
 
 
-def _plane_stress(angle: float) -> Array:
+def _plane_stress(angle: float) -> NDArray[np.float64]:
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
     apart = 1 - RATIO**2 * ACROSS / ALONG
     minor = RATIO * ACROSS / apart

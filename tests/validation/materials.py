@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.validation.boxes import box
 from tests.validation.calculix import same_mesh
@@ -14,8 +15,6 @@ from tests.validation.finding import Finding, case
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.spec.material import Cylinder, Material, Orthotropic
 from wrenchbook.fea.tensors import rotation
-
-Array = np.ndarray
 
 _X, _Y, _Z = rotation(np.array([0.3, -0.8, 0.5])).tolist()
 CARBON = Orthotropic(
@@ -69,7 +68,7 @@ def wound_tube_same_mesh() -> Iterator[Finding]:
 def wound_tube(divisions: tuple[int, int, int] = (1, 8, 5)) -> ComponentModel:
     """Return half a tube of `WOUND`, its axis and its interface askew."""
 
-    def bent(points: Array) -> Array:
+    def bent(points: NDArray[np.float64]) -> NDArray[np.float64]:
         radius, angle = 0.015 + 0.005 * points[:, 0], np.pi * points[:, 1]
         places = [radius * np.cos(angle), radius * np.sin(angle), 0.2 * points[:, 2]]
         return np.stack(places, axis=1) @ TURN.T + CENTRE

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.validation.boxes import box
 from tests.validation.clamped import Warp, attached, clamped
@@ -16,8 +17,6 @@ from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.material import Material
 from wrenchbook.fea.tensors import rotation
-
-Array = np.ndarray
 
 KINDS = ("hex8", "hex20", "hex27", "tet4", "tet10", "wedge6", "wedge15")
 MATERIAL = (3.0e9, 0.3)
@@ -31,7 +30,7 @@ _ROUNDOFF = 1e-10
 def distort(amount: float) -> Warp:
     """Return a map that moves the points inside the unit cube, and none of its surface, m."""
 
-    def warp(points: Array) -> Array:
+    def warp(points: NDArray[np.float64]) -> NDArray[np.float64]:
         bubble = np.prod(np.sin(np.pi * points), axis=1)
         waves = np.cos(np.pi * points @ np.array([[2, 3, 1], [1, 2, 3], [3, 1, 2]]))
         return points + amount * bubble[:, None] * waves
@@ -39,7 +38,7 @@ def distort(amount: float) -> Warp:
     return warp
 
 
-def body_of(mesh: Mesh, fixed: Array, integration: str = "reduced") -> ElasticBody:
+def body_of(mesh: Mesh, fixed: NDArray[np.bool_], integration: str = "reduced") -> ElasticBody:
     """Return the body of a mesh of `MATERIAL` whose `fixed` nodes do not move.
 
     `fixed` has shape (n,), bool, dimensionless.
@@ -49,13 +48,13 @@ def body_of(mesh: Mesh, fixed: Array, integration: str = "reduced") -> ElasticBo
     return ElasticBody(mesh, filled, ~fixed)
 
 
-def on_the_surface(mesh: Mesh) -> Array:
+def on_the_surface(mesh: Mesh) -> NDArray[np.bool_]:
     """Return which points lie on the surface of the cube of 1 m, shape (n,), bool."""
     from_middle = np.abs(mesh.points - 0.5).max(axis=1)
     return np.asarray(from_middle > 0.5 - 1e-9)
 
 
-def solve_with_boundary(body: ElasticBody, boundary: Array) -> Array:
+def solve_with_boundary(body: ElasticBody, boundary: NDArray[np.float64]) -> NDArray[np.float64]:
     """Solve for the free nodes with the others displaced as `boundary`, shape (n, 3), m, says."""
     prescribed = np.where(body.free[:, None], 0.0, boundary)
     forces = body.small_strain_forces(prescribed[:, :, None])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.validation.calculix import same_mesh
 from tests.validation.clamped import attached, clamped, shipped
@@ -12,8 +13,6 @@ from tests.validation.finding import Finding, case
 from wrenchbook.fea.mesh.generators import PlaneMesh, quadratic, ring_quads, sweep
 from wrenchbook.fea.mesh.mesh import FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.solve import Solver
-
-Array = np.ndarray
 
 WRENCH = (1e3, 500.0, -5e3, 300.0, -200.0, 100.0)
 _OUTER, _INNER, _THICKNESS, _MATERIAL = 0.2, 0.05, 0.002, (70e9, 0.33)
@@ -49,7 +48,7 @@ def _bend(section: PlaneMesh) -> None:
     section.points[:] *= factor[:, None]
 
 
-def _split(points: Array, wall: FacetGroup) -> dict[str, FacetGroup]:
+def _split(points: NDArray[np.float64], wall: FacetGroup) -> dict[str, FacetGroup]:
     (block,) = wall.blocks
     radius = np.linalg.norm(points[block.nodes[:, 0], :2], axis=1)
     outer = radius > 0.5 * (_INNER + _OUTER)

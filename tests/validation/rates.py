@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.validation.boxes import box
 from tests.validation.finding import Finding, case
 from tests.validation.patch import body_of, on_the_surface, solve_with_boundary
-
-Array = np.ndarray
 
 _ORDER_AND_SIZES = {
     "hex8": (1, (4, 8)),
@@ -44,7 +43,7 @@ def _energy(kind: str, divisions: int) -> float:
     return float(body.strain_energy_products(result[:, :, None])[0, 0])
 
 
-def harmonic_gradient(points: Array) -> Array:
+def harmonic_gradient(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return grad exp(sqrt(2) x) sin(y) sin(z): harmonic, so in balance by itself.
 
     Shapes (n, 3), m, to (n, 3), m.

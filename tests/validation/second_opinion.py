@@ -20,6 +20,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.validation import calculix
 from tests.validation.calculix import LINEAR, NONLINEAR
@@ -32,8 +33,6 @@ from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import FREEDOMS
-
-Array = np.ndarray
 
 TIMEOUT = 3600.0
 """Seconds that CalculiX may take for one wrench."""
@@ -126,7 +125,7 @@ def second_opinion(solver: Solver, wrench: Sequence[float], timeout: float = TIM
     )
 
 
-def difference(result: Array, expected: Array) -> float:
+def difference(result: NDArray[np.float64], expected: NDArray[np.float64]) -> float:
     """Return the largest difference relative to the largest of its kind, shapes (6,), m and rad."""
     worst = 0.0
     for kind in (slice(0, 3), slice(3, 6)):

@@ -13,8 +13,6 @@ from tests.validation.finding import Finding, case
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.solve import Solver
 
-Array = np.ndarray
-
 FORCES = (1.0, 2.0, 4.0, 6.0, 8.0, 10.0)
 """Axial loads, N, over the paper's range of 0 to 10 N."""
 

@@ -16,8 +16,6 @@ from wrenchbook.fea.component import AttachedInterface, ComponentModel
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.tensors import rotation, skew
 
-Array = np.ndarray
-
 _NONE = np.empty(0, dtype=np.int64)
 _AXES = rotation(np.array([0.4, -0.7, 0.3]))
 STIFFNESS = np.diag([3e6, 2e6, 5e6, 2e4, 3e4, 1e4]) + 8e2 * np.ones((6, 6))
