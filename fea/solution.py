@@ -37,12 +37,11 @@ class Solution:
     # are zero. NaN if unknown: a nonlinear deck.
     compliance: np.ndarray
     strain_energy: float  # J, from the stresses; NaN if unknown: a nonlinear deck
-    # J: the external work along the load path, of loads, weight, bolts and accelerations. Linear:
-    # half of that of all loads at their full size, equal to the strain energy but for a
-    # temperature, whose work is not in it. Nonlinear: by quadrature over the converged load steps,
-    # of fourth order, with the thermal work. It equals the strain energy (with a temperature but
-    # for a part of the thermal strain's size), so that their difference measures the steps, not
-    # the answer. NaN for a nonlinear deck.
+    # J: the external work along the load path, of loads, weight, bolts, accelerations and the
+    # temperature. Linear: half of that of all loads at their full size. Nonlinear: by quadrature
+    # over the converged load steps, of fourth order. It equals the strain energy (nonlinear with a
+    # temperature but for a part of the thermal strain's size), so that their difference measures
+    # the steps, not the answer. NaN for a nonlinear deck.
     work: float
     unknowns: int  # degrees of freedom solved for; 0 where a deck's solver does not print them
     # Wall time of this solve, s; work that a `Solver` shares between solves is not counted again

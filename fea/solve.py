@@ -382,6 +382,13 @@ class Solver:
     def _most_used(self) -> np.ndarray:
         return most_used(self.component, self.body, self.linear.fields)
 
+    @cached_property
+    def _thermal(self) -> tuple[np.ndarray, float]:
+        """Internal forces per kelvin, (n, 3), N/K, and energy per square of it, J/K², at rest."""
+        at_rest = np.zeros((self.body.size, 3))
+        energy = self.body.at(1.0, finite=False).forces(at_rest)[1]
+        return self.body.thermal_rates(at_rest)[0], energy
+
     def _solve_linear(self, wrench: np.ndarray, acting: np.ndarray) -> Solution:
         """Return the linear answer of all inputs, (k,); `acting` are those with an effect."""
         linear, tight = self.linear, self.tightened
@@ -399,9 +406,14 @@ class Solver:
             mutual = np.vdot(self._system.preload, after)
             energy += 0.5 * tight.energies[-1, -1] + mutual
             work += tight.energies[-1, -1] + mutual
-            if warming := self._system.temperature(acting):
-                rates, _ = self.body.thermal_rates(np.zeros_like(after))
-                energy += warming * np.vdot(rates, tight.sag)
+        if warming := self._system.temperature(acting):
+            # It works on the change of the strain energy per kelvin; bolts are tight before it.
+            rates, square = self._thermal
+            work += warming * np.vdot(rates, after) + 2 * warming**2 * square
+            if tight is not None:
+                mutual = warming * np.vdot(rates, tight.sag)
+                energy += mutual
+                work += 2 * mutual
 
         at_rest, nodes_at_rest = self.at_rest
         displacement, nodes = displacement + at_rest, nodes + nodes_at_rest

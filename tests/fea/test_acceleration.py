@@ -77,8 +77,16 @@ def test_a_linear_answer_is_the_sum_of_those_of_its_inputs(tmp_path):
     parts = [[*LOADS, 20.0, 0, 0, 0], [*np.zeros(6), 70.0, 0, 0, 0], [*np.zeros(6), 20.0, *DOWN]]
     total = sum(own.solve(part).displacement for part in parts)
     np.testing.assert_allclose(result.displacement, total, rtol=1e-11, atol=1e-18)
-    cold = own.solve([*LOADS, 20.0, *DOWN])
-    assert cold.work == pytest.approx(cold.strain_energy, rel=1e-9)
+
+
+@pytest.mark.parametrize("temperature", [20.0, 70.0])
+@pytest.mark.parametrize("gravity", [None, [2.0, -3.0, -9.81]])
+def test_the_work_of_all_inputs_of_a_linear_answer_is_the_strain_energy(
+    tmp_path, temperature, gravity
+):
+    way = {} if gravity is None else {"gravity": gravity}
+    result = solver(tmp_path, PULLED | WARM, **way).solve([*LOADS, temperature, *DOWN])
+    assert result.work == pytest.approx(result.strain_energy, rel=1e-9)
 
 
 @pytest.mark.parametrize(("nonlinear", "most"), [(False, 1e-6), (True, 1e-4)])

@@ -113,6 +113,16 @@ def test_a_bolt_gives_the_shank_its_tension_and_the_energy_is_the_work(nonlinear
     assert not tight.displacement.any()
 
 
+@pytest.mark.parametrize("keeps", ["length", "force"])
+def test_the_work_of_a_warmed_bolt_is_the_strain_energy(keeps):
+    material = {"region": "all", "youngs_modulus": YOUNG, "poisson_ratio": 0.3}
+    material["thermal_expansion"] = 80e-6
+    inputs = {"temperature": {"range": [-40, 120], "reference": 20}}
+    part = clamped_bar(of_bolt={"keeps": keeps}, material=[material], inputs=inputs)
+    result = Solver(part).solve([*WRENCH, 70.0])
+    assert result.work == pytest.approx(result.strain_energy, rel=1e-9)
+
+
 def test_a_bolt_that_keeps_its_length_shares_a_load_and_one_that_keeps_its_force_does_not():
     """The joint's diagram: two springs of EA/L, of which the lower is the bolt's."""
     for keeps, stiffness in (("length", 6 / 5 + 6), ("force", 6)):
