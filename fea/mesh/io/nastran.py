@@ -42,7 +42,7 @@ _ORDER = {
     "C3D20R": [*range(12), *range(16, 20), *range(12, 16)],
     "C3D15": [*range(9), *range(12, 15), *range(9, 12)],
 }
-_QUIET = {"PARAM", "END BULK", "MPCADD"}  # cards without content, which no message lists
+_QUIET = {"PARAM", "END BULK", "MPCADD", "GRDSET"}  # cards without content, which no message lists
 _MASS_FACTOR = re.compile(r"^\s*PARAM[\s,*]+WTMASS[\s,]+([\w.+-]+)", re.I | re.M)
 _FIRST_SPRING = 10**9  # number of the first element of springs: Nastran's own end at 1e8
 _NONLINEAR = re.compile(r"^\s*SOL\s+(106|NLSTATIC|400|60[01])\b", re.I | re.M)
@@ -67,8 +67,11 @@ def read_nastran(text: DeckText) -> Translated:
 
     lines_before = text.count("\n") - bulk.count("\n")
     cards = list(read_cards(bulk.splitlines(), text, lines_before))
-    for card in cards:  # nodes may come after cards that refer to them
+    for card in cards:
         card.fields.extend([""] * (-len(card.fields) % 8))  # large-field lines have four
+        if card.name == "GRDSET":
+            data.defaults = card.fields
+    for card in cards:  # nodes may come after cards that refer to them
         data.index(card.name, card.fields)
     for number, name, fields in cards:
         read = _READERS.get(name)

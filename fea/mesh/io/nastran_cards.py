@@ -45,8 +45,9 @@ def read_cards(lines: list[str], text: DeckText, skipped: int) -> Iterator[Card]
         head, fields, count = _split(line)
         if head.upper() == "ENDDATA":
             break
-        if any(fields[count + 1 :]):
-            extra = [field for field in fields[count:] if field]
+        extra = [field for field in fields[count:] if field]
+        # The one after the last is the name of the continuation, such as +A1.
+        if any(fields[count + 1 :]) or (extra and extra[0].isdigit()):
             raise MeshFileError(
                 f"line {text.place(number)}: {head} has more than {count} fields; continue with "
                 f'"{extra[0]}" on a new line'
@@ -136,12 +137,15 @@ class Bulk(Translated):
     cards: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
     grids: dict[str, list[str]] = field(default_factory=dict)
     systems: dict[str, _System] = field(default_factory=dict)
+    defaults: list[str] = field(default_factory=lambda: [""] * 8)  # fields of GRDSET
     # Name and fields of springs by number, and by name and number the stiffnesses of each property
     springs: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
 
     def index(self, name: str, fields: list[str]) -> None:
         """Store a GRID or coordinate systems by number."""
         if name == "GRID":
+            for i in (1, CD, 6):  # coordinate systems, supports
+                fields[i] = fields[i] or self.defaults[i]
             self.grids[fields[0]] = fields
         elif name in SYSTEMS:
             self.cards.setdefault(fields[0], (name, fields))
