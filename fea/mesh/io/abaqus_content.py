@@ -281,6 +281,8 @@ def _take_elements(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 
 def _take_material(reader: Reader, _: Deck, keyword: Keyword) -> None:
     reader.material = keyword.option("NAME").upper()
+    if reader.material in reader.content.materials:
+        reader.lack(keyword, "is defined again, and its constants replace others; rename one")
 
 
 def _take_constants(reader: Reader, _: Deck, keyword: Keyword) -> None:

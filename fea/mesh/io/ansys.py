@@ -23,6 +23,8 @@ _SKIPPED |= {"DCUM", "DSCALE", "FCUM", "FSCALE"}  # factors of later loads
 _SKIPPED |= {"EKILL", "INISTATE", "TB"}  # no stiffness, initial stresses, further laws
 _SKIPPED |= {"N", "NDELE", "NGEN", "NMODIF", "NSCALE", "NSYM", "NUMMRG"}  # nodes beside NBLOCK
 _SKIPPED |= {"E", "EDELE", "EGEN", "EMODIF", "EN", "ENGEN", "ESYM", "MPCHG", "MPDELE"}  # elements
+_SKIPPED |= {"*DO", "*DOWHILE", "*REPEAT"}  # loops, besides RP and a number
+_SKIPPED |= {"CM", "CMDELE", "CMEDIT", "CMMOD"}  # components beside CMBLOCK
 _SELECTIONS = {"NSEL", "NSLE", "NSLA", "NSLL", "NSLK", "NSLV", "CMSEL", "ALLSEL"}
 _CONSTANTS = {"EX": "E", "NUXY": "NU", "PRXY": "NU", "DENS": "DENSITY", "ALPX": "EXPANSION"}
 _FREEDOMS = {"UX": "1", "UY": "2", "UZ": "3", "ROTX": "4", "ROTY": "5", "ROTZ": "6"}
@@ -162,9 +164,9 @@ def _take_control(archive: _Archive, word: str, fields: list[str]) -> None:
             archive.n_branches += 1
     elif word in ("LSWRITE", "SOLVE"):
         archive.end_step(f"LOAD STEP {len(archive.cases) + 1}")
-    elif word in _SELECTIONS:  # NSEL,Type,...; CMSEL,Type,...; of Type ALL nothing is left out
-        archive.selected = word != "ALLSEL" and fields[:1] != ["ALL"]
-    elif word in _SKIPPED:
+    elif word in _SELECTIONS:  # ALLSEL and NSEL,ALL leave nothing out
+        archive.selected = word != "ALLSEL" and [word, *fields[:1]] != ["NSEL", "ALL"]
+    elif word in _SKIPPED or re.fullmatch(r"RP\d+", word):
         archive.skipped[word] += 1
 
 
@@ -302,7 +304,7 @@ def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
         first = constants.get(_CONSTANTS[label], "")
         if any(text != first for text in (value, *further) if text):
             archive.skipped[f"{label} at further temperatures"] += 1
-    elif label == "EY":
+    elif label in ("EY", "GXY"):
         archive.skipped["orthotropic constants"] += 1
 
 
