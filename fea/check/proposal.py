@@ -388,6 +388,12 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
                 raise MeshFileError(f"line {line}: {include[0].strip()} {message}")
             translated = translate(text)
             skipped = [f"{name} ({count})" for name, count in translated.skipped.items() if count]
+            if not translated.elements:
+                there = ", ".join(skipped[:_MAX_CASES]) or "nothing"
+                raise MeshFileError(
+                    f"has no solid elements (not taken over: {there}); export the volume mesh, or "
+                    "rename the file: .inp is Abaqus and CalculiX, .bdf Nastran, .cdb Ansys"
+                )
             return "\n".join(translated.lines()), skipped, translated.decide
         if file.suffix.lower() != ".inp":
             raise MeshFileError(
