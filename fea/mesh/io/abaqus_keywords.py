@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -208,11 +207,13 @@ def real(text: str) -> float:
 
     Raises MeshFileError if it is no number.
     """
-    with suppress(ValueError):
-        value = float(text.lower().replace("d", "e"))
-        if math.isfinite(value) and "_" not in text:
-            return value
-    raise MeshFileError(f'has "{text}" where a number must be; write a number')
+    try:
+        value = float(text.lower().replace("d", "e").replace("_", "?"))  # Python takes 1_000
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise MeshFileError(f'has "{text}" where a number must be; write a number')
+    return value
 
 
 def whole(text: str) -> int:
@@ -220,10 +221,11 @@ def whole(text: str) -> int:
 
     Raises MeshFileError if it is no whole number.
     """
-    with suppress(ValueError):
-        if "_" not in text:
-            return int(text)
-    raise MeshFileError(f'has "{text}" where a whole number must be; write a whole number')
+    try:
+        return int(text.replace("_", "?"))  # Python takes 1_000
+    except ValueError:
+        message = f'has "{text}" where a whole number must be; write a whole number'
+        raise MeshFileError(message) from None
 
 
 UNREADABLE = "has a data line that lacks a field, or has a number too large; write all its fields"

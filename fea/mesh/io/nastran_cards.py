@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from wrenchbook.fea.mesh.io.abaqus import axes_through, cartesian, radial_axes
+from wrenchbook.fea.mesh.io.abaqus_keywords import real as plain_real
 from wrenchbook.fea.mesh.io.abaqus_keywords import whole
 from wrenchbook.fea.mesh.io.translated import Translated
 from wrenchbook.fea.spec.deck_text import DeckText
@@ -76,11 +75,10 @@ def _split(line: str) -> tuple[str, list[str], int]:
 
 def real(field: str) -> float:
     """Return a number, whose exponent may have no letter: 2.1+5."""
-    with suppress(ValueError):
-        value = float(_EXPONENT.sub(r"e\1", field.upper().replace("D", "E") or "0"))
-        if math.isfinite(value) and "_" not in field:
-            return value
-    raise MeshFileError(f'has "{field}" where a number must be; write a number')
+    try:
+        return plain_real(_EXPONENT.sub(r"e\1", field) or "0")
+    except MeshFileError:
+        raise MeshFileError(f'has "{field}" where a number must be; write a number') from None
 
 
 def node_numbers(fields: list[str]) -> list[str]:
