@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -177,8 +176,8 @@ def _constants(reader: Reader, keyword: Keyword, nodes: list[int]) -> _Constants
         raise MeshFileError(f"it has {len(rows)} lines, but must have freedoms, then a stiffness")
     freedoms = [whole(text) - 1 for text in rows[0] if text]
     stiffness = real(rows[1][0])
-    if not 0 < stiffness < math.inf:
-        raise MeshFileError(f"its stiffness is {stiffness:g}, but must be above 0 and finite")
+    if stiffness <= 0:
+        raise MeshFileError(f"its stiffness is {stiffness:g}, but must be above 0")
     if len(freedoms) != len(nodes) or not {*freedoms} <= {*range(len(FREEDOMS))}:
         raise MeshFileError(
             f"it has the freedoms {', '.join(rows[0])}, but needs one of 1 to 6 for each node"

@@ -147,7 +147,7 @@ REFUSED = {
     "no node": ("9201, 9100", "9201, 77777", "node 77777 is neither the point of a coupling"),
     "a negative stiffness": ("3000.0", "-1.", "its stiffness is -1"),
     "no stiffness": ("3000.0", "0.", "its stiffness is 0"),
-    "no number": ("3000.0", "nan", "its stiffness is nan"),
+    "no number": ("3000.0", "nan", 'has "nan" where a number must be; write a number'),
     "a table": (
         "ELSET=K1\n1\n3000.0",
         "ELSET=K1, NONLINEAR\n1\n0., 0.\n5., 1.",
