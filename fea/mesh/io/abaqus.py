@@ -441,7 +441,8 @@ def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str =
     labels = named(deck, deck.node_sets, target, frame)
     add(deck, deck.node_sets, frame, name, list(labels))
     if weight and labels:
-        deck.weights[frame.key(name)].update(dict.fromkeys(labels, real(weight)))
+        weights = dict.fromkeys(labels, real(weight))
+        deck.weights[frame.key(name)].update(weights)
 
 
 def _take_instance(deck: Deck, keyword: Keyword) -> None:

@@ -64,8 +64,8 @@ def _equate(reader: Reader, keyword: Keyword, terms: list[tuple[int, str, float]
     if not all(map(math.isfinite, weights.values())):
         listed = ", ".join(f"{each:g}" for _, _, each in terms)
         raise MeshFileError(f"has factors {listed}; write finite numbers, the first not 0")
-    rows = reader.equations.setdefault(node, {})
     axis = whole(freedom) - 1
+    rows = reader.equations.setdefault(node, {})
     alone = {other for _, other, _ in terms} == {freedom} and axis not in rows
     rows[axis if alone else None] = keyword, weights
 
