@@ -311,9 +311,9 @@ def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
 def _nodes_of(archive: _Archive, name: str, last: str, step: str) -> list[str]:
     """Return the nodes of a command: from a number to the last, of a component, or all."""
     if name.isdigit() and last:  # a range may have gaps
-        nodes = [str(i) for i in range(int(name), whole(last) + 1, whole(step or "1"))]
-        known = {row.partition(",")[0] for row in archive.nodes}
-        return [node for node in nodes if node in known]
+        span = range(int(name), whole(last) + 1, whole(step or "1"))
+        known = (row.partition(",")[0] for row in archive.nodes)
+        return [node for node in known if int(node) in span]
     if name.isdigit():
         return [name]
     if name == "ALL" and archive.selected:

@@ -285,11 +285,7 @@ def _read_spc(data: Bulk, name: str, fields: list[str]) -> None:
     """Read SPC, two nodes with their freedoms and motions, or SPC1, a list of nodes."""
     rows = [fields[1:4], fields[4:7]]
     if name == "SPC1":
-        # A range may have gaps; a node of a list must be there.
-        nodes = node_numbers(fields[2:])
-        if any(text.upper() == "THRU" for text in fields):
-            nodes = [node for node in nodes if node in data.grids]
-        rows = [[node, fields[1], ""] for node in nodes]
+        rows = [[node, fields[1], ""] for node in node_numbers(fields[2:], data.grids)]
     for row in rows:
         _hold(data, ("SPC", fields[0]), *row)
 
@@ -306,7 +302,7 @@ def _read_sum(data: Bulk, name: str, fields: list[str]) -> None:
 
 def _read_rbe2(data: Bulk, name: str, fields: list[str]) -> None:
     """Read a rigid element as a kinematic coupling, without its thermal expansion."""
-    nodes = node_numbers([text for text in fields[3:] if "." not in text])
+    nodes = node_numbers([text for text in fields[3:] if "." not in text], data.grids)
     freedoms = sorted(set("123") & set(fields[2]))
     turned = {data.grids[node][CD] for node in nodes if node in data.grids}
     if not freedoms or (len(freedoms) < 3 and not turned <= {*BASIC}):
@@ -333,7 +329,7 @@ def _read_rbe3(data: Bulk, name: str, fields: list[str]) -> None:
         data.skipped[f"{name} of whose point {fields[3]} alone follow: here all freedoms do"] += 1
     weights = defaultdict[str, float](float)
     for i, end in zip(starts, [*starts[1:], len(fields)], strict=True):
-        for node in node_numbers(fields[i + 2 : end]):
+        for node in node_numbers(fields[i + 2 : end], data.grids):
             weights[node] += real(fields[i])
     data.tie(f"{name}_{fields[0]}", [*weights], fields[2], "DISTRIBUTING", weights.values())
 

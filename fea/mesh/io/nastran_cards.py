@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -81,8 +81,8 @@ def real(field: str) -> float:
         raise MeshFileError(f'has "{field}" where a number must be; write a number') from None
 
 
-def node_numbers(fields: list[str]) -> list[str]:
-    """Return the numbers of a list, which may have first THRU last BY step."""
+def node_numbers(fields: list[str], grids: Collection[str]) -> list[str]:
+    """Return the numbers of a list; of first THRU last BY step, those among `grids`."""
     fields = [text for text in fields if text]
     numbers: list[str] = []
     try:
@@ -94,7 +94,10 @@ def node_numbers(fields: list[str]) -> list[str]:
                 first, last = whole(fields[0]), whole(fields[2])
                 if first > last:
                     raise ValueError
-                numbers += map(str, range(first, last + 1, step))
+                span = range(first, last + 1, step)
+                # A range to 99999999 means all nodes.
+                inside = grids if last - first > len(grids) else map(str, span)
+                numbers += [n for n in inside if n in grids and n.isdigit() and int(n) in span]
                 fields = fields[5 if has_step else 3 :]
             else:
                 numbers.append(str(whole(fields[0])))
