@@ -86,14 +86,16 @@ def _advice_on_rows(report: dict[str, Any], table: dict[str, Any]) -> str:
         table["largest_interpolation_error"],
         table["largest_error"],
     )
+    too_small = _bars_are_too_small(table)
     sentence = f"the table ({table['name']}) does not answer all outputs"
     if total is not None:
         sentence = f"the table ({table['name']}) errs by {_percent(total)} of the range"
         sentence += " against the finest mesh"
     if None not in (mesh, error) and error <= mesh:
+        lowered = "lower no error, but mend the bars" if too_small else "change nothing"
         return (
-            f"Result: {sentence}, its mesh by {_percent(mesh)}, so that more rows "
-            "change nothing; if that is too much, refine the mesh."
+            f"Result: {sentence}, its mesh by {_percent(mesh)}, so that more rows {lowered}; "
+            "if that is too much, refine the mesh."
         )
 
     p95 = zip(table["lookup_error"]["p95"], report["tolerance"] or (), strict=False)
@@ -110,7 +112,7 @@ def _advice_on_rows(report: dict[str, Any], table: dict[str, Any]) -> str:
         sentence += "; its interpolation error is within the tolerance"
         if not table["beyond_error_bar"]["of"]:
             sentence += " at these wrenches; for error bars fill the table further"
-        elif _bars_are_too_small(table):
+        elif too_small:
             sentence += " at these wrenches"
         else:
             sentence += ": it needs no more rows"
