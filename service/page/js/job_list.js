@@ -147,16 +147,22 @@ function actions(list, row, job) {
   return el("div", { class: "line" }, buttons.map(([text, press]) => el("button", { type: "button", class: "small", "aria-label": `${text} job ${job.id}`, onclick: press }, text)));
 }
 
+const TRACEBACK = /^Traceback \(most recent call last\):$/m; // of Python: the message above has its cause
+
 export async function showLog({ id, error: cause }) {
-  const text = el("pre", { tabindex: "0" }, "…");
+  const text = el("pre", { tabindex: "0" }, "…"), trace = el("pre", { tabindex: "0" }), folded = el("details", { hidden: true }, el("summary", {}, "Where in the program it failed"), trace);
   const dialog = el("dialog", { "aria-label": `Log of job ${id}`, onclose: () => dialog.remove() },
-    el("div", { class: "stack" }, el("h2", {}, `Log of job ${id}`), cause ? note("outside", failureWords(cause)) : null, text,
+    el("div", { class: "stack" }, el("h2", {}, `Log of job ${id}`), cause ? note("outside", failureWords(cause)) : null, text, folded,
       el("div", { class: "line" }, el("button", { class: "first", onclick: () => dialog.close() }, "Close"),
         el("button", { type: "button", onclick: () => saveFiles(id) }, "Save all files of the attempt"))));
   document.body.append(dialog);
   dialog.showModal();
   try {
-    text.textContent = (await (await send("GET", `v1/jobs/${id}/log`)).text()) || "The solver printed nothing.";
+    const log = await (await send("GET", `v1/jobs/${id}/log`)).text(), begun = cause ? log.search(TRACEBACK) : -1;
+    const printed = begun < 0 ? log : log.slice(0, begun);
+    text.textContent = printed.trim() ? printed : "The solver printed nothing.";
+    folded.hidden = begun < 0;
+    trace.textContent = log.slice(printed.length);
   } catch (error) {
     text.textContent = error.message;
   }
@@ -179,7 +185,8 @@ export function jobFacts(job) {
   ];
 }
 
-const failure = (error) => note("outside", el("strong", {}, sentence((error.kind || "failed").replaceAll("_", " "))), failureWords(error));
+const KINDS = { snap_through: "buckling or snap-through" };
+const failure = (error) => note("outside", el("strong", {}, sentence(KINDS[error.kind] || (error.kind || "failed").replaceAll("_", " "))), failureWords(error));
 
 // Why a solve failed, and what helps, each once: messages often hold both.
 export function failureWords({ kind, message, remedy }) {

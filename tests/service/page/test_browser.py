@@ -468,6 +468,20 @@ def test_methods_version_and_links_of_the_calls_stand_out_in_lines_of_80_charact
     assert max(browser.run(widths)) < 800  # 80 characters, px
 
 
+@pytest.mark.parametrize("width", [390, 1280])
+def test_links_and_buttons_of_the_calls_are_24_px_high(browser, width):
+    browser.resize(width, 900)
+    browser.visit("docs")
+    browser.click(".opblock-summary-control")
+    browser.one(".opblock .tablinks")
+    low = browser.run(
+        "return [...document.querySelectorAll('#calls :is(a, button)')].filter((one) => {"
+        " const { height } = one.getBoundingClientRect(); return height && height < 24; })"
+        ".map((one) => one.outerHTML)"
+    )
+    assert low == []
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_words_stand_out_from_what_is_behind_them(browser, plate, scheme):
     browser.colours(scheme)
