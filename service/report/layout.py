@@ -208,7 +208,7 @@ def _table_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
             _digits(entry["query_us_p99"]),
             _digits(entry["memory_bytes"] / 1e6),
             *_each(entry["lookup_error"]["rms_relative"], _percent),
-            f"{entry['covered']:.0%}",
+            f"{100 * entry['covered']:.0f} %",
         )
         for entry in sorted(report["tables"], key=by_rows_and_error)
     )
@@ -227,8 +227,8 @@ def _error_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
 
 
 def _bar_line(entry: dict[str, Any]) -> tuple[str, ...]:
-    """Return a table's name and of each output "95%, 1.3x": see the section Error bars."""
-    inside = _each(entry["inside_error_bar"], "{:.0%}".format)
+    """Return a table's name and of each output "95 %, 1.3x": see the section Error bars."""
+    inside = _each(entry["inside_error_bar"], lambda share: f"{100 * share:.0f} %")
     ratios = _each(entry["bar_over_error"], _digits)
     cells = [
         share if ratio == UNKNOWN else f"{share}, {ratio}x"

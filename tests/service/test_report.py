@@ -70,6 +70,10 @@ def test_errors_of_a_report_have_units_and_no_powers_of_ten(report):
     assert not [cell for line in lines for cell in line if re.search(r"\de-\d", cell)]
 
 
+def test_percentages_of_a_report_have_a_space(report):
+    assert not re.search(r"\d%", as_markdown(report))
+
+
 def test_meshes_and_tables_are_compared_with_the_finest_mesh(report):
     assert [level["level"] for level in report["fea"]] == ["coarse", "own", "fine"]
     assert report["fea"][-1]["error"]["rms"] == [0.0] * 6

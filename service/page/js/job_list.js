@@ -162,6 +162,7 @@ export async function showLog({ id, error: cause }) {
     const printed = begun < 0 ? log : log.slice(0, begun);
     text.textContent = printed.trim() ? printed : "The solver printed nothing.";
     folded.hidden = begun < 0;
+    text.hidden = !folded.hidden && !printed.trim();
     trace.textContent = log.slice(printed.length);
   } catch (error) {
     text.textContent = error.message;

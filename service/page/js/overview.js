@@ -163,7 +163,7 @@ function method(about, report, imports, allowed) {
   const cover = about.coverage, bars = insideBars(report);
   const tolerance = about.tolerance
     ? `${quantity(about.tolerance.translation, "m")}, ${quantity(about.tolerance.rotation, "rad")}`
-    : `1 % of each output's range${allowed?.length === OUTPUTS.length ? `: u ${triple(allowed.slice(0, 3), "m")}, r ${triple(allowed.slice(3), "rad")}` : ""}`;
+    : `1 % of each output's range${allowed?.length === OUTPUTS.length ? `: u\u00a0${triple(allowed.slice(0, 3), "m")}, r\u00a0${triple(allowed.slice(3), "rad")}` : ""}`;
   const sources = sourcesOf(about), clashes = (cover.conflicts || []).flatMap((one) => one.rows);
   const jobs = Object.entries(about.jobs).filter(([, n]) => n).map(([status, n]) => pill(`${n} ${status}`, status));
   return facts([
@@ -172,7 +172,7 @@ function method(about, report, imports, allowed) {
     ["Method", sources ? cover.method : ""],
     [sources ? "Reason" : "Method", about.has_fea || sources ? sentence(cover.method_reason || "–") : "The table has no rows: import measured ones."],
     ["Tolerance", tolerance],
-    ["Jobs", jobs.length ? el("a", { class: "line", href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : "none"],
+    ["Jobs", jobs.length ? el("a", { class: "line", href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : about.has_fea ? "none" : ""],
     ["Report", bars ? [`${percent(bars.inside / bars.all)} of ${count(bars.all)} true errors lay within the error bars (nominal 95 %), `, el("a", { href: `#/c/${encodeURIComponent(about.name)}/report` }, time(report.made))] : ""],
     ["Contradictions", cover.conflicting_wrenches ? [`${cover.conflicting_wrenches} ${cover.conflicting_wrenches === 1 ? "wrench has" : "wrenches have"} rows that disagree: `, rowLinks(about.name, clashes, 12), ". Withdraw the wrong ones."] : ""],
     ["Outside", cover.beyond_range ? pill(`${counted(cover.beyond_range, "row")} ${OUTSIDE}`, "outside") : ""],

@@ -114,7 +114,7 @@ function around(at, values, width, scale) {
 // The band is drawn in two: what more rows lower, and what a finer mesh lowers.
 function bands(about) {
   const one = (colour, text, faint_ = 100) => {
-    const mark = el("i", { class: "square" });
+    const mark = el("i", { class: `square ${faint_ < 100 ? "stretch" : ""}` });
     mark.style.background = `color-mix(in srgb, var(--${colour}) ${faint_}%, var(--card))`;
     return el("li", {}, mark, text);
   };

@@ -957,6 +957,54 @@ def test_the_error_of_a_reading_has_its_name_in_the_band_of_a_measured_table(bro
     assert "reading error: noise, hysteresis" in browser.one(".key-of-marks").text
 
 
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("the error of rz, 0.0012 rad, is over 6e-05 rad", "The error of rz, 1.2 mrad, is over 60 µrad"),
+        ("self-weight moves it by 0.0014 m", "Self-weight moves it by 1.4 mm"),
+        ("analysis.gravity is missing", "analysis.gravity is missing"),
+        ("under [0, 0.0849, -9.77] m/s^2", "Under [0, 0.0849, −9.77] m/s²"),
+    ],
+)
+def test_a_text_of_the_server_has_the_units_of_the_page(browser, text, shown):
+    """One sentence compared 0.0012 rad with 60 µrad."""
+    browser.visit("#/terms")
+    script = "return (await import('/page/js/format.js')).sentence(arguments[0])"
+    assert browser.run(script, text) == shown
+
+
+def test_a_measured_component_has_no_line_of_jobs(browser, client):
+    measured(client, "jobless", 100)
+    browser.visit("#/c/jobless")
+    names = browser.named("section", "Method and rows").find_elements("css selector", "dt")
+    assert "Jobs" not in [name.text for name in names]
+
+
+def test_the_check_at_zero_load_says_how_far_the_part_moves(browser, client):
+    measured(client, "moved", 0, 100)
+    reply = client.call_json("GET", "/v1/components/moved/compliance")
+    names = ("ux", "uy", "uz", "rx", "ry", "rz")
+    zero = {"ok": False, "rows": [1], "displacement": dict.fromkeys(names, 2e-5)}
+    reply |= {"rows_checked": 2, "checks": {"zero_at_zero_load": zero}}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/compliance", reply]]))
+    browser.go("#/c/moved/checks")
+    shown = browser.named("tr", "zero load").text.replace("\u00a0", " ")
+    assert "Largest displacement u (20, 20, 20) µm, r (20, 20, 20) µrad" in shown
+
+
+def test_rows_of_one_wrench_that_disagree_are_links_in_the_overview(browser, client):
+    measured(client, "disputed", 100, 300)
+    header = f"{LOADS},uz [mm]"
+    kind = {"Content-Type": "text/csv"}
+    again = f"{header}\n0,0,100,0,0,0,0.2".encode()
+    client.call("POST", "/v1/components/disputed/table", content=again, headers=kind)
+    browser.visit("#/c/disputed")
+    shown = browser.named("dd", "rows that disagree")
+    assert len(shown.find_elements("css selector", "a")) == 2
+
+
 def test_missing_loads_are_counted_as_zero_by_a_button(browser, rig):
     browser.visit("#/c/unmeasured/table")
     browser.drop(".drop", "pull.csv", "fz [N],uz [mm]\n100,0.1\n")
