@@ -908,7 +908,8 @@ def test_the_overview_names_the_files_and_dates_of_measured_rows(browser, client
     assert ", rig " not in shown.text
 
 
-def test_a_card_says_that_the_mesh_of_its_picture_is_being_built(browser, client):
+def unbuilt(browser):
+    """The card of a component whose mesh is never there."""
     browser.visit("#/terms")
     browser.one("h1")
     browser.run(
@@ -916,8 +917,32 @@ def test_a_card_says_that_the_mesh_of_its_picture_is_being_built(browser, client
         " ? new Promise(() => {}) : own(to, how);"
     )
     browser.go("#/")
-    card = browser.named(".card.library", "spring")
-    assert "The mesh is being built" in card.text
+    return browser.named(".card.library", "spring")
+
+
+def test_a_card_says_that_the_mesh_of_its_picture_is_being_built(browser, client):
+    assert "The mesh is being built" in unbuilt(browser).text
+
+
+def test_a_card_keeps_its_height_when_its_picture_is_drawn(browser, client):
+    before = unbuilt(browser).find_element("css selector", ".picture").size
+    card, _ = card_of(browser, "spring")
+    assert card.find_element("css selector", ".picture").size == before
+
+
+def test_thin_and_outside_queries_of_the_demand_have_different_marks(browser, plate):
+    cells = [
+        {"wrench": [0, 0, load, 0, 0, 0], "count": 1, "coverage": kind, "thin": 1, "outside": 0}
+        for load, kind in ((100, "thin"), (3000, "outside"))
+    ]
+    reply = {"cells": cells, "asked": 2, "cell_size": [1] * 6, "elsewhere": 0, "latest": []}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/demand", reply]]))
+    browser.go(f"{PLATE}/demand")
+    browser.drawn("#demand")
+    symbols = browser.run("return document.querySelector('#demand').data[0].marker.symbol")
+    assert symbols == ["circle", "diamond"]
 
 
 def test_the_bottom_of_a_view_can_be_scrolled_from_below_the_tour(browser, plate):
