@@ -985,7 +985,10 @@ def test_the_error_of_a_reading_has_its_name_in_the_band_of_a_measured_table(bro
 @pytest.mark.parametrize(
     ("text", "shown"),
     [
-        ("the error of rz, 0.0012 rad, is over 6e-05 rad", "The error of rz, 1.2 mrad, is over 60 µrad"),
+        (
+            "the error of rz, 0.0012 rad, is over 6e-05 rad",
+            "The error of rz, 1.2 mrad, is over 60 µrad",
+        ),
         ("self-weight moves it by 0.0014 m", "Self-weight moves it by 1.4 mm"),
         ("analysis.gravity is missing", "analysis.gravity is missing"),
         ("under [0, 0.0849, -9.77] m/s^2", "Under [0, 0.0849, −9.77] m/s²"),
