@@ -87,6 +87,18 @@ def test_the_90_and_95_percent_lines_of_a_report_have_names(browser, reported):
     assert "90 % (accepted)" in told
 
 
+def test_no_two_methods_of_a_report_have_two_browns(browser, reported):
+    browser.visit(f"{PLATE}/report")
+    browser.one("#plot-calibration[data-drawn]")
+    marks = browser.run(
+        "return [...document.querySelectorAll('#plot-calibration .key-of-marks path')]"
+        ".map((one) => getComputedStyle(one).fill)"
+    )
+    colours = np.array([re.findall(r"\d+", mark) for mark in marks], dtype=float)
+    apart = np.abs(colours[:, None] - colours[None]).max(axis=2) + 255 * np.eye(len(colours))
+    assert apart.min() > 60
+
+
 def test_a_report_saved_as_html_draws_its_plots_without_a_server(browser, reported, tmp_path):
     file = tmp_path / "report.html"
     file.write_bytes(reported.call("GET", f"{REPORT}?format=html").content)
