@@ -854,6 +854,11 @@ def test_the_audit_says_that_a_report_was_begun(browser, client):
     assert "ann report begun plate_thin report wrenches 24" in audit_of(browser, **entry)
 
 
+def test_the_kind_of_a_failure_in_the_audit_has_no_underscores(browser, client):
+    shown = audit_of(browser, action="job.fail", object="7", after={"kind": "rotation_too_large"})
+    assert shown.endswith("kind rotation too large")
+
+
 def test_the_end_of_a_key_in_the_audit_is_a_date(browser, client):
     after = {"scope": "read", "expires": 1798761600.0}
     shown = audit_of(browser, action="key.add", object="lab", component="", after=after)
