@@ -11,7 +11,7 @@ import { rowLink } from "./rows.js";
 const SHOWN = 50, MOST_WAITING = 1000, NEWEST = 20; // jobs: of a page; put in the order of their start; whose solve times are averaged
 
 export async function jobList(root, component, signal) {
-  const list = { running: el("tbody", { class: "running" }), waiting: el("tbody", { class: "waiting" }), root: el("tbody", {}), rows: new Map(), withName: !component, means: new Map(), signal };
+  const list = { running: el("tbody", { class: "running" }), waiting: el("tbody", { class: "waiting" }), root: el("tbody", {}), rows: new Map(), withName: !component, means: new Map(), calls: new Map(), signal };
   const status = { value: "" };
   const older = el("button", { type: "button", hidden: true }, "Older jobs");
   let following = null;
@@ -52,15 +52,18 @@ export async function jobList(root, component, signal) {
   listen(component, signal, (kind, body) => hear(list, kind, body, fresh, status));
 }
 
-// An event tells of one job, or that many have changed at once.
+// An event tells of one job, or that many have changed at once; jobs may have ended before a connection.
 function hear(list, kind, body, fresh, status) {
-  if (kind === "jobs") fresh();
+  if (["jobs", "hello", "missed"].includes(kind)) fresh();
   if (kind !== "job") return;
   const row = list.rows.get(body.id);
   const moved = row?.job.status !== body.status;
   if (row) change(list, row, { ...row.job, ...body });
   if (!moved || (!row && status.value)) return;
-  get(`v1/jobs/${body.id}`, list.signal).then((job) => { // events do not tell how long it took
+  const call = get(`v1/jobs/${body.id}`, list.signal); // events do not tell how long it took
+  list.calls.set(body.id, call);
+  call.then((job) => {
+    if (list.calls.get(body.id) !== call) return null; // a later event has its own
     const now = list.rows.get(job.id);
     if (now) change(list, now, job); else place(list, rowOf(list, job));
     return list.count();

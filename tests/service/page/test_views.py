@@ -282,6 +282,26 @@ def test_jobs_that_run_are_above_waiting_ones_in_the_order_of_their_start(browse
     assert browser.named("#queue", "waiting").text == "2 waiting; all are solved in about 19 min."
 
 
+@pytest.mark.parametrize(("address", "place"), [("#/jobs", "#job-2"), ("#/jobs/2", ".head")])
+def test_a_job_that_ended_before_the_page_listened_is_shown_as_done(browser, plate, address, place):
+    """Its last event was over, and it stood as running for as long as the page was open."""
+    jobs = [job(2, "running", created="2026-01-01T00:00:00Z"), job(2, "done", seconds=3.0)]
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(
+        "const jobs = JSON.parse(arguments[0]), own = window.fetch; let ended = false;"
+        "window.fetch = async (to, how) => { const text = String(to), now = jobs[Number(ended)];"
+        " if (text.includes('v1/events')) ended = true;"
+        " if (!text.includes('v1/jobs')) return own(to, how);"
+        " const page = text.includes('status=') && !text.includes(now.status) ? [] : [now];"
+        " const reply = text.includes('jobs/2') ? now : {jobs: page, next: null};"
+        " return new Response(JSON.stringify(reply)); };",
+        json.dumps(jobs),
+    )
+    browser.go(address)
+    browser.until(lambda: "done" in browser.one(place).text)
+
+
 @pytest.mark.parametrize("view", ["overview", "rows", "coverage", "response", "checks"])
 def test_an_empty_view_has_the_button_that_ends_it(browser, rig, view):
     browser.visit(f"#/c/unmeasured/{view}")
