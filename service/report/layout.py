@@ -92,7 +92,7 @@ def _advice_on_rows(report: dict[str, Any], table: dict[str, Any]) -> str:
         sentence = f"the table ({table['name']}) errs by {_percent(total)} of the range"
         sentence += " against the finest mesh"
     if None not in (mesh, error) and error <= mesh:
-        lowered = "lower no error, but mend the bars" if too_small else "change nothing"
+        lowered = "lower no error, but improve the error bars" if too_small else "change nothing"
         return (
             f"Result: {sentence}, its mesh by {_percent(mesh)}, so that more rows {lowered}; "
             "if that is too much, refine the mesh."

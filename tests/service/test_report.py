@@ -160,14 +160,14 @@ def test_the_advice_says_first_that_error_bars_were_too_small(report):
     assert "needs no more rows" not in advice_of(figures)
 
 
-def test_the_advice_does_not_say_that_more_rows_change_nothing_where_they_mend_error_bars(report):
+def test_the_advice_does_not_call_rows_useless_that_improve_the_error_bars(report):
     """One text said "fill the table further" and "more rows change nothing"."""
     figures = deepcopy(report)
     for table in figures["tables"]:
         table["beyond_error_bar"] = {"missed": 9, "of": 30}
         table["largest_interpolation_error"] = 0.001
     figures["mesh_error"] = 0.01
-    assert "more rows lower no error, but mend the bars" in advice_of(figures)
+    assert "more rows lower no error, but improve the error bars" in advice_of(figures)
     assert "change nothing" not in advice_of(figures)
 
 
