@@ -28,8 +28,8 @@ REMEDIES = {
     ),
     # The part buckles or snaps over before the full load.
     "snap_through": (
-        "The part has no unique answer at this load. Keep the load range below the buckling load, "
-        "or lock the freedoms of the interface that the real assembly guides (locked)."
+        "Keep the load range below that load, or lock the freedoms of the interface that the real "
+        "assembly guides (locked); beyond it the part has no unique answer."
     ),
     # The kind of cell locks with a nearly incompressible material.
     "locking_material": (

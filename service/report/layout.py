@@ -86,14 +86,16 @@ def _advice_on_rows(report: dict[str, Any], table: dict[str, Any]) -> str:
         table["largest_interpolation_error"],
         table["largest_error"],
     )
+    too_small = _bars_are_too_small(table)
     sentence = f"the table ({table['name']}) does not answer all outputs"
     if total is not None:
         sentence = f"the table ({table['name']}) errs by {_percent(total)} of the range"
         sentence += " against the finest mesh"
     if None not in (mesh, error) and error <= mesh:
+        lowered = "lower no error, but improve the error bars" if too_small else "change nothing"
         return (
-            f"Result: {sentence}, its mesh by {_percent(mesh)}, so that more rows "
-            "change nothing; if that is too much, refine the mesh."
+            f"Result: {sentence}, its mesh by {_percent(mesh)}, so that more rows {lowered}; "
+            "if that is too much, refine the mesh."
         )
 
     p95 = zip(table["lookup_error"]["p95"], report["tolerance"] or (), strict=False)
@@ -110,7 +112,7 @@ def _advice_on_rows(report: dict[str, Any], table: dict[str, Any]) -> str:
         sentence += "; its interpolation error is within the tolerance"
         if not table["beyond_error_bar"]["of"]:
             sentence += " at these wrenches; for error bars fill the table further"
-        elif _bars_are_too_small(table):
+        elif too_small:
             sentence += " at these wrenches"
         else:
             sentence += ": it needs no more rows"
@@ -206,7 +208,7 @@ def _table_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
             _digits(entry["query_us_p99"]),
             _digits(entry["memory_bytes"] / 1e6),
             *_each(entry["lookup_error"]["rms_relative"], _percent),
-            f"{entry['covered']:.0%}",
+            f"{100 * entry['covered']:.0f} %",
         )
         for entry in sorted(report["tables"], key=by_rows_and_error)
     )
@@ -225,8 +227,8 @@ def _error_lines(report: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
 
 
 def _bar_line(entry: dict[str, Any]) -> tuple[str, ...]:
-    """Return a table's name and of each output "95%, 1.3x": see the section Error bars."""
-    inside = _each(entry["inside_error_bar"], "{:.0%}".format)
+    """Return a table's name and of each output "95 %, 1.3x": see the section Error bars."""
+    inside = _each(entry["inside_error_bar"], lambda share: f"{100 * share:.0f} %")
     ratios = _each(entry["bar_over_error"], _digits)
     cells = [
         share if ratio == UNKNOWN else f"{share}, {ratio}x"

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 import tracemalloc
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,10 +19,10 @@ from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
-from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.writer import packed_of
-from wrenchbook.surrogate.table.rows import LoadRange, Rows, acting
+from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance, acting
 
 Array = np.ndarray
 Report = Callable[[float, str], None]
@@ -72,11 +73,17 @@ def measure(
         level["largest_error"] = _largest(level["error"])
 
     report(SOLVES_FRACTION, "measuring tables")
-    linear = not bundle.analysis.nonlinear
-    summary = build(rows, load_range, linear=linear).coverage_summary()
-    seconds = levels[part_level]["seconds_p50"]
-    tables = _measure_tables(rows, load_range, linear, wrenches[solved], references, scale, seconds)
     limit = bundle.tolerance
+    make = partial(  # as the server builds a component's table
+        build,
+        load_range=load_range,
+        tolerance=Tolerance(limit.translation, limit.rotation) if limit else None,
+        linear=not bundle.analysis.nonlinear,
+        locked=np.flatnonzero(locked).tolist(),
+    )
+    summary = make(rows).coverage_summary()
+    seconds = levels[part_level]["seconds_p50"]
+    tables = _measure_tables(rows, make, wrenches[solved], references, scale, seconds)
     limits = limit and np.where(space.is_rotation, limit.rotation, limit.translation).tolist()
     is_finest = part_level == len(levels) - 1  # its error is unknown
     return {
@@ -143,8 +150,7 @@ def _solve_levels(bundle: Bundle, wrenches: Array, report: Report) -> list[dict[
 
 def _measure_tables(
     rows: Rows,
-    load_range: LoadRange,
-    linear: bool,
+    make: Callable[[Rows], Table],
     wrenches: Array,
     references: tuple[Array, Array],
     scale: Array,
@@ -159,12 +165,12 @@ def _measure_tables(
         first = rows.take(np.arange(max(1, round(part * len(rows)))))
         tracemalloc.start()
         before = tracemalloc.get_traced_memory()[0]
-        table = build(first, load_range, linear=linear)
+        table = make(first)
         memory = tracemalloc.get_traced_memory()[0] - before
         tracemalloc.stop()
 
         started = time.process_time()  # of a second build: the first one was traced
-        build(first, load_range, linear=linear)
+        make(first)
         cost = {
             "rows": len(first),
             "build_s": time.process_time() - started,

@@ -12,7 +12,7 @@ import pytest
 from tests.fea.boxes import box
 from tests.fea.components import component
 from wrenchbook.fea.export.failure_record import HISTORY, LAST_STATE, keep, write_state
-from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.failure import REMEDIES, SolveFailed
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.solve import Solver, solve
 
@@ -141,6 +141,12 @@ def test_loads_beyond_all_reason_fail_by_name():
             "rotation_too_large",
             "inverted_elements",
         }
+
+
+@pytest.mark.parametrize("kind", REMEDIES)
+def test_a_remedy_begins_with_what_to_do(kind):
+    first = REMEDIES[kind].split()[0]
+    assert first in {"Check", "Fix", "Reduce", "If", "Keep", "Mesh", "Or"}
 
 
 def test_a_failure_travels_between_processes():

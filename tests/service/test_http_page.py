@@ -81,6 +81,14 @@ def test_all_that_a_page_refers_to_is_served(page, address):
     assert {name: page.get(f"/{name}").status_code for name in names} == dict.fromkeys(names, 200)
 
 
+@pytest.mark.parametrize(("file", "address"), [("index.html", "/"), ("docs.html", "/docs")])
+def test_the_file_of_a_page_leads_to_its_address(page, file, address):
+    """It was served at its own, where its links to styles led nowhere."""
+    reply = page.get(f"/page/{file}", follow_redirects=False)
+    assert reply.status_code == 307
+    assert page.get(f"/page/{file}").url.path == address
+
+
 def test_all_that_modules_import_is_served(page):
     text = "\n".join(module.read_text() for module in MODULES)
     names = re.findall(r"(?:from|import) \"\./([^\"]+)\"", text)

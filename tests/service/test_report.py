@@ -70,6 +70,10 @@ def test_errors_of_a_report_have_units_and_no_powers_of_ten(report):
     assert not [cell for line in lines for cell in line if re.search(r"\de-\d", cell)]
 
 
+def test_percentages_of_a_report_have_a_space(report):
+    assert not re.search(r"\d%", as_markdown(report))
+
+
 def test_meshes_and_tables_are_compared_with_the_finest_mesh(report):
     assert [level["level"] for level in report["fea"]] == ["coarse", "own", "fine"]
     assert report["fea"][-1]["error"]["rms"] == [0.0] * 6
@@ -154,6 +158,33 @@ def test_the_advice_says_first_that_error_bars_were_too_small(report):
     )
     assert "few wrenches were compared: 5" in advice_of(figures)
     assert "needs no more rows" not in advice_of(figures)
+
+
+def test_the_advice_does_not_call_rows_useless_that_improve_the_error_bars(report):
+    """One text said "fill the table further" and "more rows change nothing"."""
+    figures = deepcopy(report)
+    for table in figures["tables"]:
+        table["beyond_error_bar"] = {"missed": 9, "of": 30}
+        table["largest_interpolation_error"] = 0.001
+    figures["mesh_error"] = 0.01
+    assert "more rows lower no error, but improve the error bars" in advice_of(figures)
+    assert "change nothing" not in advice_of(figures)
+
+
+def test_the_covered_share_of_a_report_is_that_of_the_component_s_tolerance(bar):
+    """The overview covered 100 %, and the report 50 %: it took 1 % of each output's range."""
+    load_range = LoadRange(bar.range.low, bar.range.high)
+    rng = np.random.default_rng(1)
+    wrenches = rng.uniform(-1, 1, (20, 6)) * load_range.scale
+    moved = wrenches @ Solver(bar).compliance.T
+    noise = 0.05 * np.abs(moved).max(axis=0) * rng.normal(size=moved.shape)
+    rows, shares = Rows.of(wrenches, moved + noise), []
+    for size in (1e-9, 1.0):
+        limited = replace(bar, tolerance=replace(bar.tolerance, translation=size, rotation=size))
+        tables = measure(limited, rows, load_range, 3, 3, lambda *_: None)["tables"]
+        whole = (entry for entry in tables if entry["rows"] == len(rows))
+        shares.append(next(entry["covered"] for entry in whole if entry["method"] == "linear"))
+    assert shares == [0.0, 1.0]
 
 
 def test_the_advice_of_a_table_without_error_bars_is_more_rows(report):

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Final
 
 from fastapi import APIRouter, Header, Request
-from starlette.responses import Response
+from starlette.responses import RedirectResponse, Response
 
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.routes import holds, naming
@@ -29,6 +29,8 @@ MEDIA_TYPES: Final = {
     ".css": "text/css; charset=utf-8",
     ".svg": "image/svg+xml",
 }
+# Addresses of the pages, relative to /page/: their links are relative to these.
+PAGES: Final = {"index.html": "../", "docs.html": "../docs"}
 # Package and its file, by the name under which it is served.
 BORROWED: Final = {
     "js/pressed.js": ("wrenchbook.fea", "check/pressed.js"),  # `check --plot` has it too
@@ -49,18 +51,24 @@ class PageFile:
 
 @router.get("/")
 def page(request: Request, if_none_match: Annotated[str | None, Header()] = None) -> Response:
-    return page_file("index.html", request, if_none_match)
+    return _file("index.html", request, if_none_match)
 
 
 @router.get("/docs")
 def docs(request: Request, if_none_match: Annotated[str | None, Header()] = None) -> Response:
-    return page_file("docs.html", request, if_none_match)
+    return _file("docs.html", request, if_none_match)
 
 
 @router.get("/page/{name:path}")
 def page_file(
     name: str, request: Request, if_none_match: Annotated[str | None, Header()] = None
 ) -> Response:
+    if name in PAGES:
+        return RedirectResponse(PAGES[name])
+    return _file(name, request, if_none_match)
+
+
+def _file(name: str, request: Request, if_none_match: str | None) -> Response:
     path = _paths().get(name)
     if path is None:
         why = f"The page has no file {name[:200]!r}. The page is at /, the calls at /docs."

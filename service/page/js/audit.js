@@ -61,10 +61,13 @@ function objectOf({ action, component, object }) {
 
 // Of settings whose names do not hold their units, as in service/settings.py.
 const UNITS = { table_memory: "MB", replicate_interval: "s", backup_every: "h" };
-const withUnit = (name, value) => `${wordsOf(value)}${name in UNITS && typeof value === "number" ? ` ${UNITS[name]}` : ""}`;
+const TIMES = ["created", "expires"]; // of keys: seconds since 1970
+const withUnit = (name, value) => `${wordsOf(value, name)}${name in UNITS && typeof value === "number" ? ` ${UNITS[name]}` : ""}`;
 
 // A state as words: "status waiting, priority 0".
-function wordsOf(state) {
+function wordsOf(state, name) {
+  if (typeof state === "number" && TIMES.includes(name)) return time(1e3 * state);
+  if (name === "kind") return state.replaceAll("_", " ");
   if (state === null || typeof state !== "object") return String(state).replace(/^([0-9a-f]{12})[0-9a-f]{52}$/, "$1"); // a digest, shortened
   return Object.entries(state).filter(([, value]) => value !== null && value !== "").map(([name, value]) => (Array.isArray(state) ? wordsOf(value) : `${name.replaceAll("_", " ")} ${withUnit(name, value)}`)).join(", ");
 }

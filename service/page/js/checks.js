@@ -5,11 +5,11 @@ import { el, facts, note, pill, put, working } from "./dom.js";
 import { emptyTable } from "./empty.js";
 import { OUTSIDE } from "./inputs.js";
 import { rowLinks } from "./rows.js";
-import { LOADS, OUTPUTS, count, counted, number, percent, scientific, sentence, superscript, symbol } from "./format.js";
+import { LOADS, OUTPUTS, count, counted, number, percent, scientific, sentence, superscript, symbol, triple } from "./format.js";
 
 const CHECKS = {
-  zero_at_zero_load: ["The displacement at zero load is zero", (one) => one.reason],
-  symmetric: ["The compliance is symmetric (Maxwell, Betti)", (one) => `asymmetry ${percent(one.asymmetry)}, allowed ${percent(one.allowed)}${one.asymmetry_of_solves == null ? "" : `; of the tangents of solves ${number(one.asymmetry_of_solves, 2)}, allowed ${number(one.allowed_of_solves, 2)}`}`],
+  zero_at_zero_load: ["The displacement at zero load is zero", (one) => one.reason ?? `largest displacement u\u00a0${triple(Object.values(one.displacement).slice(0, 3), "m")}, r\u00a0${triple(Object.values(one.displacement).slice(3, 6), "rad")}`],
+  symmetric: ["The compliance is symmetric (Maxwell, Betti)", (one) => `asymmetry ${percent(one.asymmetry)}, allowed ${percent(one.allowed)}${one.reason ? `; ${one.reason}` : ""}${one.asymmetry_of_solves == null ? "" : `; of the tangents of solves ${number(one.asymmetry_of_solves, 2)}, allowed ${number(one.allowed_of_solves, 2)}`}`],
   positive: ["Loads do positive work", (one) => `smallest eigenvalue over largest ${number(one.smallest_over_largest_eigenvalue, 3)}${isOfFit(one) ? ", within the asymmetry of the fit: the rows do not determine its sign yet" : ""}`],
   linear: ["The response is linear (one 6 × 6 compliance)", (one) => one.says || one.reason],
   work: ["Work does not decrease from row to row", (one) => `pairs of rows that lose work: ${count(one.pairs_that_give_work_back ?? 0)}`],
@@ -77,11 +77,11 @@ function checks(reply, about) {
   if (!reply.rows_checked) return el("p", { class: "muted" }, "There are no rows with all six outputs to check.");
   const lines = Object.entries(reply.checks).map(([name, one]) => {
     const [title, words] = CHECKS[name] || [name, () => ""];
-    const verdict = one.ok === null || isOfFit(one) ? pill("unknown", "") : one.ok ? pill("holds", "ok") : pill(...(FAILED[name] || ["broken", "wrong"]));
+    const verdict = one.ok === null || isOfFit(one) ? pill("not known yet", "") : one.ok ? pill("holds", "ok") : pill(...(FAILED[name] || ["broken", "wrong"]));
     const rows = one.rows?.length && name !== "linear" ? el("span", { class: "muted small" }, rowLinks(about.name, one.rows, 12), one.rows.length > 12 ? " …" : "") : null;
     return el("tr", {}, el("td", {}, verdict), el("td", { class: "whole" }, title), el("td", { class: "muted small whole" }, sentence(words(one) || " ")), el("td", { class: "whole" }, rows));
   });
-  return el("table", { class: "folds" }, el("tbody", {}, lines));
+  return el("table", { class: "folds checks" }, el("tbody", {}, lines));
 }
 
 function disagreement(reply, about) {

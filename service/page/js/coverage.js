@@ -112,7 +112,7 @@ function holds(rows, summary) {
   if (!summary) return el("p", {}, "The table's compliance answers: all loads are covered by six unit solves, whatever the rows.");
   const lines = Object.entries(summary.spans).map(([load, [low, high]]) => [symbol(load), number(low), number(high), unitOfLoad(load)]);
   return [
-    el("p", {}, `${counted(summary.rows, "row")}, ${count(summary.corrected)} of them with other loads too, span ${summary.dimensions ?? 0} dimensions. Their convex hull encloses ${percent(summary.part_of_range)} of the range; kriging covers loads beyond it where its error is known and within the tolerance.`),
+    el("p", {}, `Rows at ${counted(summary.rows, "load")}, ${count(summary.corrected)} of them with loads of other axes too, span ${summary.dimensions ?? 0} dimensions. Their convex hull encloses ${percent(summary.part_of_range)} of the range; kriging covers loads beyond it where its error is known and within the tolerance.`),
     lines.length ? table(["Load", "#from", "#to", "unit"], lines) : null,
   ];
 }

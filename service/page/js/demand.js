@@ -39,9 +39,11 @@ export async function show(root, about, signal) {
   view.hold(drawing);
 }
 
+const SYMBOLS = { thin: "circle", outside: "diamond" }; // apart without their colours too
+
 function marks() {
   const one = (colour, text) => {
-    const mark = el("i");
+    const mark = el("i", { class: SYMBOLS[colour] });
     mark.style.background = `var(--${colour})`;
     return el("li", {}, mark, text);
   };
@@ -53,7 +55,7 @@ function picture(about, reply, axis, shade, camera) {
   const [x, y, z] = inputs.map((load) => reply.cells.map((one) => one.wrench[LOADS.indexOf(load)]));
   const data = [{
     type: "scatter3d", mode: "markers", x, y, z, text: reply.cells.map((one) => `${one.count} times, ${one.coverage}`),
-    marker: { size: reply.cells.map((one) => 3 + 9 * Math.sqrt(one.count / largest)), color: reply.cells.map((one) => shade[one.coverage] || shade.accent), opacity: 0.75 },
+    marker: { symbol: reply.cells.map((one) => SYMBOLS[one.coverage] || "circle"), size: reply.cells.map((one) => 3 + 9 * Math.sqrt(one.count / largest)), color: reply.cells.map((one) => shade[one.coverage] || shade.accent), opacity: 0.75 },
     hovertemplate: "%{text}<br>%{x:.4~g}, %{y:.4~g}, %{z:.4~g}<extra></extra>",
   }];
   const spans = [...about.range.force, ...about.range.moment];

@@ -43,8 +43,8 @@ export const superscript = (power) => [...String(power)].map((one) => POWERS[one
 // Loads as the fields have them: Fz in place of fz.
 const named = (text) => text.replaceAll(/(?:\b(\w+)\.)?\b([fm][xyz])\b/g, (_, at, name) => (at ? `${at} ` : "") + plain(name));
 
-// A text of the server as a sentence: a capital letter, µm in place of 1e-06 m, other powers of ten as such.
-export const sentence = (text) => text[0].toUpperCase() + named(text.slice(1)).replaceAll(/(\d)%/g, "$1 %").replaceAll(/(-?[\d.e+]+)\.\.(?=-?\d)/g, "$1 to ").replaceAll(/(?<![\w.])-?\d+\.\d{5,}(?![\w.])/g, (value) => number(Number(value))).replaceAll(/(?<![\w.])-(?=\d)/g, "\u2212").replaceAll(/(\d(?:\.\d+)?e[+-]\d+) (m|rad|Pa)\b/g, (_, value, unit) => quantity(Number(value), unit)).replaceAll(/(\d)e([+-]\d+)/g, (_, digit, power) => `${digit}·10` + superscript(Number(power)));
+// A text of the server as a sentence: a capital letter, but of a key; µm in place of 1e-06 m and mrad in place of 0.0012 rad, other powers of ten as such.
+export const sentence = (text) => (/^\w+\.\w/.test(text) ? text[0] : text[0].toUpperCase()) + named(text.slice(1)).replaceAll("m/s^2", "m/s²").replaceAll(/(\d)%/g, "$1 %").replaceAll(/(-?[\d.e+]+)\.\.(?=-?\d)/g, "$1 to ").replaceAll(/(?<![\w.])-?\d+\.\d{5,}(?![\w.])/g, (value) => number(Number(value))).replaceAll(/(?<![\w.])-(?=\d)/g, "\u2212").replaceAll(/(\d(?:\.\d+)?e[+-]\d+|\b0\.0\d+) (m|rad|Pa)\b(?!\/)/g, (_, value, unit) => quantity(Number(value), unit)).replaceAll(/(\d)e([+-]\d+)/g, (_, digit, power) => `${digit}·10` + superscript(Number(power)));
 
 // A text of the server without the options of commands.
 export const pageWords = (text) => sentence(text.replaceAll(/ \(--[^)]*\)/g, ""));

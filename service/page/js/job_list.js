@@ -11,7 +11,7 @@ import { rowLink } from "./rows.js";
 const SHOWN = 50, MOST_WAITING = 1000, NEWEST = 20; // jobs: of a page; put in the order of their start; whose solve times are averaged
 
 export async function jobList(root, component, signal) {
-  const list = { running: el("tbody", { class: "running" }), waiting: el("tbody", { class: "waiting" }), root: el("tbody", {}), rows: new Map(), withName: !component, means: new Map(), signal };
+  const list = { running: el("tbody", { class: "running" }), waiting: el("tbody", { class: "waiting" }), root: el("tbody", {}), rows: new Map(), withName: !component, means: new Map(), calls: new Map(), signal };
   const status = { value: "" };
   const older = el("button", { type: "button", hidden: true }, "Older jobs");
   let following = null;
@@ -52,15 +52,18 @@ export async function jobList(root, component, signal) {
   listen(component, signal, (kind, body) => hear(list, kind, body, fresh, status));
 }
 
-// An event tells of one job, or that many have changed at once.
+// An event tells of one job, or that many have changed at once; jobs may have ended before a connection.
 function hear(list, kind, body, fresh, status) {
-  if (kind === "jobs") fresh();
+  if (["jobs", "hello", "missed"].includes(kind)) fresh();
   if (kind !== "job") return;
   const row = list.rows.get(body.id);
   const moved = row?.job.status !== body.status;
   if (row) change(list, row, { ...row.job, ...body });
   if (!moved || (!row && status.value)) return;
-  get(`v1/jobs/${body.id}`, list.signal).then((job) => { // events do not tell how long it took
+  const call = get(`v1/jobs/${body.id}`, list.signal); // events do not tell how long it took
+  list.calls.set(body.id, call);
+  call.then((job) => {
+    if (list.calls.get(body.id) !== call) return null; // a later event has its own
     const now = list.rows.get(job.id);
     if (now) change(list, now, job); else place(list, rowOf(list, job));
     return list.count();
@@ -147,16 +150,23 @@ function actions(list, row, job) {
   return el("div", { class: "line" }, buttons.map(([text, press]) => el("button", { type: "button", class: "small", "aria-label": `${text} job ${job.id}`, onclick: press }, text)));
 }
 
+const TRACEBACK = /^Traceback \(most recent call last\):$/m; // of Python: the message above has its cause
+
 export async function showLog({ id, error: cause }) {
-  const text = el("pre", { tabindex: "0" }, "…");
+  const text = el("pre", { tabindex: "0" }, "…"), trace = el("pre", { tabindex: "0" }), folded = el("details", { hidden: true }, el("summary", {}, "Where in the program it failed"), trace);
   const dialog = el("dialog", { "aria-label": `Log of job ${id}`, onclose: () => dialog.remove() },
-    el("div", { class: "stack" }, el("h2", {}, `Log of job ${id}`), cause ? note("outside", failureWords(cause)) : null, text,
+    el("div", { class: "stack" }, el("h2", {}, `Log of job ${id}`), cause ? note("outside", failureWords(cause)) : null, text, folded,
       el("div", { class: "line" }, el("button", { class: "first", onclick: () => dialog.close() }, "Close"),
         el("button", { type: "button", onclick: () => saveFiles(id) }, "Save all files of the attempt"))));
   document.body.append(dialog);
   dialog.showModal();
   try {
-    text.textContent = (await (await send("GET", `v1/jobs/${id}/log`)).text()) || "The solver printed nothing.";
+    const log = await (await send("GET", `v1/jobs/${id}/log`)).text(), begun = cause ? log.search(TRACEBACK) : -1;
+    const printed = begun < 0 ? log : log.slice(0, begun);
+    text.textContent = printed.trim() ? printed : "The solver printed nothing.";
+    folded.hidden = begun < 0;
+    text.hidden = !folded.hidden && !printed.trim();
+    trace.textContent = log.slice(printed.length);
   } catch (error) {
     text.textContent = error.message;
   }
@@ -179,7 +189,8 @@ export function jobFacts(job) {
   ];
 }
 
-const failure = (error) => note("outside", el("strong", {}, sentence((error.kind || "failed").replaceAll("_", " "))), failureWords(error));
+const KINDS = { snap_through: "buckling or snap-through" };
+const failure = (error) => note("outside", el("strong", {}, sentence(KINDS[error.kind] || (error.kind || "failed").replaceAll("_", " "))), failureWords(error));
 
 // Why a solve failed, and what helps, each once: messages often hold both.
 export function failureWords({ kind, message, remedy }) {

@@ -38,7 +38,7 @@ async function one(root, id, signal) {
     return job;
   };
   const job = await show_();
-  listen(job.component, signal, (kind, body) => { if (kind === "job" && String(body.id) === id) show_(); });
+  listen(job.component, signal, (kind, body) => { if (kind === "hello" || (kind === "job" && String(body.id) === id)) show_(); });
 }
 
 const isYield = (text) => text.includes("above its yield strength");

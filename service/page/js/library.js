@@ -5,7 +5,7 @@ import { el, pill, put, note } from "./dom.js";
 import { beingBuilt, empty } from "./empty.js";
 import { listen } from "./events.js";
 import { count } from "./format.js";
-import { paint } from "./picture.js";
+import { paint, pictured } from "./picture.js";
 import { wholeError } from "./shares.js";
 import { tour } from "./tour.js";
 
@@ -53,12 +53,12 @@ function card(one) {
   const kind = !one.has_fea ? "measured" : one.linear ? "finite elements, linear" : "finite elements";
   const rows = el("span", { class: "muted small" }, rowsText(one.rows));
   const covered = el("div", { class: "muted small" }, "…");
-  const picture = el("canvas", { class: "part", role: "img", "aria-label": `The part ${one.name}`, hidden: true });
+  const picture = pictured(one.name);
   const root = el("article", { class: "card library" },
     el("div", { class: "line ends" }, el("h2", {}, el("a", { href: `#/c/${encodeURIComponent(one.name)}` }, one.name)), el("span", { class: "line" }, one.archived ? pill("archived", "thin") : null, pill(kind, ""))),
     picture, el("p", { class: "small" }, one.title),
     covered, rows);
-  return { root, rows, covered, picture, about: one, all: one.rows, has_fea: one.has_fea };
+  return { root, rows, covered, picture: picture.firstChild, about: one, all: one.rows, has_fea: one.has_fea };
 }
 
 const rowsText = (rows) => (!rows ? "" : rows === 1 ? "1 row" : `${count(rows)} rows`);

@@ -5,9 +5,11 @@ import { el, facts, field, note, notify, pill, put, table } from "./dom.js";
 import { listenToTable } from "./events.js";
 import { beingBuilt, linkTo } from "./empty.js";
 import { findingNote } from "./findings.js";
-import { OUTPUTS, count, counted, number, quantity, sentence, triple } from "./format.js";
+import { OUTPUTS, count, counted, number, percent, quantity, sentence, time, triple } from "./format.js";
 import { OUTSIDE, inputsOf, mark, spansOf } from "./inputs.js";
-import { paint } from "./picture.js";
+import { paint, pictured } from "./picture.js";
+import { insideBars, madeOf } from "./report.js";
+import { rowLinks } from "./rows.js";
 import { WHOLE, isAtWork, legend, sharesOf, wholeError } from "./shares.js";
 
 export async function show(root, { name }, signal) {
@@ -19,14 +21,15 @@ export async function show(root, { name }, signal) {
   const refresh = async () => {
     const mine = latest += 1; // of two at once the later one counts
     const now = await get(of(name), signal);
+    const [report, imports] = await Promise.all([reportOf(now, signal), importsOf(now, signal)]);
     if (mine !== latest) return;
-    put(warned, warnings(now, signal, refresh));
-    put(rows, el("h2", {}, "Method and rows"), method(now));
+    put(warned, verdict(now, report), warnings(now, signal, refresh));
+    put(rows, el("h2", {}, "Method and rows"), method(now, report, imports));
     put(range, el("h2", {}, "Load range"), loads(now));
     const shares = await cover(glance, now, signal, () => mine === latest);
     document.getElementById("fill")?.classList.toggle("first", !(shares?.whole[0] > 0.995 || isAtWork(now))); // more solves add little to a full table, or to a queue
     if (!shares || mine !== latest) return;
-    put(rows, el("h2", {}, "Method and rows"), method(now, shares.allowed));
+    put(rows, el("h2", {}, "Method and rows"), method(now, report, imports, shares.allowed));
     if (shares.reach && !now.linear) put(range, el("h2", {}, "Load range"), loads(now, shares.reach));
   };
   put(root, warned,
@@ -36,6 +39,18 @@ export async function show(root, { name }, signal) {
   listenToTable(name, about.table_version, signal, () => refresh().catch(() => {}));
   await refresh();
 }
+
+// The latest report, null without one.
+async function reportOf(about, signal) {
+  const path = `${of(about.name)}/report`;
+  if (!about.has_fea || about.space || !about.rows || (await get(`${path}?format=state`, signal)).state === "none") return null;
+  return get(path, signal).catch(() => null); // the first one has failed
+}
+
+const importsOf = async (about, signal) => (about.measured ? (await get(`${of(about.name)}/imports`, signal)).imports.filter((one) => one.withdrawn < one.rows) : []);
+
+// A report whose true errors lie outside the error bars too often speaks against the bars of the coverage.
+const verdict = (about, report) => (insideBars(report)?.tooFew ? note("outside", el("strong", {}, "The latest report warns of the error bars"), el("span", {}, report.advice), el("span", {}, madeOf(report, about.table_version)), el("div", {}, linkTo(about, "report", "Show the report"))) : null);
 
 // `done()` is called after the rows of a finding are withdrawn.
 function warnings(about, signal, done) {
@@ -129,20 +144,37 @@ async function fillTo(place, name, budget, signal) {
 const SOURCES = { fea: "solved" };
 const pointOf = (point) => `(${point.map((one) => number(Math.abs(one) < 1e-9 ? 0 : 1e3 * one)).join(", ")}) mm`; // below a nanometre is roundoff
 
-function method(about, allowed) {
-  const cover = about.coverage;
+const DIGEST = /, rig [0-9a-f]{8}$/; // of a rig profile without a name: the imports say more
+const NAMED_IMPORTS = 3; // the newest; the link leads to all
+
+function sourcesOf(about) {
+  const found = {};
+  for (const [name, rows] of Object.entries(about.sources)) { const kind = (SOURCES[name] || name).replace(DIGEST, ""); found[kind] = (found[kind] || 0) + rows; }
+  return Object.entries(found).map(([kind, rows]) => `${count(rows)} ${kind}`).join("; ");
+}
+
+function importLinks(about, imports) {
+  const view = `#/c/${encodeURIComponent(about.name)}`;
+  const lines = imports.slice(0, NAMED_IMPORTS).map((one) => el("li", {}, el("a", { href: `${view}/rows?import=${one.id}` }, one.filename || `import ${one.id}`), `, ${counted(one.rows - one.withdrawn, "row")}, ${time(one.when)}`));
+  return el("ul", { class: "plain" }, lines, imports.length > NAMED_IMPORTS ? el("li", {}, el("a", { href: `${view}/table` }, `all ${count(imports.length)} imports`)) : null);
+}
+
+function method(about, report, imports, allowed) {
+  const cover = about.coverage, bars = insideBars(report);
   const tolerance = about.tolerance
     ? `${quantity(about.tolerance.translation, "m")}, ${quantity(about.tolerance.rotation, "rad")}`
-    : `1 % of each output's range${allowed?.length === OUTPUTS.length ? `: u ${triple(allowed.slice(0, 3), "m")}, r ${triple(allowed.slice(3), "rad")}` : ""}`;
-  const sources = Object.entries(about.sources).map(([name, rows]) => `${count(rows)} ${SOURCES[name] || name}`).join("; ");
+    : `1 % of each output's range${allowed?.length === OUTPUTS.length ? `: u\u00a0${triple(allowed.slice(0, 3), "m")}, r\u00a0${triple(allowed.slice(3), "rad")}` : ""}`;
+  const sources = sourcesOf(about), clashes = (cover.conflicts || []).flatMap((one) => one.rows);
   const jobs = Object.entries(about.jobs).filter(([, n]) => n).map(([status, n]) => pill(`${n} ${status}`, status));
   return facts([
     ["Rows", sources || "none"],
+    ["Imports", imports.length ? importLinks(about, imports) : ""],
     ["Method", sources ? cover.method : ""],
     [sources ? "Reason" : "Method", about.has_fea || sources ? sentence(cover.method_reason || "–") : "The table has no rows: import measured ones."],
     ["Tolerance", tolerance],
-    ["Jobs", jobs.length ? el("a", { class: "line", href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : "none"],
-    ["Contradictions", cover.conflicting_wrenches ? `${cover.conflicting_wrenches} ${cover.conflicting_wrenches === 1 ? "wrench has" : "wrenches have"} rows that disagree: withdraw the wrong ones under Table, Rows` : ""],
+    ["Jobs", jobs.length ? el("a", { class: "line", href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : about.has_fea ? "none" : ""],
+    ["Report", bars ? [`${percent(bars.inside / bars.all)} of ${count(bars.all)} true errors lay within the error bars (nominal 95 %), `, el("a", { href: `#/c/${encodeURIComponent(about.name)}/report` }, time(report.made))] : ""],
+    ["Contradictions", cover.conflicting_wrenches ? [`${cover.conflicting_wrenches} ${cover.conflicting_wrenches === 1 ? "wrench has" : "wrenches have"} rows that disagree: `, rowLinks(about.name, clashes, 12), ". Withdraw the wrong ones."] : ""],
     ["Outside", cover.beyond_range ? pill(`${counted(cover.beyond_range, "row")} ${OUTSIDE}`, "outside") : ""],
     ["Table version", String(about.table_version)],
     ["Notes", about.notes],
@@ -165,9 +197,9 @@ const between = (low, high) => (low === high ? `only ${number(low, 3)}` : `${num
 function pictureOf(about, signal) {
   const frames = Object.values(about.interfaces || { "": about.interface }).filter((one) => one?.point);
   if (!about.has_fea) return null;
-  const canvas = el("canvas", { class: "part", role: "img", "aria-label": `The part ${about.name}`, hidden: true });
-  paint(canvas, about, signal, frames).catch(() => {});
-  return el("div", {}, canvas, frames.length ? el("p", { class: "muted small" }, "x, y, z: axes of the interface at its point, in which loads and displacements are given.") : null);
+  const picture = pictured(about.name);
+  paint(picture.firstChild, about, signal, frames).catch(() => {});
+  return el("div", {}, picture, frames.length ? el("p", { class: "muted small" }, "x, y, z: axes of the interface at its point, in which loads and displacements are given.") : null);
 }
 
 function contract(about) {

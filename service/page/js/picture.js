@@ -1,6 +1,7 @@
 // A small picture of a part: its undeformed surface, shaded, seen from the front, the right and above.
 
 import { get, of } from "./api.js";
+import { el } from "./dom.js";
 import { colours } from "./plot.js";
 import { extent, normals } from "./surface.js";
 
@@ -9,6 +10,10 @@ const surfaces = new Map();
 const RIGHT = [0.82, 0.57, 0], UP = [-0.26, 0.37, 0.89], TOWARDS = [0.51, -0.73, 0.46];
 const LIGHT = [0.2, -0.5, 0.84];
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+
+// The canvas of a part's picture; until it is drawn, its place says what is awaited.
+export const pictured = (name, words = "The mesh is being built …") => el("div", { class: "picture" },
+  el("canvas", { class: "part", role: "img", "aria-label": `The part ${name}`, hidden: true }), el("span", { class: "muted small" }, words));
 
 // Draws a part on a canvas from its mesh, which needs no rows; the symbol of a table where there is no mesh to draw.
 export async function paint(canvas, { name, has_fea: meshed }, signal, frames = []) {
@@ -36,7 +41,7 @@ function shown(canvas, draw, signal) {
 }
 
 function penOf(canvas) {
-  const ratio = window.devicePixelRatio || 1;
+  const ratio = (window.devicePixelRatio || 1) * Math.max(1, canvas.clientWidth / SIZE[0]);
   [canvas.width, canvas.height] = SIZE.map((one) => one * ratio);
   const pen = canvas.getContext("2d");
   pen.scale(ratio, ratio);

@@ -76,7 +76,15 @@ async function latest(body, about, signal) {
 }
 
 // The table's version now may be newer than that of the report.
-const madeOf = ({ made, table_version: version }, now) => (version === now ? `Made ${time(made)} with table version ${version}, the newest.` : `Made ${time(made)} with table version ${version}; the table is now ${now}: make it again.`);
+export const madeOf = ({ made, table_version: version }, now) => (version === now ? `Made ${time(made)} with table version ${version}, the newest.` : `Made ${time(made)} with table version ${version}; the table is now ${now}: make it again.`);
+
+const ACCEPTED = 0.9; // share of true errors within their bars, as in service/report/layout.py
+
+// How many true errors a report found within the error bars of the table's own method; null if it compared none.
+export function insideBars(report) {
+  const { missed, of: all } = report?.tables?.find((one) => one.method === report.default.method && one.rows === report.rows)?.beyond_error_bar || {};
+  return all ? { inside: all - missed, all, tooFew: missed > (1 - ACCEPTED) * all } : null;
+}
 
 function page(body, about, report, now) {
   if (!report.tables) { // the first one is being made

@@ -2,7 +2,7 @@
 
 const MARKS = { circle: "M-5 0a5 5 0 1 0 10 0a5 5 0 1 0-10 0", square: "M-4.5-4.5h9v9h-9z", diamond: "M0-6 6 0 0 6-6 0z", triangle: "M0-6 6 5H-6z", x: "M-5-5 5 5M5-5-5 5", cross: "M-6 0H6M0-6V6" };
 // Colour, mark and dash of each curve: curves that cross stay apart without colours too.
-const LOOKS = { kriging: ["accent", "circle", ""], griddata: ["outside", "square", "7 5"], additive: ["query", "diamond", "12 4 3 4"], linear: ["thin", "x", "2 4"], other: ["muted", "cross", "12 5"], FEA: ["ink", "diamond", "2 4"] };
+const LOOKS = { kriging: ["accent", "circle", ""], griddata: ["outside", "square", "7 5"], additive: ["query", "diamond", "12 4 3 4"], linear: ["covered", "x", "2 4"], other: ["muted", "cross", "12 5"], FEA: ["ink", "diamond", "2 4"] };
 const HEIGHT = 360, BOX = { left: 62, right: 16, top: 14, bottom: 50 };
 const UNITS = [[1, "s"], [1e-3, "ms"], [1e-6, "µs"], [1e-9, "ns"]];
 

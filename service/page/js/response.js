@@ -14,7 +14,7 @@ export async function show(root, about, signal) {
     put(root, emptyTable(about));
     return;
   }
-  const state = { load: "fz", output: "uz", at: LOADS.map(() => 0), sweep: null, rows: null, drawing: null, rest: about.has_fea ? solverError(about) : null };
+  const state = { load: "fz", output: "uz", at: LOADS.map(() => 0), sweep: null, rows: null, drawing: null, rest: solverError(about) };
   const place = el("div", { class: "plot low", id: "response" });
   const caption = el("p", { class: "muted small", "aria-live": "polite" });
   const load = async () => {
@@ -65,10 +65,10 @@ function labelOf({ sweep, rows, output, load, rest }) {
   const k = OUTPUTS.indexOf(output), bars = sweep.error.map((one) => one[k] ?? 0);
   const unit = unitOfOutput(output), place = bars.indexOf(Math.max(...bars)), widest = quantity(bars[place], unit, 2), inner = sweep.interpolation[place]?.[k] ?? 0;
   const unknown = Math.round(100 * sweep.error.filter((one) => one[k] === null).length / sweep.error.length);
-  const parts = sweep.bars_are_whole && rest ? ` (interpolation ${inner > bars[place] / 1000 ? quantity(inner, unit, 2) : "negligible"}, ${rest} ${quantity(Math.max(0, bars[place] - inner), unit, 2)})` : "";
+  const parts = sweep.bars_are_whole ? ` (interpolation ${inner > bars[place] / 1000 ? quantity(inner, unit, 2) : "negligible"}, ${rest} ${quantity(Math.max(0, bars[place] - inner), unit, 2)})` : "";
   const line = `${plain(output)} over ${plain(load)} by ${sweep.method}.`, rest_ = `${share} % of the line is covered; ${drawn}.`;
   if (unknown === 100) return `${line} Its error bar is not known, so no band is drawn; ${rest_}`;
-  return `${line} The band is its 95 % error bar, ${sweep.bars_are_whole || !rest ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}${parts}${unknown ? `, and not known, nor drawn, on ${unknown} % of the line` : ""}; ${rest_}`;
+  return `${line} The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}${parts}${unknown ? `, and not known, nor drawn, on ${unknown} % of the line` : ""}; ${rest_}`;
 }
 
 function picture(state, shade) {
@@ -114,13 +114,13 @@ function around(at, values, width, scale) {
 // The band is drawn in two: what more rows lower, and what a finer mesh lowers.
 function bands(about) {
   const one = (colour, text, faint_ = 100) => {
-    const mark = el("i", { class: "square" });
+    const mark = el("i", { class: `square ${faint_ < 100 ? "stretch" : ""}` });
     mark.style.background = `color-mix(in srgb, var(--${colour}) ${faint_}%, var(--card))`;
     return el("li", {}, mark, text);
   };
   return el("ul", { class: "key-of-marks" }, one("accent", "interpolation error: more rows lower it"),
-    about.has_fea ? one("query", `${solverError(about)} error: a finer mesh ${about.linear ? "or nonlinear = true " : ""}lowers it`) : null,
-    one("thin", "thin: the rows do not cover it", 35), one("outside", "outside the rows or the load range", 35), el("li", {}, el("i", { class: "hollow" }), "row of the table"));
+    one("query", `${solverError(about)} error: ${about.has_fea ? `a finer mesh ${about.linear ? "or nonlinear = true " : ""}lowers it` : "noise, hysteresis and drift of the measurement"}`),
+    one("thin", "thin: the rows do not cover it", 100 * SHADED[1][1]), one("muted", "outside the rows or the load range", 100 * SHADED[2][1]), el("li", {}, el("i", { class: "hollow" }), "row of the table"));
 }
 
 const marked = (name) => `${plain(name)[0]}<sub>${name[1]}</sub>`;
@@ -130,6 +130,9 @@ function wide(at) {
   return [low - more, high + more];
 }
 
+const SHADED = [null, ["thin", 0.2], ["muted", 0.3]]; // colour and opacity of stretches that are thin and outside
+const LABELLED = 0.15; // part of the line that a stretch needs for its word
+
 // Where the line is thin or outside, as shaded stretches.
 function uncovered(sweep, shade) {
   const stretches = [];
@@ -138,8 +141,9 @@ function uncovered(sweep, shade) {
     if (last && last.code === code) last.to = sweep.at[place];
     else stretches.push({ code, from: sweep.at[place], to: sweep.at[place] });
   });
-  const kinds = [null, shade.thin, shade.outside];
+  const [low, high] = [sweep.at[0], sweep.at.at(-1)];
   return stretches.filter((one) => one.code).map((one) => ({
-    type: "rect", xref: "x", yref: "paper", x0: one.from, x1: one.to, y0: 0, y1: 1, line: { width: 0 }, fillcolor: faint(kinds[one.code], 0.12), layer: "below",
+    type: "rect", xref: "x", yref: "paper", x0: one.from, x1: one.to, y0: 0, y1: 1, line: { width: 0 }, fillcolor: faint(shade[SHADED[one.code][0]], SHADED[one.code][1]), layer: "below",
+    label: { text: one.to - one.from > LABELLED * (high - low) ? ["", "thin", "outside"][one.code] : "", textposition: "top center", font: { size: 12, color: shade.ink } },
   }));
 }

@@ -135,7 +135,7 @@ function draw(root, about, row) {
     el("td", {}, pill(state, { "in the table": "ok", withdrawn: "thin", [OUTSIDE]: "outside" }[state] || "")),
     el("td", { class: "small whole", "data-head": "Wrench" }, said(named(about, row.wrench), about, 4)),
     el("td", { class: "small whole", "data-head": "Displacement" }, displacement(about, row.displacement)),
-    el("td", { class: "small", "data-head": "Source" }, origin(about, row), el("span", { class: "muted" }, `${row.source || row.provenance.job ? ", " : ""}${time(row.provenance.when)}`)),
+    el("td", { class: "small", "data-head": "Source" }, origin(about, row), el("div", { class: "muted" }, time(row.provenance.when))),
     el("td", {}, el("button", { type: "button", class: "small", "aria-label": `${verb} row ${row.row}`, onclick: edit }, verb)));
 }
 

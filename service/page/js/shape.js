@@ -103,7 +103,7 @@ function sharesOf(parts) {
 function sourceOf(shape) {
   if (shape.source === "row") return `a solve of this wrench, row ${shape.rows[0]}`;
   if (shape.source === "linear") return "six unit solves";
-  return `interpolated between ${counted(shape.rows.length, "solve")} only, with the error of that; Query and Response use all rows`;
+  return `interpolated between the surfaces of ${counted(shape.rows.length, "solve")}; the error bars are theirs, not those of Query and Response, which interpolate the displacement of the interface`;
 }
 
 // Where the screen is narrow the colour bar is below the part, else it would lie over it.

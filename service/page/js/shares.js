@@ -29,11 +29,11 @@ export function sharesOf(glance) {
   ]));
 }
 
-// What the rest of an error bar is, after interpolation: a linear analysis errs too.
-export const solverError = (about) => (about.linear ? "discretisation and linearity" : "discretisation");
+// What the rest of an error bar is, after interpolation: a linear analysis errs too, and so do readings.
+export const solverError = (about) => (!about.has_fea ? "reading" : about.linear ? "discretisation and linearity" : "discretisation");
 
 // Why an error bar exceeds the tolerance, and whether more solves help; `rest` is the bar without interpolation, over the tolerance.
-export const overTolerance = (about, rest) => (rest > 1 ? `An error bar exceeds the tolerance because of the ${solverError(about)} error. More solves do not help; the component's overview says what does.`
+export const overTolerance = (about, rest) => (rest > 1 ? `An error bar exceeds the tolerance because of the ${solverError(about)} error. ${about.has_fea ? "More solves do not help; the component's overview says what does." : "Only readings with less noise, hysteresis and drift lower it."}`
   : `An error bar exceeds the tolerance by interpolation and ${solverError(about)} error together. Rows near this wrench lower the first.`);
 
 // The solves of a component that have not ended: "3 waiting, 2 running". A card of the library does not know them.
@@ -52,8 +52,7 @@ export function wholeError(glance, about) {
     return el("div", { class: "stack tight" }, el("div", { class: "shares" }, el("span", {}, "within tolerance"), el("span", { class: "bar" }), el("span", {}, "–")),
       el("span", { class: "muted small" }, "Not known: the rows are too few for an error bar. ", isAtWork(about) ? [el("a", { href: `#/c/${encodeURIComponent(about.name)}/jobs` }, openJobs(about)), ": the bar is shown after them."] : about.has_fea ? "Fill the table." : "Import more rows."));
   }
-  const parts = !about.has_fea ? "interpolation"
-    : known ? `interpolation ${bar(glance.interpolation[k])} + ${solverError(about)} ${bar(Math.max(0, errors[k] - glance.interpolation[k]))}`
+  const parts = known ? `interpolation ${bar(glance.interpolation[k])} + ${solverError(about)} ${bar(Math.max(0, errors[k] - glance.interpolation[k]))}`
       : "interpolation; the discretisation error is not known";
   return el("div", { class: "stack tight" },
     el("div", { class: "shares" }, el("span", {}, glance.within_tolerance === null && about.has_fea ? "covered" : "within tolerance"), sharesBar([within, Math.max(0, 1 - within - outside), outside], WHOLE), el("span", {}, `${Math.round(100 * within)} %`)),

@@ -11,7 +11,7 @@ import pytest
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.keys import Keys
 
-from tests.service.page.test_browser import LOADS, PLATE, add, ask
+from tests.service.page.test_browser import LOADS, PLATE, add, ask, bundle
 from tests.service.test_import_findings import logs_of
 from tests.surrogate.findings.rigs import Rig
 from tests.until import until
@@ -85,6 +85,18 @@ def test_the_90_and_95_percent_lines_of_a_report_have_names(browser, reported):
     told = browser.one("#plot-calibration svg").text
     assert "95 % (nominal)" in told
     assert "90 % (accepted)" in told
+
+
+def test_no_two_methods_of_a_report_have_two_browns(browser, reported):
+    browser.visit(f"{PLATE}/report")
+    browser.one("#plot-calibration[data-drawn]")
+    marks = browser.run(
+        "return [...document.querySelectorAll('#plot-calibration .key-of-marks path')]"
+        ".map((one) => getComputedStyle(one).fill)"
+    )
+    colours = np.array([re.findall(r"\d+", mark) for mark in marks], dtype=float)
+    apart = np.abs(colours[:, None] - colours[None]).max(axis=2) + 255 * np.eye(len(colours))
+    assert apart.min() > 60
 
 
 def test_a_report_saved_as_html_draws_its_plots_without_a_server(browser, reported, tmp_path):
@@ -268,6 +280,26 @@ def test_jobs_that_run_are_above_waiting_ones_in_the_order_of_their_start(browse
     assert shown == ["job-2", "job-3", "job-4", "job-1"]
     browser.named("#job-2", "about 10 min left")
     assert browser.named("#queue", "waiting").text == "2 waiting; all are solved in about 19 min."
+
+
+@pytest.mark.parametrize(("address", "place"), [("#/jobs", "#job-2"), ("#/jobs/2", ".head")])
+def test_a_job_that_ended_before_the_page_listened_is_shown_as_done(browser, plate, address, place):
+    """Its last event was over, and it stood as running for as long as the page was open."""
+    jobs = [job(2, "running", created="2026-01-01T00:00:00Z"), job(2, "done", seconds=3.0)]
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(
+        "const jobs = JSON.parse(arguments[0]), own = window.fetch; let ended = false;"
+        "window.fetch = async (to, how) => { const text = String(to), now = jobs[Number(ended)];"
+        " if (text.includes('v1/events')) ended = true;"
+        " if (!text.includes('v1/jobs')) return own(to, how);"
+        " const page = text.includes('status=') && !text.includes(now.status) ? [] : [now];"
+        " const reply = text.includes('jobs/2') ? now : {jobs: page, next: null};"
+        " return new Response(JSON.stringify(reply)); };",
+        json.dumps(jobs),
+    )
+    browser.go(address)
+    browser.until(lambda: "done" in browser.one(place).text)
 
 
 @pytest.mark.parametrize("view", ["overview", "rows", "coverage", "response", "checks"])
@@ -826,6 +858,218 @@ def test_settings_in_the_audit_have_units(browser, client):
     assert first == "table memory 700 MB, backup every 0 h, keep days 30"
 
 
+def audit_of(browser, **entry):
+    """The last cell of an audit of one entry, and the entry's words."""
+    whole = {"id": 1, "time": "2026-01-01T00:00:00Z", "actor": "ann", "component": "plate_thin"}
+    whole |= {"before": None, "after": None} | entry
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["v1/audit", {"entries": [whole], "next": None}]]))
+    browser.go("#/audit")
+    return browser.one("#entry-1").text
+
+
+def test_the_audit_says_that_a_report_was_begun(browser, client):
+    entry = {"action": "report.make", "object": "plate_thin", "after": {"wrenches": 24}}
+    assert "ann report begun plate_thin report wrenches 24" in audit_of(browser, **entry)
+
+
+def test_the_kind_of_a_failure_in_the_audit_has_no_underscores(browser, client):
+    shown = audit_of(browser, action="job.fail", object="7", after={"kind": "rotation_too_large"})
+    assert shown.endswith("kind rotation too large")
+
+
+def test_the_end_of_a_key_in_the_audit_is_a_date(browser, client):
+    after = {"scope": "read", "expires": 1798761600.0}
+    shown = audit_of(browser, action="key.add", object="lab", component="", after=after)
+    assert "expires 1 Jan 2027, 00:00 UTC" in shown
+
+
+def test_the_list_of_jobs_says_who_asked_when_and_why_a_solve_failed(browser, plate):
+    error = {"kind": "snap_through", "message": "It buckles.", "remedy": "Keep below."}
+    asked = {"actor": "ann", "created": "2026-01-01T00:00:00Z"}
+    failed = job(7, "failed", seconds=2.0, **asked) | {"error": error}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["v1/jobs?", {"jobs": [failed], "next": None}]]))
+    browser.go("#/jobs")
+    shown = " ".join(browser.one("#job-7").text.replace("\u00a0", " ").split())
+    assert shown.startswith("7 plate_thin failed It buckles. F (0, 0, 7) N, M (0, 0, 0) N·m")
+    assert shown.endswith("1 Jan 2026, 00:00 UTC by ann 2.00 s Retry Log")
+
+
+def test_the_log_of_a_failed_job_has_the_message_first_and_the_traceback_folded(
+    browser, client, tmp_path
+):
+    changed = {"nonlinear": "true", "force": "[40000, 100, 100]"}
+    client.add_component(bundle(tmp_path, "strut", **changed))
+    with pytest.raises(ProblemError, match="buckles"):
+        client.solve("strut", [-10_000, 0, 0], [0, 0, 0], wait_s=120)
+    browser.visit("#/c/strut/jobs")
+    browser.click("button", "Log")
+    folded = browser.one("dialog summary")
+    assert "Traceback" not in browser.one("dialog").text
+    assert "Keep the load range below that load" in browser.one("dialog .note").text
+    folded.click()
+    browser.named("dialog pre", "Traceback")
+
+
+def test_the_overview_shows_that_the_error_bars_were_too_small_in_the_report(browser, plate):
+    """The report found 2 of 6 errors inside the bars, and the overview called all fine."""
+    rows = plate.component("plate_thin")["rows"]
+    table = {"method": "kriging", "rows": rows, "beyond_error_bar": {"missed": 4, "of": 6}}
+    report = {"tables": [table], "default": {"method": "kriging"}, "rows": rows}
+    report |= {"made": "2026-01-01T00:00:00Z", "table_version": 1}
+    report["advice"] = "The error bars of kriging were too small for 4 of 6 answers."
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["format=state", {"state": "done"}], ["/report", report]]))
+    browser.go(PLATE)
+    warned = browser.named(".note", "warns of the error bars").text
+    assert report["advice"] in warned
+    assert "Made 1 Jan 2026, 00:00 UTC with table version 1" in warned
+    assert "33 % of 6 true errors lay within" in browser.named("section", "Method and rows").text
+
+
+def test_the_overview_names_the_files_and_dates_of_measured_rows(browser, client, tmp_path):
+    """It had "measured, rig b83e6161", the digest of a profile without a name."""
+    measured(client, "benched")
+    file, profile = tmp_path / "monday.csv", tmp_path / "profile.toml"
+    file.write_text(f"{LOADS},ux [mm],uy [mm],uz [mm],rx [deg],ry [deg],rz [deg]\n1{',0' * 11}")
+    profile.write_text('frame = "x=-y,y=x,z=z"')
+    client.import_table("benched", file, rig=profile)
+    browser.visit("#/c/benched")
+    shown = browser.named("section", "Method and rows")
+    browser.until(lambda: "1 measured" in shown.text)
+    assert re.search(r"monday\.csv, 1 row, \d+ \w+ \d{4}, \d\d:\d\d UTC", shown.text)
+    assert ", rig " not in shown.text
+
+
+def unbuilt(browser):
+    """The card of a component whose mesh is never there."""
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(
+        "const own = window.fetch; window.fetch = (to, how) => String(to).includes('/surface')"
+        " ? new Promise(() => {}) : own(to, how);"
+    )
+    browser.go("#/")
+    return browser.named(".card.library", "spring")
+
+
+def test_a_card_says_that_the_mesh_of_its_picture_is_being_built(browser, client):
+    assert "The mesh is being built" in unbuilt(browser).text
+
+
+def test_a_card_keeps_its_height_when_its_picture_is_drawn(browser, client):
+    before = unbuilt(browser).find_element("css selector", ".picture").size
+    card, _ = card_of(browser, "spring")
+    assert card.find_element("css selector", ".picture").size == before
+
+
+def test_thin_and_outside_queries_of_the_demand_have_different_marks(browser, plate):
+    cells = [
+        {"wrench": [0, 0, load, 0, 0, 0], "count": 1, "coverage": kind, "thin": 1, "outside": 0}
+        for load, kind in ((100, "thin"), (3000, "outside"))
+    ]
+    reply = {"cells": cells, "asked": 2, "cell_size": [1] * 6, "elsewhere": 0, "latest": []}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/demand", reply]]))
+    browser.go(f"{PLATE}/demand")
+    browser.drawn("#demand")
+    symbols = browser.run("return document.querySelector('#demand').data[0].marker.symbol")
+    assert symbols == ["circle", "diamond"]
+
+
+def test_the_bottom_of_a_view_can_be_scrolled_from_below_the_tour(browser, plate):
+    browser.run("localStorage.clear()")
+    browser.resize(390, 900)
+    browser.visit("#/")
+    browser.named("dialog.tour h2", "New here?")
+    browser.one(".card.library")
+    ends = browser.run(
+        "scrollTo(0, document.documentElement.scrollHeight); const bottom = (one) =>"
+        " one.getBoundingClientRect().bottom; return [Math.max(...[...document.querySelectorAll("
+        "'main .card')].map(bottom)), document.querySelector('dialog').getBoundingClientRect().top]"
+    )
+    assert ends[0] <= ends[1]
+
+
+def test_stretches_of_a_response_that_are_thin_and_outside_have_their_words(browser, plate):
+    """Their colours were two tans."""
+    known, codes = [[0.001] * 6] * 9, [2, 2, 2, 0, 0, 0, 1, 1, 1]
+    sweep = {"at": list(range(9)), "displacement": known, "error": known, "interpolation": known}
+    sweep |= {"coverage": codes, "method": "kriging", "bars_are_whole": True}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/response?", sweep]]))
+    browser.go(f"{PLATE}/response")
+    browser.drawn("#response")
+    shapes = browser.run("return document.querySelector('#response').layout.shapes")
+    assert [shape["label"]["text"] for shape in shapes] == ["outside", "thin"]
+    colours = [re.findall(r"[\d.]+", shape["fillcolor"]) for shape in shapes]
+    assert np.ptp(np.array(colours, dtype=float), axis=0)[:3].max() > 60
+
+
+def test_the_error_of_a_reading_has_its_name_in_the_band_of_a_measured_table(browser, client):
+    measured(client, "read", 100, 200, 300)
+    browser.visit("#/c/read/response")
+    browser.drawn("#response")
+    assert "reading error: noise, hysteresis" in browser.one(".key-of-marks").text
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        (
+            "the error of rz, 0.0012 rad, is over 6e-05 rad",
+            "The error of rz, 1.2 mrad, is over 60 µrad",
+        ),
+        ("self-weight moves it by 0.0014 m", "Self-weight moves it by 1.4 mm"),
+        ("analysis.gravity is missing", "analysis.gravity is missing"),
+        ("under [0, 0.0849, -9.77] m/s^2", "Under [0, 0.0849, −9.77] m/s²"),
+    ],
+)
+def test_a_text_of_the_server_has_the_units_of_the_page(browser, text, shown):
+    """One sentence compared 0.0012 rad with 60 µrad."""
+    browser.visit("#/terms")
+    script = "return (await import('/page/js/format.js')).sentence(arguments[0])"
+    assert browser.run(script, text) == shown
+
+
+def test_a_measured_component_has_no_line_of_jobs(browser, client):
+    measured(client, "jobless", 100)
+    browser.visit("#/c/jobless")
+    names = browser.named("section", "Method and rows").find_elements("css selector", "dt")
+    assert "Jobs" not in [name.text for name in names]
+
+
+def test_the_check_at_zero_load_says_how_far_the_part_moves(browser, client):
+    measured(client, "moved", 0, 100)
+    reply = client.call_json("GET", "/v1/components/moved/compliance")
+    names = ("ux", "uy", "uz", "rx", "ry", "rz")
+    zero = {"ok": False, "rows": [1], "displacement": dict.fromkeys(names, 2e-5)}
+    reply |= {"rows_checked": 2, "checks": {"zero_at_zero_load": zero}}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/compliance", reply]]))
+    browser.go("#/c/moved/checks")
+    shown = browser.named("tr", "zero load").text.replace("\u00a0", " ")
+    assert "Largest displacement u (20, 20, 20) µm, r (20, 20, 20) µrad" in shown
+
+
+def test_rows_of_one_wrench_that_disagree_are_links_in_the_overview(browser, client):
+    measured(client, "disputed", 100, 300)
+    header = f"{LOADS},uz [mm]"
+    kind = {"Content-Type": "text/csv"}
+    again = f"{header}\n0,0,100,0,0,0,0.2".encode()
+    client.call("POST", "/v1/components/disputed/table", content=again, headers=kind)
+    browser.visit("#/c/disputed")
+    shown = browser.named("dd", "rows that disagree")
+    assert len(shown.find_elements("css selector", "a")) == 2
+
+
 def test_missing_loads_are_counted_as_zero_by_a_button(browser, rig):
     browser.visit("#/c/unmeasured/table")
     browser.drop(".drop", "pull.csv", "fz [N],uz [mm]\n100,0.1\n")
@@ -905,7 +1149,20 @@ def test_entries_and_eigenvalues_that_the_rows_do_not_determine_are_question_mar
     }
     assert set(unknown) == {(0, 0), (1, 5), (5, 1)}
     assert all("the rows do not determine it yet" in title for title in unknown.values())
-    assert browser.named("tr", "positive work").text.startswith("unknown")
+    assert browser.named("tr", "positive work").text.startswith("not known yet")
+
+
+def test_an_asymmetry_that_the_rows_cannot_tell_is_not_called_broken(browser, plate):
+    reply = plate.call_json("GET", "/v1/components/plate_thin/compliance")
+    reason = "within the uncertainty of the fit"
+    reply["checks"]["symmetric"] |= {"ok": None, "asymmetry": 0.2, "reason": reason}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/compliance", reply]]))
+    browser.go(f"{PLATE}/checks")
+    shown = browser.named("tr", "symmetric").text
+    assert shown.startswith("not known yet")
+    assert "asymmetry 20 %, allowed 5 %; within the uncertainty of the fit" in shown.lower()
 
 
 def test_a_wrench_beyond_the_load_range_says_so_first_and_can_be_solved(browser, client):
