@@ -171,8 +171,8 @@ class Table:
             If a number is not finite, a shape is wrong, an interface or an input is unknown or
             missing, or there is no such method.
         """
-        values, wrenches = self._values(force, moment, loads, inputs)
-        packed = self.packed
+        packed = self.packed  # all of an answer is this version's, also beside a refresh
+        values, wrenches = self._values(packed, force, moment, loads, inputs)
         limit = self.allowed_errors(tolerance)
         started = perf_counter_ns()
         try:
@@ -185,16 +185,19 @@ class Table:
             slope.flags.writeable = False
             slope = None if np.isnan(slope).all() else slope
         if packed.outputs == _PER_INTERFACE:
-            return self._displacement(next(iter(wrenches.values())), reply, 0, elapsed_us, slope)
+            wrench = next(iter(wrenches.values()))
+            return self._displacement(packed, wrench, reply, 0, elapsed_us, slope)
         parts = {}
         for k, name in enumerate(packed.space.interfaces):
             wrench = wrenches.get(name, np.zeros(_PER_INTERFACE))
-            parts[name] = self._displacement(wrench, reply, _PER_INTERFACE * k, elapsed_us, slope)
+            first = _PER_INTERFACE * k
+            parts[name] = self._displacement(packed, wrench, reply, first, elapsed_us, slope)
         wrench = np.concatenate([part.wrench for part in parts.values()])
-        return self._displacement(wrench, reply, None, elapsed_us, slope, parts)
+        return self._displacement(packed, wrench, reply, None, elapsed_us, slope, parts)
 
     def _displacement(
         self,
+        packed: PackedTable,
         wrench: Vector,
         reply: Reply,
         first: int | None,
@@ -219,7 +222,7 @@ class Table:
             coverage=cast(Coverage, reply.coverage),
             source=source,
             method=reply.method,
-            table_version=self.version,
+            table_version=packed.meta["provenance"]["version"],
             elapsed_us=elapsed_us,
             reason=reason,
             missing=reply.missing,
@@ -230,6 +233,7 @@ class Table:
 
     def _values(
         self,
+        packed: PackedTable,
         force: ArrayLike | None,
         moment: ArrayLike | None,
         loads: Mapping[str, Load] | None,
@@ -239,7 +243,6 @@ class Table:
 
         Negative zeros become zeros, as the server reads them.
         """
-        packed = self.packed
         if (
             force is not None
             and loads is None
@@ -337,12 +340,13 @@ class Table:
             If the derivative is not known here, or has no inverse: a component with locked
             freedoms, or an interface that is held, has none.
         """
-        values = self._values(force, moment, loads, inputs)[0]
+        packed = self.packed
+        values = self._values(packed, force, moment, loads, inputs)[0]
         try:
-            slope = self.packed.derivative(values)[:, : self.packed.outputs]
+            slope = packed.derivative(values)[:, : packed.outputs]
         except ValueError as error:
             raise InvalidArgument(str(error)) from error
-        names = np.array(self.space.output_names)
+        names = np.array(packed.space.output_names)
         unknown = np.isnan(slope).any(axis=1)
         if unknown.any():
             raise InvalidArgument(
@@ -381,7 +385,7 @@ class Table:
         """
         packed = self.packed
         error = packed.meta["solver_error"] or {}
-        reply = packed.answer(self._values(force, moment, loads, inputs)[0])
+        reply = packed.answer(self._values(packed, force, moment, loads, inputs)[0])
         parts = {"mesh": reply.discretisation} if error else {}
         if "linearity" in error:
             parts["linearity"] = reply.linearity

@@ -147,7 +147,7 @@ class Supervisor:
 
     SIGHUP replaces the web workers, each once its successor has started.
 
-    `ready`: printed once all processes have started.
+    `ready`: printed once the builder and all web workers have started.
     `failed`: why the server ends without a signal; empty as long as it does not.
     """
 
@@ -197,7 +197,7 @@ class Supervisor:
             child.join()
 
     def check(self) -> None:
-        """Print once that all processes are ready; from then on restart those that have ended."""
+        """Print once that the server is ready; from then on restart processes that have ended."""
         children = self._builder, *self._web
         if not self._ready:
             self._retired = [child for child in self._retired if child.process.is_alive()]

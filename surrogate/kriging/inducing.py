@@ -92,7 +92,7 @@ def spread_points(
         remaining = np.maximum(remaining - reduced[size] ** 2, 0.0)
         remaining[pivot] = 0.0
         chosen.append(pivot)
-    return np.array(chosen, dtype=np.intp), False
+    return np.array(chosen, dtype=np.intp), bool(remaining.mean() <= len(chosen) / count)
 
 
 def values_between(x: Floats, v: Floats, kernel: Hyperparameters) -> Floats:

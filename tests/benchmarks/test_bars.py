@@ -40,6 +40,7 @@ from tests.surrogate.kriging.responses import RESPONSES, solved
 from tests.surrogate.responses import HIGH, RANGE, clean_wrenches, full_wrenches
 from tests.surrogate.scenarios import JOINED, corner, motion, spread, twins
 from wrenchbook.surrogate.build import build
+from wrenchbook.surrogate.design import next_wrenches
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.kriging import Kriging
 from wrenchbook.surrogate.kriging.settings import DEFAULTS
@@ -243,6 +244,21 @@ def fresh(count: int, derivatives: int) -> Make:
         if derivatives < 2:
             rows = dataclasses.replace(rows, curvature=np.empty((count, 0)))
         yield Trial(part, rows, checked.wrench, (checked.displacement,))
+
+    return make
+
+
+def filled(count: int, derivatives: int) -> Make:
+    """Solve a query, then what a fill asks for: its first design, and where bars are largest."""
+
+    def make(part: Part, seed: int) -> Iterator[Trial]:
+        part = tolerant(part, seed, 0.2)  # as large as the outputs: each known answer is judged
+        rows = part.rows(spread(1, seed), derivatives)
+        while len(rows) < count:
+            table = build(rows, part.load_range)
+            fresh = next_wrenches(table, min(8, count - len(rows))).wrenches
+            rows += part.rows(fresh / part.load_range.high, derivatives)
+        yield Trial(part, rows, *_asked(part, _beside(seed)))
 
     return make
 
@@ -470,6 +486,14 @@ def _unlike_queries() -> Named:
             yield (
                 f"fresh solves {count}, {name}",
                 Scenario("spread", fresh(count, derivatives), (), SOLVED),
+            )
+    for count, derivatives, name in ((9, 2, "second derivatives"), (15, 1, "tangents")):
+        for rows in (count, 2 * count):
+            few = ("bending", "steep") if derivatives == 2 else ("smooth", "membrane")
+            every = tuple(ENERGIES) if derivatives == 2 else ALL
+            yield (
+                f"filled {rows}, {name}",
+                Scenario("spread", filled(rows, derivatives), few, every),
             )
     for apart in (1e-4, 1e-3, 1e-2, 1e-1):
         yield (

@@ -73,6 +73,22 @@ def test_refresh_takes_new_rows_and_withdrawals_and_tells_whether_there_were_any
     again.close()
 
 
+def test_an_answer_beside_a_refresh_names_the_version_that_gave_it(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The numbers were those of the version before, the version that of the new one."""
+    table = client.download("solved")
+    old, answer = table.version, PackedTable.answer
+
+    def refreshed(packed: PackedTable, *rest: object) -> object:
+        table._now = SimpleNamespace(meta={"provenance": {"version": old + 1}}), None
+        return answer(packed, *rest)
+
+    monkeypatch.setattr(PackedTable, "answer", refreshed)
+    reply = table.answer(FULL[:3], FULL[3:])
+    assert (reply.table_version, table.version) == (old, old + 1)
+
+
 def test_a_saved_table_is_the_export_and_cannot_be_refreshed(client: Client, tmp_path: Path):
     table, path = client.download("partial"), tmp_path / "partial.wbt"
     table.save(path)

@@ -1,6 +1,7 @@
 """Error bars against true errors with fixed seeds; `make bench NAME=bars` has fresh ones."""
 
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from tests.surrogate.responses import (
     smooth,
     table,
 )
+from wrenchbook.surrogate import design
 from wrenchbook.surrogate.calibration import conformal_factor, quantile, widening
 from wrenchbook.surrogate.kernel.reasons import ERRORS_UNKNOWN
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
@@ -216,8 +218,12 @@ def test_few_degrees_of_freedom_widen_more_and_for_several_outputs_more_still() 
 
 
 def test_a_table_whose_left_out_rows_tell_no_size_covers_nothing_and_says_why() -> None:
-    """Play off the origin, 15 filled solves: two rows make nearly all of the left-out error."""
-    rows = filled(RESPONSES["clearance"], 15, 103)
+    """Play off the origin, corners and 6 others: few rows make nearly all of the left-out error."""
+    signs = np.array(list(product((-1, 1), repeat=3)))
+    corners = 0.8 * np.concatenate((signs, signs[:, [0, 0, 1]] * signs[:, [1, 2, 2]]), axis=1)
+    even = design.spread_wrenches(RANGE, 6) / HIGH
+    parts = np.concatenate((np.zeros((1, 6)), corners, even))
+    rows = solved(RESPONSES["clearance"], parts)
     surrogate = build(rows, RANGE, tolerance=Tolerance(1.0, 1.0))
     asked = full_wrenches(20, 1) * HIGH
     assert (surrogate.batch(asked).coverage == 1).all()

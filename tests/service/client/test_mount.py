@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 import time
 import warnings
 
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from tests.service.client.answers import (
@@ -389,3 +392,27 @@ def test_loads_that_build_up_within_eight_periods_are_warned_of(make, options, w
         warnings.simplefilter("always")
         make(**options)
     assert [words in str(item.message) for item in caught] == ([] if words is None else [True])
+
+
+@pytest.mark.parametrize("periods", [0.7, 2.5, 6.0, 7.5])
+def test_an_undamped_oscillator_vibrates_by_no_more_than_the_warning_says(periods):
+    """Displacement over that at rest, of an oscillator of 1 Hz after a linear rise in `periods`."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        mounted(natural_frequency=1.0, ramp_time=periods)
+    share = float(re.search(r"up to (\S+) %", str(caught[0].message))[1]) / 100.0
+
+    def motion(t, state):
+        return [state[1], (2 * np.pi) ** 2 * (min(t / periods, 1.0) - state[0])]
+
+    ends = [0.0, periods, periods + 1.0]
+    state = np.zeros(2)
+    for start, end in itertools.pairwise(ends):  # a kink at the end of the rise
+        span = np.linspace(start, end, 2001)
+        solved = solve_ivp(motion, (start, end), state, t_eval=span, rtol=1e-9, atol=1e-12)
+        state = solved.y[:, -1]
+    amplitude = np.abs(solved.y[0] - 1.0).max()
+    if periods % 1.0 == 0.5:  # where the bound is reached
+        assert f"up to {100.0 * amplitude:.2g} %" in str(caught[0].message)
+    else:
+        assert amplitude < share
