@@ -222,9 +222,9 @@ async def import_table(
                 import_files, *source, table=known, append=appends, **flags
             )
 
-    loaded = reply.pop("loaded")
+    loaded, whole = reply.pop("loaded"), reply.pop("whole")
     if reply["errors"] and not (query.dry_run or loaded):
-        raise _bad_rows(reply, "block" if query.append else "complete file")
+        raise _bad_rows(reply, "block" if query.append else "complete file", whole)
     # Rows that existed before need not wait for the next table; after an appended row the next one
     # comes soon.
     waits = loaded and (not query.append or "wait_s" in query.model_fields_set)
@@ -234,8 +234,8 @@ async def import_table(
     return json_reply(reply)
 
 
-def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
-    """Return the problem of a table with mistakes; `unit` names the part to send again."""
+def _bad_rows(reply: dict[str, Any], unit: str, whole: bool) -> HttpProblemError:
+    """Return the problem of a table with mistakes, or of the `whole`; send the `unit` again."""
     errors, rows = reply["errors"], reply["rows"]
     first = errors[0]
     places = [
@@ -246,8 +246,7 @@ def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
     sheet = f" of sheet {reply['sheet']} (--sheet reads another)" if has_others else ""
     # 0: the mistake concerns the file, or a column.
     place = f"row {first['row']}, " if first["row"] else ""
-    # Rows are not read if the header has mistakes.
-    has_good = rows["read"] > rows["refused"] and all(error["row"] for error in errors)
+    has_good = rows["read"] > rows["refused"] and not whole
     partial = ", or add --partial (over HTTP partial=true) to load only the good rows"
     return HttpProblemError(
         422,
