@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any
 
 import typer
@@ -57,10 +57,15 @@ def cancelled_on_interrupt(client: Client, jobs: Sequence[Job]) -> Iterator[None
         rest = f"; {others} that were queued before go on" if others else ""
         try:
             for job in queued:
-                with suppress(ProblemError):  # 409: it has ended
+                try:
                     count += client.cancel(job).status == "cancelled"
+                except ProblemError as error:
+                    if error.status != 409:  # it has ended
+                        raise
         except (ServerUnreachable, ServerTimeout) as error:
             rest += f"; the others were not cancelled: the server does not answer: {error}"
+        except ProblemError as error:
+            rest += f"; the others were not cancelled: {str(error).rstrip('.')}"
         plain(
             Screen(stderr=True), f"Interrupted: {count} solve(s) of this command cancelled{rest}."
         )

@@ -18,7 +18,7 @@ from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_colum
 from wrenchbook.surrogate.table.foreign import foreign_columns
 from wrenchbook.surrogate.table.hdf5 import foreign_tables, is_table
 from wrenchbook.surrogate.table.rows import unknown_column
-from wrenchbook.surrogate.table.space import Space
+from wrenchbook.surrogate.table.space import Input, Output, Space
 
 MAX_UNPACKED = 1024 * 1024 * 1024  # bytes: 10 million rows of 12 numbers
 
@@ -152,9 +152,17 @@ def _space_problem(sent: Space, needed: Space) -> str:
     pairs = zip_longest((*sent.inputs, *sent.outputs), (*needed.inputs, *needed.outputs))
     differing = [pair for pair in pairs if pair[0] != pair[1]]
     sent_item, needed_item = differing[0] if differing else (None, None)
-    has = f"{sent_item.name} [{sent_item.unit}]" if sent_item else "none"
-    needs = f"{needed_item.name} [{needed_item.unit}]" if needed_item else "none"
+    has, needs = _described(sent_item, needed_item), _described(needed_item, sent_item)
     return (
         f"is of another component: it has {has} where this one has {needs}; export the rows as CSV "
         "and name the columns for this component"
     )
+
+
+def _described(item: Input | Output | None, other: Input | Output | None) -> str:
+    """Return an input or output by name and unit, with its reference if these differ."""
+    if item is None:
+        return "none"
+    text = f"{item.name} [{item.unit}]"
+    zero = getattr(item, "zero", 0.0)
+    return text if zero == getattr(other, "zero", 0.0) else f"{text} with the reference {zero:g}"

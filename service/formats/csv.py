@@ -95,8 +95,7 @@ def read_csv(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
         first = next(rest, None)
     with path.open("rb") as content:
         mark = "," if cell_format.comma else "."
-        inputs = options.columns.wrench
-        body = _Body(content, encoding, delimiter, header, mark, inputs, report.mistakes)
+        body = _Body(content, encoding, delimiter, header, mark, options, report.mistakes)
         pieces = body.pieces(first[0]) if first else iter(())
         yield from read_pieces(header, pieces, options, report, cell_format)
 
@@ -124,7 +123,7 @@ class _Body:
     delimiter: str
     header: Header
     mark: str  # the decimal mark
-    inputs: tuple[str, ...]
+    options: Options
     mistakes: Mistakes
 
     def pieces(self, line: int) -> Iterator[Piece]:
@@ -160,7 +159,7 @@ class _Body:
         records = records_of(lines, line, self.delimiter, self.header.width)
         records = until_broken(records, self.mistakes)
         check = partial(_record_problem, delimiter=self.delimiter)
-        yield from text_pieces(records, self.header, self.mistakes, check)
+        yield from text_pieces(records, self.header, self.options, self.mistakes, check)
 
     def _by_arrow(self, block: bytes, line: int, count: int) -> Piece | None:
         """Return a block of whole lines; None if it has more than plain rows of numbers."""
@@ -195,7 +194,7 @@ class _Body:
         logged = (self.header.status, self.header.sequence)
         texts += [column.index for column in logged if column]
         texts += self.header.unnamed
-        loads = [column.index for column in columns if column.name in self.inputs]
+        loads = [column.index for column in columns if column.name in self.options.columns.wrench]
         more = [column.index for column in columns if column.index not in (*texts, *loads)]
         return _ArrowColumns(loads + more, texts, len(loads))
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain, islice
 
@@ -252,6 +253,27 @@ def _is_units_row(labels: list[str], cells: list[str], options: Options) -> bool
     return False
 
 
+def is_second_header(cells: Sequence[str], header: Header, options: Options) -> bool:
+    """Return whether cells below a header are another header, or another row of units."""
+    columns = options.columns
+    filled = [cell for cell in cells if cell.strip()]
+    if len(filled) < _SEVERAL or any(map(is_number, filled)):
+        return False
+    units = 0
+    for column in header.columns.values():
+        cell = cells[column.index] if column.index < len(cells) else ""
+        with suppress(UnitError):
+            unit = _parts(cell)[1] or _without_brackets(cell)
+            units += column.name not in TEXTS and columns.factor(column.name, unit) > 0.0
+    return units >= _SEVERAL or named_columns(filled, columns, options.mapping) >= _SEVERAL
+
+
+def _without_brackets(cell: str) -> str:
+    """Return the unit in a cell of a row of units: ``kN`` of ``[kN]``."""
+    unit = cell.strip()
+    return unit[1:-1].strip() if unit[:1] + unit[-1:] in ("[]", "()") else unit
+
+
 def _meanings(labels: Sequence[str], mapping: Mapping[str, str]) -> list[str]:
     """Return the mapping's value of each label, or an empty text.
 
@@ -295,8 +317,7 @@ def _read_labels(
         elif ignored[index] or label.lower() in ORIGIN:
             header.ignored.append(label or place)
         else:
-            unit = units[index].strip() if index < len(units) else ""
-            unit = unit[1:-1].strip() if unit[:1] + unit[-1:] in ("[]", "()") else unit
+            unit = _without_brackets(units[index]) if index < len(units) else ""
             unit = (target and _parts(label)[1]) or unit
             column = HeaderColumn(index, label or place, label, unit=unit)
             try:

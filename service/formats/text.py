@@ -28,7 +28,13 @@ from wrenchbook.service.formats.cells import (
     vanished,
 )
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN
-from wrenchbook.service.formats.header import Header, HeaderColumn, Record, read_head
+from wrenchbook.service.formats.header import (
+    Header,
+    HeaderColumn,
+    Record,
+    is_second_header,
+    read_head,
+)
 from wrenchbook.service.formats.limits import is_within_limits
 from wrenchbook.service.formats.options import (
     Array,
@@ -49,6 +55,10 @@ _LONG_NAME = f"is longer than {MAX_NAME:,} characters; shorten it, or move the t
 _UNNAMED = (
     "has a value in column {}, which has no name in the header; name the column, or skip it with "
     "ignore_extra (--ignore-extra)"
+)
+_SECOND_HEADER = (
+    "is a second header or row of units, so the rows below may have other units; remove the line "
+    "if they are the same, else send these rows as a file of their own"
 )
 # Returns the mistake in the cells of a record; an empty text if there is none.
 RecordCheck = Callable[[list[str], Header], str]
@@ -110,7 +120,7 @@ def read_records(
         wide = len(cells) > header.width
         return f"has {len(cells)} cells, but the header {header.width}; remove some" if wide else ""
 
-    pieces = text_pieces(rest, header, report.mistakes, check)
+    pieces = text_pieces(rest, header, options, report.mistakes, check)
     yield from read_pieces(header, pieces, options, report, cell_format)
 
 
@@ -219,7 +229,7 @@ def format_in(records: Iterator[Record], options: Options) -> CellFormat:
     if header.mistakes:
         return CellFormat()
     first: AmbiguousCell | None = None
-    for piece in text_pieces(rest, header, mistakes):
+    for piece in text_pieces(rest, header, options, mistakes):
         sure, ambiguous = _marks(piece, header)
         first = first or ambiguous
         if sure:
@@ -256,7 +266,11 @@ def until_broken(records: Iterator[Record], mistakes: Mistakes) -> Iterator[Reco
 
 
 def text_pieces(
-    records: Iterator[Record], header: Header, mistakes: Mistakes, check: RecordCheck | None = None
+    records: Iterator[Record],
+    header: Header,
+    options: Options,
+    mistakes: Mistakes,
+    check: RecordCheck | None = None,
 ) -> Iterator[Piece]:
     """Yield the rows below a header in pieces; without `check` short ones are filled up."""
     width = header.width
@@ -270,7 +284,10 @@ def text_pieces(
                 cells = [*cells, *[""] * (width - len(cells))]
                 cells = cells[:width]
             elif problem := check(cells, header) or _unnamed_value(cells, header):
-                mistakes.add(line, "line", problem)
+                if is_second_header(cells, header, options):
+                    mistakes.ruin(line, "line", _SECOND_HEADER)
+                else:
+                    mistakes.add(line, "line", problem)
                 continue
             lines.append(line)
             rows.append(cells)
@@ -304,6 +321,7 @@ class _Conversion:
         self._row = np.asarray(piece.row, dtype=np.int64)
         self._columns = piece.columns
         self._good = np.ones(len(self._row), dtype=bool)
+        self._headers: set[int] = set()
 
     def table(self, report: ReadReport) -> ParsedTable:
         """Return the good rows."""
@@ -504,7 +522,14 @@ class _Conversion:
         return np.array([*map(texts.__getitem__, cells)], dtype=object if name == "note" else str)
 
     def _refuse(self, at: int, label: str, message: str) -> None:
-        self._good[at] = False
+        if self._good[at]:
+            self._good[at] = False
+            cells = [str(column[at]) if len(column) else "" for column in self._columns]
+            if is_second_header(cells, self._header, self._options):
+                self._headers.add(at)
+                self._mistakes.ruin(int(self._row[at]), "line", _SECOND_HEADER)
+        if at in self._headers:
+            return  # not each of its cells
         self._mistakes.add(int(self._row[at]), label, message)
 
 

@@ -12,7 +12,7 @@ from importlib.metadata import version
 from time import perf_counter
 from typing import Final
 
-from fastapi import APIRouter, FastAPI
+from fastapi import APIRouter, Depends, FastAPI
 from starlette.concurrency import run_in_threadpool
 from starlette.routing import BaseRoute
 from starlette.types import Message, Receive, Scope, Send
@@ -28,6 +28,7 @@ from wrenchbook.service.http.problems import CLIENT_GONE, HttpProblemError
 from wrenchbook.service.http.protocol import HEADER, FastPath, id_of
 from wrenchbook.service.http.routes import (
     audit,
+    check_query,
     components,
     coverage,
     deformed,
@@ -213,7 +214,8 @@ def _routes() -> list[BaseRoute]:
     router.include_router(umbridge.router)  # a protocol with its own form of errors
     router.include_router(health.router, responses=openapi.refused(403, 500))
     for part in _PARTS:
-        router.include_router(part.router, responses=openapi.refused(403, 500, 503, 507))
+        responses = openapi.refused(403, 422, 500, 503, 507)
+        router.include_router(part.router, responses=responses, dependencies=[Depends(check_query)])
     router.include_router(page.router)
     return router.routes
 

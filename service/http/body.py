@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
+from collections import Counter
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager
 from itertools import chain, compress
@@ -28,7 +29,13 @@ from starlette.types import Message, Receive
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.http.bodies import BatchBody, BlockBody, Body, DisplacementBody, LoadsBody
-from wrenchbook.service.http.problems import MAX_PLACE, HttpProblemError, bad_body, plain_errors
+from wrenchbook.service.http.problems import (
+    MAX_PLACE,
+    REPEATED,
+    HttpProblemError,
+    bad_body,
+    plain_errors,
+)
 from wrenchbook.service.query import Query, plain_query
 from wrenchbook.surrogate.table.rows import Tolerance
 from wrenchbook.surrogate.table.space import DEFAULT, Space, SpaceError
@@ -276,8 +283,7 @@ def parsed_json(body: bytes) -> Any:
         message = f"is not valid JSON ({error}); {remedy}"
         raise bad_body([{"loc": "body", "msg": message}]) from None
     if repeated:
-        message = "is there more than once; send one"
-        raise bad_body([{"loc": place[:MAX_PLACE], "msg": message} for place in repeated])
+        raise bad_body([{"loc": place[:MAX_PLACE], "msg": REPEATED} for place in repeated])
     return fields
 
 
@@ -341,4 +347,13 @@ def refuse_query(query: QueryParams) -> None:
     """Refuse the query parameters of a call that takes none: 422 with the name of each."""
     if query:
         message = "this call has no query parameters; send its options in the body"
-        raise bad_body([{"loc": name, "msg": message} for name in query])
+        raise bad_body([{"loc": name[:MAX_PLACE], "msg": message} for name in query])
+
+
+def query_options(query: QueryParams) -> dict[str, str]:
+    """Return the query parameters of a binary body; 422 with the name of each repeated one."""
+    counts = Counter(name for name, _ in query.multi_items())
+    repeated = [name[:MAX_PLACE] for name, count in counts.items() if count > 1]
+    if repeated:
+        raise bad_body([{"loc": name, "msg": REPEATED} for name in repeated])
+    return dict(query)

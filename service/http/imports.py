@@ -7,7 +7,7 @@ from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 import orjson
-from pydantic import Field, field_validator, model_validator
+from pydantic import AliasChoices, Field, field_validator, model_validator
 from typing_extensions import TypedDict
 
 from wrenchbook.service.contract import ImportFormat
@@ -53,20 +53,15 @@ class ImportQuery(Body):
     branch: Literal["loading", "unloading"] | None = None
     thin: Annotated[float | None, Field(gt=0, le=0.5)] = None
     mean_cycles: bool = False
-    time_offset_s: Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"] = 0.0
+    time_offset_s: Annotated[
+        Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"],
+        Field(validation_alias=AliasChoices("time_offset_s", "lag")),
+    ] = 0.0
     max_gap_s: Annotated[float | None, Field(gt=0, allow_inf_nan=False)] = None
     wait_s: Annotated[float, Field(ge=0, le=MAX_WAIT_S, allow_inf_nan=False)] = WAIT_S
     append: Annotated[str | None, Field(min_length=1, max_length=200)] = None
     note: Annotated[str, Field(max_length=10000)] = ""
     filename: Annotated[str, Field(max_length=1000)] = ""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _lag_is_the_offset(cls, values: Any) -> Any:
-        if isinstance(values, dict) and "lag" in values and "time_offset_s" not in values:
-            values = dict(values)
-            values["time_offset_s"] = values.pop("lag")
-        return values
 
     @field_validator("mapping")
     @classmethod

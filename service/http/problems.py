@@ -42,6 +42,7 @@ CLIENT_GONE = 499
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 MAX_ERRORS = 1000
 MAX_TEXT = 1000  # characters of a message: longer ones are cut
+REPEATED = "is there more than once; send one"
 MAX_PLACE = 200  # characters of a path or a key, which a caller may send at any length
 MAX_VALUE = 40  # characters of a quoted value: longer ones are cut
 # Texts by pydantic's type of an error, if its own text has no remedy.

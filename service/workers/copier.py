@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import signal
 import tempfile
 import threading
@@ -15,6 +16,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from wrenchbook.service.files.durable import sync
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ledger.connection import with_remedy
 from wrenchbook.service.ops.backup import LEDGER, back_up
@@ -30,7 +32,8 @@ POLL_S = 10.0  # pause between checks whether a backup, whose period is hours, i
 LATE_PERIODS = 1.5  # backup periods without a backup after which health reports it
 # Time without a report after which health reports it, and pause before a failed backup is repeated.
 SLACK_S = 60.0
-_PATTERN = "wrenchbook-*.wbb"  # names of scheduled backups
+_PATTERN = "wrenchbook-*.wbb"  # names of scheduled backups, which have all been tested
+_UNTESTED = ".tested-"  # beginning of the name of a folder with a backup that is being tested
 _status_lock = threading.Lock()  # this process has two threads that write one file
 
 
@@ -41,11 +44,14 @@ def run(settings: Settings, started: threading.Event) -> None:
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     os.umask(0o077)  # only the owner may read copies, like the ledger
     started.set()
+    backups = threading.Thread(target=keep, args=(settings, stop), name="backups", daemon=True)
     if settings.backup_every:
-        threading.Thread(target=keep, args=(settings, stop), name="backups", daemon=True).start()
+        backups.start()
     if settings.replicate:
         ship(settings, stop)
     stop.wait()
+    if settings.backup_every:
+        backups.join()  # a backup that has begun is completed
 
 
 def ship(settings: Settings, stop: threading.Event) -> None:
@@ -76,6 +82,8 @@ def keep(settings: Settings, stop: threading.Event) -> None:
     folder = settings.backup_folder or settings.data / "backups"
     period = settings.backup_every
     pause = 0.0
+    for left_over in folder.glob(f"{_UNTESTED}*"):  # of a process that was killed
+        shutil.rmtree(left_over, ignore_errors=True)
     while not stop.wait(pause):
         pause = POLL_S
         try:
@@ -96,30 +104,33 @@ def keep(settings: Settings, stop: threading.Event) -> None:
 
 
 def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
-    """Write a backup into a folder and test it by a restore into a temporary one.
+    """Write a backup into a folder, once it has been restored into a temporary one without faults.
 
-    A backup that fails the test is renamed; it replaces an earlier failed one.
+    A backup that fails the test has another ending; it replaces an earlier failed one.
 
     Raises BackupError if it cannot be restored, RuntimeError if the restored directory has faults.
     """
     folder.mkdir(0o700, parents=True, exist_ok=True)
-    file = folder / f"wrenchbook-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.wbb"
-    back_up(data, file)
-    try:
-        with tempfile.TemporaryDirectory(prefix=".tested-", dir=folder) as scratch:
-            restore(file, Path(scratch) / "data")
-            faults = [f.problem for f in examine(Path(scratch) / "data") if f.kind == "fault"]
+    name = f"wrenchbook-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.wbb"
+    with tempfile.TemporaryDirectory(prefix=_UNTESTED, dir=folder) as scratch:
+        file, restored = Path(scratch) / name, Path(scratch) / "data"
+        back_up(data, file)
+        try:
+            restore(file, restored)
+            faults = [finding.problem for finding in examine(restored) if finding.kind == "fault"]
             if faults:
-                why = f"{file.name}, restored, has {len(faults)} faults, first: {faults[0]}"
+                why = f"{name}, restored, has {len(faults)} faults, first: {faults[0]}"
                 raise RuntimeError(
                     why + f". Examine the data with: wrenchbook doctor --data {data}"
                 )
-    except BaseException:
-        for former in folder.glob("wrenchbook-*.failed"):
-            former.unlink(missing_ok=True)
-        file.rename(file.with_suffix(".failed"))
-        raise
-    return {"file": file.name, "created": time.time(), "tested": True}
+        except BaseException:
+            for former in folder.glob("wrenchbook-*.failed"):
+                former.unlink(missing_ok=True)
+            file.rename((folder / name).with_suffix(".failed"))
+            raise
+        file.rename(folder / name)
+    sync(folder)
+    return {"file": name, "created": time.time(), "tested": True}
 
 
 def _report(settings: Settings, name: str, patience: float, facts: dict[str, Any]) -> None:

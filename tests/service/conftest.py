@@ -15,7 +15,8 @@ from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.workspace import Settings
 
 HERE = Path(__file__).parent
-SOLVERS = f"{HERE}:{HERE.parents[1]}"  # stand_in.py, and the sources under test
+# stand_in.py, the tests, and the sources under test
+SOLVERS = ":".join(map(str, (HERE, HERE.parents[1], HERE.parents[1] / "src")))
 
 
 @pytest.fixture(autouse=True)

@@ -31,7 +31,14 @@ from wrenchbook.service.cli.jobs import event_line
 from wrenchbook.service.cli.main import main
 from wrenchbook.service.cli.progress import Pace, _bar, cancelled_on_interrupt
 from wrenchbook.service.cli.render import Screen, answer_shown, matrix_table
-from wrenchbook.service.client import Client, Displacement, Event, Job, ServerUnreachable
+from wrenchbook.service.client import (
+    Client,
+    Displacement,
+    Event,
+    Job,
+    ProblemError,
+    ServerUnreachable,
+)
 from wrenchbook.service.contract import LOADS, OUTPUTS
 from wrenchbook.service.workers import private
 from wrenchbook.service.workers.supervisor import in_use
@@ -424,6 +431,27 @@ def test_ctrl_c_while_the_server_stops_says_that_solves_were_not_cancelled(
         "Interrupted: 1 solve(s) of this command cancelled; the others were not cancelled: the "
         "server does not answer: nothing answers at http://127.0.0.1:1."
     )
+
+
+def test_ctrl_c_says_why_the_server_refuses_to_cancel_a_job_that_has_not_ended(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    job = Job.read({"id": 8, "component": "plate", "status": "waiting", "attempt": 1, "new": True})
+    refusals = [ProblemError(409, "Job has ended"), ProblemError(403, "Read only", "Ask ann.")]
+
+    def cancel(*_: object) -> Job:
+        raise refusals.pop(0)
+
+    monkeypatch.setattr(Client, "cancel", cancel)
+    with (
+        pytest.raises(typer.Exit) as ended,
+        cancelled_on_interrupt(Client("http://127.0.0.1:1"), [job] * 3),
+    ):
+        raise KeyboardInterrupt
+    assert (ended.value.exit_code, refusals) == (130, [])
+    said = " ".join(capfd.readouterr().err.split())
+    assert said.startswith("Interrupted: 0 solve(s) of this command cancelled; the others were not")
+    assert "Ask ann." in said
 
 
 def test_a_package_that_is_missing_is_named_with_its_installation(

@@ -120,6 +120,20 @@ def test_a_refusal_quotes_at_most_200_characters(http, call, sent):
     assert "q" * 201 not in reply.text
 
 
+def test_no_call_ignores_a_parameter_that_it_has_not(http, document):
+    before = changing(http)
+    calls = [
+        (method, path.format(name="plate_thin", row=1, number=1, job_id=1))
+        for path, methods in document["paths"].items()
+        for method in methods
+        if path.startswith("/v1/")
+    ]
+    for method, path in calls:  # one by one: events would not end
+        reply = http.request(method, path, params={"nosuch": 1})
+        assert (reply.status_code, reply.json()["errors"][0]["loc"]) == (422, "nosuch"), path
+    assert changing(http) == before
+
+
 def test_a_sheet_that_is_not_there_is_no_sheet_none(http):
     workbook = (Path(__file__).parents[2] / "data/tables/workbook.xlsx").read_bytes()
     reply = http.post("/v1/components/rig/table?sheet=Run 9", content=workbook)

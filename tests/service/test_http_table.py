@@ -227,6 +227,19 @@ def test_the_packed_table_that_answers_is_exported_of_the_newest_version_alone(r
     assert (refused.status_code, refused.json()["errors"][0]["loc"]) == (422, "table_version")
 
 
+def test_an_hdf5_export_has_another_tag_after_a_new_estimate_of_the_solver_error(http):
+    workspace, call = http.app.state.workspace, "/v1/components/plate_thin/table?format=hdf5"
+    fingerprint = workspace.library["plate_thin"].fingerprint
+    estimate = {"mesh": np.eye(6).tolist(), "loads": [1.0] * 6}
+    workspace.errors.record("plate_thin", fingerprint, estimate)
+    held = {"if-none-match": http.get(call).headers["etag"]}
+    assert http.get(call, headers=held).status_code == 304
+    workspace.errors.record("plate_thin", fingerprint, estimate | {"loads": [2.0] * 6})
+    newer = http.get(call, headers=held)
+    assert newer.status_code == 200
+    assert newer.headers["etag"] != held["if-none-match"]
+
+
 KEPT = {"inserted", "existing", "errors", "dry_run", "in_use", "table_version"}
 
 

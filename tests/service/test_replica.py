@@ -4,7 +4,9 @@ import errno
 import json
 import os
 import shutil
+import signal
 import threading
+import time
 from contextlib import closing
 from pathlib import Path
 
@@ -400,6 +402,51 @@ def test_a_backup_that_does_not_restore_is_no_backup_and_health_and_doctor_say_s
     assert not list(tmp_path.glob("*.wbb"))
     (failed,) = tmp_path.glob("*.failed")  # a retry a minute later filled the disk with them
     assert failed.stat().st_size > 0
+
+
+def test_a_backup_has_its_name_only_once_it_has_been_tested(shipped, tmp_path, monkeypatch):
+    """An untested one counted as the newest backup, and a kill left it and the restored folder."""
+    named = []
+
+    def examine(_):
+        named.extend((tmp_path / "backups").glob("wrenchbook-*"))
+        return []
+
+    monkeypatch.setattr(copier, "examine", examine)
+    facts = copier.tested_backup(shipped.folder, tmp_path / "backups")
+    assert named == []
+    assert [path.name for path in (tmp_path / "backups").iterdir()] == [facts["file"]]
+
+
+def test_folders_of_tests_that_were_killed_are_removed_at_the_start(tmp_path):
+    (tmp_path / "backups/.tested-ab/data").mkdir(parents=True)
+    stop = threading.Event()
+    stop.set()
+    copier.keep(Settings(tmp_path, backup_every=1.0), stop)
+    assert list((tmp_path / "backups").iterdir()) == []
+
+
+def test_a_copier_that_ends_completes_the_backup_that_it_has_begun(tmp_path, monkeypatch):
+    begun, done = threading.Event(), []
+
+    def keep(_, stop):
+        begun.set()
+        stop.wait()
+        time.sleep(0.2)
+        done.append(True)
+
+    def end_once_begun(*_):
+        handler[0](signal.SIGTERM, None)
+        begun.wait()
+
+    handler = []
+    monkeypatch.setattr(signal, "signal", lambda _, function: handler.insert(0, function))
+    monkeypatch.setattr(copier, "keep", keep)
+    monkeypatch.setattr(copier, "ship", end_once_begun)
+    monkeypatch.setattr(os, "umask", lambda _: None)
+    settings = Settings(tmp_path, backup_every=1.0, replicate=f"file://{tmp_path}/replica")
+    copier.run(settings, threading.Event())
+    assert done == [True]
 
 
 def replica_fault():

@@ -16,6 +16,7 @@ from tests.service.table_files import ReadTable, read_hdf5, write_hdf5
 from wrenchbook.surrogate.table.hdf5 import TableFileError, foreign_tables
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
+from wrenchbook.surrogate.table.space import Input, space_of
 
 RANGE = LoadRange(-np.ones(6), np.ones(6))
 META = TableMeta("plate", 9, RANGE)
@@ -140,6 +141,19 @@ def test_a_small_file_cannot_unpack_to_more_than_memory_should_hold(changed):
     assert len(content) < 100_000
     message = only_error(read_hdf5(content)).message
     assert re.search("unpacks to 457[0-9]{2} MiB, over the limit of 1024 MiB;", message)
+
+
+def test_a_table_with_another_reference_temperature_is_refused_by_that_reference():
+    cold, warm = (
+        space_of(scalars=[Input("temperature", "K", "scalar", zero=zero)]) for zero in (0.0, 293.15)
+    )
+    rows = Rows.of(np.ones((1, 7)), np.ones((1, 6)), warm)
+    sent = write_hdf5(rows, [1], TableMeta("rig", 1, LoadRange(-np.ones(7), np.ones(7), warm)))
+    error = only_error(read_hdf5(sent, load_range=LoadRange(-np.ones(7), np.ones(7), cold)))
+    assert (
+        "it has temperature [K] with the reference 293.15 where this one has temperature [K] with "
+        "the reference 0;" in error.message
+    )
 
 
 LOADS = ("fx [N]", "fy [N]", "fz [N]", "mx [Nm]", "my [Nm]", "mz [Nm]")

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections import Counter
 from typing import Annotated, Literal, cast
 
 import numpy as np
-from fastapi import Query, Request
+from fastapi import Query
 from numpy.typing import NDArray
 from starlette.responses import Response
 
-from wrenchbook.service.contract import LOADS, Coverage
+from wrenchbook.service.contract import Coverage
 from wrenchbook.service.fields import surface_files
 from wrenchbook.service.http.openapi import BYTES, answers, component_router
-from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.routes import Newest, Opened, attached, json_reply
 from wrenchbook.service.library.component import interface_of, require_single_wrench
 from wrenchbook.service.messages import DeformedShape, Stress
@@ -41,7 +39,6 @@ _FILES = {  # by format: the writer, the media type, the ending of the name
 )
 async def deformed(
     name: str,
-    request: Request,
     workspace: Opened,
     _: Newest,
     fx: _Number = 0.0,
@@ -52,17 +49,6 @@ async def deformed(
     mz: _Number = 0.0,
     format: Literal["json", "gltf", "vtu"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
-    known = (*LOADS, "format")
-    counts = Counter(key for key, _ in request.query_params.multi_items())
-    unknown = f"is unknown; use one of {', '.join(known)}"  # a misspelt load would count as zero
-    errors = [
-        {"loc": key, "msg": "is there more than once; send one" if key in known else unknown}
-        for key, count in counts.items()
-        if key not in known or count > 1
-    ]
-    if errors:
-        raise bad_body(errors)
-
     require_single_wrench(name, workspace.library.as_read(name).space)
     loads = np.array([fx, fy, fz, mx, my, mz])
     # In its own small pool of threads: it reads files and multiplies large arrays.

@@ -19,6 +19,7 @@ from wrenchbook.service.http.body import (
     checked,
     loads_of,
     parsed_json,
+    query_options,
     read_limited,
     read_query,
     refuse_query,
@@ -104,7 +105,7 @@ async def displacements(name: str, request: Request) -> Response:
     binary = batch.is_binary(request)
     permission = permission_of(request.scope)
     space = workspace.library.as_read(name).space
-    options = dict(request.query_params)
+    options = query_options(request.query_params) if binary else {}
     if not binary:
         refuse_query(request.query_params)
 
@@ -135,6 +136,7 @@ async def displacements(name: str, request: Request) -> Response:
 async def solve(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     content = await read_limited(request.receive)
+    refuse_query(request.query_params)
     space = workspace.library.as_read(name).space
     body: SolveBody = checked(SolveBody, parsed_json(content))
     query = Query(loads_of(body, space), "solve", body.wait_s, beyond_range=body.beyond_range)

@@ -22,7 +22,9 @@ from wrenchbook.service.http.body import (
     both_tolerances,
     checked,
     parsed_json,
+    query_options,
     read_limited,
+    refuse_query,
     with_wrenches,
 )
 from wrenchbook.service.http.openapi import answers, component_router, refused, takes
@@ -196,8 +198,9 @@ async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] |
     key: BlockKey
     if is_binary(request):
         wrenches = read_wrenches(body, MAX_BLOCK, np.inf, space)
-        key = checked(BlockKey, dict(request.query_params))
+        key = checked(BlockKey, query_options(request.query_params))
     else:
+        refuse_query(request.query_params)
         fields = await run_in_threadpool(parsed_json, body)
         form = BlockBody, fields, len(space.inputs), np.inf, MAX_BLOCK
         wrenches, key = await run_in_threadpool(with_wrenches, *form)

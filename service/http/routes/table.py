@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import json
 import shutil
 import tempfile
 from collections.abc import AsyncIterator, Sequence
@@ -37,6 +38,7 @@ from wrenchbook.service.tables.importing import import_files, solved_compliance
 from wrenchbook.service.tables.store import setup_of
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.kernel.format import SUFFIX
+from wrenchbook.surrogate.solver_error import SolverError
 
 router = component_router("table", "/table")
 # s of waiting for the caller's other table: the processor time it may take.
@@ -108,6 +110,9 @@ async def get_table(
     others: Others = "displacement",
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
+    if table_version is not None and format in ("bushing", "packed"):
+        message = f"is not possible for a {format} table, which always is the newest; leave it out"
+        raise bad_body([{"loc": "table_version", "msg": message}])
     if format == "bushing":
         table = await workspace.newest(name, CATCH_UP_S)
         try:
@@ -117,9 +122,6 @@ async def get_table(
         headers = attached(f"{name}-{table.version}-bushing.csv")
         return Response(content, 200, headers, MEDIA_TYPES["csv"])
     if format == "packed":
-        if table_version is not None:
-            message = "is not possible for a packed table, which always is the newest; leave it out"
-            raise bad_body([{"loc": "table_version", "msg": message}])
         return await _packed(workspace, name, if_none_match)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     export = ExportRequest(format, units, table_version, comments)
@@ -145,12 +147,13 @@ def _export(
     """Return the rows as a file that is written now and deleted after it has been sent."""
     component = workspace.library[name]
     form = export.format
+    has_error = component.has_fea and form == "hdf5"
+    error = workspace.errors.read(name, component.fingerprint) if has_error else None
     # Only a table that is behind the ledger must be read before its version is known.
     if export.version is None and workspace.tables.catch_up(name, 0.0):
-        tag = _tag(component, workspace.tables.surrogate(name).version)
+        tag = _tag(component, workspace.tables.surrogate(name).version, error)
         if holds(if_none_match, tag):
             return Response(status_code=304, headers=naming(tag))
-    error = workspace.errors.read(name, component.fingerprint) if component.has_fea else None
     folder = Path(tempfile.mkdtemp(prefix="wrenchbook-"))
     path = folder / f"table.{ENDINGS[form]}"
     try:
@@ -158,7 +161,7 @@ def _export(
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    headers = naming(_tag(component, version))
+    headers = naming(_tag(component, version, error))
     if form != "json":
         headers |= attached(f"{name}-v{version}.{ENDINGS[form]}")
     kind = MEDIA_TYPES[form] + ("; charset=utf-8" if form == "csv" else "")
@@ -166,9 +169,11 @@ def _export(
     return FileResponse(path, 200, headers, kind, done)
 
 
-def _tag(component: Component, version: int) -> str:
-    """Return a text that changes with the table's rows, and with the range and tolerance."""
-    return f'"{version}-{setup_of(component)}"'
+def _tag(component: Component, version: int, error: SolverError | None) -> str:
+    """Return a text that changes with the rows, range, tolerance and the solver's error."""
+    values = json.dumps(error.values).encode() if error else b""
+    digest = f"-{hashlib.sha256(values).hexdigest()[:16]}" if error else ""
+    return f'"{version}-{setup_of(component)}{digest}"'
 
 
 @router.post(
@@ -222,9 +227,9 @@ async def import_table(
                 import_files, *source, table=known, append=appends, **flags
             )
 
-    loaded = reply.pop("loaded")
+    loaded, whole = reply.pop("loaded"), reply.pop("whole")
     if reply["errors"] and not (query.dry_run or loaded):
-        raise _bad_rows(reply, "block" if query.append else "complete file")
+        raise _bad_rows(reply, "block" if query.append else "complete file", whole)
     # Rows that existed before need not wait for the next table; after an appended row the next one
     # comes soon.
     waits = loaded and (not query.append or "wait_s" in query.model_fields_set)
@@ -234,8 +239,8 @@ async def import_table(
     return json_reply(reply)
 
 
-def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
-    """Return the problem of a table with mistakes; `unit` names the part to send again."""
+def _bad_rows(reply: dict[str, Any], unit: str, whole: bool) -> HttpProblemError:
+    """Return the problem of a table with mistakes, or of the `whole`; send the `unit` again."""
     errors, rows = reply["errors"], reply["rows"]
     first = errors[0]
     places = [
@@ -246,8 +251,7 @@ def _bad_rows(reply: dict[str, Any], unit: str) -> HttpProblemError:
     sheet = f" of sheet {reply['sheet']} (--sheet reads another)" if has_others else ""
     # 0: the mistake concerns the file, or a column.
     place = f"row {first['row']}, " if first["row"] else ""
-    # Rows are not read if the header has mistakes.
-    has_good = rows["read"] > rows["refused"] and all(error["row"] for error in errors)
+    has_good = rows["read"] > rows["refused"] and not whole
     partial = ", or add --partial (over HTTP partial=true) to load only the good rows"
     return HttpProblemError(
         422,
