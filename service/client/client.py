@@ -146,7 +146,7 @@ class DisplacementCalls(Connection):
         wait_s = _server_wait(chosen)
         if len(block) >= BINARY_FROM if binary is None else binary:
             tolerance_query = chosen.pop("tolerance", {})
-            query = chosen | tolerance_query
+            query = chosen | tolerance_query | {"inputs": block.shape[1]}
             content = block.astype("<f8").tobytes()
             reply = self.call("POST", path, content, kind=BINARY, query=query, wait_s=wait_s)
             return Displacements.read_binary(name, block, reply)

@@ -262,9 +262,8 @@ class Recorder:
                 block = self._blocks[0]
 
             try:
-                reply = self._client.send_block(
-                    self.component, self.kind, block, self._key, self._sequence
-                )
+                sent = block, self._width // FLOAT_BYTES, self._key, self._sequence
+                reply = self._client.send_block(self.component, self.kind, *sent)
             except Exception as error:
                 # Sending a block again is safe, so it is sent again after a passing error.
                 passing = OSError | http.client.HTTPException | ValueError

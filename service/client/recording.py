@@ -129,6 +129,7 @@ class RecordingCalls(Connection):
         name: str,
         kind: Kind,
         wrenches: bytes,
+        inputs: int,
         client: str,
         sequence: int,
         *,
@@ -138,7 +139,7 @@ class RecordingCalls(Connection):
 
         A block that is sent several times counts once. `retry` as of `Connection.call`.
         """
-        query = {"client": client, "sequence": sequence}
+        query = {"client": client, "inputs": inputs, "sequence": sequence}
         path = component_path(name, kind)
         return self.call("POST", path, wrenches, kind=BINARY, query=query, retry=retry).json()
 
@@ -149,5 +150,6 @@ class RecordingCalls(Connection):
         reply = {}
         for sequence, start in enumerate(range(0, max(len(block), 1), MAX_BLOCK)):
             part = np.ascontiguousarray(block[start : start + MAX_BLOCK], dtype="<f8").tobytes()
-            reply = self.send_block(name, kind, part, key, sequence, retry=True)
+            width = block.shape[1]
+            reply = self.send_block(name, kind, part, width, key, sequence, retry=True)
         return reply | {"recorded": len(block)}

@@ -399,7 +399,8 @@ class Table:
     def refresh(self) -> bool:
         """Take the server's newest version of the table; return whether there was a new one.
 
-        Answers given meanwhile are those of the version before.
+        It waits up to 25 s for a version with all present rows. Answers given meanwhile are those
+        of the version before.
 
         Raises
         ------

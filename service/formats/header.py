@@ -363,6 +363,12 @@ def _add_column(
     text = text.removeprefix("-") if target else text
     if target and text.startswith("-"):
         raise UnitError(f"has two minus signs; write {text} for the opposite sign")
+    if text.startswith("-") and readings_of(text, columns):
+        name = text.lstrip("- ")
+        raise UnitError(
+            f"has a minus sign; map it with mapping (--column '{text}=-{name}' if its values have "
+            f"the opposite sign of {name}, else --column '{text}={name}')"
+        )
 
     try:
         name, unit, factor = _reading(text, bare.unit, header.preamble, columns)

@@ -21,13 +21,14 @@ from starlette.types import Receive, Scope, Send
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.contract import COVERAGE, MAX_BATCH, OUTPUTS, QUERY_WAIT_S
-from wrenchbook.service.http.bodies import BatchBody, Body, Method, OnThin, query_of
+from wrenchbook.service.http.bodies import BatchBody, Method, OnThin, Width, query_of
 from wrenchbook.service.http.body import (
     Spooled,
     both_tolerances,
     busy,
     checked,
     content_type,
+    other_width,
     parsed_json,
     plain_rows,
     too_many_wrenches,
@@ -178,7 +179,7 @@ class HoldingReply(Response):
             await self._reply(scope, receive, send)
 
 
-class BinaryOptions(Body):
+class BinaryOptions(Width):
     """The options of a binary batch, which are query parameters."""
 
     on_thin: OnThin = "queue"
@@ -200,19 +201,25 @@ def read_binary(
 ) -> tuple[np.ndarray, Query]:
     """Return the wrenches and options of a binary batch, whose options are query parameters."""
     full: BinaryOptions = checked(BinaryOptions, options)
-    wrenches = read_wrenches(body.read(), space=space)
+    wrenches = read_wrenches(body.read(), full.inputs, space=space)
     return wrenches, query_of(full, both_tolerances(full.translation, full.rotation))
 
 
 def read_wrenches(
-    body: bytes, count: int = MAX_BATCH, largest: float = LARGEST_LOAD, space: Space = DEFAULT
+    body: bytes,
+    width: int | None = None,
+    count: int = MAX_BATCH,
+    largest: float = LARGEST_LOAD,
+    space: Space = DEFAULT,
 ) -> np.ndarray:
-    """Wrenches (n, inputs), SI, of little-endian float64.
+    """Wrenches (n, inputs), SI, of little-endian float64, sent as `width` numbers each.
 
-    Raises HttpProblemError 422 for an incomplete wrench, more than `count` wrenches, and a number
-    that is not finite or beyond `largest`.
+    Raises HttpProblemError 422 for another or an incomplete wrench, more than `count` wrenches, and
+    a number that is not finite or beyond `largest`.
     """
     inputs = len(space.inputs)
+    if body and width not in (None, inputs):
+        raise other_width(0, width, inputs)
     if len(body) % (8 * inputs):
         message = f"{len(body)} bytes must be a multiple of {8 * inputs}, the bytes of a wrench"
         message += f"; send {inputs} little-endian float64 a wrench"

@@ -290,6 +290,16 @@ class BlockKey(Body):
         return self
 
 
+class Width(Body):
+    """The numbers of each wrench in a binary body, whose bytes do not show them."""
+
+    inputs: Annotated[int, Field(ge=1)] | None = None
+
+
+class BinaryBlock(BlockKey, Width):
+    """The query parameters of a binary block."""
+
+
 class BlockBody(BlockKey):
     """Block of wrenches of a simulation, each with a number for each input."""
 

@@ -252,9 +252,14 @@ def with_wrenches(
     uneven = [place for place, wrench in enumerate(body.wrenches) if len(wrench) != inputs]
     if uneven:
         length = len(body.wrenches[uneven[0]])
-        message = f"has {length} numbers, but the component has {inputs} inputs; give one for each"
-        raise bad_body([{"loc": f"wrenches.{uneven[0]}", "msg": message}])
+        raise other_width(uneven[0], length, inputs)
     return np.array(body.wrenches, dtype=float).reshape(-1, inputs) + 0.0, body
+
+
+def other_width(place: int, length: int, inputs: int) -> HttpProblemError:
+    """Return the problem of a wrench with another number of numbers than the component's inputs."""
+    message = f"has {length} numbers, but the component has {inputs} inputs; give one for each"
+    return bad_body([{"loc": f"wrenches.{place}", "msg": message}])
 
 
 def read_body(kind: type[Body], body: bytes) -> Any:

@@ -272,12 +272,22 @@ class MappedTables:
         component = self._library[name]
         if self._store.size(name):
             raise TableBehindError.unbuilt(name, self.faults().get(name))
+        empty = self._empty(component)
+        with self._changed:
+            return self._tables.setdefault(name, empty)
+
+    def present_or_empty(self, name: str) -> ServedTable:
+        """Return the newest table of a component, or one without rows while it was never built.
+
+        Raises UnknownComponentError if there is no such component.
+        """
+        return self._tables.get(name) or self._empty(self._library[name])
+
+    def _empty(self, component: Component) -> ServedTable:
         error = self._store.solver_error(component)
         table = build_table(component, Rows.empty(component.space), 0, error)
         packed = PackedTable.from_bytes(packed_bytes(table, component))
-        with self._changed:
-            empty = ServedTable(packed, built=table, method=self._method)
-            return self._tables.setdefault(name, empty)
+        return ServedTable(packed, built=table, method=self._method)
 
     def present(self) -> dict[str, ServedTable]:
         """Return the tables that answer now, by component."""

@@ -165,7 +165,8 @@ def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Fault]:
 
     A test may reach one load often without a fault. Displacements at this load then scatter about
     the response of all rows as elsewhere, or all deviate by the same amount, where the response is
-    no polynomial.
+    no polynomial. A load of few other values, as in a factorial test, has set values, which show
+    nothing of a load cell.
     """
     known = np.isfinite(y)
     faults = list[Fault]()
@@ -186,6 +187,8 @@ def _load_faults(load: Floats, terms: Floats, y: Floats) -> list[Fault]:
     for is_end, constant in ((True, high), (True, low), (False, run)):
         suspects = constant[known[constant]]
         others = np.setdiff1d(np.flatnonzero(known), constant)
+        if len(np.unique(load[others])) < MIN_CHANNEL_ROWS:
+            continue
         if len(suspects) < MIN_EQUAL or len(others) < ROWS_A_TERM * terms.shape[1]:
             continue
         spread = np.median(np.abs(off[suspects] - np.median(off[suspects])))

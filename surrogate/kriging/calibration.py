@@ -34,6 +34,7 @@ from .settings import DEFAULTS, KrigingSettings
 # Ratio to the distance within which rows merge: the span's margin on both sides of a load that no
 # row varies, and rounding.
 FIXED_WIDTH = 2.5
+HARDLY = 0.05  # of the loads on the other side of no load: a load cell's noise or offset
 
 
 @dataclass(frozen=True)
@@ -143,12 +144,20 @@ def span_of(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
     part a^(1/n) of their interval with the probability 1 - a. If rows are not evenly spread, n is
     twice the number of rows in the outer half: rows in the middle show nothing of the ends. A load
     that takes no part has no ends.
+
+    Rows of tension show nothing of compression: a part may have play or a contact there. So on the
+    side of no load to which the rows hardly go, the span reaches at most as far again.
     """
     low, high = x.min(axis=0), x.max(axis=0)
     outer = (np.abs(x - (low + high) / 2) >= (high - low) / 4).sum(axis=0)
     n = np.minimum(2 * outer, len(x))
     margin = (settings.beyond_rows ** (-1 / n) - 1) * (high - low) + NEAR
-    ends = np.stack((low - margin, high + margin))
+    zero = scaling.loads(np.zeros((1, x.shape[1])))[0]
+    sides = np.stack((zero - low, high - zero))
+    is_load = np.arange(x.shape[1]) < x.shape[1] - len(scaling.space.scalars)
+    hardly = is_load & (sides < HARDLY * sides[::-1])
+    margins = np.where(hardly, np.minimum(margin, np.abs(sides) + NEAR), margin)
+    ends = np.stack((low - margins[0], high + margins[1]))
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
 
 

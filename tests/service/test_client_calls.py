@@ -64,7 +64,8 @@ SENT = {  # the call, its answer, and what is sent: method, path and body
     "binary batch": (
         lambda on: on.displacements("plate", [[1.0] * 6], beyond_range=True, binary=True),
         np.zeros(13).tobytes(),
-        "POST", "/v1/components/plate/displacements?on_thin=queue&beyond_range=true", None),
+        "POST",
+        "/v1/components/plate/displacements?on_thin=queue&beyond_range=true&inputs=6", None),
     "solve": (
         lambda on: on.solve("plate", [1, 2, 3]), COVERED,
         "POST", "/v1/components/plate/solve", WRENCH),

@@ -64,6 +64,12 @@ def test_a_recorder_of_13_inputs_sends_13_numbers_a_wrench(server, client):
     assert np.frombuffer(server.seen[-1].content, "<f8").tolist() == list(range(13))
 
 
+def test_a_recorder_sends_the_numbers_of_a_wrench_with_each_block(server, recorder):
+    recorder.add(WRENCH)
+    recorder.flush()
+    assert "inputs=6" in server.seen[-1].path
+
+
 def test_what_is_added_comes_in_blocks_in_order_under_counted_keys(server, recorder):
     wrenches = np.arange(60.0).reshape(10, 6)
     for wrench in wrenches:

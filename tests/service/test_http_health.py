@@ -57,6 +57,14 @@ def test_a_ready_component_is_ready_while_another_table_is_built(building):
     assert (body["status"], body["ready"], body["building"]) == ("ready", True, [])
 
 
+def test_the_library_is_listed_while_a_table_is_built(building):
+    """The list of all components was refused, for a minute, after a kill in an import."""
+    reply = building.get("/v1/components")
+    listed = {item["name"]: item for item in reply.json()["components"]}
+    assert [listed[name]["rows"] for name in ("big", "small")] == [0, 3]
+    assert listed["big"]["pending_rows"] == 20
+
+
 @pytest.mark.parametrize("path", ["/health/live", READY, "/metrics"])
 def test_head_of_a_health_call_has_the_status_of_get_and_no_body(building, path):
     status = building.get(path).status_code

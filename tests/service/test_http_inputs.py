@@ -242,3 +242,13 @@ def test_a_mistake_in_a_block_of_12_inputs_has_its_place(solved, wrench, where, 
     (mistake,) = reply.json()["errors"]
     assert mistake["loc"] == where
     assert why in mistake["msg"]
+
+
+@pytest.mark.parametrize("call", ["recording", "envelope", "displacements"])
+def test_float64_of_six_inputs_is_not_read_as_wrenches_of_12(solved, call):
+    """Four wrenches of six numbers are as many bytes as two of 12."""
+    query = {"inputs": 6} | ({"on_thin": "estimate"} if call == "displacements" else {})
+    kind = {"content-type": "application/octet-stream"}
+    content = np.ones((4, 6), dtype="<f8").tobytes()
+    reply = solved.post(f"{URL}/{call}", content=content, params=query, headers=kind)
+    assert "has 6 numbers, but the component has 12 inputs" in reply.json()["detail"]

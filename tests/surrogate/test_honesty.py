@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.surrogate.calibrating import with_slopes
-from tests.surrogate.kriging.responses import RESPONSES
+from tests.surrogate.kriging.responses import RESPONSES, noisy_rows
 from tests.surrogate.law import build
 from tests.surrogate.responses import (
     HIGH,
@@ -289,3 +289,14 @@ def test_loads_swept_one_at_a_time_cover_each_alone() -> None:
     for load in range(6):
         wrench = (HIGH * 0.44 * np.eye(6)[load]).tolist()
         assert result.answer(wrench, Tolerance(5e-5, 5e-5)).coverage == "covered"
+
+
+@pytest.mark.parametrize("lowest", [0.0, -0.02])
+def test_noisy_rows_of_tension_show_no_error_of_compression(lowest: float) -> None:
+    """A part that is stiffer in compression was answered there, wrong by 126 error bars."""
+    pulls = np.zeros((40, 6))
+    pulls[:, 2] = np.linspace(lowest, 0.8, 40)
+    rows = build(noisy_rows(smooth, pulls, 1, told=False), RANGE)
+    for load, is_known in ((lowest, True), (0.83, True), (2 * lowest - 0.02, False)):
+        answer = rows.answer([0.0, 0, load * HIGH[2], 0, 0, 0])
+        assert ("beyond the rows that show errors" not in answer.reason) == is_known

@@ -16,7 +16,14 @@ from starlette.responses import Response
 from wrenchbook.service import messages
 from wrenchbook.service.contract import MAX_BLOCK
 from wrenchbook.service.http.batch import BINARY_BODY, is_binary, read_wrenches
-from wrenchbook.service.http.bodies import BlockBody, BlockKey, Body, EnvelopeStartBody, StartBody
+from wrenchbook.service.http.bodies import (
+    BinaryBlock,
+    BlockBody,
+    BlockKey,
+    Body,
+    EnvelopeStartBody,
+    StartBody,
+)
 from wrenchbook.service.http.body import (
     JsonRoute,
     both_tolerances,
@@ -49,7 +56,7 @@ NUMBER_BYTES = 40  # largest mean size of a block's numbers: 17 digits, a comma,
 router = component_router("recording", route=JsonRoute)
 # These calls read their own bodies.
 blocks = APIRouter(route_class=DirectRoute, responses=refused(409))
-_BLOCK = takes(BlockBody, BINARY_BODY, BlockKey)
+_BLOCK = takes(BlockBody, BINARY_BODY, BinaryBlock)
 
 
 class Block(messages.Gathered):
@@ -197,8 +204,8 @@ async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] |
     body = await read_limited(request.receive, limit)
     key: BlockKey
     if is_binary(request):
-        wrenches = read_wrenches(body, MAX_BLOCK, np.inf, space)
-        key = checked(BlockKey, query_options(request.query_params))
+        key = sent = checked(BinaryBlock, query_options(request.query_params))
+        wrenches = read_wrenches(body, sent.inputs, MAX_BLOCK, np.inf, space)
     else:
         refuse_query(request.query_params)
         fields = await run_in_threadpool(parsed_json, body)

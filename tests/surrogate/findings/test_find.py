@@ -209,6 +209,18 @@ def test_a_load_cell_that_is_clipped_in_half_the_rows_is_named_with_its_rows():
     assert set(named) == set(rows.seq[np.abs(load) >= 3000])
 
 
+def test_a_factorial_test_has_no_clipped_load_cell():
+    """18 of 27 rows were named, with the advice to withdraw them."""
+    levels = np.stack(np.meshgrid(*[[-1.0, 0, 1]] * 3), axis=-1).reshape(-1, 3)
+    wrench, displacement = np.zeros((27, 6)), np.full((27, 6), np.nan)
+    wrench[:, :3] = 500 * levels
+    noise = 3e-7 * np.random.default_rng(1).normal(size=27)
+    displacement[:, 0] = 1e-4 * levels[:, 0] * (1 + 0.08 * np.tanh(2 * levels[:, 2])) + noise
+    rows = Rows.of(wrench, displacement)
+    bound = np.array([600.0] * 3 + [60.0] * 3)
+    assert find(rows, LoadRange(-bound, bound)) == []
+
+
 def test_an_offset_is_named_where_no_row_is_at_rest():
     rig = Rig(12, ("random",), rows=(200, 300), noises=(0.001,))
     rows = rig.measured()
