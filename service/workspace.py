@@ -270,9 +270,9 @@ class Workspace:
     async def newest(self, name: str, seconds: float) -> ServedTable:
         """Return the table once it has all present rows, or after `seconds` its present version.
 
-        Raises UnknownComponentError if there is no such component.
+        Raises UnknownComponentError if there is no such component, and TableBehindError if it has
+        rows and was not built since the start.
         """
-        self.tables.surrogate(name)  # raises for an unknown name
         await self.caught_up(name, seconds)
         return self.surrogate(name)
 

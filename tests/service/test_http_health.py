@@ -34,6 +34,7 @@ def building(tmp_path, monkeypatch):
     monkeypatch.setattr(store, "LARGE", 10)
     try:
         with TestClient(create_app(Settings(tmp_path, solvers=0))) as http:
+            http.build_now = may_build.set
             yield http
             may_build.set()
     finally:
@@ -63,6 +64,15 @@ def test_the_library_is_listed_while_a_table_is_built(building):
     listed = {item["name"]: item for item in reply.json()["components"]}
     assert [listed[name]["rows"] for name in ("big", "small")] == [0, 3]
     assert listed["big"]["pending_rows"] == 20
+
+
+def test_a_read_that_waits_gets_a_table_that_is_being_built(building):
+    """It was refused at once, however long it was to wait."""
+    later = threading.Timer(0.5, building.build_now)
+    later.start()
+    body = building.get("/v1/components/big", params={"wait_s": 60}).json()
+    later.join()
+    assert body["pending_rows"] == 0
 
 
 @pytest.mark.parametrize("path", ["/health/live", READY, "/metrics"])
