@@ -48,14 +48,14 @@ def foreign_columns(path: Path) -> Iterator[tuple[list[str], list[np.ndarray]]]:
             raise TableFileError(
                 "has no columns; write each one as a one-dimensional dataset of numbers"
             )
-        lengths = {len(dataset) for _, dataset, _ in columns}
+        lengths = {len(dataset): name for name, dataset, _ in reversed(columns)}
         if len(lengths) != 1:
-            sizes = (f"{name}: {len(dataset)}" for name, dataset, _ in columns[:MAX_LISTED])
+            sizes = [f"{name}: {length}" for length, name in reversed(lengths.items())][:MAX_LISTED]
             raise TableFileError(
                 f"has columns of several lengths ({', '.join(sizes)}); make them equal"
             )
         names = [name for name, _, _ in columns]
-        for start in range(0, lengths.pop() or 1, FOREIGN_PIECE):
+        for start in range(0, len(columns[0][1]) or 1, FOREIGN_PIECE):
             piece = slice(start, start + FOREIGN_PIECE)
             yield names, [read(dataset[piece]) for _, dataset, read in columns]
 

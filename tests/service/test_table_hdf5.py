@@ -359,6 +359,10 @@ def test_columns_in_several_groups_are_named(tmp_path: Path):
             {**COLUMNS, "Fz [kN]": [1.0]},
             "has columns of several lengths (Fz [kN]: 1, uz [mm]: 3)",
         ),
+        (
+            {**COLUMNS, **{f"x{n}": np.zeros(3) for n in range(9)}, "z": [1.0]},
+            "has columns of several lengths (Fz [kN]: 3, z: 1)",
+        ),
         ({**COLUMNS, "image": np.zeros((4, 4))}, "has image of shape (4, 4)"),
         ({**COLUMNS, "z": np.zeros(3, dtype=complex)}, "type complex128"),
     ],

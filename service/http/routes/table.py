@@ -247,8 +247,8 @@ def _bad_rows(reply: dict[str, Any], unit: str, whole: bool) -> HttpProblemError
         {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
         for error in errors
     ]
-    has_others = reply["sheet"] and reply["sheets"][1:]
-    sheet = f" of sheet {reply['sheet']} (--sheet reads another)" if has_others else ""
+    others = [name for name in reply["sheets"] if name != reply["sheet"]]
+    sheet = f" of sheet {reply['sheet']} (--sheet reads {' or '.join(others)})" if others else ""
     # 0: the mistake concerns the file, or a column.
     place = f"row {first['row']}, " if first["row"] else ""
     has_good = rows["read"] > rows["refused"] and not whole
