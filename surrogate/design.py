@@ -54,7 +54,8 @@ RECOMPUTED = 16  # candidates recomputed at once: the largest loss is nearly alw
 # array (Tang 1993). Its signs are those of the third 2^(6-3) fraction, which confounds no load's
 # effect with another's (Box and Hunter 1961). Each load has the sizes 1, 3, 5 and 7 with either
 # sign, in the order, of 60,000 random ones, that keeps the wrenches farthest apart, less half the
-# largest correlation of two loads.
+# largest correlation of two loads. A span of few loads has fewer of them: the first three have both
+# signs of each load, the first four two of each.
 #
 # Corners at 0.8 give each load three values, between which rows left out show nothing: with zero
 # load and them, 9 solves of `plate_thin` had 24 to 79 % of the errors of the worst output outside
@@ -64,12 +65,12 @@ RECOMPUTED = 16  # candidates recomputed at once: the largest loss is nearly alw
 HYPERCUBE = np.array(
     [
         (-1, -1, -7, 1, 3, 7),
-        (-7, -7, 1, 5, -7, -1),
-        (-5, 3, -3, -7, 5, -3),
-        (-3, 5, 7, -3, -3, 5),
-        (5, -5, -5, -5, -1, 3),
         (7, -3, 5, -1, 1, -7),
+        (-3, 5, 7, -3, -3, 5),
         (3, 7, -1, 3, -5, -5),
+        (-7, -7, 1, 5, -7, -1),
+        (5, -5, -5, -5, -1, 3),
+        (-5, 3, -3, -7, 5, -3),
         (1, 1, 3, 7, 7, 1),
     ]
 )

@@ -55,6 +55,13 @@ def test_the_hypercube_keeps_the_signs_of_the_loads_apart() -> None:
     np.testing.assert_array_equal(signs.T @ signs, 8 * np.eye(6))
 
 
+@pytest.mark.parametrize("count", [3, 4])
+def test_a_short_first_design_goes_to_both_sides_of_each_load(count: int) -> None:
+    low, high = HYPERCUBE[:count].min(axis=0), HYPERCUBE[:count].max(axis=0)
+    assert (low < 0).all()
+    assert (high > 0).all()
+
+
 def test_no_load_of_the_first_design_has_a_value_twice() -> None:
     """Rows left out show nothing between the values that a load has in all rows."""
     for load in FIRST.T:
