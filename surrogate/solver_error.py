@@ -154,9 +154,9 @@ def _shaped(value: Any, shape: tuple[int, ...], name: str) -> Floats:
 def bars_are_complete(rows: Rows, error: SolverError | None) -> bool:
     """Return whether error bars have all components: bars of solved rows need their solver's error.
 
-    False where the solver's error was never estimated, or is lost: bars are then of the table
-    alone.
+    False where the solver's error was never estimated, or is lost, or has a part that is unknown:
+    bars then lack it.
     """
     if error is not None:
-        return error.mesh is not None
+        return error.mesh is not None and error.values.get("linearity", ()) is not None
     return not rows.is_solved.any()

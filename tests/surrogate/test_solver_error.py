@@ -187,6 +187,7 @@ def test_a_table_file_carries_it_and_a_table_keeps_its_own_bars(tmp_path):
         ("fea", None, False),
         ("fea", TOLD | {"mesh": None}, False),
         ("fea", TOLD, True),
+        ("fea", TOLD | {"linearity": None}, False),
         ("measured", None, True),
     ],
 )
