@@ -1059,6 +1059,22 @@ def test_the_check_at_zero_load_says_how_far_the_part_moves(browser, client):
     assert "Largest displacement u (20, 20, 20) µm, r (20, 20, 20) µrad" in shown
 
 
+def test_a_displacement_at_zero_load_within_the_noise_is_not_called_broken(browser, client):
+    measured(client, "noisy", 0, 100)
+    reply = client.call_json("GET", "/v1/components/noisy/compliance")
+    names = ("ux", "uy", "uz", "rx", "ry", "rz")
+    zero = {"ok": None, "rows": [], "displacement": dict.fromkeys(names, 2e-5)}
+    zero["reason"] = "within the noise of the readings"
+    reply |= {"rows_checked": 2, "checks": {"zero_at_zero_load": zero}}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/compliance", reply]]))
+    browser.go("#/c/noisy/checks")
+    shown = browser.named("tr", "zero load").text
+    assert shown.startswith("not known yet")
+    assert "20) µrad; within the noise of the readings" in shown
+
+
 def test_rows_of_one_wrench_that_disagree_are_links_in_the_overview(browser, client):
     measured(client, "disputed", 100, 300)
     header = f"{LOADS},uz [mm]"
