@@ -28,7 +28,7 @@ export async function show(root, about, signal) {
   const method = select(methods, "", () => tell());
   const options = () => ({ onThin: onThin.value, method: method.value });
   let asked = null; // what the answer on view is for
-  const old = note("thin"), doubt = el("div");
+  const old = note("thin"), doubt = el("div", { "aria-live": "polite" });
   const report = reportOf(about, signal).catch(() => null);
   const ask = (wrench) => {
     asked = { wrench, options: JSON.stringify(options()) };
