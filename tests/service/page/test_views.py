@@ -1020,11 +1020,11 @@ def test_thin_and_outside_loads_of_the_coverage_have_different_marks(browser, pl
         "return document.querySelector('#coverage').data.filter((one) => one.hovertemplate?.match("
         "/^(thin|outside)/)).map((one) => [one.marker.symbol, one.marker.color])"
     )
-    assert [symbol for symbol, _ in marks] == ["square", "x"]
+    assert [symbol for symbol, _ in marks] == ["square", "diamond-open"]
     colours = np.array([re.findall(r"\d+", colour) for _, colour in marks], dtype=float)
     assert np.ptp(colours[1]) < 40  # grey
     assert np.ptp(colours[0]) > 100
-    browser.one(".key-of-marks .cross")
+    browser.one(".key-of-marks .hollow.diamond")
 
 
 def test_outside_queries_of_the_demand_are_grey_in_the_key_too(browser, plate):
