@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
 from ..calibration import LEVEL
 from .compliance import ComplianceFit
@@ -37,6 +37,7 @@ NEAR = 1.0  # half load ranges: over longer steps a tangent changes by more than
 NEGLIGIBLE = 1e-2  # part of the largest translation or rotation: smaller outputs are not checked
 MAX_LISTED = 50  # rows that a check lists
 _OPEN = "within the uncertainty of the fit, so that only more rows show whether it is real"
+_NOISY = "within the noise of the readings, so that only more rows show whether it is real"
 
 
 def check_physics(
@@ -59,7 +60,7 @@ def check_physics(
         noise = np.where(space.is_rotation, tolerance.rotation, tolerance.translation)
     uncertain = np.nan_to_num(complete.uncertainty) + noise
     checks = {
-        "zero_at_zero_load": _zero(complete, load_range, uncertain),
+        "zero_at_zero_load": _zero(complete, load_range, noise),
         "symmetric": _symmetric(complete, load_range, fit),
         "positive": _positive(complete, load_range, fit),
         "linear": _linear(complete, space, fit),
@@ -82,20 +83,49 @@ def _listed(rows: Rows, wrong: np.ndarray) -> list[int]:
     return rows.seq[wrong][:MAX_LISTED].tolist()
 
 
-def _zero(rows: Rows, load_range: LoadRange, uncertain: Floats) -> dict[str, Any]:
-    """Check that rows at zero load are not displaced."""
+def _zero(rows: Rows, load_range: LoadRange, noise: Floats) -> dict[str, Any]:
+    """Check that rows at zero load are not displaced, each alone and on average."""
     space = load_range.space
-    unloaded = (np.abs(rows.wrench - space.zero) <= ZERO_LOAD * load_range.scale).all(axis=1)
+    loads = (rows.wrench - space.zero) / load_range.scale
+    unloaded = (np.abs(loads) <= ZERO_LOAD).all(axis=1)
     if not unloaded.any():
         return {"ok": None, "reason": "no row at zero load; add one without load", "rows": []}
-    over = (np.abs(rows.displacement) > ZERO * _sizes(rows, space) + uncertain).any(axis=1)
-    wrong = np.asarray(unloaded & over)
-    worst = np.abs(rows.displacement[unloaded]).max(axis=0).tolist()
+    zero = rows.take(unloaded)
+    size, stated = np.abs(zero.displacement), np.nan_to_num(zero.uncertainty)
+    limit = ZERO * _sizes(rows, space) + noise
+    doubt = _reading_doubt(zero, rows.take(~unloaded), loads[~unloaded])
+    # Independent noise averages out; a stated uncertainty may be common to all rows.
+    averaged = np.linalg.norm(doubt, axis=0) / len(zero)
+    averaged = np.where(stated.any(axis=0), doubt.max(axis=0), averaged)
+    shifted = (np.abs(zero.displacement.mean(axis=0)) > limit + averaged).any()
+    over = (size > limit + stated).any(axis=1)
+    wrong = (size > limit + doubt).any(axis=1) | (over & shifted)
+    is_open = bool(over.any() and not wrong.any())
     return {
-        "ok": not wrong.any(),
-        "displacement": dict(zip(space.output_names, worst, strict=True)),
-        "rows": _listed(rows, wrong),
+        "ok": None if is_open else not wrong.any(),
+        **({"reason": _NOISY} if is_open else {}),
+        "displacement": dict(zip(space.output_names, size.max(axis=0).tolist(), strict=True)),
+        "rows": _listed(zero, wrong),
     }
+
+
+def _reading_doubt(zero: Rows, loaded: Rows, loads: Floats) -> Floats:
+    """Return half widths (n, m) of rows at zero load, together with their mean at `LEVEL`.
+
+    Of a stated uncertainty, or of the residuals of the loaded rows from a line; infinite if there
+    are no more of these than unknowns, 0 of solves.
+    """
+    count = (len(zero) + 1) * zero.displacement.shape[1]
+    level = 1 - (1 - LEVEL) / 2 / count  # Bonferroni
+    line = np.column_stack((loads, np.ones(len(loaded))))
+    spare = len(loaded) - int(np.linalg.matrix_rank(line)) if len(loaded) else 0
+    noise = np.full(zero.displacement.shape[1], np.inf)
+    if spare > 0:
+        residual = loaded.displacement - line @ np.linalg.lstsq(line, loaded.displacement)[0]
+        noise = stdtrit(spare, level) * np.sqrt((residual**2).sum(axis=0) / spare)
+    is_exact = (zero.is_solved | zero.has_tangent)[:, None]
+    stated = np.nan_to_num(zero.uncertainty) * ndtri(level) / ndtri((1 + LEVEL) / 2)
+    return np.where(stated > 0, stated, np.where(is_exact, 0.0, noise))
 
 
 def _energies(matrices: Floats, load_range: LoadRange) -> Floats:

@@ -4,24 +4,23 @@ import { get, of } from "./api.js";
 import { el } from "./dom.js";
 import { named } from "./inputs.js";
 import { draw } from "./plot.js";
-import { awayFrom, column, extent, lines, outline } from "./surface.js";
+import { column, extent, lines, outline, spansOf } from "./surface.js";
 import { figure } from "./view3d.js";
 
 const MM = 1e3;
 const LONGEST = 0.35; // of the part's extent: the arrow of the largest force, and of the largest moment
+const FLAT = 0.01; // of the part's extent: the least length of an axis
 const TIP = 0.25; // of the longest arrow
 
 // `read()` gives the inputs; `again()` of the result draws them anew.
 export async function picture(root, about, read, signal) {
   const [surface, detail] = await Promise.all([get(`${of(about.name)}/surface`, signal), get(of(about.name), signal)]);
   const interfaces = Object.entries(detail.interfaces || { "": detail.interface }).filter(([, one]) => one?.point);
-  const most = LONGEST * extent(surface.vertices);
-  const around = interfaces.flatMap(([, { point }]) => [-most, most].flatMap((way) => [0, 1, 2].map((k) => point.map((one, at) => one + (k === at ? way : 0))))); // where arrows may end
-  const place = el("div", { class: `plot${about.space ? "" : " low"}`, id: "loads", "data-away": 1.15 * awayFrom([...surface.vertices, ...around]) });
+  const place = el("div", { class: `plot${about.space ? "" : " low"}`, id: "loads" });
   const view = figure(place, "The part and its loads", marks());
   root.append(view.root, interfaces.length ? el("p", { class: "muted small" }, "Lines x, y and z at the point: the axes of the interface, in which loads and displacements are given.") : "");
   const edges = lines(surface.vertices, outline(surface.vertices, surface.triangles), MM);
-  const drawing = await draw(place, (shade) => drawn(about, surface, edges, interfaces, read(), shade, view.camera()), signal, `${about.name} with its loads`);
+  const drawing = await draw(place, (shade) => drawn(place, about, surface, edges, interfaces, read(), shade, view.camera), signal, `${about.name} with its loads`);
   view.hold(drawing);
   return drawing;
 }
@@ -35,7 +34,7 @@ function marks() {
   return el("ul", { class: "key-of-marks" }, one("outside", "force"), one("query", "moment"));
 }
 
-function drawn(about, { vertices, triangles }, edges, interfaces, values, shade, camera) {
+function drawn(place, about, { vertices, triangles }, edges, interfaces, values, shade, camera) {
   const corners = [0, 1, 2].map((k) => triangles.map((one) => one[k]));
   const body = { type: "mesh3d", x: column(vertices, 0, MM), y: column(vertices, 1, MM), z: column(vertices, 2, MM), i: corners[0], j: corners[1], k: corners[2], color: shade.accent, opacity: 0.25, hoverinfo: "skip" };
   const middle = [0, 1, 2].map((k) => vertices.reduce((sum, one) => sum + one[k], 0) / vertices.length);
@@ -43,13 +42,17 @@ function drawn(about, { vertices, triangles }, edges, interfaces, values, shade,
   const points = { type: "scatter3d", mode: "markers", marker: { size: 4, color: shade.ink }, hoverinfo: "skip" };
   ["x", "y", "z"].forEach((axis, k) => { points[axis] = interfaces.map(([, one]) => one.point[k] * MM); });
   const size = LONGEST * extent(vertices) * MM;
-  const arrows = ["force", "moment"].flatMap((kind, place) => {
+  const arrows = ["force", "moment"].flatMap((kind, which) => {
     const loads = interfaces.map(([name]) => vectorOf(about, values, name, kind));
     const most = Math.max(...loads.map((load) => Math.hypot(...load)));
-    return interfaces.flatMap(([, one], k) => (loads[k].some((part) => part) ? arrow(one, loads[k].map((part) => (size * part) / most), size, shade[place ? "query" : "outside"]) : []));
+    return interfaces.flatMap(([, one], k) => (loads[k].some((part) => part) ? arrow(one, loads[k].map((part) => (size * part) / most), size, shade[which ? "query" : "outside"]) : []));
   });
+  const data = [body, rim, points, ...interfaces.map(([name, one]) => named_(name, one, middle, 0.75 * size, shade)), ...interfaces.flatMap(([, one]) => frame(one, 0.5 * size, shade)), ...arrows];
+  const spans = spansOf(data.flatMap((one) => one.x.map((x, k) => [x, one.y[k], one.z[k]])).filter(([x]) => x !== null)), longest = extent(vertices) * MM;
+  const [x, y, z] = spans.map((one) => Math.max(one / longest, FLAT));
+  place.box = { x, y, z };
   const axis = (name) => ({ title: { text: `${name}, mm` }, nticks: 4 });
-  return { data: [body, rim, points, ...interfaces.map(([name, one]) => named_(name, one, middle, 0.75 * size, shade)), ...interfaces.flatMap(([, one]) => frame(one, 0.5 * size, shade)), ...arrows], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "data", camera }, uirevision: "same" } };
+  return { data, layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "manual", aspectratio: place.box, camera: camera() }, uirevision: "same" } };
 }
 
 const vectorOf = (about, values, name, kind) => {

@@ -8,7 +8,7 @@ import { rowLinks } from "./rows.js";
 import { LOADS, OUTPUTS, count, counted, number, percent, scientific, sentence, superscript, symbol, triple } from "./format.js";
 
 const CHECKS = {
-  zero_at_zero_load: ["The displacement at zero load is zero", (one) => one.reason ?? `largest displacement u\u00a0${triple(Object.values(one.displacement).slice(0, 3), "m")}, r\u00a0${triple(Object.values(one.displacement).slice(3, 6), "rad")}`],
+  zero_at_zero_load: ["The displacement at zero load is zero", (one) => (one.displacement ? `largest displacement u\u00a0${triple(Object.values(one.displacement).slice(0, 3), "m")}, r\u00a0${triple(Object.values(one.displacement).slice(3, 6), "rad")}${one.reason ? `; ${one.reason}` : ""}` : one.reason)],
   symmetric: ["The compliance is symmetric (Maxwell, Betti)", (one) => `asymmetry ${percent(one.asymmetry)}, allowed ${percent(one.allowed)}${one.reason ? `; ${one.reason}` : ""}${one.asymmetry_of_solves == null ? "" : `; of the tangents of solves ${number(one.asymmetry_of_solves, 2)}, allowed ${number(one.allowed_of_solves, 2)}`}`],
   positive: ["Loads do positive work", (one) => `smallest eigenvalue over largest ${number(one.smallest_over_largest_eigenvalue, 3)}${isOfFit(one) ? ", within the asymmetry of the fit: the rows do not determine its sign yet" : ""}`],
   linear: ["The response is linear (one 6 × 6 compliance)", (one) => one.says || one.reason],

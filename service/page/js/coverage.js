@@ -63,7 +63,7 @@ function marks(about, rows, latest) {
   const has = (code) => rows.grid.coverage.includes(code);
   const kinds = [
     [rows.clean.some(Boolean), "", "accent", "row with loads of this axis only"], [!rows.clean.every(Boolean), "hollow", "card", "row with other loads too"],
-    [has(1), "square", "thin", "loads that are thin"], [has(2), "square", "outside", "loads outside the rows"],
+    [has(1), "square", "thin", "loads that are thin"], [has(2), "hollow diamond", "card", "loads outside the rows"],
     [true, "hollow square", "card", "frame: the load range"], [rows.of > 3, "square pale", "accent", "convex hull of the rows"],
     [latest.some((one) => isNear(about, one)), "diamond", "query", "latest queries, within twice the load range"],
   ];
@@ -85,7 +85,7 @@ function picture(about, rows, gap, latest, shade, camera) {
     dots(columns, mixed, { size: many ? 2 : 4, color: shade.card, line: { color: shade.muted, width: 1 } }, "row with other loads"),
     dots(columns, clean, { size: many ? 2 : 4.5, color: shade.accent, opacity: many ? 0.6 : 1 }, "row"),
     dots(columns, at(1), { size: 4, symbol: "square", color: shade.thin, opacity: 0.55 }, "thin"),
-    dots(columns, at(2), { size: 4, symbol: "square", color: shade.outside, opacity: 0.55 }, "outside"),
+    dots(columns, at(2), { size: 4, symbol: "diamond-open", color: shade.muted, opacity: 0.8 }, "outside"),
     dots(columns, latest.filter((one) => isNear(about, one)), { size: 6, symbol: "diamond", color: shade.query }, "asked"),
     box(about, columns, shade),
   ];

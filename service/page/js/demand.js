@@ -40,11 +40,12 @@ export async function show(root, about, signal) {
 }
 
 const SYMBOLS = { thin: "circle", outside: "diamond" }; // apart without their colours too
+const COLOURS = { thin: "thin", outside: "muted" }; // as in Response and Coverage
 
 function marks() {
-  const one = (colour, text) => {
-    const mark = el("i", { class: SYMBOLS[colour] });
-    mark.style.background = `var(--${colour})`;
+  const one = (kind, text) => {
+    const mark = el("i", { class: SYMBOLS[kind] });
+    mark.style.background = `var(--${COLOURS[kind]})`;
     return el("li", {}, mark, text);
   };
   return el("ul", { class: "key-of-marks" }, one("thin", "thin: rows near, error too large or unknown"), one("outside", "outside: no rows around, or beyond the load range"));
@@ -55,7 +56,7 @@ function picture(about, reply, axis, shade, camera) {
   const [x, y, z] = inputs.map((load) => reply.cells.map((one) => one.wrench[LOADS.indexOf(load)]));
   const data = [{
     type: "scatter3d", mode: "markers", x, y, z, text: reply.cells.map((one) => `${one.count} times, ${one.coverage}`),
-    marker: { symbol: reply.cells.map((one) => SYMBOLS[one.coverage] || "circle"), size: reply.cells.map((one) => 3 + 9 * Math.sqrt(one.count / largest)), color: reply.cells.map((one) => shade[one.coverage] || shade.accent), opacity: 0.75 },
+    marker: { symbol: reply.cells.map((one) => SYMBOLS[one.coverage] || "circle"), size: reply.cells.map((one) => 3 + 9 * Math.sqrt(one.count / largest)), color: reply.cells.map((one) => shade[COLOURS[one.coverage] || "accent"]), opacity: 0.75 },
     hovertemplate: "%{text}<br>%{x:.4~g}, %{y:.4~g}, %{z:.4~g}<extra></extra>",
   }];
   const spans = [...about.range.force, ...about.range.moment];

@@ -5,10 +5,10 @@ import { el, facts, field, note, notify, pill, put, table } from "./dom.js";
 import { listenToTable } from "./events.js";
 import { beingBuilt, linkTo } from "./empty.js";
 import { findingNote } from "./findings.js";
-import { OUTPUTS, count, counted, number, percent, quantity, sentence, time, triple } from "./format.js";
+import { OUTPUTS, count, counted, number, quantity, sentence, time, triple } from "./format.js";
 import { OUTSIDE, inputsOf, mark, spansOf } from "./inputs.js";
 import { paint, pictured } from "./picture.js";
-import { insideBars, madeOf } from "./report.js";
+import { insideBars, insideWords, madeOf, reportOf } from "./report.js";
 import { rowLinks } from "./rows.js";
 import { WHOLE, isAtWork, legend, sharesOf, wholeError } from "./shares.js";
 
@@ -38,13 +38,6 @@ export async function show(root, { name }, signal) {
       el("div", { class: "stack" }, rows, el("section", { class: "card" }, el("h2", {}, "Part and conventions"), pictureOf(about, signal), contract(about)))));
   listenToTable(name, about.table_version, signal, () => refresh().catch(() => {}));
   await refresh();
-}
-
-// The latest report, null without one.
-async function reportOf(about, signal) {
-  const path = `${of(about.name)}/report`;
-  if (!about.has_fea || about.space || !about.rows || (await get(`${path}?format=state`, signal)).state === "none") return null;
-  return get(path, signal).catch(() => null); // the first one has failed
 }
 
 const importsOf = async (about, signal) => (about.measured ? (await get(`${of(about.name)}/imports`, signal)).imports.filter((one) => one.withdrawn < one.rows) : []);
@@ -173,7 +166,7 @@ function method(about, report, imports, allowed) {
     [sources ? "Reason" : "Method", about.has_fea || sources ? sentence(cover.method_reason || "–") : "The table has no rows: import measured ones."],
     ["Tolerance", tolerance],
     ["Jobs", jobs.length ? el("a", { class: "line", href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : about.has_fea ? "none" : ""],
-    ["Report", bars ? [`${percent(bars.inside / bars.all)} of ${count(bars.all)} true errors lay within the error bars (nominal 95 %), `, el("a", { href: `#/c/${encodeURIComponent(about.name)}/report` }, time(report.made))] : ""],
+    ["Report", bars ? [`${insideWords(bars)}, `, el("a", { href: `#/c/${encodeURIComponent(about.name)}/report` }, time(report.made))] : ""],
     ["Contradictions", cover.conflicting_wrenches ? [`${cover.conflicting_wrenches} ${cover.conflicting_wrenches === 1 ? "wrench has" : "wrenches have"} rows that disagree: `, rowLinks(about.name, clashes, 12), ". Withdraw the wrong ones."] : ""],
     ["Outside", cover.beyond_range ? pill(`${counted(cover.beyond_range, "row")} ${OUTSIDE}`, "outside") : ""],
     ["Table version", String(about.table_version)],

@@ -9,6 +9,7 @@ import { listen } from "./events.js";
 import { OUTPUTS, counted, number, percent, pageWords, quantity, sentence, symbol, unitOfOutput, withBar, withoutRoundOff } from "./format.js";
 import { beyondRange, named, said } from "./inputs.js";
 import { failureWords } from "./job_list.js";
+import { insideBars, insideWords, reportOf } from "./report.js";
 import { overTolerance } from "./shares.js";
 import { curlOf, pythonOf, snippet } from "./snippet.js";
 import { wrenchForm } from "./wrench_form.js";
@@ -27,11 +28,13 @@ export async function show(root, about, signal) {
   const method = select(methods, "", () => tell());
   const options = () => ({ onThin: onThin.value, method: method.value });
   let asked = null; // what the answer on view is for
-  const old = note("thin");
+  const old = note("thin"), doubt = el("div", { "aria-live": "polite" });
+  const report = reportOf(about, signal).catch(() => null);
   const ask = (wrench) => {
     asked = { wrench, options: JSON.stringify(options()) };
     tell();
     answer.scrollIntoView({ block: "nearest" });
+    report.then((latest) => put(doubt, doubted(about, insideBars(latest))));
     return query(answer, about, wrench, options(), signal);
   };
   const form = wrenchForm(about, {
@@ -51,10 +54,13 @@ export async function show(root, about, signal) {
   const picture_ = about.has_fea ? el("section", { class: "card" }, el("h2", {}, about.space ? "Loads at the interfaces" : "Load at the interface")) : null;
   tell();
   put(root, el("div", { class: "two" }, el("section", { class: "card" }, form.form), el("div", { class: "stack" },
-    el("div", { class: "card" }, old, answer), picture_, el("div", { class: "card" }, curl.root, python.root))));
+    el("div", { class: "card" }, old, doubt, answer), picture_, el("div", { class: "card" }, curl.root, python.root))));
   if (!about.has_fea) return;
   drawing = await picture(picture_, about, form.read, signal).catch(() => { picture_.remove(); return null; }); // a mesh that cannot be drawn
 }
+
+// That the latest report speaks against the error bars of all answers.
+const doubted = (about, bars) => (bars?.tooFew ? note("outside", el("span", {}, `In the latest report only ${insideWords(bars)}. `, el("a", { href: `#/c/${encodeURIComponent(about.name)}/report` }, "Show the report"))) : null);
 
 async function query(place, about, wrench, options, signal, watched = null) {
   const body = { ...named(about, wrench), on_thin: options.onThin };

@@ -3,7 +3,7 @@
 import { Problem, get, of, send, trouble } from "./api.js";
 import { el, field, note, put, save, table } from "./dom.js";
 import { empty, emptyTable, linkTo } from "./empty.js";
-import { time } from "./format.js";
+import { count, percent, time } from "./format.js";
 import { PLOTS, show as plot } from "./report_plots.js";
 
 const LOOK_MS = 1000; // between looks at how far it is
@@ -84,6 +84,15 @@ const ACCEPTED = 0.9; // share of true errors within their bars, as in service/r
 export function insideBars(report) {
   const { missed, of: all } = report?.tables?.find((one) => one.method === report.default.method && one.rows === report.rows)?.beyond_error_bar || {};
   return all ? { inside: all - missed, all, tooFew: missed > (1 - ACCEPTED) * all } : null;
+}
+
+export const insideWords = ({ inside, all }) => `${percent(inside / all)} of ${count(all)} true errors lay within the error bars (nominal 95 %)`;
+
+// The latest report, null without one.
+export async function reportOf(about, signal) {
+  const path = `${of(about.name)}/report`;
+  if (!about.has_fea || about.space || !about.rows || (await get(`${path}?format=state`, signal)).state === "none") return null;
+  return get(path, signal).catch(() => null); // the first one has failed
 }
 
 function page(body, about, report, now) {

@@ -1,7 +1,7 @@
 // A table in and out: check a file, mend its bad rows, import, withdraw imports; export in a format and units.
 
 import { el, field, put, save, select } from "./dom.js";
-import { of, send, trouble } from "./api.js";
+import { get, of, send, trouble } from "./api.js";
 import { listenToTable } from "./events.js";
 import { importForm } from "./import.js";
 import { history } from "./imports.js";
@@ -14,12 +14,14 @@ const UNITS = { force: ["N", "kN", "lbf"], moment: ["N*m", "N*mm", "lbf*ft"], tr
 const IN_UNITS = ["csv", "xlsx"]; // programs read the others: always SI
 
 export async function show(root, about, signal) {
-  const imports = el("section", { class: "card", id: "imports" });
+  const imports = el("section", { class: "card", id: "imports" }), stiffness = el("section", { class: "card", hidden: !about.measured }, el("h2", {}, "Measured stiffness"), stiffnessForm(about, signal));
   put(root, el("div", { class: "stack" },
     el("section", { class: "card" }, el("h2", {}, "Import rows"), importForm(about, signal)), imports,
-    el("section", { class: "card" }, el("h2", {}, "Export the table"), exportForm(about, signal)),
-    el("section", { class: "card" }, el("h2", {}, "Measured stiffness"), stiffnessForm(about, signal))));
-  listenToTable(about.name, about.table_version ?? 0, signal, () => history(imports, about, signal).catch(() => {}));
+    el("section", { class: "card" }, el("h2", {}, "Export the table"), exportForm(about, signal)), stiffness));
+  listenToTable(about.name, about.table_version ?? 0, signal, () => {
+    get(of(about.name), signal).then(({ measured }) => { stiffness.hidden = !measured; }).catch(() => {});
+    history(imports, about, signal).catch(() => {});
+  });
   await history(imports, about, signal);
 }
 

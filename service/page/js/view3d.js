@@ -19,10 +19,32 @@ function turned({ eye }, [around, up, away]) {
   return { x: far * Math.cos(tilt) * Math.cos(azimuth), y: far * Math.cos(tilt) * Math.sin(azimuth), z: far * Math.sin(tilt) };
 }
 
-// A figure around the place of a drawing. `camera()` is where it is looked at from.
+const HALF = Math.tan(Math.PI / 8); // of the height that is seen, at distance 1
+const NAMES = [60, 36]; // px beside, and above and below the box, for the names of its axes
+const minus = (a, b) => a.map((one, k) => one - b[k]), dot = (a, b) => a.reduce((sum, one, k) => sum + one * b[k], 0), size = (a) => Math.hypot(...a);
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+
+// How much farther than START a box of the axes is looked at from so that it fills its frame.
+function fitted(box, { clientWidth, clientHeight }) {
+  const [from, centre] = [START.eye, START.center].map((one) => [one.x, one.y, one.z]);
+  const [width, height] = [clientWidth - 2 * NAMES[0], clientHeight - 2 * NAMES[1]].map((one) => (HALF * one) / clientHeight);
+  const corners = [-0.5, 0.5].flatMap((x) => [-0.5, 0.5].flatMap((y) => [-0.5, 0.5].map((z) => [x * box.x, y * box.y, z * box.z])));
+  const fits = (away) => {
+    const eye = from.map((one) => one * away), ahead = minus(centre, eye), right = cross(ahead, [0, 0, 1]), up = cross(right, ahead);
+    return corners.every((corner) => {
+      const seen = minus(corner, eye), deep = dot(seen, ahead) / size(ahead);
+      return Math.abs(dot(seen, up)) / size(up) <= height * deep && Math.abs(dot(seen, right)) / size(right) <= width * deep;
+    });
+  };
+  let away = 0.1;
+  while (!fits(away) && away < FARTHEST) away *= 1.02;
+  return away;
+}
+
+// A figure around the place of a drawing, whose `box` are the lengths of its axes. `camera()` is where it is looked at from.
 export function figure(place, label, ...below) {
   let drawing = null;
-  const start = () => ({ ...START, eye: turned(START, [0, 0, (place.clientWidth < NARROW ? 1.45 : 1) * (place.dataset.away || 1)]) });
+  const start = () => ({ ...START, eye: turned(START, [0, 0, place.box ? fitted(place.box, place) : (place.clientWidth < NARROW ? 1.45 : 1) * (place.dataset.away || 1)]) });
   const camera = () => drawing?.place._fullLayout?.scene?._scene?.getCamera?.() ?? start();
   const look = (camera_) => drawing?.plotly.relayout(drawing.place, { "scene.camera": camera_ });
   const turn = (how) => { if (drawing) look({ ...START, ...camera(), eye: turned(camera(), how) }); };

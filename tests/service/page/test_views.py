@@ -914,13 +914,19 @@ def test_the_log_of_a_failed_job_has_the_message_first_and_the_traceback_folded(
     browser.named("dialog pre", "Traceback")
 
 
-def test_the_overview_shows_that_the_error_bars_were_too_small_in_the_report(browser, plate):
-    """The report found 2 of 6 errors inside the bars, and the overview called all fine."""
+def doubtful(plate):
+    """A report in which 2 of 6 errors lay inside the bars."""
     rows = plate.component("plate_thin")["rows"]
     table = {"method": "kriging", "rows": rows, "beyond_error_bar": {"missed": 4, "of": 6}}
     report = {"tables": [table], "default": {"method": "kriging"}, "rows": rows}
     report |= {"made": "2026-01-01T00:00:00Z", "table_version": 1}
     report["advice"] = "The error bars of kriging were too small for 4 of 6 answers."
+    return report
+
+
+def test_the_overview_shows_that_the_error_bars_were_too_small_in_the_report(browser, plate):
+    """The report found 2 of 6 errors inside the bars, and the overview called all fine."""
+    report = doubtful(plate)
     browser.visit("#/terms")
     browser.one("h1")
     browser.run(STUB, json.dumps([["format=state", {"state": "done"}], ["/report", report]]))
@@ -929,6 +935,24 @@ def test_the_overview_shows_that_the_error_bars_were_too_small_in_the_report(bro
     assert report["advice"] in warned
     assert "Made 1 Jan 2026, 00:00 UTC with table version 1" in warned
     assert "33 % of 6 true errors lay within" in browser.named("section", "Method and rows").text
+
+
+@pytest.mark.parametrize("missed", [4, 0])
+def test_an_answer_says_that_the_error_bars_were_too_small_in_the_report(browser, plate, missed):
+    report = doubtful(plate)
+    report["tables"][0]["beyond_error_bar"]["missed"] = missed
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["format=state", {"state": "done"}], ["/report", report]]))
+    browser.go(f"{PLATE}/query")
+    ask(browser, fz=-900)
+    browser.one("table.answer")
+    if missed:
+        doubt = browser.named(".note.outside", "only 33 % of 6 true errors lay within")
+        link = doubt.find_element("css selector", "a").get_attribute("href")
+        assert link.endswith("#/c/plate_thin/report")
+    else:
+        assert "In the latest report" not in browser.one("main").text
 
 
 def test_the_overview_names_the_files_and_dates_of_measured_rows(browser, client, tmp_path):
@@ -980,6 +1004,87 @@ def test_thin_and_outside_queries_of_the_demand_have_different_marks(browser, pl
     browser.drawn("#demand")
     symbols = browser.run("return document.querySelector('#demand').data[0].marker.symbol")
     assert symbols == ["circle", "diamond"]
+
+
+def test_thin_and_outside_loads_of_the_coverage_have_different_marks(browser, plate):
+    """They were squares of two browns."""
+    drawing = plate.call_json("GET", "/v1/components/plate_thin/drawing?axis=z")
+    cells = drawing["grid"]["coverage"]
+    drawing["grid"]["coverage"] = [1 + place % 2 for place in range(len(cells))]
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/drawing", drawing]]))
+    browser.go(f"{PLATE}/coverage")
+    browser.drawn("#coverage")
+    marks = browser.run(
+        "return document.querySelector('#coverage').data.filter((one) => one.hovertemplate?.match("
+        "/^(thin|outside)/)).map((one) => [one.marker.symbol, one.marker.color])"
+    )
+    assert [symbol for symbol, _ in marks] == ["square", "diamond-open"]
+    colours = np.array([re.findall(r"\d+", colour) for _, colour in marks], dtype=float)
+    assert np.ptp(colours[1]) < 40  # grey
+    assert np.ptp(colours[0]) > 100
+    browser.one(".key-of-marks .hollow.diamond")
+
+
+def test_outside_queries_of_the_demand_are_grey_in_the_key_too(browser, plate):
+    cell = {"wrench": [0] * 6, "count": 1, "coverage": "outside", "thin": 0, "outside": 1}
+    reply = {"cells": [cell], "asked": 1, "cell_size": [1] * 6, "elsewhere": 0, "latest": []}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/demand", reply]]))
+    browser.go(f"{PLATE}/demand")
+    browser.drawn("#demand")
+    drawn, key = browser.run(
+        "const key = document.querySelector('.key-of-marks .diamond'); return ["
+        "document.querySelector('#demand').data[0].marker.color[0], getComputedStyle(key)."
+        "backgroundColor]"
+    )
+    assert drawn == key
+    assert np.ptp(np.array(re.findall(r"\d+", drawn), dtype=float)) < 40
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+def test_the_part_and_its_loads_fill_their_frame(browser, plate, width):
+    browser.resize(width, 900)
+    browser.visit(f"{PLATE}/query")
+    browser.drawn("#loads")
+    ends = browser.run(
+        """const place = document.querySelector("#loads"), scene = place._fullLayout.scene;
+        const {view, projection} = scene._scene.glplot.cameraParams;
+        const by = (m, v) => [0, 1, 2, 3].map((k) => v.reduce((sum, x, j) => sum + m[4*j+k]*x, 0));
+        const {x, y, z} = scene.aspectratio, halves = [-0.5, 0.5];
+        const corners = halves.flatMap((a) => halves.flatMap((b) => halves.map((c) =>
+          by(projection, by(view, [a * x, b * y, c * z, 1])))));
+        const {clientWidth: width, clientHeight: height} = place;
+        return [[0, width], [1, height]].map(([k, length]) =>
+          length / 2 * (1 - Math.max(...corners.map((one) => Math.abs(one[k] / one[3])))));"""
+    )
+    assert ends[0] > 50  # px beside the box, for the names of its axes
+    assert ends[1] > 30
+    assert ends[0] < 65 or ends[1] < 40
+
+
+def test_the_wrench_of_a_job_stays_in_a_line_beside_one_that_runs(browser, plate):
+    """A wide column of the states took its place."""
+    progress = {"fraction": 0.4, "message": "increment 4 of 10, iteration 3, residual 2.1e-5"}
+    about = {"created": "2026-01-01T00:00:00Z", "started": "2026-01-01T00:00:00Z"}
+    running = job(3, "running", progress=progress, **about)
+    done = job(2, "done", created=about["created"])
+    done |= {"force": [169.05, 306.75, 1994.9], "moment": [96.892, -92.209, 29.702]}
+    pages = [["status=running", [running]], ["status=waiting", []], ["v1/jobs?", [done]]]
+    browser.resize(1400, 900)
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([[text, {"jobs": jobs, "next": None}] for text, jobs in pages]))
+    browser.go("#/jobs")
+    browser.one("#job-3 progress")
+    lines = browser.run(
+        "const range = document.createRange(); range.selectNodeContents("
+        "document.querySelector('#job-2 td.small.whole')); return new Set([...range."
+        "getClientRects()].map((one) => Math.round(one.top))).size"
+    )
+    assert lines == 1
 
 
 def test_the_bottom_of_a_view_can_be_scrolled_from_below_the_tour(browser, plate):
@@ -1038,6 +1143,15 @@ def test_a_text_of_the_server_has_the_units_of_the_page(browser, text, shown):
     assert browser.run(script, text) == shown
 
 
+def test_the_measured_stiffness_is_offered_once_rows_are_measured(browser, client):
+    measured(client, "stiff")
+    browser.visit("#/c/stiff/table")
+    browser.named("h2", "Export the table")
+    assert "Measured stiffness" not in browser.one("main").text
+    measured(client, "stiff", 100, 200)
+    browser.named("h2", "Measured stiffness")
+
+
 def test_a_measured_component_has_no_line_of_jobs(browser, client):
     measured(client, "jobless", 100)
     browser.visit("#/c/jobless")
@@ -1057,6 +1171,22 @@ def test_the_check_at_zero_load_says_how_far_the_part_moves(browser, client):
     browser.go("#/c/moved/checks")
     shown = browser.named("tr", "zero load").text.replace("\u00a0", " ")
     assert "Largest displacement u (20, 20, 20) µm, r (20, 20, 20) µrad" in shown
+
+
+def test_a_displacement_at_zero_load_within_the_noise_is_not_called_broken(browser, client):
+    measured(client, "noisy", 0, 100)
+    reply = client.call_json("GET", "/v1/components/noisy/compliance")
+    names = ("ux", "uy", "uz", "rx", "ry", "rz")
+    zero = {"ok": None, "rows": [], "displacement": dict.fromkeys(names, 2e-5)}
+    zero["reason"] = "within the noise of the readings"
+    reply |= {"rows_checked": 2, "checks": {"zero_at_zero_load": zero}}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/compliance", reply]]))
+    browser.go("#/c/noisy/checks")
+    shown = browser.named("tr", "zero load").text
+    assert shown.startswith("not known yet")
+    assert "20) µrad; within the noise of the readings" in shown
 
 
 def test_rows_of_one_wrench_that_disagree_are_links_in_the_overview(browser, client):
