@@ -58,7 +58,7 @@ RECOMPUTED = 16  # candidates recomputed at once: the largest loss is nearly alw
 # signs of each load, the first four two of each.
 #
 # Corners at 0.8 give each load three values, between which rows left out show nothing: with zero
-# load and them, 9 solves of `plate_thin` had 24 to 79 % of the errors of the worst output outside
+# load and them, 9 solves of `plate_thin` had 15 to 79 % of the errors of the worst output outside
 # its bar and 2 to 4 times the error. Points of the sequence alone lie near a diagonal: of 24
 # made-up parts 8 had more than 10 % outside, with this design 1. `make bench NAME=bars ONLY=filled`
 # judges tables of such designs.
