@@ -247,8 +247,9 @@ def _bad_rows(reply: dict[str, Any], unit: str, whole: bool) -> HttpProblemError
         {**error, "loc": f"row {error['row']}.{error['field']}", "msg": error["message"]}
         for error in errors
     ]
-    others = [name for name in reply["sheets"] if name != reply["sheet"]]
-    sheet = f" of sheet {reply['sheet']} (--sheet reads {' or '.join(others)})" if others else ""
+    read = reply["sheet"]
+    others = " or ".join(name for name in reply["sheets"] if name != read)
+    sheet = f" of sheet {read} (--sheet reads {others})" if read and others else ""
     # 0: the mistake concerns the file, or a column.
     place = f"row {first['row']}, " if first["row"] else ""
     has_good = rows["read"] > rows["refused"] and not whole
