@@ -39,7 +39,7 @@ $(VENV)/.installed-docs: $(VENV)/.installed requirements-docs.lock
 	$(PIP) install --require-hashes -r requirements-docs.lock
 	@touch $@
 
-demo: setup  ## query, solve and fill of a plate with finite elements, 1.5 to 5 minutes
+demo: setup  ## query, solve and fill of a plate with finite elements, 1 to 3 minutes
 	$(BIN)/wrenchbook demo
 
 serve: setup  ## the server and its solvers on 127.0.0.1:8000

@@ -181,7 +181,7 @@ def demo(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show query, solve and fill of a plate with finite elements; 1.5 to 5 minutes."""
+    """Show query, solve and fill of a plate with finite elements; 1 to 3 minutes."""
     from wrenchbook.service.cli.demo import run
 
     figures = run(Screen(stderr=as_json), keep)

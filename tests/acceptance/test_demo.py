@@ -22,3 +22,4 @@ def test_the_demonstration_has_no_complaint(monkeypatch):
     filled = re.search(r"plate_thin has (\d+) rows", text)
     assert filled
     assert f"The table of {filled[1]} rows answers in" in text
+    assert figures["rows"] == int(filled[1]) + 5  # with the solves of the comparison
