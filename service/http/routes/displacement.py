@@ -22,7 +22,6 @@ from wrenchbook.service.http.body import (
     query_options,
     read_limited,
     read_query,
-    refuse_query,
     spooled,
 )
 from wrenchbook.service.http.openapi import answers, component_router, refused, takes
@@ -85,7 +84,7 @@ async def displacement(name: str, request: Request) -> Response:
     query, outcome = request.scope.get(ANSWERED, (None, None))
     if query is None:
         body = await read_limited(request.receive)
-        refuse_query(request.query_params)
+        query_options(request.query_params, ())
         space = workspace.library.as_read(name).space
         query = _permitted(permission_of(request.scope), lambda: read_query(body, space))
     outcome = await answer_or_submit(workspace, name, query, outcome)
@@ -105,9 +104,8 @@ async def displacements(name: str, request: Request) -> Response:
     binary = batch.is_binary(request)
     permission = permission_of(request.scope)
     space = workspace.library.as_read(name).space
-    options = query_options(request.query_params) if binary else {}
-    if not binary:
-        refuse_query(request.query_params)
+    known = batch.BinaryOptions.model_fields if binary else ()
+    options = query_options(request.query_params, known)
 
     def read(body: Spooled) -> tuple[Floats, Query]:
         if binary:
@@ -136,7 +134,7 @@ async def displacements(name: str, request: Request) -> Response:
 async def solve(name: str, request: Request) -> Response:
     workspace: Workspace = request.app.state.workspace
     content = await read_limited(request.receive)
-    refuse_query(request.query_params)
+    query_options(request.query_params, ())
     space = workspace.library.as_read(name).space
     body: SolveBody = checked(SolveBody, parsed_json(content))
     query = Query(loads_of(body, space), "solve", body.wait_s, beyond_range=body.beyond_range)

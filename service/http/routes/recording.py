@@ -31,7 +31,6 @@ from wrenchbook.service.http.body import (
     parsed_json,
     query_options,
     read_limited,
-    refuse_query,
     with_wrenches,
 )
 from wrenchbook.service.http.openapi import answers, component_router, refused, takes
@@ -202,12 +201,13 @@ async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] |
     space = request.app.state.workspace.library.as_read(name).space
     limit = MAX_BLOCK * len(space.inputs) * NUMBER_BYTES
     body = await read_limited(request.receive, limit)
+    binary = is_binary(request)
+    options = query_options(request.query_params, BinaryBlock.model_fields if binary else ())
     key: BlockKey
-    if is_binary(request):
-        key = sent = checked(BinaryBlock, query_options(request.query_params))
-        wrenches = read_wrenches(body, sent.inputs, MAX_BLOCK, np.inf, space)
+    if binary:
+        key = sent = checked(BinaryBlock, options)
+        wrenches = read_wrenches(body, sent.inputs, space, MAX_BLOCK, np.inf)
     else:
-        refuse_query(request.query_params)
         fields = await run_in_threadpool(parsed_json, body)
         form = BlockBody, fields, len(space.inputs), np.inf, MAX_BLOCK
         wrenches, key = await run_in_threadpool(with_wrenches, *form)
