@@ -163,7 +163,7 @@ def table_parts(
 
     sample = FindingsSample()
     for piece in pieces:
-        if report.mistakes.of_file:
+        if report.mistakes.is_ruined:
             break
         sample.add(piece)
         for at in range(min(preview, MAX_PREVIEW, good + len(piece)) - len(shown)):
@@ -178,7 +178,7 @@ def table_parts(
         if len(piece):
             yield _part(piece)
 
-    findings = [] if report.mistakes.of_file else sample.findings(read_options, report.findings)
+    findings = [] if report.mistakes.is_ruined else sample.findings(read_options, report.findings)
     yield Part({**report.as_json(good, shown), "findings": findings})
 
 

@@ -66,7 +66,7 @@ def import_files(
     options = replace(options, **setup)
     read = read_block(files[0], options) if append else read_untrusted(files, options, preview)
     report = dict(read.report)
-    refused = report["whole"] or bool(report["errors"] and not partial)
+    refused = report["is_ruined"] or bool(report["errors"] and not partial)
     report.pop("converted")
     # A block is in SI, so that a repeated one has the stored bits; a comparison with all stored
     # rows would take longer with each block.
