@@ -226,7 +226,7 @@ def _warnings(
 
 def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
     """Return the facts of a component that a list shows."""
-    table = workspace.tables.present_or_empty(component.name)
+    table = workspace.tables.surrogate(component.name, or_empty=True)
     space, limit = component.space, component.tolerance
     card = workspace.catalogue[component.name]
     solved = table.sources.get("fea", 0)
