@@ -64,6 +64,14 @@ _READERS: dict[str, Callable[[Path, Options, ReadReport], Iterator[ParsedTable]]
     "tdms": read_tdms,
     "xls": read_xls,
 }
+# Of formats whose packages raise many classes of errors for damaged files.
+_UNREADABLE = {
+    "xlsx": "is no readable XLSX workbook: {}; save it again",
+    "parquet": "cannot be read as Parquet ({}); write it again",
+    "mat": "cannot be read as a MATLAB file: {}; save it again with save('t.mat', '-v7')",
+    "tdms": "cannot be read as TDMS: {}; export it again, or as CSV",
+    "xls": "cannot be read as .xls (save it as .xlsx): {}",
+}
 _TEXT_FORMATS = {"csv", "json"}  # a damaged file of one can look like the other
 _BLOCK = 1 << 20
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -276,28 +284,27 @@ def _uncorrected_rows(path: Path, options: Options, report: ReadReport) -> Itera
         if named != content and not {named, content} <= _TEXT_FORMATS:
             raise ContentError(f"contains {content}, not {named}; leave the option format out")
         report.format = named
+        needed = options.sheet and not options.optional_sheet and options.role == "table"
+        if needed and named not in ("xlsx", "xls", "tdms"):
+            message = f"is for a workbook or a TDMS file, not for {named}; leave it out (--sheet)"
+            report.mistakes.ruin(0, "sheet", message)
+            return
+        if options.role != "table" and named in ("json", "hdf5"):
+            raise ContentError(
+                f"must be a log with times, not {named}; send CSV, XLSX, Parquet or TDMS"
+            )
+        yield from _READERS[named](path, options, report)
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
-        return
-
-    needed = options.sheet and not options.optional_sheet and options.role == "table"
-    if needed and report.format not in ("xlsx", "xls", "tdms"):
-        message = (
-            f"is for a workbook or a TDMS file, not for {report.format}; leave it out (--sheet)"
-        )
-        report.mistakes.ruin(0, "sheet", message)
-        return
-    if options.role != "table" and report.format in ("json", "hdf5"):
-        message = f"must be a log with times, not {report.format}; send CSV, XLSX, Parquet or TDMS"
-        report.mistakes.ruin(0, "file", message)
-        return
-
-    try:
-        yield from _READERS[report.format](path, options, report)
     except ModuleNotFoundError:
         message = f"is {report.format}, which needs another package: on the server run "
         message += "pip install 'wrenchbook[rig]', or send XLSX or CSV"
         report.mistakes.ruin(0, "file", message)
+    except BaseException as error:  # calamine's panic on a damaged file is no Exception
+        is_of_file = isinstance(error, Exception) or type(error).__name__ == "PanicException"
+        if not is_of_file or report.format not in _UNREADABLE:
+            raise
+        report.mistakes.ruin(0, "file", _UNREADABLE[report.format].format(error))
 
 
 def _is_gzip(path: Path) -> bool:
