@@ -36,7 +36,6 @@ from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.findings.cycles import measured_stiffness
-from wrenchbook.surrogate.table.rows import Rows
 
 router = component_router("library", route=JsonRoute)
 ImportId = Annotated[int, Path(ge=1, lt=2**63)]
@@ -265,7 +264,13 @@ def get_stiffness(
     loads = [item.name for item in space.inputs if item.kind != "scalar"]
     ends = _two_loads(between)
     if number is not None:
-        rows = _rows_of_import(workspace, name, rows, number)
+        spans = workspace.ledger.import_spans(name)
+        if all(span.record.id != number for span in spans):
+            raise UnknownImportError(
+                f"{name!r} has no import {number} with rows; list its imports with GET "
+                f"/v1/components/{name}/imports"
+            )
+        rows = rows.take(import_numbers(spans, rows.seq) == number)
     # By default the load that these rows vary most, relative to its range.
     varied = np.ptp(rows.wrench, axis=0) / span.scale if len(rows) else span.scale
     axis = axis or loads[int(np.argmax(varied[: len(loads)]))]
@@ -285,17 +290,6 @@ def get_stiffness(
         "unit": f"{space.inputs[load].unit}/{space.outputs[output].unit}",
     }
     return json_reply(reply | measured_stiffness(rows, span, ends, load, output))
-
-
-def _rows_of_import(workspace: Workspace, name: str, rows: Rows, number: int) -> Rows:
-    """Return the rows of a component's import; raises UnknownImportError if it has none."""
-    spans = workspace.ledger.import_spans(name)
-    if all(span.record.id != number for span in spans):
-        raise UnknownImportError(
-            f"{name!r} has no import {number} with rows; list its imports with GET "
-            f"/v1/components/{name}/imports"
-        )
-    return rows.take(import_numbers(spans, rows.seq) == number)
 
 
 def _two_loads(between: str) -> tuple[float, float]:
