@@ -73,13 +73,9 @@ def _permitted(permission: Permission, read: Callable[[], Read]) -> Read:
     return result
 
 
-@router.post(
-    "/displacement",
-    summary="Displacement under one wrench",
-    responses=_ONE,
-    openapi_extra=takes(DisplacementBody),
-)
+@router.post("/displacement", responses=_ONE, openapi_extra=takes(DisplacementBody))
 async def displacement(name: str, request: Request) -> Response:
+    """Displacement under one wrench."""
     workspace: Workspace = request.app.state.workspace
     query, outcome = request.scope.get(ANSWERED, (None, None))
     if query is None:
@@ -95,11 +91,11 @@ async def displacement(name: str, request: Request) -> Response:
 
 @router.post(
     "/displacements",
-    summary="Displacements under many wrenches",
     responses=_MANY,
     openapi_extra=takes(BatchBody, batch.BINARY_BODY, batch.BinaryOptions),
 )
 async def displacements(name: str, request: Request) -> Response:
+    """Displacements under many wrenches."""
     workspace: Workspace = request.app.state.workspace
     binary = batch.is_binary(request)
     permission = permission_of(request.scope)
@@ -125,13 +121,9 @@ async def displacements(name: str, request: Request) -> Response:
             return batch.HoldingReply(reply, held.pop_all())
 
 
-@router.post(
-    "/solve",
-    summary="DirectFEA: solve this wrench, covered or not",
-    responses=_ONE,
-    openapi_extra=takes(SolveBody),
-)
+@router.post("/solve", responses=_ONE, openapi_extra=takes(SolveBody))
 async def solve(name: str, request: Request) -> Response:
+    """DirectFEA: solve this wrench, covered or not."""
     workspace: Workspace = request.app.state.workspace
     content = await read_limited(request.receive)
     query_options(request.query_params, ())

@@ -22,18 +22,21 @@ RowId = Annotated[int, Path(ge=1, lt=2**63)]
 _EDITS = refused(s409="the row is already withdrawn, or already in the table")
 
 
-@router.get("", summary="Show a row and its provenance")
+@router.get("")
 def get_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
+    """Show a row and its provenance."""
     return row_body(workspace, workspace.library[name], row)
 
 
-@router.delete("", summary="Withdraw a row", responses=_EDITS)
+@router.delete("", responses=_EDITS)
 def withdraw_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
+    """Withdraw a row."""
     return _edited(workspace, name, row, withdrawn=True)
 
 
-@router.post("/restore", summary="Restore a withdrawn row", responses=_EDITS)
+@router.post("/restore", responses=_EDITS)
 def restore_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
+    """Restore a withdrawn row."""
     return _edited(workspace, name, row, withdrawn=False)
 
 

@@ -90,7 +90,6 @@ _TAKEN = frozenset(
 
 @router.get(
     "",
-    summary="Export the table",
     response_class=Response,
     responses=answers(TableRows, "the table", content=_WRITTEN, headers=_ETAG)
     | {304: {"description": _CURRENT, "headers": _ETAG}}
@@ -110,6 +109,7 @@ async def get_table(
     others: Others = "displacement",
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
+    """Export the table."""
     if table_version is not None and format in ("bushing", "packed"):
         message = f"is not possible for a {format} table, which always is the newest; leave it out"
         raise bad_body([{"loc": "table_version", "msg": message}])
@@ -178,7 +178,6 @@ def _tag(component: Component, version: int, error: SolverError | None) -> str:
 
 @router.post(
     "",
-    summary="Import rows from a file",
     responses=answers(Imported, "the rows are stored; with `dry_run`, they are counted")
     | refused(
         s413="the table is too large; send it in parts",
@@ -190,6 +189,7 @@ def _tag(component: Component, version: int, error: SolverError | None) -> str:
 async def import_table(
     name: str, request: Request, workspace: Opened, query: Annotated[ImportQuery, Query()]
 ) -> Response:
+    """Import rows from a file."""
     component = workspace.library[name]
     kind = content_type(request)
     if kind and kind not in _TAKEN:
