@@ -43,7 +43,7 @@ from wrenchbook.service.formats.xlsx import read_xls, read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
 from wrenchbook.surrogate.findings.find import MAX_ROWS, find
 from wrenchbook.surrogate.findings.response import RigFinding
-from wrenchbook.surrogate.table.rows import Rows, is_unknown, joined, unknown_column
+from wrenchbook.surrogate.table.rows import Rows, is_unknown, joined, nulls, unknown_column
 from wrenchbook.surrogate.table.space import DEFAULT, Space
 
 MAX_PREVIEW = 100
@@ -175,11 +175,10 @@ def table_parts(
             break
         sample.add(piece)
         for at in range(min(preview, MAX_PREVIEW, good + len(piece)) - len(shown)):
-            moved = piece.displacement[at].tolist()
             row = {
                 "row": int(piece.seq[at]),
                 "wrench": piece.wrench[at].tolist(),
-                "displacement": [None if np.isnan(value) else value for value in moved],
+                "displacement": nulls(piece.displacement[at].tolist()),
             }
             shown.append(row)
         good += len(piece)
