@@ -340,7 +340,7 @@ def test_a_shift_beyond_the_stated_uncertainty_is_asked_for_where_solves_tell_it
     options, report = Options(load_range=SPAN, solved=compliance), ReadReport()
     pieces = pieces_of(wrench, moved, np.full(moved.shape, bar))
     assert len(list(with_known_point(iter(pieces), options, report))) == 1
-    assert report.mistakes.of_file == asked
+    assert report.mistakes.is_ruined == asked
 
 
 def test_each_interface_of_a_part_has_its_own_cell(solved):
