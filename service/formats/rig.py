@@ -241,12 +241,13 @@ def with_known_point(
     for piece in pieces:
         yield piece
         is_checked = np.ones(len(piece), dtype=bool)
-        names = {name for _, name, _ in report.columns}
+        has_column = np.ones(len(size), dtype=bool)
         if not options.rig:
             is_checked = ~(_of_interface(piece) | (piece.source != ""))
-            size[[bool(names) and name not in names for name in options.columns.wrench]] = np.inf
+            names = {name for _, name, _ in report.columns}
+            has_column = np.array([not names or n in names for n in options.columns.wrench])
 
-        shift = np.nan_to_num(_shift(piece.wrench, piece.displacement))[is_checked]
+        shift = np.nan_to_num(_shift(piece.wrench, piece.displacement))[is_checked] * has_column
         share = np.abs(shift) / size
         rows = rows + len(shift)
         count[:-1] += (share > _SMALL_SHIFT).sum(axis=0)
