@@ -173,7 +173,9 @@ def rig_text(*parts: str, of: str = "") -> str:
     They replace those of the TOML `of`, which precedes them.
     """
     pairs = zip(_KEYS[1:], parts, strict=False)
-    text = "".join(f"{key} = {json.dumps(text)}\n" for key, text in pairs if text.strip())
+    text = "".join(
+        f"{key} = {json.dumps(text, ensure_ascii=False)}\n" for key, text in pairs if text.strip()
+    )
     return f"{of.rstrip()}\n\n[{_OWN}]\n{text}" if of and text else of or text
 
 
