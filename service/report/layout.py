@@ -62,7 +62,7 @@ def advice_of(report: dict[str, Any]) -> str:
 
 def _bars_are_too_small(table: dict[str, Any]) -> bool:
     beyond = table["beyond_error_bar"]
-    return beyond["missed"] > (1 - ACCEPTED) * beyond["of"]
+    return beyond["of"] - beyond["missed"] < ACCEPTED * beyond["of"]
 
 
 def _advice_on_bars(report: dict[str, Any], table: dict[str, Any]) -> str:
@@ -266,7 +266,7 @@ def _percent(fraction: float) -> str:
     percent = 100 * fraction
     if 0 < percent < LEAST_PERCENT:
         return f"< {LEAST_PERCENT} %"
-    return f"{percent:.0f} %" if percent >= 100 else f"{percent:.2g} %"
+    return f"{percent:.0f} %" if percent >= 99.5 else f"{percent:.2g} %"
 
 
 def _lengths(outputs: Sequence[str], values: Iterable[float | None]) -> tuple[str, ...]:

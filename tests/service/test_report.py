@@ -70,6 +70,17 @@ def test_errors_of_a_report_have_units_and_no_powers_of_ten(report):
     assert not [cell for line in lines for cell in line if re.search(r"\de-\d", cell)]
 
 
+@pytest.mark.parametrize(
+    ("fraction", "text"),
+    [(0.00999, "1 %"), (0.9949, "99 %"), (0.995, "100 %"), (0.9999, "100 %"), (1.234, "123 %")],
+)
+def test_a_percentage_of_a_report_has_no_power_of_ten(report, fraction, text):
+    """0.995 was "1e+02 %"."""
+    figures = deepcopy(report)
+    figures["default"]["errors_left_out"] = {"kriging": fraction}
+    assert sections_of(figures)[0].lines == (("kriging", text),)
+
+
 def test_percentages_of_a_report_have_a_space(report):
     assert not re.search(r"\d%", as_markdown(report))
 
@@ -158,6 +169,14 @@ def test_the_advice_says_first_that_error_bars_were_too_small(report):
     )
     assert "few wrenches were compared: 5" in advice_of(figures)
     assert "needs no more rows" not in advice_of(figures)
+
+
+def test_error_bars_that_hold_exactly_nine_tenths_of_the_errors_are_accepted(report):
+    """15 of 150 exceeded (1 - 0.9) * 150, which is 14.999999999999996."""
+    figures = deepcopy(report)
+    for table in figures["tables"]:
+        table["beyond_error_bar"] = {"missed": 15, "of": 150}
+    assert "too small" not in advice_of(figures)
 
 
 def test_the_advice_does_not_call_rows_useless_that_improve_the_error_bars(report):
