@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import secrets
 import tempfile
 import time
 import zipfile
@@ -89,7 +90,7 @@ def back_up(folder: Path, target: Path) -> Manifest:
         raise BackupError(f"{target} is no regular file; name a file. No backup was made")
 
     target = real  # the file that a symbolic link names
-    draft = target.with_name(f".{target.name}.{os.getpid()}.part")
+    draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
     try:
         with (
             tempfile.TemporaryDirectory(prefix=".wrenchbook-", dir=target.parent) as scratch,
