@@ -306,11 +306,12 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[np.ndarray], 
     if second is not None:
         ratio = recovered.coarsening(second.component.mesh) ** (-1 if fine else 1)
     if second is None or ratio.min() < MIN_RATIO:
+        size = "finer" if fine else "coarser"
+        why = "no second mesh can be made"
+        if second is not None:
+            why = f"a {size} mesh is no {size} where the error is"
         if bundle.mesh is None or bundle.mesh.geometry is None:
-            basis = "stresses recovered at six unit loads; no second mesh can be made"
-            return [2 * tied * by_stresses], basis
-        edges = "a coarser mesh is no coarser where the error is: the part's edges keep it fine"
-        why = edges if second else "no second mesh can be made"
+            return [2 * tied * by_stresses], f"stresses recovered at six unit loads; {why}"
         return [], f"{why}; wrenchbook converge compares it with finer ones"
 
     # Ratio of an error of first order, the slowest, to the change between sizes of this ratio.
