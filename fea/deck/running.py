@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.failure import SolveFailed, ending
 from wrenchbook.fea.readers import (
     MAX_QUOTED,
     DeckReader,
@@ -106,10 +106,10 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
             "smaller increments in the deck.",
         )
     if complaint is not None:
-        raise solver_failed(program, _ending(code), complaint.quoted, run.folder)
+        raise solver_failed(program, ending(code), complaint.quoted, run.folder)
     if code != 0:
         text = run.printed.read_text(encoding="utf-8", errors="replace").strip()
-        raise solver_failed(program, _ending(code), text[-MAX_QUOTED:] or "nothing", run.folder)
+        raise solver_failed(program, ending(code), text[-MAX_QUOTED:] or "nothing", run.folder)
     try:
         return reader.read(run, deck.output)
     except OutputError as error:
@@ -146,20 +146,6 @@ def _exit_code(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress)
             f"Install it{package} where solves run, so that it is on the PATH there, or correct "
             "the command.",
         ) from None
-
-
-def _ending(code: int) -> str:
-    """Return the ending of a program as text, by its exit code or minus its signal."""
-    if code == 0:
-        return "reported an error"
-    if code > 0:
-        return f"ended with exit code {code}"
-    try:
-        name = signal.Signals(-code).name
-    except ValueError:
-        name = f"signal {-code}"
-    memory = " (out of memory?)" if -code == signal.SIGKILL else ""
-    return f"was ended by {name}{memory}"
 
 
 # Seconds between asking a program to end and killing it; engines wait 5 s for this process.

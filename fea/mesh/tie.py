@@ -227,7 +227,10 @@ def tied_nodes(
     distance: facets farther from each other are not tied, m; None for a tenth of the mean edge.
     free: shape (n,), bool: nodes that may depend on others.
     """
-    edge = _mean_edge(points, [*secondary.blocks, *main.blocks])
+    facets = [*secondary.blocks, *main.blocks]
+    corners = [points[nodes[:, : corners_of(kind)]] for kind, nodes in facets]
+    edges = [np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).ravel() for at in corners]
+    edge = float(np.concatenate(edges).mean())
     distance = min(distance or _GAP * edge, edge)  # to close a larger gap would fold cells over
     main_areas = [_areas(points, block) for block in main.blocks]
     main_covered = [np.zeros(len(areas)) for areas in main_areas]  # tied area of each facet, m^2
@@ -258,20 +261,25 @@ def tied_nodes(
             is_tied = taken[part.facets]
             max_gap = max(max_gap, float(part.gaps[is_tied].max(initial=0.0)))
             np.add.at(main_covered[part.block], part.main_facets[is_tied], part.areas[is_tied])
-            entries.append(_dual_entries(part, nodes, dual, is_tied))
+            # Products of dual and main functions, m^2, are the weights of the secondary nodes.
+            followers, masters, weights = np.broadcast_arrays(
+                nodes[part.facets][:, :, None],
+                part.masters[:, None],
+                dual[part.facets] @ part.products,
+            )
+            entries.append(
+                Entries(*(each[is_tied].ravel() for each in (followers, masters, weights)))
+            )
 
     tied = free & (covered > _MIN_INTEGRAL * complete)
     follow = _followed(entries, tied, covered, ends)
     untied = len(secondary.node_ids) - int(tied.sum())
-    within = _partly_covered(np.concatenate(main_areas), np.concatenate(main_covered))
+    # The size of the largest main facet that is covered in part: the diagonal of a square.
+    areas, tied_areas = np.concatenate(main_areas), np.concatenate(main_covered)
+    is_part = (_UNSURE * areas < tied_areas) & (tied_areas < _WHOLE * areas)
+    part_area = areas[is_part].max(initial=0.0)
+    within = float(np.sqrt(2 * part_area / tied_areas.sum())) if part_area else 0.0
     return TiedNodes(np.flatnonzero(tied), untied, max_gap, distance, cut, beyond, within), follow
-
-
-def _mean_edge(points: np.ndarray, blocks: Sequence[FacetBlock]) -> float:
-    """Return the mean length of the edges of facets, m."""
-    corners = [points[nodes[:, : corners_of(kind)]] for kind, nodes in blocks]
-    edges = [np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).ravel() for at in corners]
-    return float(np.concatenate(edges).mean())
 
 
 def _areas(points: np.ndarray, block: FacetBlock) -> np.ndarray:
@@ -279,16 +287,6 @@ def _areas(points: np.ndarray, block: FacetBlock) -> np.ndarray:
     at = points[block.nodes[:, : corners_of(block.kind)]]
     across = np.cross(at, np.roll(at, -1, axis=1))
     return np.linalg.norm(across.sum(axis=1), axis=1) / 2
-
-
-def _partly_covered(areas: np.ndarray, covered: np.ndarray) -> float:
-    """Return the size of the largest main facet that is covered in part, over the tie's, or 0.
-
-    areas, covered: shape (f,), m^2: of each main facet, and of its tied part.
-    """
-    is_part = (_UNSURE * areas < covered) & (covered < _WHOLE * areas)
-    part = areas[is_part].max(initial=0.0)
-    return float(np.sqrt(2 * part / covered.sum())) if part else 0.0  # the diagonal of a square
 
 
 class _Mixed(NamedTuple):
@@ -344,21 +342,6 @@ def _integrals(
             areas = weights.sum(axis=1)
             mixed.append(_Mixed(index, first, second, masters, products, gaps, areas))
     return _Integrals(mass, mixed, off)
-
-
-def _dual_entries(
-    part: _Mixed, nodes: np.ndarray, dual: np.ndarray, is_tied: np.ndarray
-) -> Entries:
-    """Return the products of dual and main functions, m^2, as weights of the secondary nodes.
-
-    nodes: shape (f, k), int64: of the secondary facets. dual: shape (f, k, k).
-    is_tied: shape (s,), bool: overlaps on tied facets.
-    """
-    weights = dual[part.facets] @ part.products
-    followers, masters, weights = np.broadcast_arrays(
-        nodes[part.facets][:, :, None], part.masters[:, None], weights
-    )
-    return Entries(followers[is_tied].ravel(), masters[is_tied].ravel(), weights[is_tied].ravel())
 
 
 class _Transform(NamedTuple):

@@ -21,7 +21,7 @@ from starlette.types import Receive, Scope, Send
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.contract import COVERAGE, MAX_BATCH, OUTPUTS, QUERY_WAIT_S
-from wrenchbook.service.http.bodies import BatchBody, Method, OnThin, Width, query_of
+from wrenchbook.service.http.bodies import BatchBody, BinaryWidth, Body, Method, OnThin, query_of
 from wrenchbook.service.http.body import (
     Spooled,
     both_tolerances,
@@ -40,7 +40,7 @@ from wrenchbook.service.messages import Displacements, WrenchJob
 from wrenchbook.service.query import BatchOutcome, Query, job_link, known_slopes
 from wrenchbook.service.sandbox import MIB, Limits, Part, run
 from wrenchbook.surrogate.answer import within_tolerance_many
-from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space
+from wrenchbook.surrogate.table.space import PER_INTERFACE, Space
 
 # A million wrenches as Python's lists and numbers are 400 MB, next to the text of 250 MB.
 LIMITS: Final = Limits(memory=1200 * MIB, seconds=60.0, output=256 * MIB)
@@ -184,9 +184,10 @@ class HoldingReply(Response):
             await self._reply(scope, receive, send)
 
 
-class BinaryOptions(Width):
+class BinaryOptions(Body):
     """The options of a binary batch, which are query parameters."""
 
+    inputs: BinaryWidth = None
     on_thin: OnThin = "queue"
     wait_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = QUERY_WAIT_S
     method: Method = None
@@ -201,21 +202,19 @@ def is_binary(request: Request) -> bool:
     return content_type(request) == BINARY_TYPE
 
 
-def read_binary(
-    body: Spooled, options: dict[str, str], space: Space = DEFAULT
-) -> tuple[np.ndarray, Query]:
+def read_binary(body: Spooled, options: dict[str, str], space: Space) -> tuple[np.ndarray, Query]:
     """Return the wrenches and options of a binary batch, whose options are query parameters."""
     full: BinaryOptions = checked(BinaryOptions, options)
-    wrenches = read_wrenches(body.read(), full.inputs, space=space)
+    wrenches = read_wrenches(body.read(), full.inputs, space)
     return wrenches, query_of(full, both_tolerances(full.translation, full.rotation))
 
 
 def read_wrenches(
     body: bytes,
-    width: int | None = None,
+    width: int | None,
+    space: Space,
     count: int = MAX_BATCH,
     largest: float = LARGEST_LOAD,
-    space: Space = DEFAULT,
 ) -> np.ndarray:
     """Wrenches (n, inputs), SI, of little-endian float64, sent as `width` numbers each.
 

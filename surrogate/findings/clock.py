@@ -87,9 +87,15 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
         for times in (logs.load_time, np.sort(logs.displacement_time))
     )
     step = max(interval, (duration + 2 * MAX_LAG * duration) / MAX_STEPS, duration * RESOLUTION)
-    alike = _alike_fits(logs, applied, step)
-    if not alike:
+    # Lags that fit about as well as the best: with periodic loads, those one period apart.
+    starts = [applied, *_correlated_lags(logs, applied, step)]
+    candidates = [_fitted(logs, (applied, start), step) for start in starts]
+    fits = [candidate for candidate in candidates if candidate is not None]
+    if not fits:
         return None
+    sizes = [max(float(fit.residual(lag).mean()), MIN_MISFIT**2) for lag, fit in fits]
+    alike = [fits[at] for at, size in enumerate(sizes) if ALIKE * size <= min(sizes)]
+    alike.sort(key=lambda candidate: abs(candidate.lag - applied))
     fit = alike[0].fit
     vertices = [candidate.fit.vertex(candidate.lag) for candidate in alike]
     best, error = vertices[0]
@@ -128,19 +134,6 @@ class _LagFit(NamedTuple):
 
     lag: float  # s
     fit: _Fit
-
-
-def _alike_fits(logs: Logs, applied: float, step: float) -> list[_LagFit]:
-    """Return the lags that fit about as well as the best, that nearest to the applied lag first.
-
-    With periodic loads lags one period apart fit alike. `applied` and `step`, s.
-    """
-    starts = [applied, *_correlated_lags(logs, applied, step)]
-    candidates = [_fitted(logs, (applied, start), step) for start in starts]
-    fits = [candidate for candidate in candidates if candidate is not None]
-    sizes = [max(float(fit.residual(lag).mean()), MIN_MISFIT**2) for lag, fit in fits]
-    alike = [fits[at] for at, size in enumerate(sizes) if ALIKE * size <= min(sizes)]
-    return sorted(alike, key=lambda candidate: abs(candidate.lag - applied))
 
 
 def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:

@@ -87,9 +87,9 @@ def node_numbers(fields: list[str], grids: Collection[str]) -> list[str]:
     numbers: list[str] = []
     try:
         while fields:
-            words = [text.upper() for text in fields[:4]]
-            if words[1:2] == ["THRU"]:
-                has_step = words[3:] == ["BY"]
+            capitals = [text.upper() for text in fields[:4]]
+            if capitals[1:2] == ["THRU"]:
+                has_step = capitals[3:] == ["BY"]
                 step = whole(fields[4]) if has_step else 1
                 first, last = whole(fields[0]), whole(fields[2])
                 if first > last:
