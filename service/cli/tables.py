@@ -460,7 +460,7 @@ def _import_lines(reply: dict[str, Any]) -> list[str]:
     existing = reply["existing"]
     there = f"{existing} {'was' if existing == 1 else 'were'} there already"
     lines.append(f"{counted(reply['inserted'], 'row')} {verb}, {there}.")
-    if beyond := reply["beyond_range"]:
+    if beyond := reply.get("beyond_range"):
         are = "is" if beyond == 1 else "are"
         lines.append(f"{counted(beyond, 'row')} {are} outside the load range.")
     if reply["existing"]:
