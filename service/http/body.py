@@ -221,8 +221,8 @@ def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
     if not super(LoadsBody, body).is_empty():
         place = "moment" if body.force is None else "force"
         if space.several:
-            message = "give force and moment of each interface in loads: "
-            message += " or ".join(space.several)
+            message = "give force and moment of each interface in loads "
+            message += f"(--load {space.several[0]}=FX,FY,FZ): {' or '.join(space.several)}"
             raise bad_body([{"loc": place, "msg": message}])
         if loads:
             message = "is given beside loads, which has the same wrench; leave one of the two out"

@@ -139,12 +139,12 @@ class HttpProblemError(HTTPException):
 def bad_body(errors: Sequence[dict[str, Any]]) -> HttpProblemError:
     """Describe a request that has not the call's form, by at most MAX_ERRORS ``{loc, msg}``."""
     first = f"{errors[0]['loc']}: {errors[0]['msg']}" if errors else "see the documentation"
-    mistakes = f"{len(errors)} mistake{'s' * (len(errors) > 1)}"
+    several = f"Nothing was changed. {len(errors)} mistakes; the first is " * (len(errors) > 1)
     return HttpProblemError(
         422,
         "bad-request-body",
         "The request does not have the form of this call",
-        f"Nothing was changed. {mistakes}; the first is {first}.",
+        f"{several}{first}.",
         errors=list(errors[:MAX_ERRORS]),
     )
 
