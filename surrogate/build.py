@@ -317,7 +317,7 @@ class Table:
         summary = self.groups[0].coverage_summary() | {
             "table_version": self.version,
             "rig_error": _known(self.rig_error),
-            **row_conflicts(self.rows, self.load_range),
+            **row_conflicts(self.rows, self.load_range, self.observation_noise),
             "noise_of_a_reading": _known(self.observation_noise),
         }
         if not self.rows.partial:
