@@ -24,7 +24,7 @@ from wrenchbook.fea.mesh.deck_content import (
     DeckContent,
     LoadCase,
     SolidSection,
-    in_si,
+    si_factor,
 )
 from wrenchbook.fea.mesh.element_order import SECOND, second_order
 from wrenchbook.fea.mesh.io.ansys import read_ansys
@@ -162,7 +162,7 @@ class _Proposal:
             constants = self.deck.materials.get(name, {})
             lines += ["", "[[material]]", f"region = {_text(region)}"]
             for key, value in constants.items():
-                lines.append(f"{key} = {_numbers(value, in_si(key, self.unit))}")
+                lines.append(f"{key} = {_numbers(value, si_factor(key, self.unit))}")
             if "thermal_expansion" in constants and self.unit in ("in", "ft"):
                 self.decide.append(
                     f"thermal_expansion of {name or region} is taken per K; if the deck's is per "
@@ -229,7 +229,7 @@ class _Proposal:
                 lines += ["[[supports.bushing]]", f"group = {groups}"]
             else:
                 lines += ["", "[[spring]]", f"groups = [{groups}]"]
-            matrix = spring.in_si(self.unit)
+            matrix = spring.stiffness_in_si(self.unit)
             diagonal = np.diagonal(matrix)
             if (matrix == np.diag(diagonal)).all():
                 values = _numbers(tuple(diagonal.tolist()), digits=_EXACT)
@@ -289,8 +289,8 @@ class _Proposal:
 
     def range(self, group: CoupledGroup) -> list[str]:
         """Return plus and minus the largest force and moment; a zero one follows from `_LEVER`."""
-        force = max(map(abs, group.loads[:3])) * in_si("force", self.unit)
-        moment = max(map(abs, group.loads[3:])) * in_si("moment", self.unit)
+        force = max(map(abs, group.loads[:3])) * si_factor("force", self.unit)
+        moment = max(map(abs, group.loads[3:])) * si_factor("moment", self.unit)
         is_complete = force and moment
         if not force:
             force = moment / _LEVER if moment else _FORCE

@@ -47,7 +47,7 @@ def with_cycles(
             if report.read > MAX_CYCLE_ROWS:
                 message = f"has more than {MAX_CYCLE_ROWS:,} rows, the limit of cycle options"
                 raise _CycleError("file", f"{message}; send it in parts")
-        if any(map(len, parts)) and not report.mistakes.of_file:
+        if any(map(len, parts)) and not report.mistakes.is_ruined:
             rows = _retained_rows(_joined(parts), options, report)
             for start in range(0, len(rows), _BLOCK):
                 yield rows.take(np.arange(start, min(start + _BLOCK, len(rows))))

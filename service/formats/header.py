@@ -262,9 +262,10 @@ def is_second_header(cells: Sequence[str], header: Header, options: Options) -> 
     units = 0
     for column in header.columns.values():
         cell = cells[column.index] if column.index < len(cells) else ""
-        with suppress(UnitError):
-            unit = _parts(cell)[1] or _without_brackets(cell)
-            units += column.name not in TEXTS and columns.factor(column.name, unit) > 0.0
+        if cell.strip() and column.name not in TEXTS:
+            with suppress(UnitError):
+                columns.factor(column.name, _parts(cell)[1] or _without_brackets(cell))
+                units += 1
     return units >= _SEVERAL or named_columns(filled, columns, options.mapping) >= _SEVERAL
 
 

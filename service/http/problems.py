@@ -49,6 +49,9 @@ MAX_VALUE = 40  # characters of a quoted value: longer ones are cut
 _PLAIN = {
     "extra_forbidden": "is unknown; correct its name, or leave it out (see the fields at /docs)",
     "missing": "is missing; add it (see the fields at /docs)",
+    # The names of keys and rigs alone have a pattern.
+    "string_pattern_mismatch": "must be 1 to 64 of a-z, A-Z, 0-9, _, . and -, and begin with a "
+    "letter or digit",
 }
 # Status, kind and title of each error; a subclass that is not listed has those of its base.
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {

@@ -248,7 +248,7 @@ def other_load(rows):
 def test_cycles_that_do_not_allow_an_option_are_refused(change, options, words):
     rows, report = left(change(Loop(5, low=0.0).rows), **options)
     (mistake,) = report.mistakes.listed()
-    assert (len(rows), report.mistakes.of_file, words in mistake.message) == (0, True, True)
+    assert (len(rows), report.mistakes.is_ruined, words in mistake.message) == (0, True, True)
 
 
 def test_parsed_tables_are_equal_to_themselves_only():

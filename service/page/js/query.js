@@ -7,7 +7,7 @@ import { el, field, note, pill, put, select } from "./dom.js";
 import { linkTo } from "./empty.js";
 import { listen } from "./events.js";
 import { OUTPUTS, counted, number, percent, pageWords, quantity, sentence, symbol, unitOfOutput, withBar, withoutRoundOff } from "./format.js";
-import { beyondRange, named, said } from "./inputs.js";
+import { beyondRange, inputsText, named } from "./inputs.js";
 import { failureWords } from "./job_list.js";
 import { insideBars, insideWords, reportOf } from "./report.js";
 import { overTolerance } from "./shares.js";
@@ -55,7 +55,7 @@ export async function show(root, about, signal) {
     const stale = asked && (asked.options !== JSON.stringify(options()) || String(asked.wrench) !== String(form.read()));
     answer.parentElement?.classList.toggle("stale", Boolean(stale));
     old.hidden = !stale;
-    if (stale) put(old, `This answer is for ${said(named(about, asked.wrench), about, TYPED)}. Press Ask for the inputs typed now.`);
+    if (stale) put(old, `This answer is for ${inputsText(named(about, asked.wrench), about, TYPED)}. Press Ask for the inputs typed now.`);
   };
   let drawing = null;
   const picture_ = about.has_fea ? el("section", { class: "card" }, el("h2", {}, about.space ? "Loads at the interfaces" : "Load at the interface")) : null;
@@ -134,7 +134,7 @@ function shown(answer, about, wrench, why, over, solve) {
     over ? note("thin", over) : null,
     Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, about.tolerance, answer)),
     answer.notes ? note("thin", el("ul", {}, answer.notes.map((one) => el("li", {}, one)))) : null,
-    el("p", { class: "muted small" }, said(named(about, wrench), about, TYPED)),
+    el("p", { class: "muted small" }, inputsText(named(about, wrench), about, TYPED)),
   ];
 }
 

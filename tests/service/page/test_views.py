@@ -122,6 +122,27 @@ def test_the_old_report_stays_while_a_new_one_is_made_which_can_be_cancelled(bro
     assert reported.call_json("GET", f"{REPORT}?format=state")["state"] == "done"
 
 
+def test_a_report_that_cannot_be_cancelled_says_so_and_can_be_cancelled_again(browser, plate):
+    """The button stayed disabled, and no notice said why."""
+    browser.visit("#/terms")
+    browser.one("h1")
+    running = {"state": "running", "fraction": 0.1, "message": "solving"}
+    browser.run(STUB, json.dumps([["format=state", running]]))
+    browser.run(REFUSED, "DELETE")
+    browser.go(f"{PLATE}/report")
+    browser.click("#cancel-report")
+    browser.named("#notices", "The server is busy.")
+    browser.until(lambda: browser.one("#cancel-report").is_enabled())
+
+
+def test_a_report_that_cannot_be_saved_says_so(browser, reported):
+    browser.visit(f"{PLATE}/report")
+    browser.one("#plot-front[data-drawn]")
+    browser.run(REFUSED, "GET")
+    browser.click("button", "Save MD")
+    browser.named("#notices", "The server is busy.")
+
+
 def test_cards_show_the_part_and_an_error_bar_with_its_discretisation_error(browser, plate):
     browser.visit("#/")
     card = browser.named(".card.library", "plate_thin")
@@ -632,6 +653,23 @@ def test_a_temperature_is_asked_beside_the_wrench(browser):
     assert "temperature 80" in browser.one("main").text
 
 
+def test_a_unit_that_could_not_be_read_is_requested_for_the_next_list_of_jobs(browser):
+    """A failed request left a job's temperature without its unit until the page was loaded anew."""
+    heated = job(2, "done", component="hot_bracket", created="2026-01-01T00:00:00Z")
+    heated["inputs"] = {"temperature": 80.0}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["v1/jobs?", {"jobs": [heated], "next": None}]]))
+    browser.run("window.served = window.fetch;" + REFUSED, "GET", "v1/components/hot_bracket")
+    browser.go("#/jobs")
+    assert "temperature 80" in browser.one("#job-2").text
+    browser.go("#/terms")
+    browser.named("h1", "Terms")
+    browser.run("window.fetch = window.served;")
+    browser.go("#/jobs")
+    browser.until(lambda: "80\u00a0°C" in browser.one("#job-2").text.replace(" ", "\u00a0"))
+
+
 def test_arrows_follow_the_loads_that_are_typed(browser):
     browser.visit("#/c/link/query")
     drawn(browser)
@@ -921,6 +959,7 @@ def doubtful(plate):
     report = {"tables": [table], "default": {"method": "kriging"}, "rows": rows}
     report |= {"made": "2026-01-01T00:00:00Z", "table_version": 1}
     report["advice"] = "The error bars of kriging were too small for 4 of 6 answers."
+    report |= {"bars_too_small": True, "needs_rows": True}
     return report
 
 
@@ -941,6 +980,7 @@ def test_the_overview_shows_that_the_error_bars_were_too_small_in_the_report(bro
 def test_an_answer_says_that_the_error_bars_were_too_small_in_the_report(browser, plate, missed):
     report = doubtful(plate)
     report["tables"][0]["beyond_error_bar"]["missed"] = missed
+    report["bars_too_small"] = missed > 0
     browser.visit("#/terms")
     browser.one("h1")
     browser.run(STUB, json.dumps([["format=state", {"state": "done"}], ["/report", report]]))
@@ -1347,6 +1387,14 @@ window.fetch = (to, how) => {
   if (reply === undefined) return own(to, how);
   if (how.body) window.sent.push(JSON.parse(how.body));
   return Promise.resolve(new Response(JSON.stringify(reply)));
+};"""
+
+# Refuses the calls of a method, all or those whose address has a text.
+REFUSED = """const before = window.fetch, [method, text = ""] = arguments;
+window.fetch = (to, how) => {
+  if (how.method !== method || !String(to).includes(text)) return before(to, how);
+  const problem = { title: "Busy", detail: "The server is busy." };
+  return Promise.resolve(new Response(JSON.stringify(problem), { status: 503 }));
 };"""
 
 
