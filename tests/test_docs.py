@@ -245,6 +245,7 @@ def filled(tmp_path_factory):
 )
 def test_the_displacement_below_a_command_is_that_of_a_filled_table(filled, page, wrench, shown):
     numbers = re.search(shown, (DOCS / f"how-to/{page}.md").read_text(), re.M)
+    assert numbers
     answer = filled.answer(wrench)
     values = answer.translation[2], answer.error_translation[2]
     assert values == pytest.approx([*map(float, numbers.groups())], rel=1e-5)
