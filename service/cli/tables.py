@@ -109,7 +109,8 @@ def import_table(
     load_point: _Point = None,
     displacement_point: _Point = None,
     load_cell: Annotated[
-        str | None, typer.Option(metavar="moving|fixed", help="point of the moments")
+        str | None,
+        typer.Option(metavar="moving|fixed", help="point of the moments: moving or fixed"),
     ] = None,
     rig: Annotated[
         str | None,
@@ -119,7 +120,8 @@ def import_table(
         int | None, typer.Option(min=0, help="first cycles of the main load to leave out")
     ] = None,
     branch: Annotated[
-        str | None, typer.Option(metavar="loading|unloading", help="branch to load")
+        str | None,
+        typer.Option(metavar="loading|unloading", help="branch to load: loading or unloading"),
     ] = None,
     thin: Annotated[
         float | None, typer.Option(help="part of the load range within which rows are averaged")
