@@ -19,6 +19,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Le
 
 from wrenchbook.service.files.program import usable_cores
+from wrenchbook.service.mistakes import mistake_of
 
 PREFIX = "WRENCHBOOK_"
 FILE = "wrenchbook.toml"  # settings file in the data directory, unless --config names another
@@ -125,8 +126,7 @@ def read_settings(
             place = f"{name} in {file}"
         elif place == "command line":
             place = f"--{name.replace('_', '-')}"
-        rule = first["msg"].replace("Input should be", "must be")
-        raise SettingsError(f"{place}: {rule}, not {first['input']!r}") from error
+        raise SettingsError(f"{place}: {mistake_of(first)}") from error
 
 
 def listed(text: str | None) -> list[str]:

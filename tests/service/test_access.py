@@ -175,7 +175,11 @@ def test_keys_are_made_listed_and_revoked_over_http_and_the_secret_is_told_once(
     assert created.json()["key"] not in reported.text
     assert "digest" not in reported.text
     again = locked.post("/v1/keys", json={"name": "eve"}, headers=admin)
-    assert again.status_code == 422
+    assert again.status_code == 409
+    assert again.json()["detail"].endswith("with: wrenchbook keys revoke eve --data FOLDER")
+    unfit = locked.post("/v1/keys", json={"name": "b b"}, headers=admin)
+    assert unfit.status_code == 422
+    assert "name: 'b b' is not a valid key name; use 1 to 64 letters" in unfit.json()["detail"]
     assert locked.delete("/v1/keys/eve", headers=admin).status_code == 200
     assert locked.get("/v1/jobs", headers=eve).status_code == 401
     assert locked.delete("/v1/keys/eve", headers=admin).status_code == 404
