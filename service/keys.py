@@ -15,6 +15,7 @@ import math
 import os
 import re
 import secrets
+import socket
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -339,9 +340,15 @@ def is_loopback(host: str) -> bool:
 def require_keys(host: str, folder: Path) -> None:
     """Check that an address that other machines reach has keys.
 
-    Raises KeysNeededError without keys, and KeysError if they cannot be read.
+    Raises KeysNeededError without keys, and KeysError if they cannot be read, or the host has no
+    address.
     """
     if not len(Keyring(folder)) and not is_loopback(host):
+        try:
+            socket.getaddrinfo(host, None)
+        except OSError:
+            why = f"no host has the name {host!r}; give an address of this machine with --host"
+            raise KeysError(why) from None
         raise KeysNeededError(_WITHOUT_KEYS.format(host=host, folder=folder))
 
 

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
+import click
 import typer
 
 from wrenchbook.fea.bundle.read import FILE_NAME
@@ -67,6 +68,9 @@ def connected(server: str, data: Path | None, solvers: int = 2) -> Iterator[Clie
             client.retry_s = 0.0  # without a server its error, with the remedy, must come at once
             yield client
         return
+    source = click.get_current_context().get_parameter_source("server")
+    if source is click.core.ParameterSource.COMMANDLINE:
+        raise typer.BadParameter("--server and --data exclude each other; leave one out")
     from wrenchbook.service.workers.private import private_server
 
     with private_server(data, solvers) as client:

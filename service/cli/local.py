@@ -38,6 +38,7 @@ from wrenchbook.service.settings import (
     as_file,
     check_copies,
     check_engine,
+    check_names,
     read_settings,
 )
 
@@ -82,6 +83,7 @@ def serve(
         check_engine(settings.engine, settings.scheduler)
         trust = proxy_trust(settings)
         check_copies(settings)
+        check_names(settings)
     except SettingsError as error:
         raise typer.BadParameter(str(error)) from error
     _make_folder(settings.data)
@@ -164,6 +166,9 @@ def work(
 
     from wrenchbook.service.workers.builder import opened, solving
 
+    if not (data / "ledger.sqlite").exists():
+        start = f"start wrenchbook serve --data {data} first, or correct the path"
+        raise _refused(f"{data} is not a data directory; {start}")
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -400,7 +405,8 @@ def _noted(data: Path, action: str, name: str, after: Any = None) -> Iterator[No
     from wrenchbook.service.ledger import Ledger, noted
 
     if action != "key.add" and not (data / KEYS).exists():  # otherwise a ledger would be made there
-        raise KeysError(f"{data} has no {KEYS}; name the server's data directory with --data")
+        create = f"create one with: wrenchbook keys add NAME{_data_option(data)}"
+        raise KeysError(f"{data} has no keys; {create}, or name another directory with --data")
     with (
         closing(Ledger(data / "ledger.sqlite")) as ledger,
         noted(ledger, action, name, after=after),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -251,7 +252,7 @@ def export_table(
         refuse_alone("a file that ends in .fmu", {"--method": method, "--platforms": platforms})
     format_ = "csv"
     if not to_stdout:
-        format_ = "packed" if ending in COMPILED else table_format(file)
+        format_ = table_format(file, dict.fromkeys(COMPILED, "packed"))
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     units = {quantity: unit for quantity, unit in units.items() if unit is not None}
     curves = {}
@@ -465,7 +466,9 @@ def _import_lines(reply: dict[str, Any]) -> list[str]:
     if rig := reply["rig"]:
         axes = "left-handed" if rig["left_handed"] else "right-handed"
         cell = f", load cell {rig['load_cell']}" if rig.get("load_cell") else ""
-        lines.append(f"Readings were taken to the interface from rig {rig['name']}, {axes}{cell}.")
+        # The server names a rig of options alone by eight digits of its digest.
+        named = "" if re.fullmatch("[0-9a-f]{8}", rig["name"]) else f" from rig {rig['name']}"
+        lines.append(f"Readings were taken to the interface{named}, {axes}{cell}.")
     return lines
 
 

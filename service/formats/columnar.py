@@ -62,8 +62,8 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
             yield from read_columns(pieces, options, report)
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
-    except Exception as error:  # pyarrow raises many classes for damaged files
-        report.mistakes.ruin(0, "file", f"cannot be read as Parquet ({error}); write it again")
+    except Exception:  # pyarrow raises many classes for damaged files
+        report.mistakes.ruin(0, "file", "is damaged, or not Parquet; write it again")
 
 
 def write_parquet(

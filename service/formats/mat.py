@@ -44,7 +44,7 @@ def _mat_variables(path: Path) -> dict[str, Any]:
         raise
     except Exception as error:  # scipy raises many classes for damaged files
         raise ContentError(
-            f"cannot be read as a MATLAB file: {error}; save it again with save('t.mat', '-v7')"
+            "is damaged, or not a MATLAB file; save it again with save('t.mat', '-v7')"
         ) from error
     return {name: value for name, value in values.items() if not name.startswith("__")}
 
