@@ -19,7 +19,7 @@ from annotated_types import Ge, Le
 from rich.table import Table
 
 from wrenchbook.service.actors import ANY
-from wrenchbook.service.cli.connect import AsJson, in_folder
+from wrenchbook.service.cli.connect import AsJson, Commands, in_folder
 from wrenchbook.service.cli.render import Screen, plain, print_json, show
 from wrenchbook.service.files.program import run_child, usable_cores
 from wrenchbook.service.keys import FILE as KEYS
@@ -324,7 +324,7 @@ def _data_option(data: Path) -> str:
     return "" if data == DEFAULT_DATA else f" --data {shlex.quote(str(data))}"
 
 
-keys = typer.Typer(no_args_is_help=True, help="List, add, rotate and revoke access keys.")
+keys = Commands(no_args_is_help=True, help="List, add, rotate and revoke access keys.")
 
 KeyName = Annotated[str, typer.Argument(help="name of the key's owner")]
 

@@ -464,12 +464,24 @@ def _import_lines(reply: dict[str, Any]) -> list[str]:
             f"file are not added to them. Withdrawn rows that count again: {reply['restored']}."
         )
     if rig := reply["rig"]:
-        axes = "left-handed" if rig["left_handed"] else "right-handed"
-        cell = f", load cell {rig['load_cell']}" if rig.get("load_cell") else ""
-        # The server names a rig of options alone by eight digits of its digest.
-        named = "" if re.fullmatch("[0-9a-f]{8}", rig["name"]) else f" from rig {rig['name']}"
-        lines.append(f"Readings were taken to the interface{named}, {axes}{cell}.")
+        lines.append(_rig_line(rig))
     return lines
+
+
+def _rig_line(rig: dict[str, Any]) -> str:
+    """Return the line of an import's rig: its axes and points, or those of the options alone."""
+    cell = rig.get("load_cell")
+    # The server names a rig without a name by eight digits of its digest.
+    named = "" if re.fullmatch("[0-9a-f]{8}", rig["name"]) else f" from rig {rig['name']}"
+    if cell and not named and rig["frame"] == [[1, 0, 0], [0, 1, 0], [0, 0, 1]]:
+        point = "moving interface point" if cell == "moving" else "undeformed interface point"
+        return f"Moments were taken about the {point} (--load-cell {cell})."
+    axes = "left-handed" if rig["left_handed"] else "right-handed"
+    return (
+        f"Readings were taken to the interface{named}, {axes}"
+        + (f", load cell {cell}" if cell else "")
+        + "."
+    )
 
 
 TABLE_COMMANDS = {

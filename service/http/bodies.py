@@ -180,8 +180,8 @@ class SolveBody(LoadsBody):
 
 
 def _span(span: Any) -> Any:
-    is_pair = isinstance(span, list) and len(span) == 2
-    if is_pair or (type(span) in (int, float) and span >= 0):
+    is_number = isinstance(span, int | float) and not isinstance(span, bool)
+    if len(span) == 2 if isinstance(span, list) else is_number and span >= 0:
         return span
     raise PydanticCustomError("span", "must be 0 or more, or [low, high]")
 
