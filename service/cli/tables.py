@@ -464,11 +464,11 @@ def _import_lines(reply: dict[str, Any]) -> list[str]:
             f"file are not added to them. Withdrawn rows that count again: {reply['restored']}."
         )
     if rig := reply["rig"]:
-        lines.append(_rig_line(rig))
+        lines.append(rig_line(rig))
     return lines
 
 
-def _rig_line(rig: dict[str, Any]) -> str:
+def rig_line(rig: dict[str, Any]) -> str:
     """Return the line of an import's rig: its axes and points, or those of the options alone."""
     cell = rig.get("load_cell")
     # The server names a rig without a name by eight digits of its digest.

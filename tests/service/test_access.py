@@ -98,7 +98,10 @@ def test_every_call_refuses_none_and_a_wrong_key_and_every_write_a_key_for_readi
     elif method != "GET":
         refused = locked.request(method, url, headers=bearer(secrets_["read"]))
         assert refused.status_code == 403, refused.text
-        assert "needs write" in refused.json()["detail"]
+        detail = refused.json()["detail"]
+        assert "needs write" in detail
+        is_query = path.endswith(("/displacement", "/displacements"))
+        assert ("(--on-thin estimate) needs only read" in detail) == is_query
     elif path != "/v1/events":  # which goes on for ever
         assert locked.request(method, url, headers=bearer(secrets_["read"])).status_code not in (
             401,
