@@ -166,9 +166,9 @@ def work(
 
     from wrenchbook.service.workers.builder import opened, solving
 
-    if not (data / "ledger.sqlite").exists():
+    if not data.is_dir():  # an empty one is allowed: a container may start before the server's
         start = f"start wrenchbook serve --data {data} first, or correct the path"
-        raise _refused(f"{data} is not a data directory; {start}")
+        raise _refused(f"there is no data directory {data}; {start}")
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
