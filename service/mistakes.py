@@ -23,6 +23,9 @@ _TEXTS = {
     "string_too_short": "must have {min_length} characters or more",
     "string_too_long": "must have {max_length} characters or fewer",
     "literal_error": "must be {expected}",
+    # The names of rigs alone have a pattern.
+    "string_pattern_mismatch": "must be 1 to 64 of a-z, A-Z, 0-9, _, . and -, and begin with a "
+    "letter or digit",
 }
 # By the first word of an error's type: "int" is of int_type, int_parsing and int_from_float.
 _KINDS = {
