@@ -317,7 +317,7 @@ class Table:
         summary = self.groups[0].coverage_summary() | {
             "table_version": self.version,
             "rig_error": nulls(self.rig_error.tolist()),
-            **row_conflicts(self.rows, self.load_range),
+            **row_conflicts(self.rows, self.load_range, self.observation_noise),
             "noise_of_a_reading": nulls(self.observation_noise.tolist()),
         }
         if not self.rows.partial:

@@ -281,9 +281,10 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
     if problems:
         raise BundleError(problems)
 
-    program = name = deck.command[0].replace("{job}", deck.file.stem)
-    files = [file for file in deck.files if Path(program) == Path(file.name)]
-    program = program if files and "/" in program else shutil.which(program)
+    name = deck.command[0].replace("{job}", deck.file.stem)
+    # A name without a slash is sought on the PATH alone, even if a file of the bundle has it.
+    is_in_bundle = "/" in name and any(Path(name) == Path(file.name) for file in deck.files)
+    program = name if is_in_bundle else shutil.which(name)
     summary = {
         "file": deck.file.name,
         "program": program,

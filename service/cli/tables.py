@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +25,7 @@ from wrenchbook.service.cli.connect import (
 from wrenchbook.service.cli.render import Screen, comparison_shown, plain, print_json, show
 from wrenchbook.service.client.errors import mistake_line
 from wrenchbook.service.client.library import RIG_NAME, check_readable, table_format
+from wrenchbook.service.contract import counted
 from wrenchbook.service.files.durable import write_atomically
 
 COMPILED = (".fmu", ".zip")  # made by this command from a packed table, not by the server
@@ -108,7 +110,8 @@ def import_table(
     load_point: _Point = None,
     displacement_point: _Point = None,
     load_cell: Annotated[
-        str | None, typer.Option(metavar="moving|fixed", help="point of the moments")
+        str | None,
+        typer.Option(metavar="moving|fixed", help="point of the moments: moving or fixed"),
     ] = None,
     rig: Annotated[
         str | None,
@@ -118,7 +121,8 @@ def import_table(
         int | None, typer.Option(min=0, help="first cycles of the main load to leave out")
     ] = None,
     branch: Annotated[
-        str | None, typer.Option(metavar="loading|unloading", help="branch to load")
+        str | None,
+        typer.Option(metavar="loading|unloading", help="branch to load: loading or unloading"),
     ] = None,
     thin: Annotated[
         float | None, typer.Option(help="part of the load range within which rows are averaged")
@@ -231,7 +235,7 @@ def export_table(
         int | None, typer.Option(help="an earlier version of the table; by default the newest")
     ] = None,
     bushing: Annotated[
-        str | None,
+        Literal["displacement", "load"] | None,
         typer.Option(
             metavar="displacement|load",
             help="a .csv of load over displacement of each axis, with this zero on the others",
@@ -251,7 +255,7 @@ def export_table(
         refuse_alone("a file that ends in .fmu", {"--method": method, "--platforms": platforms})
     format_ = "csv"
     if not to_stdout:
-        format_ = "packed" if ending in COMPILED else table_format(file)
+        format_ = table_format(file, dict.fromkeys(COMPILED, "packed"))
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     units = {quantity: unit for quantity, unit in units.items() if unit is not None}
     curves = {}
@@ -340,7 +344,7 @@ def withdraw(
     if as_json:
         print_json(reply)
     elif number is not None:
-        plain(Screen(), f"{reply['rows']} rows {reply['status']}.")
+        plain(Screen(), f"{counted(reply['rows'], 'row')} {reply['status']}.")
     else:
         for warning in reply["findings"]:
             _print_finding(name, warning, warning["import"])
@@ -418,8 +422,8 @@ def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> No
     plain(Screen(), f"{finding['cause']}: {finding['message']}", style="yellow")
     if number is not None:
         command = f"wrenchbook withdraw {name} {number} --finding {finding['cause']}"
-        count = finding["count"] or "all"
-        plain(Screen(), f"  to withdraw {count} rows of this import: {command}")
+        rows = counted(finding["count"], "row") if finding["count"] else "all rows"
+        plain(Screen(), f"  to withdraw {rows} of this import: {command}")
 
 
 def _print_import(name: str, reply: dict[str, Any]) -> None:
@@ -441,9 +445,9 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
     rows = reply["rows"]
     parts = [f"{rows[state]} {text}" for state, text in _NOT_LOADED.items() if rows.get(state)]
     if parts:
-        plain(Screen(), f"Of {rows['read']} rows read {', '.join(parts)}.")
+        plain(Screen(), f"Of {counted(rows['read'], 'row')} read {', '.join(parts)}.")
     if not (reply["dry_run"] or reply["errors"] or reply["in_use"]):
-        text = f"it answers from the {reply['inserted']} rows soon."
+        text = f"it answers from {counted(reply['inserted'], 'new row')} soon."
         plain(Screen(), f"The server still builds its table; {text}")
 
 
@@ -456,17 +460,36 @@ def _import_lines(reply: dict[str, Any]) -> list[str]:
     if len(sheets := reply["sheets"]) > 1:
         lines.append(f"Sheet {reply['sheet']} was read, of {', '.join(sheets)}.")
     verb = "would be inserted" if reply["dry_run"] else "inserted"
-    lines.append(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
+    existing = reply["existing"]
+    there = f"{existing} {'was' if existing == 1 else 'were'} there already"
+    lines.append(f"{counted(reply['inserted'], 'row')} {verb}, {there}.")
+    if beyond := reply.get("beyond_range"):
+        are = "is" if beyond == 1 else "are"
+        lines.append(f"{counted(beyond, 'row')} {are} outside the load range.")
     if reply["existing"]:
         lines.append(
             "Equal rows count once, within the file too; slopes and second derivatives of this "
             f"file are not added to them. Withdrawn rows that count again: {reply['restored']}."
         )
     if rig := reply["rig"]:
-        axes = "left-handed" if rig["left_handed"] else "right-handed"
-        cell = f", load cell {rig['load_cell']}" if rig.get("load_cell") else ""
-        lines.append(f"Readings were taken to the interface from rig {rig['name']}, {axes}{cell}.")
+        lines.append(rig_line(rig))
     return lines
+
+
+def rig_line(rig: dict[str, Any]) -> str:
+    """Return the line of an import's rig: its axes and points, or those of the options alone."""
+    cell = rig.get("load_cell")
+    # The server names a rig without a name by eight digits of its digest.
+    named = "" if re.fullmatch("[0-9a-f]{8}", rig["name"]) else f" from rig {rig['name']}"
+    if cell and not named and rig["frame"] == [[1, 0, 0], [0, 1, 0], [0, 0, 1]]:
+        point = "moving interface point" if cell == "moving" else "undeformed interface point"
+        return f"Moments were taken about the {point} (--load-cell {cell})."
+    axes = "left-handed" if rig["left_handed"] else "right-handed"
+    return (
+        f"Readings were taken to the interface{named}, {axes}"
+        + (f", load cell {cell}" if cell else "")
+        + "."
+    )
 
 
 TABLE_COMMANDS = {

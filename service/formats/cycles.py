@@ -121,7 +121,10 @@ def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> N
         most -= 1
     if count > most:
         message = f"is {count}, but at most {most} cycles of the main load {name} can be left out"
-        raise _CycleError("skip_cycles", f"{message}; give at most {most}")
+        message = f"{message}; give at most {most}"
+        if not most:
+            message = f"the file has no cycle of {name} to leave out; leave out skip_cycles"
+        raise _CycleError("skip_cycles", message)
     return _is_after(load, passes, count)
 
 

@@ -56,7 +56,7 @@ MAX_OTHER_LISTS: Final = 64  # of a batch's JSON, beside its wrenches
 MAX_OBJECTS: Final = 1024  # of a batch's JSON, which needs two: itself and its tolerance
 
 BINARY_TYPE: Final = "application/octet-stream"
-_Bar = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Tolerance = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 _BYTES: Final = {"type": "string", "format": "binary"}
 BINARY_BODY: Final = {BINARY_TYPE: {"schema": {**_BYTES, "description": BODIES["wrenches"]}}}
@@ -84,7 +84,7 @@ def read_batch_body(body: Spooled, inputs: int = PER_INTERFACE) -> tuple[np.ndar
 
 def batch_parts(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.ndarray]:
     """Return the checked options of a JSON batch, and its wrenches, (n, inputs)."""
-    # Before a parser makes 64 bytes of each list.
+    # Checked before parsing: the parser takes 64 bytes for each list.
     lists, objects = body.count(b"["), body.count(b"{")
     if lists > MAX_BATCH + MAX_OTHER_LISTS:
         raise too_many_wrenches(lists - 1, MAX_BATCH)
@@ -167,7 +167,12 @@ async def few_large(slots: asyncio.Semaphore, wrenches: int) -> AsyncIterator[No
 
 
 class HoldingReply(Response):
-    """A reply that releases what `held` holds once it is sent, or cannot be sent."""
+    """A reply that releases what `held` holds once it is sent, or cannot be sent.
+
+    Only `__call__` is used; for a `DirectRoute`.
+    """
+
+    background = None
 
     def __init__(self, reply: Response, held: AsyncExitStack) -> None:
         self._reply = reply
@@ -186,8 +191,8 @@ class BinaryOptions(Body):
     on_thin: OnThin = "queue"
     wait_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = QUERY_WAIT_S
     method: Method = None
-    translation: _Bar | None = None
-    rotation: _Bar | None = None
+    translation: _Tolerance | None = None
+    rotation: _Tolerance | None = None
     beyond_range: bool = False
     derivatives: bool = False
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import fields
+from math import isfinite
 from typing import Annotated, Any, Literal
 
 import orjson
-from pydantic import AliasChoices, Field, field_validator, model_validator
+from pydantic import AliasChoices, BeforeValidator, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 from typing_extensions import TypedDict
 
 from wrenchbook.service.contract import ImportFormat
@@ -17,6 +19,7 @@ from wrenchbook.service.formats.read import MAX_PREVIEW
 from wrenchbook.service.formats.rig import MAX_RIG, NAME, Rig, RigError, rig_text
 from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.messages import ImportFinding, PreviewRow, RowMistake, RowMistakes
+from wrenchbook.service.mistakes import MAX_VALUE
 
 _MAX_COLUMNS = 1000  # columns of a mapping: a logger has some hundred
 _MAPPING_FORM = '{"column in the file": "fz [N]"}'
@@ -28,6 +31,18 @@ _OF_FILES = frozenset(
 WAIT_S = 10.0  # s: a table of 20,000 measured rows is built by then
 MAX_WAIT_S = 600.0  # s: a million rows take minutes
 _Text = Annotated[str, Field(max_length=1000)]
+
+
+def _offset(text: Any) -> Any:
+    """Return an offset, s, or ``auto``: with one message, of which a union has two."""
+    try:
+        if text == "auto" or isfinite(float(text)):
+            return text
+    except (TypeError, ValueError):
+        pass
+    known = {"sent": repr(str(text)[:MAX_VALUE])}
+    text = "must be seconds or 'auto' (--lag SECONDS, --lag auto), not {sent}"
+    raise PydanticCustomError("offset", text, known)
 
 
 class ImportQuery(Body):
@@ -55,6 +70,7 @@ class ImportQuery(Body):
     mean_cycles: bool = False
     time_offset_s: Annotated[
         Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"],
+        BeforeValidator(_offset),
         Field(validation_alias=AliasChoices("time_offset_s", "lag")),
     ] = 0.0
     max_gap_s: Annotated[float | None, Field(gt=0, allow_inf_nan=False)] = None
@@ -83,7 +99,7 @@ class ImportQuery(Body):
     def _can_be_appended(self) -> ImportQuery:
         others = self.model_fields_set & _OF_FILES
         if self.append is not None and others:
-            names = ", ".join(sorted(others))
+            names = _listed(others)
             why = f"append does not allow {names}: it adds rows as they are"
             raise ValueError(why + "; leave them out, or import the file without append")
         return self
@@ -105,7 +121,7 @@ class ImportQuery(Body):
         profile = profile_of(rig)
         others = profile.model_fields_set & _OF_FILES
         if self.append is not None and others:
-            names = ", ".join(sorted(others))
+            names = _listed(others)
             why = f"append cannot go with {names} of this rig: it adds rows as they are"
             raise RigError(why + "; name a rig without them, or import the file without append")
         own_mapping, rig_mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
@@ -123,6 +139,12 @@ class ImportQuery(Body):
         return Options(**options)
 
 
+def _listed(parameters: set[str]) -> str:
+    """Return the names of parameters, with the other name that one of them has."""
+    names = {"time_offset_s": "time_offset_s (lag)"}
+    return ", ".join(names.get(name, name) for name in sorted(parameters))
+
+
 def profile_of(text: str) -> ImportQuery:
     """Return a rig's profile as a query; raises RigError or ValidationError if it is wrong."""
     values = Rig.read(text).options
@@ -134,6 +156,7 @@ def profile_of(text: str) -> ImportQuery:
 def _pairs(text: str) -> dict[str, str]:
     """Return the pairs of a JSON object of texts."""
     try:
+        # A tuple keeps repeated names, and tells an object from a list.
         pairs = json.loads(text, object_pairs_hook=tuple)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"is not JSON ({error}); write {_MAPPING_FORM}") from None

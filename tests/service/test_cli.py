@@ -31,6 +31,7 @@ from wrenchbook.service.cli.jobs import event_line
 from wrenchbook.service.cli.main import main
 from wrenchbook.service.cli.progress import Pace, _bar, cancelled_on_interrupt
 from wrenchbook.service.cli.render import Screen, answer_shown, matrix_table
+from wrenchbook.service.cli.tables import rig_line
 from wrenchbook.service.client import (
     Client,
     Displacement,
@@ -39,7 +40,7 @@ from wrenchbook.service.client import (
     ProblemError,
     ServerUnreachable,
 )
-from wrenchbook.service.contract import LOADS, OUTPUTS
+from wrenchbook.service.contract import LOADS, OUTPUTS, counted
 from wrenchbook.service.workers import private
 from wrenchbook.service.workers.supervisor import in_use
 
@@ -111,6 +112,15 @@ def test_a_command_sends_what_it_is_given_and_prints_the_reply(
     assert [words for words in case.get("absent", ()) if words in shown] == []
     if "json" in case:
         assert json.loads(out) == replies[0].body
+
+
+def test_an_import_names_the_rig_or_the_point_of_its_moments():
+    unit = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    rig = {"name": "b83e6161", "left_handed": False, "frame": unit, "load_cell": "moving"}
+    point = "Moments were taken about the moving interface point (--load-cell moving)."
+    assert rig_line(rig) == point
+    named = rig_line(rig | {"name": "press", "load_cell": None})
+    assert named == "Readings were taken to the interface from rig press, right-handed."
 
 
 @cases(__file__, "cli")
@@ -393,7 +403,7 @@ def test_ctrl_c_and_sigterm_cancel_the_solves_of_a_fill_and_no_others(
         assert set(states.values()) == {"cancelled"}
         assert command.returncode == 130
         assert " ".join(errors.split()) == (
-            f"Interrupted: {len(states)} solve(s) of this command cancelled."
+            f"Interrupted: {counted(len(states), 'solve')} of this command cancelled."
         )
 
 
@@ -428,7 +438,7 @@ def test_ctrl_c_while_the_server_stops_says_that_solves_were_not_cancelled(
         raise KeyboardInterrupt
     assert (ended.value.exit_code, len(calls)) == (130, 2)
     assert " ".join(capfd.readouterr().err.split()) == (
-        "Interrupted: 1 solve(s) of this command cancelled; the others were not cancelled: the "
+        "Interrupted: 1 solve of this command cancelled; the others were not cancelled: the "
         "server does not answer: nothing answers at http://127.0.0.1:1."
     )
 
@@ -450,7 +460,7 @@ def test_ctrl_c_says_why_the_server_refuses_to_cancel_a_job_that_has_not_ended(
         raise KeyboardInterrupt
     assert (ended.value.exit_code, refusals) == (130, [])
     said = " ".join(capfd.readouterr().err.split())
-    assert said.startswith("Interrupted: 0 solve(s) of this command cancelled; the others were not")
+    assert said.startswith("Interrupted: 0 solves of this command cancelled; the others were not")
     assert "Ask ann." in said
 
 

@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from wrenchbook.service import messages
-from wrenchbook.service.contract import MAX_BLOCK
+from wrenchbook.service.contract import MAX_BLOCK, counted
 from wrenchbook.service.http.batch import BINARY_BODY, is_binary, read_wrenches
 from wrenchbook.service.http.bodies import (
     BinaryBlock,
@@ -237,7 +237,7 @@ def _thinning(tally: Tally) -> str:
     near = f"each differs by at most {tally.within:.2g} of the load range from one kept"
     if tally.within_outside > NEAR:
         near += f", or, outside the range, by {tally.within_outside:.2g} of itself"
-    return f"{tally.thinned} wrenches were thinned out: {near}"
+    return f"thinned out: {counted(tally.thinned, 'wrench')}; {near}"
 
 
 def _started(

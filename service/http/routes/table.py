@@ -20,7 +20,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.responses import FileResponse, Response
 
-from wrenchbook.service.contract import ExportFormat
+from wrenchbook.service.contract import ExportFormat, counted
 from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.imports import Imported, ImportQuery
 from wrenchbook.service.http.openapi import BODIES, BYTES, answers, component_router, refused, takes
@@ -254,13 +254,16 @@ def _bad_rows(reply: dict[str, Any], unit: str, is_ruined: bool) -> HttpProblemE
     place = f"row {first['row']}, " if first["row"] else ""
     has_good = rows["read"] > rows["refused"] and not is_ruined
     partial = ", or add --partial (over HTTP partial=true) to load only the good rows"
+    them = "it" if len(errors) == 1 else "them"
+    again = f" Correct {them} and send the {unit} again{partial * has_good}."
+    if first["field"] == "file":  # its message has the remedy
+        again = ""
     return HttpProblemError(
         422,
         "bad-rows",
         "The table has mistakes",
-        f"Nothing was loaded; {len(errors)} mistake{'s' * (len(errors) > 1)}{sheet}, the first in "
-        f"{place}{first['field']}: {first['message']}. Correct them and send the {unit} "
-        f"again{partial * has_good}.",
+        f"Nothing was loaded; {counted(len(errors), 'mistake')}{sheet}, the first in "
+        f"{place}{first['field']}: {first['message']}.{again}",
         **{**reply, "errors": places},
     )
 

@@ -9,7 +9,7 @@ const TERMS = [
   ["Displacement", "Three translations, m, and a rotation vector, rad, of the interface point under a wrench."],
   ["Row", "One wrench with its displacement, from a solve by finite elements or from a measurement."],
   ["Table", "All rows of a component. A query interpolates between them in microseconds."],
-  ["Error bar", "Half the width of the interval about an answer that holds the true value in 95 % of queries. Its parts are interpolation (more rows lower it), discretisation (a finer mesh lowers it), in a linear analysis linearity, and of measured rows the reading error: noise, hysteresis and drift."],
+  ["Error bar", "Half the width of the interval about an answer that holds the true value in 95 % of queries. Its parts are interpolation (more rows lower it), discretisation (a finer mesh lowers it), in a linear analysis linearity, and of measured rows hysteresis and drift; their noise is in the interpolation error."],
   ["Covered", "The interpolation error of the answer is known and within the tolerance."],
   ["Thin", "The interpolation error is larger than the tolerance or not known. The answer is an estimate; a query queues a solve whose row makes the table thicker."],
   ["Outside", "The wrench is beyond the load range, or beyond the rows for a method that does not extrapolate. Widen [range], or add rows there."],
