@@ -9,12 +9,12 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from wrenchbook.service.formats.columns import TIME_COLUMN
 from wrenchbook.service.formats.options import Array, Options, ParsedTable, ReadReport
 from wrenchbook.surrogate.findings.clock import Logs, clock_findings, estimate_lag, repeated
 
 GAP_FACTOR = 5.0  # over the median interval of the loads: in a longer one samples were lost
 _CLOCK = 1e6  # s: clock times count from 1900 or 1970, elapsed ones from the beginning of a test
+_YEAR_5138 = 1e11  # s from 1970: a larger number is no date
 
 
 def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Array, Array] | None:
@@ -32,9 +32,9 @@ def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Arr
         message = "the log of the loads needs two or more samples; send a longer one"
         if at:
             message = (
-                f"{time[at]:.10g} s is not after the sample before, {time[at - 1]:.10g} s; sort "
-                "the loads by time, remove repeated times, and write dates if the log passes "
-                "midnight"
+                f"{_time_text(time[at])} is not after the sample before, "
+                f"{_time_text(time[at - 1])}; sort the loads by time, remove repeated times, and "
+                "write dates if the log passes midnight"
             )
         mistakes.ruin(rows[at] if rows else 0, "time", message)
         return None
@@ -110,8 +110,9 @@ def with_loads(
         assert piece.time is not None
         if len(piece) and (abs(piece.time[0]) > _CLOCK) != (abs(time[0]) > _CLOCK):
             message = (
-                f"this log begins at {piece.time[0]:.10g} s, the loads' at {time[0]:.10g} s: one "
-                "has clock times, the other seconds from its start; convert one of them"
+                f"this log begins at {_time_text(piece.time[0])}, the loads' at "
+                f"{_time_text(time[0])}: one has clock times, the other seconds from its start; "
+                "convert one of them"
             )
             report.mistakes.ruin(int(piece.seq[0]), "time", message)
             return
@@ -130,10 +131,9 @@ def with_loads(
 
     if report.read and report.unmatched == report.read and not report.mistakes:
         when = np.concatenate([piece.time for piece in pieces if piece.time is not None])
-        dated = {unit for _, name, unit in report.columns if name == TIME_COLUMN} == {""}
         message = (
-            f"no displacement lies within the times of the loads, {_span(time, dated)}; the "
-            f"displacements' are {_span(when, dated)}. If the clocks differ, give --lag SECONDS "
+            f"no displacement lies within the times of the loads, {_span(time)}; the "
+            f"displacements' are {_span(when)}. If the clocks differ, give --lag SECONDS "
             "(lag), which is added to the displacements' times"
         )
         if in_gaps:
@@ -142,11 +142,15 @@ def with_loads(
         report.mistakes.ruin(0, "time", message)
 
 
-def _span(time: Array, dated: bool) -> str:
-    """Return the first and the last of times (n,), s; as dates if the logs have dates."""
-    first, last = float(time.min()), float(time.max())
-    if not dated:
-        return f"{first:g} to {last:g} s"
-    form = "%Y-%m-%d %H:%M:%S"
-    dates = (datetime.fromtimestamp(end, UTC).strftime(form) for end in (first, last))
-    return " to ".join(dates)
+def _span(time: Array) -> str:
+    """Return the first and the last of times (n,), s."""
+    return f"{_time_text(time.min())} to {_time_text(time.max())}"
+
+
+def _time_text(seconds: float) -> str:
+    """Return a time as its log has it, such as ``'0.25 s'`` or ``'23:59:58.250'``."""
+    if not _CLOCK < abs(seconds) < _YEAR_5138:
+        return f"{seconds:.10g} s"
+    moment = datetime.fromtimestamp(seconds, UTC).replace(tzinfo=None)
+    text = moment.isoformat(sep=" ", timespec="milliseconds")
+    return text.removeprefix("1900-01-01 ").removesuffix(".000")  # a clock time without a date

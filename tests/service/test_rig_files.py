@@ -106,8 +106,8 @@ def test_displacements_in_gaps_of_the_loads_are_told_from_those_outside(tmp_path
     loads.write_text("time [s],fz [N]\n0,0\n1,10\n2,20\n")
     for times, lag, words in (
         ((0.5, 1.5), 0.0, "2 lie between two loads more than 0.1 s apart"),
-        ((7.0, 8.0), 0.0, "0 to 2 s; the displacements' are 7 to 8 s"),
-        ((0.5, 1.5), 1e308, "no displacement lies within the times of the loads, 0 to 2 s"),
+        ((7.0, 8.0), 0.0, "0 s to 2 s; the displacements' are 7 s to 8 s"),
+        ((0.5, 1.5), 1e308, "no displacement lies within the times of the loads, 0 s to 2 s"),
     ):
         moves.write_text("time [s],uz [mm]\n" + "".join(f"{t},0.1\n" for t in times))
         report = ReadReport()
@@ -126,6 +126,24 @@ def test_times_of_logs_without_a_common_time_are_dates_if_the_logs_have_dates(tm
     (mistake,) = report.mistakes.listed()
     assert "of the loads, 2026-03-01 10:00:00 to 2026-03-01 10:00:02; " in mistake.message
     assert "displacements' are 2026-03-01 12:00:00 to 2026-03-01 12:00:01. " in mistake.message
+
+
+@pytest.mark.parametrize(
+    ("times", "says"),
+    [
+        (("23:59:59.5", "0:00:00.5"), "00:00:00.500 is not after the sample before, 23:59:59.500;"),
+        (("1.7e12", "1e12"), "1e+12 s is not after the sample before, 1.7e+12 s;"),
+    ],
+)
+def test_a_log_that_passes_midnight_is_refused_with_its_clock_times(tmp_path, times, says):
+    """They were negative seconds since 1970. A number beyond every year stays a number."""
+    loads, moves = tmp_path / "loads", tmp_path / "moves"
+    unit = " [s]" if "e" in times[0] else ""
+    loads.write_text(f"time{unit},fz [N]\n{times[0]},0\n{times[1]},1\n")
+    moves.write_text(f"time{unit},uz [mm]\n{times[0]},0.1\n")
+    report = ReadReport()
+    assert not any(map(len, read_logs(loads, moves, ZERO, report)))
+    assert says in report.mistakes.listed()[0].message
 
 
 def test_of_two_tdms_groups_with_columns_the_sender_names_one():
