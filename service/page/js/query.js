@@ -7,7 +7,7 @@ import { el, field, note, pill, put, select } from "./dom.js";
 import { linkTo } from "./empty.js";
 import { listen } from "./events.js";
 import { OUTPUTS, counted, number, percent, pageWords, quantity, sentence, symbol, unitOfOutput, withBar, withoutRoundOff } from "./format.js";
-import { beyondRange, named, said } from "./inputs.js";
+import { beyondRange, named, outputsOf, said } from "./inputs.js";
 import { failureWords } from "./job_list.js";
 import { insideBars, insideWords, reportOf } from "./report.js";
 import { overTolerance } from "./shares.js";
@@ -81,13 +81,21 @@ async function query(place, about, wrench, options, signal, watched = null) {
   const why = answered(answer) && barUnknown(answer) ? await whyUnknown(about, answer, signal) : null;
   const over = answer.coverage === "covered" && answer.within_tolerance === false ? await whyOver(about, wrench, options, signal) : null;
   const solve = answer.job === null && beyondRange(about, wrench) ? () => query(place, about, wrench, { ...options, beyond: true }, signal) : null;
-  put(place, shown(answer, about, wrench, why, over, solve));
+  const limits = answered(answer) ? await limitsOf(about, signal) : {};
+  put(place, shown(answer, about, wrench, limits, why, over, solve));
   if (answer.job && answer.job.id !== watched) await watch(place, about, wrench, options, answer.job, signal);
 }
 
 const TYPED = 12; // digits: a load as it was typed
 const ROUNDOFF = 1e-20; // m or rad: the kernel's least error bar is 1e-30
 const shareOf = (part) => (part < 10 ? percent(part, 2) : `${number(part, 2)} times`);
+
+// The tolerance of each output by its name: of a component without a stated one, a part of each output's range.
+async function limitsOf(about, signal) {
+  const stated = about.tolerance;
+  const allowed = stated ? null : (await get(`${of(about.name)}/glance`, signal).catch(() => ({}))).allowed;
+  return Object.fromEntries(outputsOf(about).map((name, k) => [name, stated ? stated[name.split(".").at(-1)[0] === "u" ? "translation" : "rotation"] : allowed?.[k]]));
+}
 
 // Why a covered answer exceeds the tolerance; the parts of its error bars come with a second call.
 async function whyOver(about, wrench, options, signal) {
@@ -97,8 +105,9 @@ async function whyOver(about, wrench, options, signal) {
   return overTolerance(about, about.tolerance ? Math.max(...rests) : Infinity);
 }
 
-// Whether an answer lacks an error bar.
-const barUnknown = ({ error, displacements }) => (displacements ? Object.values(displacements) : [{ error }]).some((one) => !one.error || [...one.error.translation, ...one.error.rotation].includes(null));
+// Whether an answer lacks the error bar of an output that it has.
+const barUnknown = ({ displacements, ...answer }) => (displacements ? Object.values(displacements) : [answer]).some(({ error, translation, rotation }) => !error
+  || [...translation, ...rotation].some((value, k) => value !== null && [...error.translation, ...error.rotation][k] === null));
 
 async function whyUnknown(about, answer, signal) {
   const { warnings = [], rows } = await get(of(about.name), signal);
@@ -106,18 +115,17 @@ async function whyUnknown(about, answer, signal) {
   return warnings.find((one) => one.where === "tolerance" && one.message.includes("unknown"))?.message || few;
 }
 
-function shown(answer, about, wrench, why, over, solve) {
+function shown(answer, about, wrench, limits, why, over, solve) {
   const outside = beyondRange(about, wrench);
   const reason = (answer.reason || "").replace(/: to solve it nevertheless, set beyond_range to true.*$/, "").split("; ").filter((part) => !outside || !part.includes("is outside the load range,")).join("; "); // the note above says that, and the button is there
   return [
     el("div", { class: "line" }, stateOf(answer), el("span", { class: "muted small" }, about_(answer))),
-    outside ? note("outside", outside) : null,
-    reason ? note(answered(answer) && !(why !== null && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
+    outside ? note("outside", el("span", {}, pageWords(`${outside.slice(0, -1)}${reason ? `; ${reason}` : ""}.`)), solve ? el("div", {}, el("button", { type: "button", onclick: solve }, "Solve it nevertheless")) : null) : null,
+    reason && !outside ? note(answered(answer) && !(why !== null && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
     !answered(answer) && !about.has_fea && !about.rows ? linkTo(about, "table", "Import rows") : null,
     why ? note("thin", el("strong", {}, "The error bar is unknown"), el("span", {}, `${sentence(why)}.`)) : null,
-    solve ? el("div", {}, el("button", { type: "button", onclick: solve }, "Solve it nevertheless")) : null,
     over ? note("thin", over) : null,
-    Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, about.tolerance)),
+    Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, OUTPUTS.map((output) => limits[name ? `${name}.${output}` : output]))),
     answer.notes ? note("thin", el("ul", {}, answer.notes.map((one) => el("li", {}, one)))) : null,
     el("p", { class: "muted small" }, said(named(about, wrench), about, TYPED)),
   ];
@@ -130,22 +138,24 @@ function stateOf(answer) {
   const { coverage, within_tolerance: within } = answer;
   if (!answered(answer)) return pill(answer.job ? "no answer yet" : "no answer", "");
   if (coverage !== "covered") return pill(coverage);
-  return barUnknown(answer) ? pill("covered, error bar unknown", "thin") : within === false ? pill("covered, over tolerance", "thin") : pill(coverage);
+  return barUnknown(answer) ? pill("covered, error bar unknown", "thin") : within === false ? pill("covered, over tolerance", "thin")
+    : answer.missing?.length ? pill(`covered; ${counted(answer.missing.length, "output")} not measured`, coverage) : pill(coverage);
 }
 
 // The displacement of an interface, its name empty where there is one.
-function moved(name, part, limit) {
+function moved(name, part, limits) {
   if (!part.translation) return null;
   const values = [part.translation, part.rotation].flatMap((group) => (part.error ? group.map((one) => (Math.abs(one) < ROUNDOFF ? 0 : one)) : withoutRoundOff(group)));
   const bars = part.error ? [...part.error.translation, ...part.error.rotation].map((one) => (one !== null && one < ROUNDOFF ? 0 : one)) : [];
   if (name && bars.length && ![...values, ...bars].some((one) => one !== 0)) return el("p", { class: "muted" }, `${name}: no displacement`);
+  const hasLimit = limits.some(Boolean);
   const lines = OUTPUTS.map((output, place) => {
     const { value, bar } = withBar(values[place], bars[place], unitOfOutput(output));
-    const allowed = limit && (place < 3 ? limit.translation : limit.rotation);
+    const allowed = limits[place];
     const share = allowed && bars[place] !== null && bars[place] !== undefined ? shareOf(bars[place] / allowed) : "–";
-    return row(symbol(output), value, bar, limit ? share : null);
+    return row(symbol(output), value, bar, hasLimit ? share : null);
   });
-  const head = ["", "Value", "95 % error bar", ...(limit ? ["Of the tolerance"] : [])].map((one, place) =>
+  const head = ["", "Value", "95 % error bar", ...(hasLimit ? ["Of the tolerance"] : [])].map((one, place) =>
     el("th", { scope: "col", class: place ? "number" : null }, one));
   return el("table", { class: "answer" }, name ? el("caption", {}, name) : null, el("thead", {}, el("tr", {}, head)), el("tbody", {}, lines));
 }
