@@ -133,7 +133,7 @@ function change(list, row, job) {
     el("td", { class: running || job.error ? "whole" : null }, el("div", { class: "stack tight" }, el("div", { class: "line" }, pill(job.status), running && job.progress ? el("span", { class: "small muted" }, job.progress.message) : null),
       running ? el("progress", { max: "1", value: fraction ?? 0, "aria-label": `Job ${job.id}` }) : null)),
     el("td", { class: "small whole" }, saidOf(job), job.status === "failed" && job.error ? el("div", { class: "muted" }, failureWords(job.error)[0]) : null),
-    el("td", { class: "muted small" }, time(job.created).replaceAll(" ", "\u00a0"), job.actor && job.actor !== "(anonymous)" ? ` by ${actorOf(job.actor)}` : null),
+    el("td", { class: "muted small" }, time(job.created).replaceAll(/(?<!,) /g, "\u00a0"), job.actor && job.actor !== "(anonymous)" ? el("div", {}, `by ${actorOf(job.actor)}`) : null),
     el("td", { class: "muted small number" }, job.seconds ? seconds(job.seconds) : left),
     el("td", {}, actions(list, row, job)));
 }

@@ -50,6 +50,7 @@ async function follow(about, state, signal) {
     await send("DELETE", `${of(about.name)}/report`, { signal });
   } }, "Cancel");
   const make = state.parentElement.querySelector("form button");
+  if (ran && now.wrenches) state.parentElement.querySelector("form input").value = now.wrenches;
   make.disabled = ran;
   if (ran) put(state, bar, el("div", { class: "line ends" }, message, cancel));
   while (now.state === "running") {
