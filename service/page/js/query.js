@@ -105,9 +105,8 @@ async function whyOver(about, wrench, options, signal) {
   return overTolerance(about, about.tolerance ? Math.max(...rests) : Infinity);
 }
 
-// Whether an answer lacks the error bar of an output that it has.
-const barUnknown = ({ displacements, ...answer }) => (displacements ? Object.values(displacements) : [answer]).some(({ error, translation, rotation }) => !error
-  || [...translation, ...rotation].some((value, k) => value !== null && [...error.translation, ...error.rotation][k] === null));
+// Whether a displacement of an answer lacks its error bar.
+const barUnknown = ({ displacements, ...one }) => (displacements ? Object.values(displacements) : [one]).some(({ translation, rotation, error }) => !error || [...error.translation, ...error.rotation].some((bar, place) => bar === null && [...translation, ...rotation][place] !== null));
 
 async function whyUnknown(about, answer, signal) {
   const { warnings = [], rows } = await get(of(about.name), signal);

@@ -27,7 +27,13 @@ export async function show(root, about, signal) {
       again();
     } catch (error) { if (!signal.aborted) put(caption, trouble(error)); }
   };
+  // The key names what is drawn alone.
+  const key = bands(about), [, , thin, outside, row] = key.children;
   const again = () => {
+    const k = OUTPUTS.indexOf(state.output);
+    thin.hidden = !state.sweep.coverage.includes(1);
+    outside.hidden = !state.sweep.coverage.includes(2);
+    row.hidden = !state.rows?.displacement.some((one) => one[k] !== null);
     state.drawing?.again();
     place.setAttribute("aria-label", labelOf(state));
     put(caption, labelOf(state));
@@ -40,7 +46,7 @@ export async function show(root, about, signal) {
     el("div", { class: "line bottom" },
       choice("load", "Along", symbols(loads), state.load, (value) => { state.load = value; load(); }),
       choice("output", "Output", symbols(OUTPUTS), state.output, (value) => { state.output = value; again(); })),
-    place, bands(about), caption,
+    place, key, caption,
     el("details", { id: "other-loads" }, summary,
       el("div", { class: "stack" }, note("", "Rows are drawn only if all of these are zero."), others.form))));
   await load();

@@ -1127,6 +1127,7 @@ def test_stretches_of_a_response_that_are_thin_and_outside_have_their_words(brow
     browser.drawn("#response")
     shapes = browser.run("return document.querySelector('#response').layout.shapes")
     assert [shape["label"]["text"] for shape in shapes] == ["outside", "thin"]
+    assert "thin" in browser.one(".key-of-marks").text
     colours = [re.findall(r"[\d.]+", shape["fillcolor"]) for shape in shapes]
     assert np.ptp(np.array(colours, dtype=float), axis=0)[:3].max() > 60
 
@@ -1530,6 +1531,10 @@ def test_a_response_runs_along_a_load_with_a_range_alone(browser, strut):
     browser.visit("#/c/strut/response")
     browser.drawn("#response")
     assert browser.one(".choice").text == "Fz"
+    key = browser.one(".key-of-marks").text
+    assert "row of the table" in key
+    assert "thin" not in key  # all is covered
+    assert "outside" not in key
 
 
 def test_the_other_loads_of_a_response_leave_the_drawn_one_out(browser, client):
@@ -1651,3 +1656,13 @@ def test_the_field_of_a_running_report_has_its_number_of_wrenches(browser, repor
     browser.go(f"{PLATE}/report")
     browser.one("#cancel-report")
     assert browser.one("form input[type=number]").get_attribute("value") == "5"
+
+
+def test_triangles_without_an_area_draw_no_edges_on_a_flat_face(browser, client):
+    """The simplified surface of a plate had dashes and doubled rings."""
+    points = [[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [1, 0, 0], [1, -1, 0]]
+    triangles = [[0, 1, 2], [0, 2, 3], [0, 5, 4], [4, 5, 1], [0, 4, 1]]  # the last one is a line
+    browser.visit("#/terms")
+    script = "return (await import('/page/js/surface.js')).outline(...arguments[0])"
+    edges = browser.run(script, [points, triangles])
+    assert {tuple(edge) for edge in edges} == {(0, 3), (0, 5), (1, 2), (1, 5), (2, 3)}
