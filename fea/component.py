@@ -191,7 +191,12 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
 
     supports = bundle.supports or Supports()
     fixed = _fixed_nodes(mesh, supports, problems)
-    held = _held_directions(mesh, supports, fixed, problems)
+    # The sum of d d^T over directions d that hold sliding nodes, (n, 3, 3), else zero.
+    held = np.zeros((len(mesh.points), 3, 3))
+    for i, support in enumerate(supports.sliding):
+        nodes = group_nodes(mesh, f"supports.sliding[{i}].group", support.group, problems)
+        held[nodes] += support.directions.T @ support.directions
+    held[fixed] = 0.0
     interfaces, bushings, joints = _attach_all(bundle, mesh, supports, problems)
     ends = [end for joint in joints for end in joint.ends]
     frames = [*interfaces, *(bushing for bushing, _ in bushings), *ends]
@@ -290,18 +295,6 @@ def _mesh_source(bundle: Bundle) -> MeshSource:
             "with a [mesh]"
         )
     raise BundleError([BundleProblem(lacking, message)])
-
-
-def _held_directions(
-    mesh: Mesh, supports: Supports, fixed: np.ndarray, problems: list[BundleProblem]
-) -> np.ndarray:
-    """Return the sum of d d^T over directions d that hold sliding nodes, (n, 3, 3), else zero."""
-    held = np.zeros((len(mesh.points), 3, 3))
-    for i, support in enumerate(supports.sliding):
-        nodes = group_nodes(mesh, f"supports.sliding[{i}].group", support.group, problems)
-        held[nodes] += support.directions.T @ support.directions
-    held[fixed] = 0.0
-    return held
 
 
 def _material_numbers(

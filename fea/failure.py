@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from typing import Any
 
 REMEDIES = {
@@ -68,3 +69,17 @@ class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a prog
 
     def __reduce__(self) -> tuple:
         return SolveFailed, (self.kind, self.message, self.remedy), self.__dict__
+
+
+def ending(code: int) -> str:
+    """Return the ending of a program as text, by its exit code or minus its signal."""
+    if code == 0:
+        return "reported an error"
+    if code > 0:
+        return f"ended with exit code {code}"
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = f"signal {-code}"
+    memory = " (out of memory?)" if -code == signal.SIGKILL else ""
+    return f"was ended by {name}{memory}"

@@ -245,8 +245,8 @@ def tie_warnings(component: ComponentModel) -> Iterator[BundleProblem]:
         if tie.within > _WIDE:
             wide = f"a main facet is {tie.within:.2g} times as large as the tie"
             texts.append(f"{wide}, over {_WIDE:g}: mesh the main surface finer there")
-        if tie.gap > _CLOSED * tie.distance:
-            gap = f"closes gaps of up to {tie.gap:.3g} m by moving nodes"
+        if tie.max_gap > _CLOSED * tie.distance:
+            gap = f"closes gaps of up to {tie.max_gap:.3g} m by moving nodes"
             texts.append(f"{gap}; write a smaller distance if the gaps are real")
         if dependents is not None and dependents.map[tie.nodes].nnz > _FINER * len(tie.nodes):
             swap = "swap the two groups, which is faster and more exact"

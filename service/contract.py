@@ -57,3 +57,9 @@ CONTRACT_TEXT: Final = " ".join(f"{word}: {meaning}." for word, meaning in CONTR
 CONTRACT_MARKDOWN: Final = "\n\n".join(
     f"**{word}**: {meaning}." for word, meaning in CONTRACT.items()
 )
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a count and its noun, singular or plural: ``1 row``, ``2 rows``."""
+    plural = f"{noun}es" if noun.endswith(("s", "h")) else f"{noun}s"
+    return f"{count} {noun if count == 1 else plural}"

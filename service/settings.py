@@ -173,9 +173,8 @@ def check_copies(settings: Settings) -> None:
             why = f"{scheme}:// is the address of a server, not of a storage"
         if why:
             raise SettingsError(
-                f"{name}: "
-                + why
-                + "; write file:///FOLDER, s3://BUCKET/FOLDER or sftp://HOST/FOLDER"
+                f"--{name.replace('_', '-')}: {why}; write file:///FOLDER, s3://BUCKET/FOLDER or "
+                "sftp://HOST/FOLDER"
             )
         folder = Path(path).resolve()
         inside = folder.is_relative_to(settings.data.resolve())
@@ -221,8 +220,14 @@ def _read(file: Path, names: Iterable[str], *, named: bool) -> dict[str, Any]:
             f"{file} cannot be read ({error.strerror}); let this user read it"
         ) from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SettingsError(f"{file} cannot be read as TOML ({error}); correct it") from error
-    for name in values:
+        why = str(error).replace("Cannot overwrite a value", "a name is there twice")
+        raise SettingsError(f"{file} cannot be read as TOML ({why}); correct it") from error
+    for name, value in values.items():
+        if name not in names and isinstance(value, dict):
+            raise SettingsError(
+                f"{file}: [{name}] is a table, but settings stand at the top level; remove this "
+                "line"
+            )
         if name not in names:
             raise _unknown(name, names, str(file))
     if "data" in values and not named:

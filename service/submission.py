@@ -168,11 +168,11 @@ class Submission:
         if not component.has_fea:
             remedy = f"Load rows into it with: wrenchbook import {name} FILE"
             if why:
-                why = f": {why}"
+                why = f"The table does not cover the load: {why}. "
                 remedy = f"{remedy}, or ask with on_thin 'estimate'"
             raise NoSetupError(
-                f"{name!r} is a table of measured rows without a finite-element setup, so it "
-                f"cannot be solved{why}. {remedy}."
+                f"{why}{name!r} is a table of measured rows without a finite-element setup, so it "
+                f"cannot be solved. {remedy}."
             )
         return component
 

@@ -36,7 +36,7 @@ from .solver_error import SolverError, bars_are_complete
 from .table.axes import OffAxis, count_multi_axis
 from .table.compliance import ComplianceFit, fit_compliance
 from .table.merging import RowIndex, merge, row_conflicts
-from .table.rows import Floats, LoadRange, Rows, Tolerance
+from .table.rows import Floats, LoadRange, Rows, Tolerance, nulls
 
 STEEPER = 2.0  # largest slope of a row without a tangent, over the slope of a proportional response
 
@@ -316,9 +316,9 @@ class Table:
         """Return the coverage of the load range by the table, as JSON-able values."""
         summary = self.groups[0].coverage_summary() | {
             "table_version": self.version,
-            "rig_error": _known(self.rig_error),
-            **row_conflicts(self.rows, self.load_range),
-            "noise_of_a_reading": _known(self.observation_noise),
+            "rig_error": nulls(self.rig_error.tolist()),
+            **row_conflicts(self.rows, self.load_range, self.observation_noise),
+            "noise_of_a_reading": nulls(self.observation_noise.tolist()),
         }
         if not self.rows.partial:
             return summary
@@ -330,11 +330,6 @@ class Table:
             "rows_per_output": dict(zip(names, measured, strict=True)),
             "unmeasured": [name for name, count in zip(names, measured, strict=True) if not count],
         }
-
-
-def _known(values: Floats) -> list[float | None]:
-    """Return numbers (m,) for JSON: None for NaN."""
-    return [None if np.isnan(value) else value for value in values.tolist()]
 
 
 def build(

@@ -4,6 +4,7 @@
 site has all options, fields and docstrings.
 """
 
+import ast
 import dataclasses
 import inspect
 import json
@@ -143,7 +144,8 @@ def calls() -> list[str]:
             for method, call in methods.items()
         ]
     groups = {heading: (heading,) for heading in CALLS}
-    return _grouped("call", groups, rows, ("call", "purpose"))
+    tables = _grouped("call", groups, rows, ("call", "purpose"))
+    return [*tables, "## Problems", "", *_table(("type", "status", "titles"), _problems())]
 
 
 CALLS = {
@@ -156,6 +158,42 @@ CALLS = {
     "Operation": r"",
 }
 """The calls by their use: the first pattern that a path matches."""
+
+
+def _problems() -> list[tuple[str, str, str]]:
+    """Return the types of problem replies with their status and titles, from the program's source.
+
+    They are at each refusal, and for errors of other packages in a table of `problems.py`.
+    """
+    titles: dict[tuple[str, str], list[str]] = {}
+    for file in sorted((FOLDER.parents[1] / "service").rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "HttpProblemError":
+                items = node.args
+            elif isinstance(node, ast.Tuple) and file.name == "problems.py":
+                items = node.elts
+            else:
+                continue
+            parts = [item.value if isinstance(item, ast.Constant) else None for item in items]
+            status, kind, title = [*parts, None, None, None][:3]
+            title = title or COMPOSED.get(str(kind))
+            if kind and title and (isinstance(status, int) or kind == "http"):
+                titles.setdefault((str(kind), str(status or "")), []).append(str(title))
+    return [
+        (f"`{kind}`", status, "; ".join(sorted(set(titles[kind, status]))))
+        for kind, status in sorted(titles)
+    ]
+
+
+COMPOSED = {
+    "bad-bundle": "The component bundle has mistakes",
+    "cross-site": "Pages of other sites may not call this server",
+    "http": "The name of the status, such as Not Found",
+    "key": "A key is needed; The key has expired",
+    "no-files": "No files yet; The files are gone",
+    "scope": "The key's scope does not allow this; The user's scope does not allow this",
+}
+"""Titles that a variable has in the source, by the end of the problem's type."""
 
 
 def names() -> list[str]:

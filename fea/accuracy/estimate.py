@@ -32,31 +32,31 @@ from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.problems import BundleError
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle, DeclaredRange
 
-_PARTS = (0.125, 1.0)
+_LOAD_FRACTIONS = (0.125, 1.0)
 """Parts of the largest wrench for nonlinear solves: their remainders give the saturation. From an
 eighth the law holds a part k (u + c u^3) = F at 94 % of loads for any c, at all where the linear
 answer is up to three times the true one. From a quarter these are 90 % and two times."""
 
-_BEFORE = 0.98
+_LAST_FRACTION = 0.98
 """Part of the load at which a solve ended that is solved too: a component softens most just before
-it snaps through. `_SAFETY` covers the last 2 %."""
+it snaps through. `_REMAINDER_FACTOR` covers the last 2 %."""
 
-_ALIKE = 0.99
+_SAME_ROTATION = 0.99
 """Part of the largest rotation from which a corner counts as turning an interface as much."""
 
-_LINEAR = 0.94
+_MAX_GROWTH = 0.94
 """Upper bound of remainder over load at the smallest part, relative to that at the corner: at 1 the
 remainder grows with the load from the start, and b is infinite."""
 
-_ALIKE_MESHES = 0.1
+_MAX_MESH_CHANGE = 0.1
 """Largest relative change of a compliance between the coarser mesh and the component's for solves
 on the coarser: the remainder of a part that stiffens grows with its fourth power, and 0.9^4 is 1 /
-`_SAFETY`."""
+`_REMAINDER_FACTOR`."""
 
-_STEEP = 1.25
+_BUCKLES_EARLY = 1.25
 """Buckling factor below which the corner itself is not solved, but half the buckling load."""
 
-_SAFETY = 1.5
+_REMAINDER_FACTOR = 1.5
 """Factor on the largest remainder of the corners, for all other wrenches (`make bench
 NAME=linearity`)."""
 
@@ -101,10 +101,10 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     largest = np.abs(corners).max(axis=0)
     one_over = np.divide(1.0, largest, out=np.zeros(len(largest)), where=largest > 0)
     loaded = np.abs(corners) @ one_over
-    alike = (size >= _ALIKE * size.max(axis=0)) & size.any(axis=0)
+    alike = (size >= _SAME_ROTATION * size.max(axis=0)) & size.any(axis=0)
     chosen = (alike * loaded[:, None] * size).argmax(axis=0)
 
-    scaled = np.full((len(_PARTS), len(compliance)), np.nan)
+    scaled = np.full((len(_LOAD_FRACTIONS), len(compliance)), np.nan)
     zero = solver.component.at_rest
     why = ""
     lowest = np.inf
@@ -120,11 +120,13 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
             why = why or reason
 
     # b such that the law has the ratio of its values at the smallest part and at the corner.
-    powers = np.array(_PARTS)[:, None] ** (_order(solver) - 1)
+    powers = np.array(_LOAD_FRACTIONS)[:, None] ** (_order(solver) - 1)
     growth = np.divide(scaled[0], scaled[-1], out=np.ones(len(compliance)), where=scaled[-1] > 0)
-    growth = np.clip(growth, 1.0, _LINEAR / powers[0])
+    growth = np.clip(growth, 1.0, _MAX_GROWTH / powers[0])
     saturation = (growth - 1) / (1 - growth * powers[0])
-    remainder = _SAFETY * (scaled * (1 + saturation * powers)).max(axis=0) / (1 + saturation)
+    remainder = (
+        _REMAINDER_FACTOR * (scaled * (1 + saturation * powers)).max(axis=0) / (1 + saturation)
+    )
     buckling = float(lowest) if lowest <= _MAX_REPORTED else None
     return BeyondLinear(remainder, saturation, buckling, why)
 
@@ -143,9 +145,9 @@ def _at_corner(
     largest. The end is the least part of the wrench at which a solve ended.
     """
     limit, why = 1.0, ""
-    if buckling < _STEEP:
+    if buckling < _BUCKLES_EARLY:
         limit, why = 0.5 * buckling, f"it buckles at {buckling:.3g} of one"
-    parts = [limit * part for part in _PARTS]
+    parts = [limit * part for part in _LOAD_FRACTIONS]
     second = solver.second_derivatives
     start = None
     end = np.inf
@@ -158,8 +160,9 @@ def _at_corner(
             why = why or failure.message
             if failure.load_factor is not None:
                 end = min(end, part * failure.load_factor)
-            if len(parts) == len(_PARTS):
-                parts += [0.5 * part, _BEFORE * part * (failure.load_factor or 0.25)]
+            if len(parts) == len(_LOAD_FRACTIONS):
+                # At the first failure two smaller loads are added; the loop solves them next.
+                parts += [0.5 * part, _LAST_FRACTION * part * (failure.load_factor or 0.25)]
             continue
         start = solution.state
         expected = solver.linear.compliance @ acting + solver.at_rest[0]
@@ -169,14 +172,14 @@ def _at_corner(
         scaled.append(np.repeat(remainder.reshape(-1, 3).max(axis=1), 3))
     if why:
         none = np.full(len(solver.linear.compliance), np.nan)
-        scaled = len(_PARTS) * [np.fmax.reduce([none, *scaled])]
+        scaled = len(_LOAD_FRACTIONS) * [np.fmax.reduce([none, *scaled])]
     return np.array(scaled), end, why
 
 
-_MARGIN = 1.25
+_RECOVERED_FACTOR = 1.25
 """Safety factor on errors by recovered stresses: Roache's for three meshes, 1994."""
 
-_TIED = 2.4
+_TIE_FACTOR = 2.4
 """Further safety factor where a tie ends within facets, at edges of the mesh: stresses do not show
 the distance of these edges from the tie's end. The error was up to 2.2 times that of the
 stresses, of either sign. A finer mesh shows it in part: then the two are added. Where main
@@ -232,8 +235,8 @@ def linearity_of(solver: Solver, coarse: Solver, loads: DeclaredRange) -> dict[s
     or softer.
     loads: as of `beyond_linear`.
     """
-    fine, rough = (np.diag(mesh.compliance) for mesh in (solver, coarse))
-    near = (np.abs(rough - fine) <= _ALIKE_MESHES * fine).all()
+    fine, rough = (np.diag(each.compliance) for each in (solver, coarse))
+    near = (np.abs(rough - fine) <= _MAX_MESH_CHANGE * fine).all()
     beyond = beyond_linear(coarse if near else solver, loads)
     second = solver.second_derivatives
     basis = "nonlinear solves at opposite corners of the load range"
@@ -264,7 +267,7 @@ def _mesh(solver: Solver, second: Solver | None) -> dict[str, Any]:
     round_ = roundness(solver)
     if round_ is None:
         return _report(compliance, np.array(errors), basis)
-    errors.append(_ROUND * round_.change)
+    errors.append(_ROUNDNESS_FACTOR * round_.change)
     # The effect of straight edges across round surfaces, and the number of cells round for 1 %.
     diagonal = np.diag(compliance)
     ratio = float(np.abs(np.diag(round_.change)[diagonal > 0] / diagonal[diagonal > 0]).max())
@@ -290,15 +293,15 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[np.ndarray], 
 
     # Half of the error of recovered stresses: the mean with half of another mesh's change.
     recovered = recovered_error(solver)
-    by_stresses = 0.5 * _MARGIN * recovered.total[: len(compliance)]
+    by_stresses = 0.5 * _RECOVERED_FACTOR * recovered.total[: len(compliance)]
     is_cut = any(tie.cut or tie.within for tie in solver.component.ties)
     within = max((tie.within for tie in solver.component.ties), default=0.0)
-    tied = _TIED * max(1.0, within) if is_cut else 1.0
+    tied = _TIE_FACTOR * max(1.0, within) if is_cut else 1.0
 
     # A second mesh, finer if it can be solved, and the ratio of cell sizes, of larger to smaller.
     try:
         fine = finer(solver, FINER_UNKNOWNS)
-        _ = fine and fine.linear
+        _ = fine and fine.linear  # solves now, so that a failure is caught here
     except (BundleError, SolveFailed):
         fine = None
     second = fine or coarse
@@ -306,11 +309,12 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[np.ndarray], 
     if second is not None:
         ratio = recovered.coarsening(second.component.mesh) ** (-1 if fine else 1)
     if second is None or ratio.min() < MIN_RATIO:
+        size = "finer" if fine else "coarser"
+        why = "no second mesh can be made"
+        if second is not None:
+            why = f"a {size} mesh is no {size} where the error is"
         if bundle.mesh is None or bundle.mesh.geometry is None:
-            basis = "stresses recovered at six unit loads; no second mesh can be made"
-            return [2 * tied * by_stresses], basis
-        edges = "a coarser mesh is no coarser where the error is: the part's edges keep it fine"
-        why = edges if second else "no second mesh can be made"
+            return [2 * tied * by_stresses], f"stresses recovered at six unit loads; {why}"
         return [], f"{why}; wrenchbook converge compares it with finer ones"
 
     # Ratio of an error of first order, the slowest, to the change between sizes of this ratio.
@@ -328,13 +332,13 @@ def _of_cells(solver: Solver, coarse: Solver | None) -> tuple[list[np.ndarray], 
     return parts, f"{basis}, and recovered stresses, at six unit loads"
 
 
-_MIXED = 0.02
+_MIN_COUPLING_ERROR = 0.02
 """Lower bound of an entry's error, as a part of the root of the product of the two responses'
 errors, its upper bound (Cauchy and Schwarz: the error's energy is not negative): the difference
 of two meshes in an entry near zero, such as an entry of symmetry, is chance. For single loads on
 STEP parts it raises the outputs inside from 50 to 76 % to over 90 %."""
 
-_ROUND = 1.1
+_ROUNDNESS_FACTOR = 1.1
 """Safety factor on the effect of bending the edges: the bow leaves out the fourth power of the
 angle, 2 % of the change at 30 degrees and 4 % at 40."""
 
@@ -343,7 +347,7 @@ def _report(compliance: np.ndarray, errors: np.ndarray, basis: str) -> dict[str,
     """Return the report of `errors`, shape (n, 6 i, k), the parts of the compliance's error."""
     mesh = np.abs(errors).sum(axis=0)
     roots = np.sqrt(np.diag(mesh))
-    mesh[:, : len(roots)] += _MIXED * np.outer(roots, roots)
+    mesh[:, : len(roots)] += _MIN_COUPLING_ERROR * np.outer(roots, roots)
     report = {"mesh": mesh.tolist(), "mesh_basis": basis}
     # Loads on locked freedoms move nothing: they are left out of the inverse.
     loads = len(compliance)

@@ -89,8 +89,11 @@ def bundle_in(path: Path) -> Bundle:
         with path.open("rb") as file:
             content = file.read(_MAX_BYTES + 1)
     except OSError as error:
-        folder_is = f"{folder} is no folder" if not folder.is_dir() else f"not in {folder}"
-        message = f"cannot be read ({error.strerror}: {folder_is}); name a folder with this file"
+        if not folder.exists():
+            message = f"there is no folder {folder}; name one with this file"
+        else:
+            where = f"not in {folder}" if folder.is_dir() else f"{folder} is no folder"
+            message = f"cannot be read ({error.strerror}: {where}); name a folder with this file"
         raise BundleError([BundleProblem(path.name, message)]) from None
     if len(content) > _MAX_BYTES:
         message = f"is longer than {_MAX_BYTES} bytes; move data into files that it names"
@@ -125,6 +128,7 @@ def _syntax_problem(reason: str, text: str) -> BundleProblem:
         return BundleProblem(f"line {place}" if place else FILE_NAME, message)
     number, place = (int(at[1]), f"column {at[2]}") if at else (len(lines), "at its end")
     reason = reason.replace(at[0] if at else _END, "").strip()
+    reason = reason.replace("Cannot overwrite a value", "a key is there twice")
     line = shown(lines[number - 1].strip())
     return BundleProblem(f"line {number}", f"is not valid TOML: {reason} ({place}); correct {line}")
 

@@ -49,7 +49,7 @@ def _tidy(part: Any) -> Any:
         tidy |= tidy.pop("anyOf")[0]
     if part.get("default", ...) is None:
         del tidy["default"]
-    if isinstance(example := part.get("toml"), str):
+    if isinstance(example := part.get("example"), str):
         tidy["examples"] = [tomllib.loads(f"x = {example}")["x"]]
     if isinstance(unit := part.get("unit"), str) and "description" in part:
         tidy["description"] = f"{part['description']} ({unit})"
@@ -71,7 +71,7 @@ def descriptions(cls: type) -> dict[str, str]:
 
 
 # Metadata of `key` and pydantic that is left out of a schema.
-_OURS = ("toml", "absent", "write", "among", "title")
+_OURS = ("example", "default_text", "expected_text", "choices", "title")
 
 
 def tables() -> dict[str, list[type]]:
@@ -115,15 +115,15 @@ def rows(classes: list[type]) -> Iterator[str]:
         extra = extra_of(infos[0])
         text = next(descriptions(cls)[key] for cls in classes if key in keys_of(cls))
         unit = extra.get("unit", "").replace("^2", "²").replace("^3", "³")
-        example = extra.get("toml", "")
+        example = extra.get("example", "")
         cells = [f"`{key}`", unit, _default(infos[0]), f"`{example}`", text]
         yield f"| {' | '.join(cells)} |".replace("|  |", "| |")
 
 
 def _default(info: FieldInfo) -> str:
     """Return a key's default as text: a value, "required", or the text for its absence."""
-    if absent := extra_of(info).get("absent"):
-        return absent
+    if default_text := extra_of(info).get("default_text"):
+        return default_text
     if info.is_required():
         return "-"
     if info.default is None:

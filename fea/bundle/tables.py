@@ -72,7 +72,7 @@ class ComponentFile:
     supports: Supports | None = key("", '{fixed = ["rim"]}', default=None)
     """the table `[supports]`; with a mesh a must, unless an interface is `held`"""
     ties: Annotated[tuple[Tie, ...], Field(min_length=1)] = key(
-        "", '[{secondary = "pin", main = "hole"}]', default=(), absent="none", name="tie"
+        "", '[{secondary = "pin", main = "hole"}]', default=(), default_text="none", name="tie"
     )
     """surfaces that hold together, each pair `[[tie]]`"""
     interface: Interface | tuple[NamedInterface, ...] | tuple[MeasuredInterface, ...] | None = key(
@@ -98,7 +98,7 @@ class ComponentFile:
     analysis: Analysis | None = key("", "{nonlinear = true}", default=None)
     """the table `[analysis]`; with a mesh a must"""
     range: Range | None = key(
-        "", "{force = [100, 100, 500], moment = [5, 5, 5]}", default=None, absent="-"
+        "", "{force = [100, 100, 500], moment = [5, 5, 5]}", default=None, default_text="-"
     )
     """the table `[range]`; of several interfaces each has its own"""
     tolerance: DeclaredTolerance | None = key(

@@ -16,7 +16,7 @@ from wrenchbook.fea.mesh.deck_content import (
     DeckSpring,
     HeldGroup,
     SolidSection,
-    in_si,
+    si_factor,
 )
 from wrenchbook.fea.mesh.groups import group_nodes
 from wrenchbook.fea.spec.material import Cylinder, Orthotropic
@@ -122,7 +122,7 @@ def _other_material(
         for key in filter(constants.__contains__, _COMPARED):
             three = key.replace("modulus", "moduli").replace("ratio", "ratios")
             value = getattr(material, three if orthotropic else key)
-            other = np.multiply(constants[key], in_si(key, unit))
+            other = np.multiply(constants[key], si_factor(key, unit))
             if value is None and key == "yield_strength":
                 continue  # *PLASTIC is listed by itself
             if value is None or np.abs(value - other).max() > _SAME_VALUE * np.abs(other).max():
@@ -148,7 +148,7 @@ def _turned(
     cells = zip(mesh.blocks, mesh.regions[section.region], strict=True)
     points = mesh.points[np.unique(np.concatenate([b.nodes[c].ravel() for b, c in cells]))]
     if len(axes) == 6:
-        (x, y, z), (a, b, c) = in_si("length", unit) * np.array(axes[:3]), axes[3:]
+        (x, y, z), (a, b, c) = si_factor("length", unit) * np.array(axes[:3]), axes[3:]
         other = replace(material, cylinder=Cylinder((x, y, z), (a, b, c)))
     else:
         other = replace(material, axes=np.reshape(axes, (3, 3)), cylinder=None)
@@ -193,7 +193,7 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup, unit: str) -> Ite
         yield f'{start} as a "{group.kind}" coupling; {same[0].key} says "{same[0].coupling}"'
     elif group.weighted and same[0].weights != "deck":
         yield f'{start} by weights of its own; {same[0].key} says weights = "{same[0].weights}"'
-    point = np.array(group.point) * in_si("length", unit)
+    point = np.array(group.point) * si_factor("length", unit)
     size = np.ptp(component.mesh.points, axis=0).max()
     if group.point and np.abs(point - same[0].point).max() > _ROUNDOFF * size:
         here, there = (", ".join(f"{x:.5g}" for x in p) for p in (point, same[0].point))
@@ -205,7 +205,7 @@ def _unsprung(component: ComponentModel, spring: DeckSpring, unit: str) -> Itera
     ends = [replace(end, point=spring.ends[0].point) for end in spring.ends]
     yield from (text for end in ends for text in _uncoupled(component, end, unit))
     groups = {group_nodes(component.mesh, "", end.group, []).tobytes() for end in ends}
-    expected = spring.in_si(unit)
+    expected = spring.stiffness_in_si(unit)
     there = np.zeros((6, 6))
     for numbers, stiffness in component.springs:
         frames = [component.frames[i] for i in numbers]

@@ -24,9 +24,10 @@ from wrenchbook.fea.mesh.deck_content import (
     DeckContent,
     LoadCase,
     SolidSection,
-    in_si,
+    si_factor,
 )
 from wrenchbook.fea.mesh.element_order import SECOND, second_order
+from wrenchbook.fea.mesh.groups import CHOOSE
 from wrenchbook.fea.mesh.io.ansys import read_ansys
 from wrenchbook.fea.mesh.io.nastran import read_nastran
 from wrenchbook.fea.mesh.io.read import read_mesh
@@ -43,7 +44,6 @@ _TRANSLATORS: dict[str, Callable[[DeckText], Translated]] = {
 }
 _INCLUDE = re.compile(r"^[ \t]*(/INPUT,|\*USE,)[^!\n]*", re.I | re.M)
 _FACES = "`wrenchbook check FOLDER --faces` lists its faces, with lines for [mesh.groups]"
-_CHOOSE = "CHOOSE"  # a group that no mesh has, so that `check` lists the groups of the mesh
 _UNIT_BY_MODULUS = ((1e8, "m"), (2e6, "in"), (-1.0, "mm"))
 """Young's moduli from which a deck's unit is likely: few in Pa are below 1e8, none in MPa is above
 2e6 (diamond 1.2e6), and metals in psi are between (magnesium 6.5e6, aluminium 1e7, steel 3e7)."""
@@ -162,7 +162,7 @@ class _Proposal:
             constants = self.deck.materials.get(name, {})
             lines += ["", "[[material]]", f"region = {_text(region)}"]
             for key, value in constants.items():
-                lines.append(f"{key} = {_numbers(value, in_si(key, self.unit))}")
+                lines.append(f"{key} = {_numbers(value, si_factor(key, self.unit))}")
             if "thermal_expansion" in constants and self.unit in ("in", "ft"):
                 self.decide.append(
                     f"thermal_expansion of {name or region} is taken per K; if the deck's is per "
@@ -206,7 +206,7 @@ class _Proposal:
         bushings = self.springs(1)
         if not held and not bushings:
             self.decide.append("supports: the deck fixes no node; name the groups to fix")
-            fixed = [_CHOOSE]
+            fixed = [CHOOSE]
         lines = ["", "[supports]"]
         if fixed:
             names = ", ".join(map(_text, dict.fromkeys(fixed)))
@@ -229,7 +229,7 @@ class _Proposal:
                 lines += ["[[supports.bushing]]", f"group = {groups}"]
             else:
                 lines += ["", "[[spring]]", f"groups = [{groups}]"]
-            matrix = spring.in_si(self.unit)
+            matrix = spring.stiffness_in_si(self.unit)
             diagonal = np.diagonal(matrix)
             if (matrix == np.diag(diagonal)).all():
                 values = _numbers(tuple(diagonal.tolist()), digits=_EXACT)
@@ -244,10 +244,10 @@ class _Proposal:
         groups = [coupled for coupled in self.case.couplings if coupled.group in self.groups]
         sections = {coupled.group for coupled in groups}
         if not groups:
-            group, loads = next(iter(self.case.loads.items()), (_CHOOSE, [0.0] * 6))
+            group, loads = next(iter(self.case.loads.items()), (CHOOSE, [0.0] * 6))
             sections = {group}
             if group not in self.groups:
-                group = _CHOOSE
+                group = CHOOSE
             self.decide.append(f"interface: no coupling is free; check section = {group}")
             groups = [CoupledGroup("", group, "distributed", (), set(), loads)]
         self.skipped += [
@@ -289,8 +289,8 @@ class _Proposal:
 
     def range(self, group: CoupledGroup) -> list[str]:
         """Return plus and minus the largest force and moment; a zero one follows from `_LEVER`."""
-        force = max(map(abs, group.loads[:3])) * in_si("force", self.unit)
-        moment = max(map(abs, group.loads[3:])) * in_si("moment", self.unit)
+        force = max(map(abs, group.loads[:3])) * si_factor("force", self.unit)
+        moment = max(map(abs, group.loads[3:])) * si_factor("moment", self.unit)
         is_complete = force and moment
         if not force:
             force = moment / _LEVER if moment else _FORCE
@@ -369,9 +369,9 @@ def _guessed_unit(deck: DeckContent) -> tuple[str, str]:
         unit = "m"
     elif _IN_SLINCHES[0] < density < _IN_SLINCHES[1]:
         unit = "in"
-    by = f"; {unit} by its constants" if modulus or density else f" and has no constants; {unit}"
+    by = "by its constants" if modulus or density else "is assumed"
     pounds = ", with pounds and psi" if unit == "in" else ""
-    return unit, f"unit: a deck names none{by}{pounds} (--unit)"
+    return unit, f"unit: the deck names no unit; {unit} {by}{pounds}. Change it with --unit"
 
 
 def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
@@ -389,16 +389,17 @@ def _deck_text(file: Path) -> tuple[str, list[str], list[str]]:
             translated = translate(text)
             skipped = [f"{name} ({count})" for name, count in translated.skipped.items() if count]
             if not translated.elements:
-                there = ", ".join(skipped[:_MAX_CASES]) or "nothing"
+                there = f" (not taken over: {', '.join(skipped[:_MAX_CASES])})" if skipped else ""
                 raise MeshFileError(
-                    f"has no solid elements (not taken over: {there}); export the volume mesh, or "
+                    f"has no solid elements{there}; export the volume mesh, or "
                     "rename the file: .inp is Abaqus and CalculiX, .bdf Nastran, .cdb Ansys"
                 )
             return "\n".join(translated.lines()), skipped, translated.decide
         if file.suffix.lower() != ".inp":
+            endings = ", ".join(_TRANSLATORS)
             raise MeshFileError(
-                f"is neither an .inp nor one of {', '.join(_TRANSLATORS)}; write [mesh] by hand: "
-                f"{_FACES}"
+                f"has the ending {file.suffix!r}, but a deck ends in .inp, {endings}; rename the "
+                f"file, or write [mesh] of another mesh by hand: {_FACES}"
             )
         return text, [], []
     except OSError as error:

@@ -287,7 +287,7 @@ def _joining(component: ComponentModel) -> dict[str, Any]:
     if component.ties:
         entries["ties"] = [
             {"secondary": names.secondary, "main": names.main}
-            | {"nodes": len(tie.nodes), "untied": tie.untied, "gap": tie.gap}
+            | {"nodes": len(tie.nodes), "untied": tie.untied, "gap": tie.max_gap}
             for names, tie in zip(component.bundle.ties, component.ties, strict=True)
         ]
     if component.bolts:

@@ -16,6 +16,7 @@ from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.tensors import von_mises
 
 _MAX_CORNERS = 4096  # corners of a range: two interfaces' twelve loads take 0.2 s for 30,000 points
+_PROBABLY_UNIT = 100.0  # stress over strength: MPa instead of Pa makes 1e6
 _STRESS_ROUNDOFF = 1e-9  # relative: roundoff by which a bound may lie below its stress
 _FIRST_POINTS = 64  # points with the largest bounds; their stresses exclude most other points
 
@@ -166,9 +167,11 @@ def _yielding(component: ComponentModel, stresses: list[LargestStress]) -> Itera
             yield BundleProblem(key, message)
         for stress in stresses:
             if stress.region == material.region and stress.largest > strength:
+                ratio = stress.largest / strength
+                unit = "Check its unit (Pa). " if ratio > _PROBABLY_UNIT else ""
                 message = (
                     f"is exceeded at the full range: the stress near {point_text(stress.at)} m is "
-                    f"{stress.largest:.4g} Pa, {stress.largest / strength:.2g} times as high. The "
+                    f"{stress.largest:.4g} Pa, {ratio:.2g} times as high. {unit}The "
                     "solver has no plasticity, so its answers are too stiff. Narrow [range], or "
                     "strengthen the part"
                 )

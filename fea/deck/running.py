@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.failure import SolveFailed, ending
 from wrenchbook.fea.readers import (
     MAX_QUOTED,
     DeckReader,
@@ -106,10 +106,10 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
             "smaller increments in the deck.",
         )
     if complaint is not None:
-        raise solver_failed(program, _ending(code), complaint.quoted, run.folder)
+        raise solver_failed(program, ending(code), complaint.quoted, run.folder)
     if code != 0:
         text = run.printed.read_text(encoding="utf-8", errors="replace").strip()
-        raise solver_failed(program, _ending(code), text[-MAX_QUOTED:] or "nothing", run.folder)
+        raise solver_failed(program, ending(code), text[-MAX_QUOTED:] or "nothing", run.folder)
     try:
         return reader.read(run, deck.output)
     except OutputError as error:
@@ -146,20 +146,6 @@ def _exit_code(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress)
             f"Install it{package} where solves run, so that it is on the PATH there, or correct "
             "the command.",
         ) from None
-
-
-def _ending(code: int) -> str:
-    """Return the ending of a program as text, by its exit code or minus its signal."""
-    if code == 0:
-        return "reported an error"
-    if code > 0:
-        return f"ended with exit code {code}"
-    try:
-        name = signal.Signals(-code).name
-    except ValueError:
-        name = f"signal {-code}"
-    memory = " (out of memory?)" if -code == signal.SIGKILL else ""
-    return f"was ended by {name}{memory}"
 
 
 # Seconds between asking a program to end and killing it; engines wait 5 s for this process.
@@ -295,9 +281,10 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
     if problems:
         raise BundleError(problems)
 
-    program = name = deck.command[0].replace("{job}", deck.file.stem)
-    files = [file for file in deck.files if Path(program) == Path(file.name)]
-    program = program if files and "/" in program else shutil.which(program)
+    name = deck.command[0].replace("{job}", deck.file.stem)
+    # A name without a slash is sought on the PATH alone, even if a file of the bundle has it.
+    is_in_bundle = "/" in name and any(Path(name) == Path(file.name) for file in deck.files)
+    program = name if is_in_bundle else shutil.which(name)
     summary = {
         "file": deck.file.name,
         "program": program,

@@ -27,8 +27,8 @@ from wrenchbook.fea.mesh.reference_cell import reference_element
 NEARLY_INCOMPRESSIBLE = 0.4
 """Poisson's ratio above which the volumetric strain is projected."""
 
-PRESSURES = {"hex20": 4, "hex27": 4}
-"""Kinds of cells that project, and their number of pressure functions: 1 and the coordinates."""
+PROJECTED = frozenset({"hex20", "hex27"})
+"""Kinds of cells that project, onto four pressure functions: 1 and the coordinates."""
 
 _ROUNDOFF = 1e-9
 """Rounding of a Poisson's ratio: a computed ratio of 0.49 is still at its limit."""
@@ -73,7 +73,7 @@ def projects(block: CellBlock, poisson: np.ndarray) -> np.ndarray:
 
     Poisson's ratios have shape (cells,) and are dimensionless.
     """
-    return (poisson > NEARLY_INCOMPRESSIBLE + _ROUNDOFF) & (block.kind in PRESSURES)
+    return (poisson > NEARLY_INCOMPRESSIBLE + _ROUNDOFF) & (block.kind in PROJECTED)
 
 
 def pressure_notes(parts: Sequence[CellStiffness]) -> tuple[str, ...]:
@@ -94,7 +94,7 @@ def volume_modes(
     """Return the functions onto which the volumetric strain of each cell is projected.
 
     points: shape (n, 3), m.
-    block: cells of a kind in `PRESSURES`.
+    block: cells of a kind in `PROJECTED`.
     weights: shape (cells, points), m^3, from `fea.mesh.reference_cell`.
     integration: ``"reduced"`` or ``"full"``.
     Result: shape (cells, points, modes), m^1.5: w_p q_pi with sum_p w_p q_pi q_pj = delta_ij.
@@ -104,7 +104,6 @@ def volume_modes(
     coordinates -= coordinates.mean(axis=1, keepdims=True)
     coordinates /= np.abs(coordinates).max(axis=(1, 2), keepdims=True)
     functions = np.concatenate([np.ones_like(coordinates[..., :1]), coordinates], axis=-1)
-    functions = functions[..., : PRESSURES[block.kind]]
     root = np.sqrt(weights)[..., None]
     orthonormal, _ = np.linalg.qr(root * functions)
     return np.ascontiguousarray(root * orthonormal)

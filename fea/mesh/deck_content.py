@@ -1,6 +1,6 @@
 """Content of an input deck besides its mesh: materials, sections, and load cases.
 
-All numbers are in the deck's units, which a deck does not state; `in_si` converts them by its
+All numbers are in the deck's units, which a deck does not state; `si_factor` converts them by its
 length unit and the usual force unit of that length unit.
 """
 
@@ -29,7 +29,7 @@ def integrations(text: str) -> list[str]:
     return sorted(kinds)
 
 
-def in_si(quantity: str, unit: str) -> float:
+def si_factor(quantity: str, unit: str) -> float:
     """Return the factor from a deck's consistent units to SI.
 
     quantity: a key of ``[[material]]``, ``length``, ``force`` or ``moment``; others have no unit.
@@ -98,10 +98,11 @@ class DeckSpring:
     ends: tuple[CoupledGroup, ...]
     stiffness: np.ndarray  # shape (6, 6), along the global axes, in the deck's units
 
-    def in_si(self, unit: str) -> np.ndarray:
+    def stiffness_in_si(self, unit: str) -> np.ndarray:
         """Return the stiffness in N/m, N and N·m for the deck's length unit."""
-        size = np.repeat([1.0, in_si("length", unit)], 3)
-        return self.stiffness * np.outer(size, size) * in_si("force", unit) / size[3]
+        length = si_factor("length", unit)
+        size = np.repeat([1.0, length], 3)
+        return self.stiffness * np.outer(size, size) * si_factor("force", unit) / length
 
 
 @dataclass

@@ -281,7 +281,7 @@ class Bar(Generator):
     """bar: along x"""
     cells_across: Integer = key("cells", "3", default=2, ge=1)
     """bar: along each of y and z"""
-    generator: Literal["bar"] = key("", '"bar"', default="bar", kw_only=True, absent="none")
+    generator: Literal["bar"] = key("", '"bar"', default="bar", kw_only=True, default_text="none")
     """`bar`, `plate` or `spring`, with its parameters"""
 
     def mistakes(self) -> list[tuple[str, str]]:
@@ -330,7 +330,9 @@ class Plate(Generator):
     """plate: along each side of a corner square"""
     layers: Integer = key("cells", "3", default=2, ge=1)
     """plate: through the thickness"""
-    generator: Literal["plate"] = key("", '"plate"', default="plate", kw_only=True, absent="none")
+    generator: Literal["plate"] = key(
+        "", '"plate"', default="plate", kw_only=True, default_text="none"
+    )
     """`bar`, `plate` or `spring`, with its parameters"""
 
     def mistakes(self) -> list[tuple[str, str]]:
@@ -435,7 +437,7 @@ class Spring(Generator):
     core: Integer = key("cells", "2", default=1, ge=1)
     """spring: across the core of the wire's section"""
     generator: Literal["spring"] = key(
-        "", '"spring"', default="spring", kw_only=True, absent="none"
+        "", '"spring"', default="spring", kw_only=True, default_text="none"
     )
     """`bar`, `plate` or `spring`, with its parameters"""
 

@@ -7,6 +7,7 @@ import numpy as np
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.spec.problems import BundleProblem, suggest
 
+CHOOSE = "CHOOSE"  # stands for a group that `wrenchbook new` cannot infer
 _NO_FACETS = (
     " (it has none at all: choose facets by [mesh.groups.NAME]; "
     "`wrenchbook check FOLDER --faces` lists the faces with the lines to write)"
@@ -46,6 +47,8 @@ def no_facets(mesh: Mesh, key: str, name: str, *, or_nodes: bool = False) -> Bun
 
 def missing(key: str, name: str, kind: str, groups: list[str]) -> BundleProblem:
     """Return the problem of a missing group, with the nearest name and all names."""
+    if name == CHOOSE and groups:
+        return BundleProblem(key, f"is open: choose one of {', '.join(groups[:_MAX_LISTED])}")
     listed = _listed(groups, _NO_CELLS if kind == "cell group" else _NO_FACETS)
     return BundleProblem(key, f'the mesh has no {kind} "{name}"{suggest(name, groups)}{listed}')
 

@@ -21,8 +21,8 @@ def mesh_of(source: MeshSource) -> Mesh:
     """
     if isinstance(source, Generator):
         return source.mesh()
-    if source.geometry is not None:
-        return mesh_geometry(source.file, source.geometry)
+    if isinstance(source, GeometryFile):
+        return mesh_geometry(source.file, source)
     return read_grouped(source.file, source)
 
 

@@ -62,11 +62,13 @@ class TiedNodes:
 
     nodes: np.ndarray  # shape (t,), int64, ascending
     untied: int  # number of the other nodes of the secondary surface
-    gap: float  # the largest distance between the surfaces where they are tied, m
+    max_gap: float  # the largest distance between the surfaces where they are tied, m
     distance: float  # largest distance of tied facets, m
     # Number of facets that the main surface covers in part: there the tie ends at a facet's edge.
     cut: int
-    beyond: float  # largest distance of these facets beyond `distance`, up to a mean edge, m, or 0
+    # Largest distance, m, of secondary facets that are left out, all or in part, because they are
+    # farther than `distance`; or 0
+    beyond: float
     within: float  # size of the largest main facet that is covered in part, over the tie's, or 0
 
 
@@ -105,12 +107,12 @@ def joined(
             continue
 
         secondary, main = mesh.facet_groups[pair.secondary], mesh.facet_groups[pair.main]
-        bound, gap = _bound_nodes(mesh, pair, held, follows)
+        bound, nearest = _bound_nodes(mesh, pair, held, follows)
         may_follow = np.zeros(len(mesh.points), dtype=bool)
         may_follow[secondary.node_ids] = ~np.any([*bound.values()], axis=0)
         tied, follow = tied_nodes(mesh.points, secondary, main, pair.distance, may_follow)
         if not tied.nodes.size:
-            problems.append(BundleProblem(key, _why_untied(pair, tied, gap, bound)))
+            problems.append(BundleProblem(key, _why_untied(pair, tied, nearest, bound)))
         problems += _shared(mesh, tied.nodes, sections, key, _OF_TIE)
         follows[tied.nodes] = True
         entries.append(follow)
@@ -143,18 +145,19 @@ def _bound_nodes(
     """
     nodes, main = mesh.facet_groups[pair.secondary].node_ids, mesh.facet_groups[pair.main].node_ids
     tree: Any = KDTree(mesh.points[main])
-    nearest = range(1, 1 + min(_NEIGHBOURS, main.size))
-    gaps, neighbours = tree.query(mesh.points[nodes], nearest)
+    # A list of ranks keeps the result two-dimensional for one neighbour.
+    ranks = range(1, 1 + min(_NEIGHBOURS, main.size))
+    distances, neighbours = tree.query(mesh.points[nodes], ranks)
     # Directions in which a node is held, but its neighbours are not.
-    loose = held[nodes][:, None] @ (np.eye(3) - held[main[neighbours]])
+    unmatched = held[nodes][:, None] @ (np.eye(3) - held[main[neighbours]])
     bound = {
         # This node connects both surfaces.
         f'are in "{pair.main}"': np.isin(nodes, main),
         "are fixed": np.trace(held[nodes], axis1=1, axis2=2) >= 3 - _ROUNDOFF,
         "already follow others": follows[nodes],
-        "slide where it does not": (np.abs(loose).max(axis=(2, 3)) > _ROUNDOFF).all(axis=1),
+        "slide where it does not": (np.abs(unmatched).max(axis=(2, 3)) > _ROUNDOFF).all(axis=1),
     }
-    return bound, float(gaps.min())
+    return bound, float(distances.min())
 
 
 def _shared(
@@ -171,14 +174,14 @@ def _shared(
             yield BundleProblem(key, text.format(count=shared.size, at=at, where=where))
 
 
-def _why_untied(pair: Tie, tied: TiedNodes, gap: float, bound: Mapping[str, np.ndarray]) -> str:
+def _why_untied(pair: Tie, tied: TiedNodes, nearest: float, bound: Mapping[str, np.ndarray]) -> str:
     """Return the reason for which no node is tied.
 
-    gap: the least distance of nodes of the two surfaces, m.
+    nearest: the least distance of nodes of the two surfaces, m.
     bound: reasons for which secondary nodes must not be tied, each with a mask of shape (k,).
     """
     reasons: list[str] = []
-    free = np.ones_like(bound["are fixed"])
+    free = np.ones(len(next(iter(bound.values()))), dtype=bool)
     for why, mask in bound.items():
         count = int((free & mask).sum())
         if count:
@@ -195,10 +198,10 @@ def _why_untied(pair: Tie, tied: TiedNodes, gap: float, bound: Mapping[str, np.n
     limit = f"{tied.distance:.3g} m"
     if is_largest:
         limit += " (the facets' mean edge, the most)"
-    if gap > tied.distance:
+    if nearest > tied.distance:
         return (
             f'no facet of "{pair.secondary}" with free nodes faces "{pair.main}" within {limit}; '
-            f"their nearest nodes are {gap:.3g} m apart. Correct the groups, or {remedy}"
+            f"their nearest nodes are {nearest:.3g} m apart. Correct the groups, or {remedy}"
         )
     if tied.beyond:
         return (
@@ -224,7 +227,10 @@ def tied_nodes(
     distance: facets farther from each other are not tied, m; None for a tenth of the mean edge.
     free: shape (n,), bool: nodes that may depend on others.
     """
-    edge = _mean_edge(points, [*secondary.blocks, *main.blocks])
+    facets = [*secondary.blocks, *main.blocks]
+    corners = [points[nodes[:, : corners_of(kind)]] for kind, nodes in facets]
+    edges = [np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).ravel() for at in corners]
+    edge = float(np.concatenate(edges).mean())
     distance = min(distance or _GAP * edge, edge)  # to close a larger gap would fold cells over
     main_areas = [_areas(points, block) for block in main.blocks]
     main_covered = [np.zeros(len(areas)) for areas in main_areas]  # tied area of each facet, m^2
@@ -232,7 +238,7 @@ def tied_nodes(
     covered, complete = np.zeros(len(points)), np.zeros(len(points))
     ends = np.full((len(points), 2), -1)  # ends of the edge whose middle a node is
     entries: list[Entries] = []
-    gap, cut, beyond = 0.0, 0, 0.0
+    max_gap, cut, beyond = 0.0, 0, 0.0
 
     for block in secondary.blocks:
         kind, nodes = block
@@ -244,7 +250,7 @@ def tied_nodes(
         integrals = mass.sum(axis=2)  # the transformed functions sum to one
         ratio = integrals.sum(axis=1) / areas.sum(axis=1)
         taken = ratio > _MIN_COVERED
-        cut += int((np.abs(ratio - 0.5) < 0.5 - _UNSURE).sum())
+        cut += int(((ratio > _UNSURE) & (ratio < 1 - _UNSURE)).sum())
         beyond = max(beyond, float(off[ratio < 1 - _UNSURE].max(initial=0.0)))
         values = reference_element(kind).values
         np.add.at(complete, nodes[taken], (areas @ values @ transform.values)[taken])
@@ -253,22 +259,27 @@ def tied_nodes(
         dual = integrals[:, :, None] * np.linalg.inv(mass)
         for part in mixed:
             is_tied = taken[part.facets]
-            gap = max(gap, float(part.gaps[is_tied].max(initial=0.0)))
+            max_gap = max(max_gap, float(part.gaps[is_tied].max(initial=0.0)))
             np.add.at(main_covered[part.block], part.main_facets[is_tied], part.areas[is_tied])
-            entries.append(_dual_entries(part, nodes, dual, is_tied))
+            # Products of dual and main functions, m^2, are the weights of the secondary nodes.
+            followers, masters, weights = np.broadcast_arrays(
+                nodes[part.facets][:, :, None],
+                part.masters[:, None],
+                dual[part.facets] @ part.products,
+            )
+            entries.append(
+                Entries(*(each[is_tied].ravel() for each in (followers, masters, weights)))
+            )
 
     tied = free & (covered > _MIN_INTEGRAL * complete)
     follow = _followed(entries, tied, covered, ends)
-    loose = len(secondary.node_ids) - int(tied.sum())
-    within = _partly_covered(np.concatenate(main_areas), np.concatenate(main_covered))
-    return TiedNodes(np.flatnonzero(tied), loose, gap, distance, cut, beyond, within), follow
-
-
-def _mean_edge(points: np.ndarray, blocks: Sequence[FacetBlock]) -> float:
-    """Return the mean length of the edges of facets, m."""
-    corners = [points[nodes[:, : corners_of(kind)]] for kind, nodes in blocks]
-    edges = [np.linalg.norm(at - np.roll(at, 1, axis=1), axis=2).ravel() for at in corners]
-    return float(np.concatenate(edges).mean())
+    untied = len(secondary.node_ids) - int(tied.sum())
+    # The size of the largest main facet that is covered in part: the diagonal of a square.
+    areas, tied_areas = np.concatenate(main_areas), np.concatenate(main_covered)
+    is_part = (_UNSURE * areas < tied_areas) & (tied_areas < _WHOLE * areas)
+    part_area = areas[is_part].max(initial=0.0)
+    within = float(np.sqrt(2 * part_area / tied_areas.sum())) if part_area else 0.0
+    return TiedNodes(np.flatnonzero(tied), untied, max_gap, distance, cut, beyond, within), follow
 
 
 def _areas(points: np.ndarray, block: FacetBlock) -> np.ndarray:
@@ -276,16 +287,6 @@ def _areas(points: np.ndarray, block: FacetBlock) -> np.ndarray:
     at = points[block.nodes[:, : corners_of(block.kind)]]
     across = np.cross(at, np.roll(at, -1, axis=1))
     return np.linalg.norm(across.sum(axis=1), axis=1) / 2
-
-
-def _partly_covered(areas: np.ndarray, covered: np.ndarray) -> float:
-    """Return the size of the largest main facet that is covered in part, over the tie's, or 0.
-
-    areas, covered: shape (f,), m^2: of each main facet, and of its tied part.
-    """
-    is_part = (_UNSURE * areas < covered) & (covered < _WHOLE * areas)
-    part = areas[is_part].max(initial=0.0)
-    return float(np.sqrt(2 * part / covered.sum())) if part else 0.0  # the diagonal of a square
 
 
 class _Mixed(NamedTuple):
@@ -341,21 +342,6 @@ def _integrals(
             areas = weights.sum(axis=1)
             mixed.append(_Mixed(index, first, second, masters, products, gaps, areas))
     return _Integrals(mass, mixed, off)
-
-
-def _dual_entries(
-    part: _Mixed, nodes: np.ndarray, dual: np.ndarray, is_tied: np.ndarray
-) -> Entries:
-    """Return the products of dual and main functions, m^2, as weights of the secondary nodes.
-
-    nodes: shape (f, k), int64: of the secondary facets. dual: shape (f, k, k).
-    is_tied: shape (s,), bool: overlaps on tied facets.
-    """
-    weights = dual[part.facets] @ part.products
-    followers, masters, weights = np.broadcast_arrays(
-        nodes[part.facets][:, :, None], part.masters[:, None], weights
-    )
-    return Entries(followers[is_tied].ravel(), masters[is_tied].ravel(), weights[is_tied].ravel())
 
 
 class _Transform(NamedTuple):

@@ -89,29 +89,15 @@ def craig_bampton(
     products = sum(fields[:, axis].T @ (mass @ fields[:, axis]) for axis in range(3))
     reduced_mass = 0.5 * np.asarray(products + np.transpose(products))
 
-    elastic = turn @ np.hstack([-rigid, np.eye(len(compliance))])  # relative to the base
-    stiffness = _reduced_stiffness(compliance, elastic, squares)
+    # Motions of the interfaces relative to the base by unit motions of the frames, (6 i, 6 f).
+    elastic = turn @ np.hstack([-rigid, np.eye(len(compliance))])
+    of_frames = elastic.T @ np.linalg.inv(compliance) @ elastic
+    stiffness = np.asarray(block_diag(0.5 * (of_frames + of_frames.T), np.diag(squares)))
     eigenvalues = eigh(stiffness[6:, 6:], reduced_mass[6:, 6:], eigvals_only=True)
     held, free = (np.sqrt(squared) / (2 * np.pi) for squared in (squares, eigenvalues))
     names, origins, axes = zip(*frames, strict=True)
     rotations = np.array(axes).swapaxes(1, 2)
     return CraigBampton(names, np.array(origins), rotations, stiffness, reduced_mass, held, free)
-
-
-def _reduced_stiffness(
-    compliance: np.ndarray, elastic: np.ndarray, squares: np.ndarray
-) -> np.ndarray:
-    """Return the stiffness of f frames and n modes, shape (6 f + n, 6 f + n).
-
-    compliance, elastic: of the interfaces, in their axes: shape (6 i, 6 i), and their motions
-    relative to the base by unit motions of the frames, shape (6 i, 6 f).
-    squares: shape (n,), (rad/s)^2: squares of the modes' frequencies.
-    """
-    frames = elastic.shape[1]
-    stiffness = np.zeros((frames + len(squares),) * 2)
-    stiffness[:frames, :frames] = elastic.T @ np.linalg.inv(compliance) @ elastic
-    stiffness[frames:, frames:] = np.diag(squares)
-    return 0.5 * (stiffness + stiffness.T)
 
 
 def _held_modes(inertia: Inertia, shapes: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

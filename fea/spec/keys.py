@@ -45,26 +45,27 @@ def key(
     example: str = "",
     default: Any = ...,
     *,
-    absent: str = "",
+    default_text: str = "",
     name: str | None = None,
-    write: str = "",
-    among: tuple[str, ...] = (),
+    expected_text: str = "",
+    choices: tuple[str, ...] = (),
     **bounds: Any,
 ) -> Any:
     """Return the field of a table: a key of the file. The text below the field is its description.
 
     unit, example: texts of the reference; `example` is TOML.
     default: a value, or a function that makes it; without it the key is required.
-    absent: the reference's text for a default that no value shows.
+    default_text: the reference's text for a default that no value shows.
     name: the key, if it differs from the attribute's name.
-    write: the text of messages for a valid value, if the key's type does not give it.
-    among: the words to choose from, if the type has fewer.
+    expected_text: the text of messages for a valid value, if the key's type does not give it.
+    choices: the words to choose from, if the type has fewer.
     """
-    extra = {"unit": unit, "toml": example, "absent": absent, "write": write, "among": list(among)}
-    shown: Any = {word: value for word, value in extra.items() if value}
+    texts = {"default_text": default_text, "expected_text": expected_text}
+    extra = {"unit": unit, "example": example, **texts, "choices": list(choices)}
+    metadata: Any = {name: value for name, value in extra.items() if value}
     if default is not ...:
         bounds["default_factory" if callable(default) else "default"] = default
-    return Field(alias=name, json_schema_extra=shown, **bounds)
+    return Field(alias=name, json_schema_extra=metadata, **bounds)
 
 
 _CONFIG = ConfigDict(
@@ -153,7 +154,7 @@ def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
 
 
 def counted(count: int, message: str = "", names: str = "") -> BeforeValidator:
-    """Check for a list of so many numbers, with the names `names`, or of the form in `message`."""
+    """Require a list of `count` numbers, with the names `names`, or of the form in `message`."""
 
     def check(value: object) -> object:
         if isinstance(value, list | tuple) and len(value) == count:
@@ -183,7 +184,7 @@ def array_of(inner: Any, make: Callable[[Any], np.ndarray] = np.array) -> GetPyd
 
 
 def either(single: Any, several: Any, depth: int = 1) -> GetPydanticSchema:
-    """Take a `single`, or `several` if the value is a list of lists so many levels deep."""
+    """Take `several` for a list nested `depth` levels, else `single`."""
 
     def choose(value: Any) -> int:
         for _ in range(depth - 1):
@@ -406,13 +407,13 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
     if error == "string_type" or (error == "literal_error" and type(value) is not str):
         return f"must be a string, not {shown(value)}; put it in quotation marks"
     if error == "literal_error":
-        among = extra.get("among") or _QUOTED.findall(context["expected"])
-        return f'must be one of {", ".join(among)}, not "{value}"{suggest(value, among)}'
+        choices = extra.get("choices") or _QUOTED.findall(context["expected"])
+        return f'must be one of {", ".join(choices)}, not "{value}"{suggest(value, choices)}'
     if error == "too_short":
-        example = f"; write for example {extra['toml']}" if "toml" in extra else ""
+        example = f"; write for example {extra['example']}" if "example" in extra else ""
         return f"must name at least {context['min_length']}, but the list is empty{example}"
     noun = _noun(info)
-    if noun.startswith("a whole number") or "write" in extra:
+    if noun.startswith("a whole number") or "expected_text" in extra:
         return f"must be {noun}, not {shown(value)}"
     for bound, side in (("gt", "above"), ("ge", "at least"), ("lt", "below")):
         if bound in context:
@@ -426,7 +427,7 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
 def missing(info: FieldInfo | None) -> str:
     """Return the sentence for a required key."""
     noun = _noun(info)
-    example = extra_of(info).get("toml", "") if info is not None else ""
+    example = extra_of(info).get("example", "")
     is_open = example and not noun.startswith("one of ")
     return f"is missing; write {noun}" + (f", such as {example}" if is_open else "")
 
@@ -439,10 +440,10 @@ def _noun(info: FieldInfo | None) -> str:
     kind = _adapter(kind_of(info)).json_schema()
     kind = kind.get("anyOf", [kind])[0]  # without null
     unit = extra.get("unit") or "no unit"
-    if write := extra.get("write"):
-        return write
-    if among := extra.get("among") or kind.get("enum"):
-        return f"one of {', '.join(among)}"
+    if expected_text := extra.get("expected_text"):
+        return expected_text
+    if choices := extra.get("choices") or kind.get("enum"):
+        return f"one of {', '.join(choices)}"
     if kind.get("type") == "integer":
         return f"a whole number from {kind['minimum']} to {MAX_COUNT}"
     nouns = {"number": f"a number in {unit}", "string": "a string", "boolean": "true or false"}

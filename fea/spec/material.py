@@ -99,11 +99,13 @@ class Material(Solid):
 
     youngs_modulus: Modulus = key("Pa", "70e9")
     """Young's modulus; orthotropic: `[E1, E2, E3]`"""
-    poisson_ratio: Number = key("", "0.33", gt=-1, lt=0.5, write="a number above -1 and below 0.5")
+    poisson_ratio: Number = key(
+        "", "0.33", gt=-1, lt=0.5, expected_text="a number above -1 and below 0.5"
+    )
     """Poisson's ratio, above -1 and below 0.5; orthotropic: `[nu12, nu13, nu23]`, where nu12 is
     along 2 when pulled along 1"""
     law: Literal["isotropic", "neo-hookean"] = key(
-        "", '"neo-hookean"', default="isotropic", among=LAWS, kw_only=True
+        "", '"neo-hookean"', default="isotropic", choices=LAWS, kw_only=True
     )
     """`isotropic`, `neo-hookean` (rubber; the constants are those of small strains) or
     `orthotropic`"""
@@ -144,7 +146,9 @@ class Orthotropic(Solid):
         "Pa", "[5e9, 5e9, 3.5e9]", name="shear_modulus"
     )
     """orthotropic only: `[G12, G13, G23]`"""
-    axes: Axes = key("", "[[0, 1, 0], [-1, 0, 0], [0, 0, 1]]", default=mesh_axes, absent="mesh's")
+    axes: Axes = key(
+        "", "[[0, 1, 0], [-1, 0, 0], [0, 0, 1]]", default=mesh_axes, default_text="mesh's"
+    )
     """orthotropic only: the directions 1, 2, 3 in the mesh's axes"""
     cylinder: Cylinder | None = key("", "{point = [0, 0, 0], axis = [0, 0, 1]}", default=None)
     """orthotropic only, in place of `axes`: 1, 2, 3 are radial, circumferential and axial about

@@ -97,22 +97,22 @@ class FaceSelector(Selector):
 
     ADDING: ClassVar = ("faces", "near", "plane", "radius")
     ways = (*ADDING, "box", "normal", "inside")
-    faces: Numbers = key("", "[3, 7]", default=(), absent="none", write=_NUMBER)
+    faces: Numbers = key("", "[3, 7]", default=(), default_text="none", expected_text=_NUMBER)
     """by number"""
-    near: Near = key("m", "[[0.05, 0.0, 0.01]]", default=(), absent="none")
+    near: Near = key("m", "[[0.05, 0.0, 0.01]]", default=(), default_text="none")
     """for each point (or the one point) the face nearest to it"""
     plane: Annotated[
         Literal["x", "y", "z"] | Direction | None, either(Literal["x", "y", "z"], Direction)
     ] = key("", '"x"', default=None)
     """every facet in the plane square to this axis, or direction `[0.6, 0.8, 0]`, `at` a place"""
     at: Annotated[Number | Three | None, either(Number, Three)] = key(
-        "m", "0.0", default=None, absent="-"
+        "m", "0.0", default=None, default_text="-"
     )
     """with `plane`: where it is along its axis or direction, or a point of it"""
     radius: Positive | None = key("m", "0.008", default=None)
     """every cylindrical face of that radius"""
     cylinder: Cylinder | None = key(
-        "", "{point = [0, 0, 0], axis = [0, 0, 1]}", default=None, absent="any"
+        "", "{point = [0, 0, 0], axis = [0, 0, 1]}", default=None, default_text="any"
     )
     """with `radius`: the facets of the cylinder about this axis alone"""
     box: Box | None = key("m", "[[0, 0, 0], [0.1, 0.1, 0.01]]", default=None)
@@ -120,7 +120,7 @@ class FaceSelector(Selector):
     normal: Direction | None = key("", "[0, 0, 1]", default=None)
     """restricts: facets whose outward normal has this direction, within `angle`"""
     angle: Annotated[Number, Field(gt=0, lt=90)] | None = key(
-        "deg", "30", default=None, absent="10"
+        "deg", "30", default=None, default_text="10"
     )
     """with `normal`: the largest angle to it, below 90"""
     inside: Text | None = key("", '"flange"', default=None)
@@ -143,9 +143,9 @@ class BodySelector(Selector):
     """Bodies of a geometry."""
 
     ways = ("bodies", "near")
-    bodies: Numbers = key("", "[1, 2]", default=(), absent="none", write=_NUMBER)
+    bodies: Numbers = key("", "[1, 2]", default=(), default_text="none", expected_text=_NUMBER)
     """by number, as `wrenchbook check` lists them"""
-    near: Near = key("m", "[0.05, 0.0, 0.01]", default=(), absent="none")
+    near: Near = key("m", "[0.05, 0.0, 0.01]", default=(), default_text="none")
     """for each point (or the one point) the body it lies in"""
 
 
@@ -156,7 +156,10 @@ class MeshFile:
     geometry = generator = parameters = None
 
     file: BundleFile = key(
-        "", '"bracket.msh"', absent="none", write='the name of a mesh "file", or a "generator"'
+        "",
+        '"bracket.msh"',
+        default_text="none",
+        expected_text='the name of a mesh "file", or a "generator"',
     )
     """gmsh, Abaqus/CalculiX .inp, VTK and the other formats of meshio, or STEP (.step, .stp)"""
     unit: LengthUnit = key("", '"mm"')
@@ -165,7 +168,7 @@ class MeshFile:
     """gives the cells of a first-order mesh file midside nodes, in the middle of straight edges
     (STEP is meshed so anyway)"""
     groups: Mapping[str, FaceSelector] = key(
-        "", "{tip = {radius = 0.008}}", default=dict, absent="none"
+        "", "{tip = {radius = 0.008}}", default=dict, default_text="none"
     )
     """mesh file or STEP: facet groups named by geometry, each `[mesh.groups.NAME]`"""
 
@@ -185,11 +188,11 @@ class GeometryMeshing:
     curvature: Annotated[Integer, Field(ge=3)] | None = key("cells", "16", default=None)
     """STEP: least number of cells round a full turn of a curved face, 3 or more"""
     groups: Mapping[str, FaceSelector] = key(
-        "", "{tip = {radius = 0.008}}", default=dict, absent="none"
+        "", "{tip = {radius = 0.008}}", default=dict, default_text="none"
     )
     """facet groups named by geometry, each `[mesh.groups.NAME]`"""
     regions: Annotated[Mapping[str, BodySelector], AfterValidator(_no_all)] = key(
-        "", "{steel = {bodies = [1]}}", default=dict, absent="none"
+        "", "{steel = {bodies = [1]}}", default=dict, default_text="none"
     )
     """STEP: named cell groups, each `[mesh.regions.NAME]`"""
     # Least number of cells round a full circle of any size. For coarser and finer meshes of a

@@ -102,7 +102,7 @@ class Temperature:
     """where nothing is strained by it"""
     unit: Literal["degC", "K"] = key("", '"K"', default="degC")
     """`"degC"` or `"K"`"""
-    field: BundleFile | None = key("", '"hot.csv"', default=None, absent="uniform")
+    field: BundleFile | None = key("", '"hot.csv"', default=None, default_text="uniform")
     """temperatures at points: one line of names, then x, y, z (m, the mesh's axes) and the
     temperature in `unit`. The input is the temperature where the file's rise over `reference` is
     largest; all others rise in proportion"""
@@ -161,7 +161,7 @@ class Sliding:
     ] = key("", '["x"]', name="directions")
     """its displacements along these are zero: of x, y, z"""
     axes: Axes = key(
-        "", "[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]", default=mesh_axes, absent="mesh's"
+        "", "[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]", default=mesh_axes, default_text="mesh's"
     )
     """x, y, z of the directions, in the mesh's axes"""
 
@@ -212,7 +212,7 @@ class Attached:
     coupling: Coupling = key("", '"distributed"', kw_only=True)
     """`distributed`: by the least-squares mean of the group; `rigid`: as a rigid body"""
     point: Point | None = key(
-        "m", "[0.0, 0.0, 0.01]", default=None, absent="the group's area centre", kw_only=True
+        "m", "[0.0, 0.0, 0.01]", default=None, default_text="the group's area centre", kw_only=True
     )
     """where an interface's wrench acts and its displacement is measured, or a spring is, in the
     mesh's axes"""
@@ -224,7 +224,7 @@ class Attached:
         "",
         "[[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]]",
         default=mesh_axes,
-        absent="mesh's",
+        default_text="mesh's",
         kw_only=True,
     )
     """x, y and z of the frame in the mesh's axes"""
@@ -258,7 +258,7 @@ class Bolt:
     """the shank's direction, in the mesh's axes"""
     force: Positive = key("N", "12e3", kw_only=True)
     """the preload: the shank's tension when it is tightened and nothing else acts"""
-    point: Point | None = key("m", "[0, 0, 0.02]", default=None, absent="the region's middle")
+    point: Point | None = key("m", "[0, 0, 0.02]", default=None, default_text="the region's middle")
     """with `region`: a point of the plane of the cut"""
     keeps: Literal["length", "force"] = key("", '"force"', default="length")
     """under the loads after it is tightened: its `length`, as bolts do, or its `force`, as soft
@@ -278,7 +278,7 @@ class Joint(Attached):
     """Two groups with a spring between them, or joined rigidly."""
 
     groups: Annotated[tuple[Text, Text], counted(2), AfterValidator(different)] = key(
-        "", '["hub", "rim"]', write="two names of facet or node groups"
+        "", '["hub", "rim"]', expected_text="two names of facet or node groups"
     )
     """two facet or node groups; the spring's axes turn with the first"""
     stiffness: Stiffness | None = key(
@@ -304,17 +304,19 @@ class Joint(Attached):
 class Supports:
     """The groups whose nodes do not move, those that slide, and those on springs."""
 
-    fixed: Annotated[Texts, Field(min_length=1)] = key("", '["rim"]', default=(), absent="none")
+    fixed: Annotated[Texts, Field(min_length=1)] = key(
+        "", '["rim"]', default=(), default_text="none"
+    )
     """facet or node groups that do not move"""
     sliding: Annotated[tuple[Sliding, ...], Field(min_length=1)] = key(
-        "", '[{group = "symmetry", directions = ["x"]}]', default=(), absent="none"
+        "", '[{group = "symmetry", directions = ["x"]}]', default=(), default_text="none"
     )
     """groups held in single directions, each `[[supports.sliding]]`"""
     bushings: Annotated[tuple[Bushing, ...], Field(min_length=1)] = key(
         "",
         '[{group = "hole", coupling = "rigid", stiffness = [1e6, 1e6, 1e6, 50, 50, 50]}]',
         default=(),
-        absent="none",
+        default_text="none",
         name="bushing",
     )
     """groups on springs, each `[[supports.bushing]]`"""
@@ -329,7 +331,7 @@ class Tie:
     main: Text = key("", '"hole"')
     """the facet group that they follow (master)"""
     distance: Positive | None = key(
-        "m", "2e-5", default=None, absent="a tenth of the facets' mean edge"
+        "m", "2e-5", default=None, default_text="a tenth of the facets' mean edge"
     )
     """facets farther from each other stay loose; more than their mean edge counts as that"""
 
@@ -415,7 +417,7 @@ class NamedInterface(Interface):
     """One of several interfaces."""
 
     refused: ClassVar = {}
-    name: Name = key("", '"left"', absent="none", kw_only=True)
+    name: Name = key("", '"left"', default_text="none", kw_only=True)
     """of several interfaces each must have its own: a-z, 0-9, _ and -"""
     held: Flag = key("", "true", default=False, kw_only=True)
     """of several, one may be: it does not move, and the others move relative to it"""
@@ -444,7 +446,7 @@ class Analysis:
     nonlinear: Flag = key("", "true")
     """large displacements, and of rubber large strains; false: the 6x6 compliance is all"""
     integration: Literal["reduced", "full"] = key(
-        "", '"full"', default="reduced", absent='the deck\'s, else `"reduced"`'
+        "", '"full"', default="reduced", default_text='the deck\'s, else `"reduced"`'
     )
     """hex20: 2x2x2 points, or 3x3x3; a deck's C3D20 is full, its C3D20R reduced"""
     gravity: Annotated[Three | None, AfterValidator(lambda g: g if g and any(g) else None)] = key(
@@ -521,7 +523,7 @@ class Deck:
     timeout: Annotated[Positive, Field(lt=1e7)] = key("s", "600", default=3600.0)
     """after which a run is ended"""
     moment: Literal["spatial", "conjugate"] | None = key(
-        "", '"spatial"', default=None, absent="the reader's"
+        "", '"spatial"', default=None, default_text="the reader's"
     )
     """`spatial`: about fixed axes; `conjugate`: works on the rotation vector"""
 

@@ -20,6 +20,7 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.cli import progress
 from wrenchbook.service.cli.render import UNITS, answer_shown
 from wrenchbook.service.client import Client, Displacement, Job
+from wrenchbook.service.contract import counted
 from wrenchbook.surrogate.table.rows import Floats
 
 COMPONENT = "plate_thin"
@@ -68,7 +69,7 @@ def run(out: Console, keep: Path | None = None) -> dict[str, Any]:
 def _ask_an_empty_table(out: Console, client: Client) -> str | None:
     """Ask an empty table: the solve is queued."""
     component = client.component(COMPONENT)
-    out.print(f"{component['title']}: {component['rows']} rows.")
+    out.print(f"{component['title']}: {counted(component['rows'], 'row')}.")
     answer = client.displacement(COMPONENT, *WRENCH)
     out.print(answer_shown(answer))
     if answer.job is None or answer.coverage == "covered":

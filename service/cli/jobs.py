@@ -14,6 +14,7 @@ from rich.table import Column, Table
 from wrenchbook.service.cli.connect import DEFAULT_SERVER, AsJson, Data, Server, connected
 from wrenchbook.service.cli.render import Screen, job_table, plain, show
 from wrenchbook.service.client import Client, Event
+from wrenchbook.service.contract import counted
 
 MAX_SHOWN = 50  # open jobs in the table before the first event: a screen
 
@@ -96,9 +97,10 @@ def event_line(event: Event) -> str:
     """Return an event as a line; empty for an event without a message."""
     body = event.body
     if event.kind == "jobs":
-        return f"{body['count']} jobs of {body['component']} changed"
+        return f"{counted(body['count'], 'job')} of {body['component']} changed"
     if event.kind == "table":
-        return f"{body['component']}: table version {body['table_version']}, {body['rows']} rows"
+        rows = counted(body["rows"], "row")
+        return f"{body['component']}: table version {body['table_version']}, {rows}"
     if event.kind != "job":
         return str(body.get("reason", ""))
     line = f"job {body['id']} of {body['component']}: {body['status']}"

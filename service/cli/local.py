@@ -21,6 +21,7 @@ from rich.table import Table
 from wrenchbook.service.actors import ANY
 from wrenchbook.service.cli.connect import AsJson, in_folder
 from wrenchbook.service.cli.render import Screen, plain, print_json, show
+from wrenchbook.service.contract import counted
 from wrenchbook.service.files.program import run_child, usable_cores
 from wrenchbook.service.keys import FILE as KEYS
 from wrenchbook.service.keys import (
@@ -217,7 +218,7 @@ def backup(
     manifest = back_up(data, file)
     size = sum(length for length, _ in manifest.files.values())
     count = len(manifest.files)
-    text = f"{file}: {count} files, {size / 1e6:.1f} MB, read again and complete."
+    text = f"{file}: {counted(count, 'file')}, {size / 1e6:.1f} MB, read again and complete."
     show({"file": file, "files": count, "bytes": size}, as_json, text)
 
 
@@ -261,16 +262,15 @@ def _restored_texts(
     """Return the lines on a restored directory; `former`: the folder of its earlier files."""
     state = manifest.state
     option = _data_option(data)
-    texts = [
-        f"{data}: {len(manifest.files)} files restored. Start it with: wrenchbook serve{option}"
-    ]
+    files = counted(len(manifest.files), "file")
+    texts = [f"{data}: {files} restored. Start it with: wrenchbook serve{option}"]
     if state:
         created = datetime.fromtimestamp(state["created"], UTC).isoformat(" ", "milliseconds")
         texts.append(
-            f"It is as it was at {created}: {state['rows']} rows, up to number "
-            f"{state['last_row']}, and {state['jobs']} jobs. What the server accepted later is not "
-            f"in it: {state['interval']:g} s at most, if it shipped until its end. Serve it with "
-            "another --replicate URL."
+            f"It is as it was at {created}: {counted(state['rows'], 'row')}, up to number "
+            f"{state['last_row']}, and {counted(state['jobs'], 'job')}. What the server "
+            f"accepted later is not in it: {state['interval']:g} s at most, if it shipped until "
+            "its end. Serve it with another --replicate URL."
         )
     if manifest.skipped:
         skipped = ", ".join(manifest.skipped)

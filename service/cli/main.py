@@ -378,9 +378,9 @@ def main() -> None:
         if "--json" in sys.argv:
             print_json({"error": error.body or {"title": error.title, "detail": error.detail}})
         plain(out, error.title, style="red")
-        plain(out, error.detail)
+        plain(out, _with_options(error.detail))
         for cause in error.causes:
-            plain(out, f"  {mistake_line(cause)}")
+            plain(out, f"  {_with_options(mistake_line(cause))}")
         sys.exit(1)
     except (ServerUnreachable, ImportError, OSError, RuntimeError, ValueError) as error:
         detail = str(error)
@@ -392,16 +392,31 @@ def main() -> None:
         sys.exit(1)
 
 
+def _with_options(text: str) -> str:
+    """Return a message with the option of this call in place of the request's field."""
+
+    def option(match: re.Match[str]) -> str:
+        name = "--" + match[1].replace("_", "-")
+        # The field of a repeatable option is a list with the plural: outputs.0 of --output.
+        names = (name, name.removesuffix("s")) if match[2] else (name,)
+        sent = [known for known in names if known in sys.argv]
+        return sent[0] if sent else match[0]
+
+    return re.sub(r"(?<![\w.-])([a-z]\w*)(\.\d+)?(?=: )", option, text)
+
+
 def _tolerance(translation: float | None, rotation: float | None) -> dict[str, float] | None:
     """Return a request's tolerance, m and rad, or None for the component's own."""
     if translation is None and rotation is None:
         return None
+    given = {"translation": translation, "rotation": rotation}
+    wrong = {name: size for name, size in given.items() if size is not None and size <= 0}
+    if wrong:
+        sizes = " and ".join(f"--tolerance-{name} {size:g}" for name, size in wrong.items())
+        raise typer.BadParameter(f"a tolerance must be above 0, not {sizes}; give larger numbers")
     if translation is None or rotation is None:
         missing = "--tolerance-translation M" if translation is None else "--tolerance-rotation RAD"
         raise typer.BadParameter(f"a tolerance needs translation and rotation; add {missing}")
-    if min(translation, rotation) <= 0:
-        sizes = f"{translation:g} m and {rotation:g} rad"
-        raise typer.BadParameter(f"a tolerance must be above 0, not {sizes}; give larger numbers")
     return {"translation": translation, "rotation": rotation}
 
 

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeE
 
 from wrenchbook.service.cli.render import Screen, job_state, plain
 from wrenchbook.service.client import Client, Job, ProblemError, ServerTimeout, ServerUnreachable
+from wrenchbook.service.contract import counted
 
 POLL_S = 0.2
 BUILD_S = 25.0  # s that the last rows of a fill are waited for
@@ -67,7 +68,8 @@ def cancelled_on_interrupt(client: Client, jobs: Sequence[Job]) -> Iterator[None
         except ProblemError as error:
             rest += f"; the others were not cancelled: {str(error).rstrip('.')}"
         plain(
-            Screen(stderr=True), f"Interrupted: {count} solve(s) of this command cancelled{rest}."
+            Screen(stderr=True),
+            f"Interrupted: {counted(count, 'solve')} of this command cancelled{rest}.",
         )
         raise typer.Exit(INTERRUPTED) from None
 
@@ -178,7 +180,7 @@ def fill(
             )
 
     now = client.component(name, wait_s=BUILD_S)
-    out.print(f"{spent} solves; {name} has {now['rows']} rows.")
+    out.print(f"{counted(spent, 'solve')}; {name} has {counted(now['rows'], 'row')}.")
     for warning in now.get("warnings", ()):
         # The solver's own error is over the tolerance, for a table of any size.
         if warning["where"] == "tolerance":

@@ -19,7 +19,7 @@ from wrenchbook.service.cli.connect import (
 )
 from wrenchbook.service.cli.render import Screen, cell, show
 from wrenchbook.service.client import Client, Started
-from wrenchbook.service.contract import LOADS, OUTPUTS
+from wrenchbook.service.contract import LOADS, OUTPUTS, counted
 
 Clear = Annotated[bool, typer.Option("--clear", help="delete the recorded wrenches")]
 Start = Annotated[bool, typer.Option("--start", help="solve them, and show the progress")]
@@ -41,14 +41,14 @@ def recording(
     with connected(server, data) as client:
         if clear:
             count = client.clear_recording(name)
-            show({"cleared": count}, as_json, f"{count} wrenches forgotten.")
+            show({"cleared": count}, as_json, f"{counted(count, 'wrench')} forgotten.")
         elif start:
             started = client.start_recording(name, budget, beyond_range=beyond_range)
             _follow(client, started, as_json)
         else:
             recorded = client.recording(name)
             counts = (
-                f"{recorded.total} wrenches recorded of {name}: {len(recorded)} kept, "
+                f"{counted(recorded.total, 'wrench')} recorded of {name}: {len(recorded)} kept, "
                 f"{recorded.merged} merged, {recorded.thinned} thinned, {recorded.outside} outside "
                 "the load range."
             )
@@ -69,7 +69,11 @@ def envelope(
     with connected(server, data) as client:
         if clear:
             count = client.clear_envelope(name)
-            show({"cleared": count}, as_json, f"The envelope of {count} wrenches is forgotten.")
+            show(
+                {"cleared": count},
+                as_json,
+                f"The envelope of {counted(count, 'wrench')} is forgotten.",
+            )
             return
         if start:
             _follow(client, client.start_envelope(name, beyond_range=beyond_range), as_json)
@@ -113,7 +117,8 @@ def _follow(client: Client, started: Started, as_json: bool) -> None:
     if jobs:
         jobs = progress.follow(Screen(stderr=as_json), client, jobs)
     done = started.solved + started.covered
-    counts = f"{len(jobs)} solves; {done} wrenches were solved or covered before."
+    were = f"{counted(done, 'wrench')} {'was' if done == 1 else 'were'} solved or covered before"
+    counts = f"{counted(len(jobs), 'solve')}; {were}."
     reply = {**started.raw, "jobs": [job.raw for job in jobs]}
     show(reply, as_json, "\n".join(filter(None, [counts, started.reason])))
 

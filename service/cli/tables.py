@@ -24,6 +24,7 @@ from wrenchbook.service.cli.connect import (
 from wrenchbook.service.cli.render import Screen, comparison_shown, plain, print_json, show
 from wrenchbook.service.client.errors import mistake_line
 from wrenchbook.service.client.library import RIG_NAME, check_readable, table_format
+from wrenchbook.service.contract import counted
 from wrenchbook.service.files.durable import write_atomically
 
 COMPILED = (".fmu", ".zip")  # made by this command from a packed table, not by the server
@@ -108,7 +109,8 @@ def import_table(
     load_point: _Point = None,
     displacement_point: _Point = None,
     load_cell: Annotated[
-        str | None, typer.Option(metavar="moving|fixed", help="point of the moments")
+        str | None,
+        typer.Option(metavar="moving|fixed", help="point of the moments: moving or fixed"),
     ] = None,
     rig: Annotated[
         str | None,
@@ -118,7 +120,8 @@ def import_table(
         int | None, typer.Option(min=0, help="first cycles of the main load to leave out")
     ] = None,
     branch: Annotated[
-        str | None, typer.Option(metavar="loading|unloading", help="branch to load")
+        str | None,
+        typer.Option(metavar="loading|unloading", help="branch to load: loading or unloading"),
     ] = None,
     thin: Annotated[
         float | None, typer.Option(help="part of the load range within which rows are averaged")
@@ -231,7 +234,7 @@ def export_table(
         int | None, typer.Option(help="an earlier version of the table; by default the newest")
     ] = None,
     bushing: Annotated[
-        str | None,
+        Literal["displacement", "load"] | None,
         typer.Option(
             metavar="displacement|load",
             help="a .csv of load over displacement of each axis, with this zero on the others",
@@ -340,7 +343,7 @@ def withdraw(
     if as_json:
         print_json(reply)
     elif number is not None:
-        plain(Screen(), f"{reply['rows']} rows {reply['status']}.")
+        plain(Screen(), f"{counted(reply['rows'], 'row')} {reply['status']}.")
     else:
         for warning in reply["findings"]:
             _print_finding(name, warning, warning["import"])
@@ -418,8 +421,8 @@ def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> No
     plain(Screen(), f"{finding['cause']}: {finding['message']}", style="yellow")
     if number is not None:
         command = f"wrenchbook withdraw {name} {number} --finding {finding['cause']}"
-        count = finding["count"] or "all"
-        plain(Screen(), f"  to withdraw {count} rows of this import: {command}")
+        rows = counted(finding["count"], "row") if finding["count"] else "all rows"
+        plain(Screen(), f"  to withdraw {rows} of this import: {command}")
 
 
 def _print_import(name: str, reply: dict[str, Any]) -> None:
@@ -441,9 +444,9 @@ def _print_import(name: str, reply: dict[str, Any]) -> None:
     rows = reply["rows"]
     parts = [f"{rows[state]} {text}" for state, text in _NOT_LOADED.items() if rows.get(state)]
     if parts:
-        plain(Screen(), f"Of {rows['read']} rows read {', '.join(parts)}.")
+        plain(Screen(), f"Of {counted(rows['read'], 'row')} read {', '.join(parts)}.")
     if not (reply["dry_run"] or reply["errors"] or reply["in_use"]):
-        text = f"it answers from the {reply['inserted']} rows soon."
+        text = f"it answers from {counted(reply['inserted'], 'new row')} soon."
         plain(Screen(), f"The server still builds its table; {text}")
 
 
@@ -456,7 +459,12 @@ def _import_lines(reply: dict[str, Any]) -> list[str]:
     if len(sheets := reply["sheets"]) > 1:
         lines.append(f"Sheet {reply['sheet']} was read, of {', '.join(sheets)}.")
     verb = "would be inserted" if reply["dry_run"] else "inserted"
-    lines.append(f"{reply['inserted']} rows {verb}, {reply['existing']} were there already.")
+    existing = reply["existing"]
+    there = f"{existing} {'was' if existing == 1 else 'were'} there already"
+    lines.append(f"{counted(reply['inserted'], 'row')} {verb}, {there}.")
+    if beyond := reply.get("beyond_range"):
+        are = "is" if beyond == 1 else "are"
+        lines.append(f"{counted(beyond, 'row')} {are} outside the load range.")
     if reply["existing"]:
         lines.append(
             "Equal rows count once, within the file too; slopes and second derivatives of this "

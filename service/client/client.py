@@ -65,7 +65,8 @@ class DisplacementCalls(Connection):
             by its name, shape (6,) or a mapping of ``force`` and ``moment``; zero where it is left
             out.
         inputs : mapping, optional
-            The component's further inputs by name, such as ``temperature``, SI.
+            The component's further inputs by name, in the unit of the component: ``temperature`` in
+            degC unless its bundle says K.
         on_thin : {"queue", "wait", "estimate", "reject"}
             Where the table does not cover the wrench: queue a solve and answer with an estimate;
             wait for that solve; only estimate; refuse.

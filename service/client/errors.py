@@ -13,6 +13,8 @@ Json: TypeAlias = Any  # a value of a JSON document
 Document = dict[str, Json]
 
 _SHOWN = 5  # mistakes in the text of a ProblemError: more would hide its remedy
+# Beginnings of messages, for one column and for several.
+_PLURALS = {"is not a known column": "are not known columns", "is ": "are ", "has ": "have "}
 _FOLDER = str(Path(__file__).parent)
 
 
@@ -182,7 +184,14 @@ def mistake_line(error: Document) -> str:
         count = error.get("count", 1)
         fields = ", ".join(error.get("fields") or [error.get("field", "")])
         more = f" ({count} mistakes)" if count > 1 else ""
+        rows = error.get("rows") or [error["row"]]
         # 0: the mistake concerns the file, or a column.
-        place = f"row {error['row']}, " * bool(error["row"])
-        return f"{place}{fields}: {error.get('message', '')}{more}"
+        place = f"row{'s' * (len(rows) > 1)} {', '.join(map(str, rows))}, " * bool(error["row"])
+        message = error.get("message", "")
+        if len(error.get("fields") or ()) > 1:
+            for singular, plural in _PLURALS.items():
+                if message.startswith(singular):
+                    message = plural + message.removeprefix(singular)
+                    break
+        return f"{place}{fields}: {message}{more}"
     return f"{error.get('loc', '')}: {error.get('msg', '')}"

@@ -85,9 +85,12 @@ def response(
         loads, value - error, value + error, alpha=BAND_ALPHA, label="95 % error band"
     )
     covered = answers.covered
-    for chosen, line, label in ((covered, "-", "covered"), (~covered, "--", "not covered")):
-        if chosen.any():
-            axes.plot(loads, np.where(chosen, value, np.nan), f"C0{line}", label=label)
+    if not covered.all():
+        axes.plot(loads, value, "C0--", label="not covered")
+    if covered.any():
+        # A marker shows a covered wrench between two others, where no line is drawn.
+        shown = np.where(covered, value, np.nan)
+        axes.plot(loads, shown, "C0-", marker=".", markersize=4, label="covered")
     axes.set(xlabel=WRENCH_COLUMNS[along], ylabel=DISPLACEMENT_COLUMNS[out])
     axes.set_title(f"{answers.component}, table version {answers.table_version}")
     axes.legend()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..contract import LOADS, MAX_BLOCK
+from ..contract import LOADS, MAX_BLOCK, counted
 from .errors import Document, InvalidArgument, ProblemError, ServerTimeout, WrenchbookError
 from .recording import KINDS, Kind, Started
 from .wrenches import many_wrenches, require_one_of, single_wrench
@@ -244,8 +244,8 @@ class Recorder:
         if self.pending:
             why = self.trouble or f"the server has not acknowledged them in {timeout_s:g} s"
             raise RecorderError(
-                f"{self.pending} wrenches of {self.component!r} were not recorded: {why}. Correct "
-                "this, then give the wrenches that `unsent` returns to a new Recorder"
+                f"{counted(self.pending, 'wrench')} of {self.component!r} not recorded: {why}. "
+                "Correct this, then give the wrenches that `unsent` returns to a new Recorder"
             ) from cause
 
     def _send_all(self) -> None:

@@ -84,7 +84,11 @@ class Scene:
                 body = tomllib.load(file)
             _refuse_unknown("", body, ("components", "title"))
             return cls(body.get("components", {}))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, SceneError) as error:
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise SceneError(
+                f"{path} is not valid TOML: {error}; name the .toml file of a scene"
+            ) from error
+        except SceneError as error:
             raise SceneError(f"{path}: {error}") from error
 
     def __iter__(self) -> Iterator[str]:

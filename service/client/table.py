@@ -488,6 +488,9 @@ class DownloadCalls(Connection):
     def download(self, name: str, scene: Scene | None = None) -> Table:
         """Return a component's table, which answers in this process; its calls all block.
 
+        It has the rows of now if their build ends within 25 s, else those of the server's present
+        version. After an import compare `Table.version` with the reply's ``table_version``.
+
         Parameters
         ----------
         name : str

@@ -201,7 +201,11 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
     if block.dtype.kind not in "fiu" and block.size:
         for at, item in np.ndenumerate(np.asarray(values, dtype=object)):
             if isinstance(item, bool | np.bool) or not isinstance(item, Real):
-                place = f"{name}[{', '.join(map(str, at))}]" if at else name
+                if not at:
+                    raise InvalidArgument(
+                        f"{name} must be numbers, such as [1.0, 2.0, 3.0], not {item!r:.80}"
+                    )
+                place = f"{name}[{', '.join(map(str, at))}]"
                 remedy = "a float (0.0 for no load)" if item is None else "a float, such as 1.5"
                 raise InvalidArgument(f"{place} is {item!r:.80}, not a number; give {remedy}")
         raise InvalidArgument(f"{name} has the type {block.dtype}; convert it to float64")

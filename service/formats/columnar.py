@@ -29,41 +29,34 @@ def read_parquet(path: Path, options: Options, report: ReadReport) -> Iterator[P
     import pyarrow as arrow
     import pyarrow.parquet as parquet
 
-    try:
-        with parquet.ParquetFile(path, memory_map=False, pre_buffer=False) as file:
-            metadata, schema = file.metadata, file.schema_arrow
-            groups = range(metadata.num_row_groups)
-        if metadata.num_rows > MAX_ROWS or len(schema) > options.columns.max_count:
-            raise ContentError(
-                f"it has {metadata.num_rows} rows and {len(schema)} columns; send at most "
-                f"{MAX_ROWS:,} rows and {options.columns.max_count} columns"
-            )
-        require_unpacked(sum(metadata.row_group(at).total_byte_size for at in groups))
+    with parquet.ParquetFile(path, memory_map=False, pre_buffer=False) as file:
+        metadata, schema = file.metadata, file.schema_arrow
+        groups = range(metadata.num_row_groups)
+    if metadata.num_rows > MAX_ROWS or len(schema) > options.columns.max_count:
+        raise ContentError(
+            f"it has {metadata.num_rows} rows and {len(schema)} columns; send at most "
+            f"{MAX_ROWS:,} rows and {options.columns.max_count} columns"
+        )
+    require_unpacked(sum(metadata.row_group(at).total_byte_size for at in groups))
 
-        # The index of a pandas data frame is no column of the table.
-        index = tuple(name for name in schema.names if name.startswith("__index_level_"))
-        options = replace(options, ignore=(*options.ignore, *index))
-        texts, labels = [], []
-        for field in schema:
-            if arrow.types.is_string(field.type) or arrow.types.is_large_string(field.type):
-                texts.append(field.name)
-            tags = field.metadata or {}
-            unit = tags.get(b"unit") or tags.get(b"units") or b""
-            labels.append(with_unit(field.name, unit.decode(errors="replace"), options.columns))
+    # The index of a pandas data frame is no column of the table.
+    index = tuple(name for name in schema.names if name.startswith("__index_level_"))
+    options = replace(options, ignore=(*options.ignore, *index))
+    texts, labels = [], []
+    for field in schema:
+        if arrow.types.is_string(field.type) or arrow.types.is_large_string(field.type):
+            texts.append(field.name)
+        tags = field.metadata or {}
+        unit = tags.get(b"unit") or tags.get(b"units") or b""
+        labels.append(with_unit(field.name, unit.decode(errors="replace"), options.columns))
 
-        # Equal texts of a batch are in memory once.
-        with parquet.ParquetFile(path, read_dictionary=texts, pre_buffer=False) as file:
-            batches = file.iter_batches(batch_size=PIECE, use_threads=False)
-            pieces = (
-                (labels, list(map(_values, schema.names, batch.columns))) for batch in batches
-            )
-            if metadata.num_rows == 0:
-                pieces = iter([(labels, [()] * len(labels))])
-            yield from read_columns(pieces, options, report)
-    except ContentError as error:
-        report.mistakes.ruin(0, "file", str(error))
-    except Exception as error:  # pyarrow raises many classes for damaged files
-        report.mistakes.ruin(0, "file", f"cannot be read as Parquet ({error}); write it again")
+    # Equal texts of a batch are in memory once.
+    with parquet.ParquetFile(path, read_dictionary=texts, pre_buffer=False) as file:
+        batches = file.iter_batches(batch_size=PIECE, use_threads=False)
+        pieces = ((labels, list(map(_values, schema.names, batch.columns))) for batch in batches)
+        if metadata.num_rows == 0:
+            pieces = iter([(labels, [()] * len(labels))])
+        yield from read_columns(pieces, options, report)
 
 
 def write_parquet(

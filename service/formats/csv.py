@@ -21,6 +21,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
+from wrenchbook.service.contract import counted
 from wrenchbook.service.formats.cells import MAX_TEXT, ContentError, guard_formula, number_text
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN, Layout, WritableRows
 from wrenchbook.service.formats.header import Header, Record, delimiter_in, is_row, read_head
@@ -417,7 +418,7 @@ def _record_problem(cells: list[str], header: Header, delimiter: str) -> str:
     text = "".join(cells)
     broken = "\n" in text or "\r" in text
     if len(cells) != width:
-        message = f"has {len(cells)} fields, but the header has {width}; make both equal"
+        message = f"has {counted(len(cells), 'field')}, but the header has {width}; make both equal"
         if broken:
             message += ", and close open quotation marks"
         elif len(cells) > width and delimiter == ",":

@@ -47,7 +47,7 @@ def with_cycles(
             if report.read > MAX_CYCLE_ROWS:
                 message = f"has more than {MAX_CYCLE_ROWS:,} rows, the limit of cycle options"
                 raise _CycleError("file", f"{message}; send it in parts")
-        if any(map(len, parts)) and not report.mistakes.of_file:
+        if any(map(len, parts)) and not report.mistakes.is_ruined:
             rows = _retained_rows(_joined(parts), options, report)
             for start in range(0, len(rows), _BLOCK):
                 yield rows.take(np.arange(start, min(start + _BLOCK, len(rows))))
@@ -121,7 +121,10 @@ def _after_first_cycles(load: Array, passes: Passes, count: int, name: str) -> N
         most -= 1
     if count > most:
         message = f"is {count}, but at most {most} cycles of the main load {name} can be left out"
-        raise _CycleError("skip_cycles", f"{message}; give at most {most}")
+        message = f"{message}; give at most {most}"
+        if not most:
+            message = f"the file has no cycle of {name} to leave out; leave out skip_cycles"
+        raise _CycleError("skip_cycles", message)
     return _is_after(load, passes, count)
 
 

@@ -262,9 +262,10 @@ def is_second_header(cells: Sequence[str], header: Header, options: Options) -> 
     units = 0
     for column in header.columns.values():
         cell = cells[column.index] if column.index < len(cells) else ""
-        with suppress(UnitError):
-            unit = _parts(cell)[1] or _without_brackets(cell)
-            units += column.name not in TEXTS and columns.factor(column.name, unit) > 0.0
+        if cell.strip() and column.name not in TEXTS:
+            with suppress(UnitError):
+                columns.factor(column.name, _parts(cell)[1] or _without_brackets(cell))
+                units += 1
     return units >= _SEVERAL or named_columns(filled, columns, options.mapping) >= _SEVERAL
 
 
@@ -418,7 +419,7 @@ def _reading(label: str, below: str, preamble: Preamble, columns: Columns) -> Re
     if problem and (split(label)[1] or any(not meaning.unit for meaning in meanings)):
         raise problem
     name = _parts(label)[0]
-    raise _UnknownColumnError(columns.interface_problem(name) or _unknown(name.lower(), columns))
+    raise _UnknownColumnError(columns.interface_problem(name) or _unknown(name, columns))
 
 
 class _UnknownColumnError(UnitError):
@@ -444,7 +445,7 @@ def _keys(labels: Sequence[str]) -> set[str]:
 
 def _unknown(name: str, columns: Columns) -> str:
     """Return a message on an unknown column with the nearest known one."""
-    near = difflib.get_close_matches(name, (*columns.numbers, *TEXTS), n=1, cutoff=0.6)
+    near = difflib.get_close_matches(name.lower(), (*columns.numbers, *TEXTS), n=1, cutoff=0.6)
     hint = f"; did you mean {near[0]}? Write units in brackets: fx [N]" if near else ""
     return (
         f"is not a known column{hint}. Rename it, map it with mapping (--column '{name}=fz [N]'), "

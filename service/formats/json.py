@@ -29,6 +29,7 @@ from wrenchbook.service.formats.options import (
     ReadReport,
 )
 from wrenchbook.service.formats.text import PIECE, CellFormat, Piece, read_pieces, read_records
+from wrenchbook.surrogate.table.rows import nulls
 from wrenchbook.surrogate.table.space import PER_INTERFACE
 
 MAX_BYTES = 112 * 1024 * 1024  # rows take seven times their text: 450,000 rows are 800 MB
@@ -309,14 +310,14 @@ def _row_dicts(table: WritableRows) -> list[dict[str, Any]]:
     """Return the rows as JSON objects, without unknown values."""
     loads, motions = table.wrench.tolist(), table.displacement.tolist()
     rows: list[dict[str, Any]] = [
-        {"wrench": load, "displacement": _nulls(motion)}
+        {"wrench": load, "displacement": nulls(motion)}
         for load, motion in zip(loads, motions, strict=True)
     ]
     for row, seq in zip(rows, getattr(table, "seq", ()), strict=False):
         row["row"] = int(seq)
     for row, bounds in zip(rows, table.uncertainty.tolist(), strict=True):
         if not all(map(math.isnan, bounds)):
-            row["uncertainty"] = _nulls(bounds)
+            row["uncertainty"] = nulls(bounds)
     for name in ("compliance", "curvature"):
         column = getattr(table, name, None)
         if column is not None and column.size:  # rows that have them all
@@ -328,7 +329,3 @@ def _row_dicts(table: WritableRows) -> list[dict[str, Any]]:
             if text:
                 row[name] = str(text)
     return rows
-
-
-def _nulls(values: list[float]) -> list[float | None]:
-    return [None if math.isnan(value) else value for value in values]

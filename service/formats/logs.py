@@ -22,7 +22,7 @@ def joined_loads(pieces: Iterator[ParsedTable], report: ReadReport) -> tuple[Arr
     parts = list(pieces)
     mistakes = report.mistakes
     if mistakes:
-        mistakes.of_file = True
+        mistakes.is_ruined = True
         return None
     time = np.concatenate([np.empty(0), *(part.time for part in parts if part.time is not None)])
     steps = np.diff(time)
@@ -45,7 +45,7 @@ def _applied_lag(
     pieces: Sequence[ParsedTable], time: Array, wrench: Array, options: Options, report: ReadReport
 ) -> float | None:
     """Return the seconds to add to the displacements' times; None after a mistake."""
-    if report.mistakes.of_file:
+    if report.mistakes.is_ruined:
         return None
     is_auto = options.time_offset_s == "auto"
     applied = 0.0 if options.time_offset_s == "auto" else options.time_offset_s

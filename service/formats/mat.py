@@ -21,31 +21,21 @@ _MAX_NAMED = 8  # variables in a message: more would hide its remedy
 
 def read_mat(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a MATLAB file (level 5): its vectors, or its only struct's."""
-    try:
-        columns = _vectors(_mat_variables(path))
-        starts = range(0, len(next(iter(columns.values()))) or 1, PIECE)
-        parts = ([column[at : at + PIECE] for column in columns.values()] for at in starts)
-        yield from read_columns(((list(columns), part) for part in parts), options, report)
-    except ValueError as error:
-        report.mistakes.ruin(0, "file", str(error))
+    columns = _vectors(_mat_variables(path))
+    starts = range(0, len(next(iter(columns.values()))) or 1, PIECE)
+    parts = ([column[at : at + PIECE] for column in columns.values()] for at in starts)
+    yield from read_columns(((list(columns), part) for part in parts), options, report)
 
 
 def _mat_variables(path: Path) -> dict[str, Any]:
     """Return the variables of a MATLAB file by name; raises ContentError if it cannot be read."""
     try:
-        try:
-            size = sum(8 * math.prod(shape) for _, shape, _ in whosmat(path))
-        except TypeError:  # an object of MATLAB has no shape and no name
-            name, _, kind, _ = loadmat(path, variable_names=["None"])["None"].item()
-            raise ContentError(matlab_object(name.decode(), kind.decode())) from None
-        require_unpacked(size)
-        values = loadmat(path, squeeze_me=True, mat_dtype=True)  # logical as bool: no number
-    except ContentError:
-        raise
-    except Exception as error:  # scipy raises many classes for damaged files
-        raise ContentError(
-            f"cannot be read as a MATLAB file: {error}; save it again with save('t.mat', '-v7')"
-        ) from error
+        size = sum(8 * math.prod(shape) for _, shape, _ in whosmat(path))
+    except TypeError:  # an object of MATLAB has no shape and no name
+        name, _, kind, _ = loadmat(path, variable_names=["None"])["None"].item()
+        raise ContentError(matlab_object(name.decode(), kind.decode())) from None
+    require_unpacked(size)
+    values = loadmat(path, squeeze_me=True, mat_dtype=True)  # logical as bool: no number
     return {name: value for name, value in values.items() if not name.startswith("__")}
 
 

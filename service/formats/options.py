@@ -126,14 +126,14 @@ class FileMistake:
 class Mistakes:
     """The mistakes of a file.
 
-    `of_file`: a mistake concerns the whole file, so that no row is loaded.
+    `is_ruined`: a mistake concerns the whole file, so that no row is loaded.
     """
 
     def __init__(self) -> None:
         self._first: list[FileMistake] = []
         self._causes: dict[str, MistakeCause] = {}
         self.count = 0
-        self.of_file = False
+        self.is_ruined = False
 
     def __bool__(self) -> bool:
         return self.count > 0
@@ -151,7 +151,7 @@ class Mistakes:
     def ruin(self, row: int, field: str, message: str) -> None:
         """Add a mistake of the whole file."""
         self.add(row, field, message)
-        self.of_file = True
+        self.is_ruined = True
 
     def trim(self) -> None:
         """Keep the first mistakes by row, at the end of a piece: later pieces have higher rows."""
@@ -235,8 +235,8 @@ class ReadReport:
             message = f"has more than {MAX_ROWS:,} rows; send it in parts"
             self.mistakes.ruin(0, "file", message)
         elif self.mistakes.count > MAX_MISTAKES:
-            self.mistakes.of_file = True
-        return self.mistakes.of_file
+            self.mistakes.is_ruined = True
+        return self.mistakes.is_ruined
 
     def as_json(self, good: int, preview: list[dict[str, Any]]) -> dict[str, Any]:
         """Return the report as in the HTTP reply, with the number of good rows and a preview."""
@@ -261,7 +261,7 @@ class ReadReport:
             "sheet": self.sheet,
             "errors": [mistake.as_dict() for mistake in self.mistakes.listed()],
             "causes": self.mistakes.causes(),
-            "whole": self.mistakes.of_file,
+            "is_ruined": self.mistakes.is_ruined,
             "converted": self.converted,
             "preview": preview,
         }

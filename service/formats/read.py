@@ -43,7 +43,7 @@ from wrenchbook.service.formats.xlsx import read_xls, read_xlsx
 from wrenchbook.service.sandbox import Limits, Part, SandboxError, run
 from wrenchbook.surrogate.findings.find import MAX_ROWS, find
 from wrenchbook.surrogate.findings.response import RigFinding
-from wrenchbook.surrogate.table.rows import Rows, is_unknown, joined, unknown_column
+from wrenchbook.surrogate.table.rows import Rows, is_unknown, joined, nulls, unknown_column
 from wrenchbook.surrogate.table.space import DEFAULT, Space
 
 MAX_PREVIEW = 100
@@ -63,6 +63,14 @@ _READERS: dict[str, Callable[[Path, Options, ReadReport], Iterator[ParsedTable]]
     "lvm": read_lvm,
     "tdms": read_tdms,
     "xls": read_xls,
+}
+# Of formats whose packages raise many classes of errors for damaged files.
+_UNREADABLE = {
+    "xlsx": "is no readable XLSX workbook: {}; save it again",
+    "parquet": "cannot be read as Parquet ({}); write it again",
+    "mat": "cannot be read as a MATLAB file: {}; save it again with save('t.mat', '-v7')",
+    "tdms": "cannot be read as TDMS: {}; export it again, or as CSV",
+    "xls": "cannot be read as .xls (save it as .xlsx): {}",
 }
 _TEXT_FORMATS = {"csv", "json"}  # a damaged file of one can look like the other
 _BLOCK = 1 << 20
@@ -163,22 +171,21 @@ def table_parts(
 
     sample = FindingsSample()
     for piece in pieces:
-        if report.mistakes.of_file:
+        if report.mistakes.is_ruined:
             break
         sample.add(piece)
         for at in range(min(preview, MAX_PREVIEW, good + len(piece)) - len(shown)):
-            moved = piece.displacement[at].tolist()
             row = {
                 "row": int(piece.seq[at]),
                 "wrench": piece.wrench[at].tolist(),
-                "displacement": [None if np.isnan(value) else value for value in moved],
+                "displacement": nulls(piece.displacement[at].tolist()),
             }
             shown.append(row)
         good += len(piece)
         if len(piece):
             yield _part(piece)
 
-    findings = [] if report.mistakes.of_file else sample.findings(read_options, report.findings)
+    findings = [] if report.mistakes.is_ruined else sample.findings(read_options, report.findings)
     yield Part({**report.as_json(good, shown), "findings": findings})
 
 
@@ -276,28 +283,27 @@ def _uncorrected_rows(path: Path, options: Options, report: ReadReport) -> Itera
         if named != content and not {named, content} <= _TEXT_FORMATS:
             raise ContentError(f"contains {content}, not {named}; leave the option format out")
         report.format = named
+        needed = options.sheet and not options.optional_sheet and options.role == "table"
+        if needed and named not in ("xlsx", "xls", "tdms"):
+            message = f"is for a workbook or a TDMS file, not for {named}; leave it out (--sheet)"
+            report.mistakes.ruin(0, "sheet", message)
+            return
+        if options.role != "table" and named in ("json", "hdf5"):
+            raise ContentError(
+                f"must be a log with times, not {named}; send CSV, XLSX, Parquet or TDMS"
+            )
+        yield from _READERS[named](path, options, report)
     except ContentError as error:
         report.mistakes.ruin(0, "file", str(error))
-        return
-
-    needed = options.sheet and not options.optional_sheet and options.role == "table"
-    if needed and report.format not in ("xlsx", "xls", "tdms"):
-        message = (
-            f"is for a workbook or a TDMS file, not for {report.format}; leave it out (--sheet)"
-        )
-        report.mistakes.ruin(0, "sheet", message)
-        return
-    if options.role != "table" and report.format in ("json", "hdf5"):
-        message = f"must be a log with times, not {report.format}; send CSV, XLSX, Parquet or TDMS"
-        report.mistakes.ruin(0, "file", message)
-        return
-
-    try:
-        yield from _READERS[report.format](path, options, report)
     except ModuleNotFoundError:
         message = f"is {report.format}, which needs another package: on the server run "
         message += "pip install 'wrenchbook[rig]', or send XLSX or CSV"
         report.mistakes.ruin(0, "file", message)
+    except BaseException as error:  # calamine's panic on a damaged file is no Exception
+        is_of_file = isinstance(error, Exception) or type(error).__name__ == "PanicException"
+        if not is_of_file or report.format not in _UNREADABLE:
+            raise
+        report.mistakes.ruin(0, "file", _UNREADABLE[report.format].format(error))
 
 
 def _is_gzip(path: Path) -> bool:

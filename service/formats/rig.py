@@ -37,7 +37,8 @@ _MAX_NAME = 100  # characters of a rig's name
 _SKEW = 1e-3
 _ROUNDOFF = 1e-12  # error of the nearest rotation by a singular value decomposition
 _FARTHEST = 100.0  # m: a point given in mm is refused
-_KEYS = ("name", "frame", "load_point", "displacement_point", "load_cell")
+_LOAD_POINT, _DISPLACEMENT_POINT = "load_point", "displacement_point"
+_FRAME_KEYS = ("frame", _LOAD_POINT, _DISPLACEMENT_POINT, "load_cell")
 _OWN = "import"  # the table of one import's options, which replace those of the profile
 # Keys of a profile beside those of the frame, with the names of the import's own options.
 OPTIONS = (
@@ -107,7 +108,7 @@ class Rig:
             raise RigError(f"the rig is not TOML ({error}); correct it there") from None
         table = values.pop(_OWN, {})
         values |= table if isinstance(table, dict) else {_OWN: table}
-        known = *_KEYS, *OPTIONS
+        known = "name", *_FRAME_KEYS, *OPTIONS
 
         if unknown := [key for key in values if key not in known]:
             near = suggest(unknown[0][:100], known)
@@ -126,7 +127,8 @@ class Rig:
         if cell not in ("", *_LOAD_CELLS):
             raise RigError(f"load_cell: must be moving or fixed, not {str(cell)[:100]!r}")
 
-        loads, moved = (_numbers(key, values.get(key, [0, 0, 0]), 3) for key in _KEYS[2:4])
+        points = (_LOAD_POINT, _DISPLACEMENT_POINT)
+        loads, moved = (_numbers(key, values.get(key, [0, 0, 0]), 3) for key in points)
         options = {key: values[key] for key in OPTIONS if key in values}
         axes = _axes(values.get("frame", "x=x,y=y,z=z"))
         return cls(axes, loads, moved, name.strip(), cell, options)
@@ -162,9 +164,14 @@ class Rig:
 
     def as_json(self) -> dict[str, Any]:
         """Return the rig as JSON-able values."""
-        arrays = zip(_KEYS[1:4], (self.axes, self.load_point, self.displacement_point), strict=True)
-        values = {"name": self.name, "left_handed": bool(np.linalg.det(self.axes) < 0)}
-        return values | {k: v.tolist() for k, v in arrays} | {"load_cell": self.load_cell or None}
+        return {
+            "name": self.name,
+            "left_handed": bool(np.linalg.det(self.axes) < 0),
+            "frame": self.axes.tolist(),
+            _LOAD_POINT: self.load_point.tolist(),
+            _DISPLACEMENT_POINT: self.displacement_point.tolist(),
+            "load_cell": self.load_cell or None,
+        }
 
 
 def rig_text(*parts: str, of: str = "") -> str:
@@ -172,8 +179,10 @@ def rig_text(*parts: str, of: str = "") -> str:
 
     They replace those of the TOML `of`, which precedes them.
     """
-    pairs = zip(_KEYS[1:], parts, strict=False)
-    text = "".join(f"{key} = {json.dumps(text)}\n" for key, text in pairs if text.strip())
+    pairs = zip(_FRAME_KEYS, parts, strict=False)
+    text = "".join(
+        f"{key} = {json.dumps(text, ensure_ascii=False)}\n" for key, text in pairs if text.strip()
+    )
     return f"{of.rstrip()}\n\n[{_OWN}]\n{text}" if of and text else of or text
 
 
@@ -235,34 +244,36 @@ def with_known_point(
     size = largest_loads(load_range) / LOAD_LIMIT
     count = np.zeros(len(size) + 1)  # rows beyond each input's limit, and beyond their uncertainty
     rows = 0
-    worst = 0.0  # the largest shift over the moment's range; its row and size, N·m, are:
-    row = 0
-    value = 0.0
+    worst_share = 0.0  # the largest shift over the moment's range, dimensionless
+    worst_row = 0
+    worst_shift = 0.0  # N·m
     for piece in pieces:
         yield piece
         is_checked = np.ones(len(piece), dtype=bool)
-        names = {name for _, name, _ in report.columns}
+        has_column = np.ones(len(size), dtype=bool)
         if not options.rig:
             is_checked = ~(_of_interface(piece) | (piece.source != ""))
-            size[[bool(names) and name not in names for name in options.columns.wrench]] = np.inf
+            names = {name for _, name, _ in report.columns}
+            has_column = np.array([not names or n in names for n in options.columns.wrench])
 
-        shift = np.nan_to_num(_shift(piece.wrench, piece.displacement))[is_checked]
+        shift = np.nan_to_num(_shift(piece.wrench, piece.displacement))[is_checked] * has_column
         share = np.abs(shift) / size
         rows = rows + len(shift)
         count[:-1] += (share > _SMALL_SHIFT).sum(axis=0)
         if solved is not None and any(piece.uncertainty.strides):
             effect = np.abs(shift @ np.transpose(solved))
             count[-1] += (effect > piece.uncertainty[is_checked]).any(axis=1).sum()
-        if share.max(initial=0.0) > worst:
+        if share.max(initial=0.0) > worst_share:
             at, load = np.unravel_index(share.argmax(), share.shape)
-            worst = float(share[at, load])
-            value = float(np.abs(shift[at, load]))
-            row = int(piece.seq[is_checked][at])
+            worst_share = float(share[at, load])
+            worst_shift = float(np.abs(shift[at, load]))
+            worst_row = int(piece.seq[is_checked][at])
 
     if (count > _FEW_ROWS * rows).any():
         more = " or the row's stated uncertainty" if count[-1] > _FEW_ROWS * rows else ""
-        numbers = {"count": int(count.max()), "rows": rows, "row": row, "value": value}
-        message = _WHICH_POINT.format(more=more, share=100.0 * worst, **numbers)
+        numbers = {"count": int(count.max()), "rows": rows, "row": worst_row}
+        sizes = {"value": worst_shift, "share": 100.0 * worst_share}
+        message = _WHICH_POINT.format(more=more, **numbers, **sizes)
         report.mistakes.ruin(0, "load_cell", message)
 
 

@@ -27,31 +27,23 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     # Imported on first use, from the extra `rig`.
     from nptdms import TdmsFile
 
-    try:
-        _require_whole_segments(path)
-        with TdmsFile.open(path) as file:
-            groups = {
-                group.name: [channel for channel in group.channels() if len(channel)]
-                for group in file.groups()
-            }
-            named = {
-                name: named_columns(
-                    [channel.name for channel in group], options.columns, options.mapping
-                )
-                for name, group in groups.items()
-                if group
-            }
-            best = {name for name, count in named.items() if count == max(named.values())}
-            sheet = chosen_sheet(list(named), options.sheet, best.__contains__, report)
-            report.ignored += [
-                channel.name for channel in file[sheet].channels() if not len(channel)
-            ]
-            yield from read_columns(_pieces(groups[sheet], options), options, report)
-    except ContentError as error:
-        report.mistakes.ruin(0, "file", str(error))
-    except Exception as error:  # nptdms raises many classes for damaged files
-        message = f"cannot be read as TDMS: {error}; export it again, or as CSV"
-        report.mistakes.ruin(0, "file", message)
+    _require_whole_segments(path)
+    with TdmsFile.open(path) as file:
+        groups = {
+            group.name: [channel for channel in group.channels() if len(channel)]
+            for group in file.groups()
+        }
+        named = {
+            name: named_columns(
+                [channel.name for channel in group], options.columns, options.mapping
+            )
+            for name, group in groups.items()
+            if group
+        }
+        best = {name for name, count in named.items() if count == max(named.values())}
+        sheet = chosen_sheet(list(named), options.sheet, best.__contains__, report)
+        report.ignored += [channel.name for channel in file[sheet].channels() if not len(channel)]
+        yield from read_columns(_pieces(groups[sheet], options), options, report)
 
 
 def _require_whole_segments(path: Path) -> None:

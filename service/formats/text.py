@@ -166,7 +166,7 @@ def read_pieces(
     """Yield the good rows of pieces below a header; without `cell_format` the first decides."""
     mistakes = report.mistakes
     _report_header(header, report)
-    if mistakes.of_file:
+    if mistakes.is_ruined:
         return
     for piece in pieces:
         cell_format = cell_format or _stored_format(piece, header, options)

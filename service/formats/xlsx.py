@@ -48,33 +48,28 @@ class SheetFullError(ValueError):
 
 def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a sheet in pieces; mistakes are added to `report`."""
-    try:
-        for entry, size in entry_sizes(path, MAX_UNPACKED).items():
-            if size > MAX_IN_MEMORY and not entry.startswith("xl/worksheets/"):
-                raise ContentError(
-                    f"has {size >> 20} MiB in {entry}, over the limit of {MAX_IN_MEMORY >> 20} "
-                    "MiB; send it in parts"
-                )
-        # Opened here, because openpyxl checks the ending of a name.
-        with path.open("rb") as values, path.open("rb") as formulas, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # warnings about styles and extensions
-            sheets = _sheets(values, values=True)
-
-            def is_filled(name: str) -> bool:
-                rows = sheets[name].iter_rows(values_only=True)
-                return any(any(row) for row in islice(rows, MAX_TITLES))
-
-            name = chosen_sheet(list(sheets), options.sheet, is_filled, report)
-            records = _records(
-                sheets[name],
-                lambda: _sheets(formulas, values=False)[name],
-                options.columns.max_count,
+    for entry, size in entry_sizes(path, MAX_UNPACKED).items():
+        if size > MAX_IN_MEMORY and not entry.startswith("xl/worksheets/"):
+            raise ContentError(
+                f"has {size >> 20} MiB in {entry}, over the limit of {MAX_IN_MEMORY >> 20} "
+                "MiB; send it in parts"
             )
-            yield from read_records(records, options, report)
-    except ContentError as error:
-        report.mistakes.ruin(0, "file", str(error))
-    except Exception as error:  # openpyxl raises many classes for damaged files
-        report.mistakes.ruin(0, "file", f"is no readable XLSX workbook: {error}; save it again")
+    # Opened here, because openpyxl checks the ending of a name.
+    with path.open("rb") as values, path.open("rb") as formulas, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # warnings about styles and extensions
+        sheets = _sheets(values, values=True)
+
+        def is_filled(name: str) -> bool:
+            rows = sheets[name].iter_rows(values_only=True)
+            return any(any(row) for row in islice(rows, MAX_TITLES))
+
+        name = chosen_sheet(list(sheets), options.sheet, is_filled, report)
+        records = _records(
+            sheets[name],
+            lambda: _sheets(formulas, values=False)[name],
+            options.columns.max_count,
+        )
+        yield from read_records(records, options, report)
 
 
 def write_xlsx(
@@ -155,24 +150,17 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     # Imported on first use, from the extra `rig`.
     from python_calamine import CalamineWorkbook
 
-    try:
-        with path.open("rb") as content:
-            book = CalamineWorkbook.from_filelike(content)
+    with path.open("rb") as content:
+        book = CalamineWorkbook.from_filelike(content)
 
-        def is_filled(name: str) -> bool:
-            return any(map(any, book.get_sheet_by_name(name).to_python(nrows=MAX_TITLES)))
+    def is_filled(name: str) -> bool:
+        return any(map(any, book.get_sheet_by_name(name).to_python(nrows=MAX_TITLES)))
 
-        name = chosen_sheet(book.sheet_names, options.sheet, is_filled, report)
-        sheet = book.get_sheet_by_name(name)
-        empty = [""] * (sheet.start or (0, 0))[1]  # columns on the left
-        cells = enumerate(([*empty, *map(_text, row)] for row in sheet.iter_rows()), start=1)
-        yield from read_records(filter(lambda row: any(row[1]), cells), options, report)
-    except ContentError as error:
-        report.mistakes.ruin(0, "file", str(error))
-    except BaseException as error:  # calamine's panic on a damaged file is no Exception
-        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
-            raise
-        report.mistakes.ruin(0, "file", f"cannot be read as .xls (save it as .xlsx): {error}")
+    name = chosen_sheet(book.sheet_names, options.sheet, is_filled, report)
+    sheet = book.get_sheet_by_name(name)
+    empty = [""] * (sheet.start or (0, 0))[1]  # columns on the left
+    cells = enumerate(([*empty, *map(_text, row)] for row in sheet.iter_rows()), start=1)
+    yield from read_records(filter(lambda row: any(row[1]), cells), options, report)
 
 
 def chosen_sheet(

@@ -21,7 +21,7 @@ from starlette.types import Receive, Scope, Send
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.contract import COVERAGE, MAX_BATCH, OUTPUTS, QUERY_WAIT_S
-from wrenchbook.service.http.bodies import BatchBody, Method, OnThin, Width, query_of
+from wrenchbook.service.http.bodies import BatchBody, BinaryWidth, Body, Method, OnThin, query_of
 from wrenchbook.service.http.body import (
     Spooled,
     both_tolerances,
@@ -40,7 +40,7 @@ from wrenchbook.service.messages import Displacements, WrenchJob
 from wrenchbook.service.query import BatchOutcome, Query, job_link, known_slopes
 from wrenchbook.service.sandbox import MIB, Limits, Part, run
 from wrenchbook.surrogate.answer import within_tolerance_many
-from wrenchbook.surrogate.table.space import DEFAULT, PER_INTERFACE, Space
+from wrenchbook.surrogate.table.space import PER_INTERFACE, Space
 
 # A million wrenches as Python's lists and numbers are 400 MB, next to the text of 250 MB.
 LIMITS: Final = Limits(memory=1200 * MIB, seconds=60.0, output=256 * MIB)
@@ -56,7 +56,7 @@ MAX_OTHER_LISTS: Final = 64  # of a batch's JSON, beside its wrenches
 MAX_OBJECTS: Final = 1024  # of a batch's JSON, which needs two: itself and its tolerance
 
 BINARY_TYPE: Final = "application/octet-stream"
-_Bar = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Tolerance = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 _BYTES: Final = {"type": "string", "format": "binary"}
 BINARY_BODY: Final = {BINARY_TYPE: {"schema": {**_BYTES, "description": BODIES["wrenches"]}}}
@@ -84,7 +84,7 @@ def read_batch_body(body: Spooled, inputs: int = PER_INTERFACE) -> tuple[np.ndar
 
 def batch_parts(body: bytes, inputs: int = PER_INTERFACE) -> tuple[BatchBody, np.ndarray]:
     """Return the checked options of a JSON batch, and its wrenches, (n, inputs)."""
-    # Before a parser makes 64 bytes of each list.
+    # Checked before parsing: the parser takes 64 bytes for each list.
     lists, objects = body.count(b"["), body.count(b"{")
     if lists > MAX_BATCH + MAX_OTHER_LISTS:
         raise too_many_wrenches(lists - 1, MAX_BATCH)
@@ -167,7 +167,12 @@ async def few_large(slots: asyncio.Semaphore, wrenches: int) -> AsyncIterator[No
 
 
 class HoldingReply(Response):
-    """A reply that releases what `held` holds once it is sent, or cannot be sent."""
+    """A reply that releases what `held` holds once it is sent, or cannot be sent.
+
+    Only `__call__` is used; for a `DirectRoute`.
+    """
+
+    background = None
 
     def __init__(self, reply: Response, held: AsyncExitStack) -> None:
         self._reply = reply
@@ -179,14 +184,15 @@ class HoldingReply(Response):
             await self._reply(scope, receive, send)
 
 
-class BinaryOptions(Width):
+class BinaryOptions(Body):
     """The options of a binary batch, which are query parameters."""
 
+    inputs: BinaryWidth = None
     on_thin: OnThin = "queue"
     wait_s: Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)] = QUERY_WAIT_S
     method: Method = None
-    translation: _Bar | None = None
-    rotation: _Bar | None = None
+    translation: _Tolerance | None = None
+    rotation: _Tolerance | None = None
     beyond_range: bool = False
     derivatives: bool = False
 
@@ -196,21 +202,19 @@ def is_binary(request: Request) -> bool:
     return content_type(request) == BINARY_TYPE
 
 
-def read_binary(
-    body: Spooled, options: dict[str, str], space: Space = DEFAULT
-) -> tuple[np.ndarray, Query]:
+def read_binary(body: Spooled, options: dict[str, str], space: Space) -> tuple[np.ndarray, Query]:
     """Return the wrenches and options of a binary batch, whose options are query parameters."""
     full: BinaryOptions = checked(BinaryOptions, options)
-    wrenches = read_wrenches(body.read(), full.inputs, space=space)
+    wrenches = read_wrenches(body.read(), full.inputs, space)
     return wrenches, query_of(full, both_tolerances(full.translation, full.rotation))
 
 
 def read_wrenches(
     body: bytes,
-    width: int | None = None,
+    width: int | None,
+    space: Space,
     count: int = MAX_BATCH,
     largest: float = LARGEST_LOAD,
-    space: Space = DEFAULT,
 ) -> np.ndarray:
     """Wrenches (n, inputs), SI, of little-endian float64, sent as `width` numbers each.
 

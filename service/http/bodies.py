@@ -40,6 +40,8 @@ MAX_SCENE_COMPONENTS = 64
 ClientName = Annotated[str, Field(min_length=1, max_length=64)]
 # The ledger's numbers are SQLite's: 64 bits with a sign.
 Sequence = Annotated[int, Field(ge=0, lt=2**63)]
+# Numbers of each wrench in a binary body, whose bytes do not show them.
+BinaryWidth = Annotated[int, Field(ge=1)] | None
 
 
 class Body(BaseModel):
@@ -290,14 +292,10 @@ class BlockKey(Body):
         return self
 
 
-class Width(Body):
-    """The numbers of each wrench in a binary body, whose bytes do not show them."""
-
-    inputs: Annotated[int, Field(ge=1)] | None = None
-
-
-class BinaryBlock(BlockKey, Width):
+class BinaryBlock(BlockKey):
     """The query parameters of a binary block."""
+
+    inputs: BinaryWidth = None
 
 
 class BlockBody(BlockKey):

@@ -5,11 +5,12 @@ A mistake is a `HttpProblemError` with the place of each mistake and what to sen
 
 from __future__ import annotations
 
+import difflib
 import json
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Collection, Coroutine, Iterator
 from contextlib import asynccontextmanager
 from itertools import chain, compress
 from pathlib import Path
@@ -38,7 +39,7 @@ from wrenchbook.service.http.problems import (
 )
 from wrenchbook.service.query import Query, plain_query
 from wrenchbook.surrogate.table.rows import Tolerance
-from wrenchbook.surrogate.table.space import DEFAULT, Space, SpaceError
+from wrenchbook.surrogate.table.space import Space, SpaceError
 
 # One wrench with all its options is some 400 bytes; no reason makes it a hundred times that.
 MAX_QUERY_BYTES: Final = 64 * 1024
@@ -46,6 +47,7 @@ MAX_QUERY_BYTES: Final = 64 * 1024
 MAX_BATCH_BYTES: Final = 256 * 1024 * 1024
 MAX_SPOOLED: Final = 4 << 30  # bytes of bodies in files at once
 MIB: Final = 1 << 20
+_NO_PARAMETERS: Final = "This call has no parameters; send its options, if any, in the body"
 PIECE: Final = MIB  # bytes in memory: parsed in a hundredth of a second; more go to a file
 
 
@@ -195,7 +197,7 @@ async def form_of(
         await form.close()
 
 
-def read_query(body: bytes, space: Space = DEFAULT) -> Query:
+def read_query(body: bytes, space: Space) -> Query:
     """Return the query of the main call's body, of a component with the inputs of `space`.
 
     A body of only force, moment and on_thin, which is what a simulator sends in its loop, is
@@ -219,8 +221,8 @@ def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
     if not super(LoadsBody, body).is_empty():
         place = "moment" if body.force is None else "force"
         if space.several:
-            message = "give force and moment of each interface in loads: "
-            message += " or ".join(space.several)
+            message = "give force and moment of each interface in loads "
+            message += f"(--load {space.several[0]}=FX,FY,FZ): {' or '.join(space.several)}"
             raise bad_body([{"loc": place, "msg": message}])
         if loads:
             message = "is given beside loads, which has the same wrench; leave one of the two out"
@@ -348,17 +350,25 @@ def plain_rows(rows: Any, inputs: int, largest: float = LARGEST_LOAD) -> np.ndar
     return wrenches if fine.all() else None
 
 
-def refuse_query(query: QueryParams) -> None:
-    """Refuse the query parameters of a call that takes none: 422 with the name of each."""
-    if query:
-        message = "this call has no query parameters; send its options in the body"
-        raise bad_body([{"loc": name[:MAX_PLACE], "msg": message} for name in query])
+def query_options(
+    query: QueryParams, known: Collection[str], lists: Collection[str] = ()
+) -> dict[str, str]:
+    """Return the query parameters of a call by name; those in `lists` may be repeated.
 
-
-def query_options(query: QueryParams) -> dict[str, str]:
-    """Return the query parameters of a binary body; 422 with the name of each repeated one."""
-    counts = Counter(name for name, _ in query.multi_items())
-    repeated = [name[:MAX_PLACE] for name, count in counts.items() if count > 1]
-    if repeated:
-        raise bad_body([{"loc": name, "msg": REPEATED} for name in repeated])
+    Raises HttpProblemError 422 with each unknown and each repeated one: a misspelt filter would
+    select everything.
+    """
+    errors = []
+    for name, count in Counter(name for name, _ in query.multi_items()).items():
+        place = name[:MAX_PLACE]
+        if name not in known:
+            # Of the first one: each comparison with all known names takes 0.3 ms.
+            near = [] if errors else difflib.get_close_matches(place, known, n=1)
+            meant = f"; did you mean {near[0]}?" if near else "."
+            all_known = f"Known: {', '.join(known)}" if known else _NO_PARAMETERS
+            errors.append({"loc": place, "msg": f"is unknown{meant} {all_known}"})
+        elif count > 1 and name not in lists:
+            errors.append({"loc": place, "msg": REPEATED})
+    if errors:
+        raise bad_body(errors)
     return dict(query)

@@ -83,7 +83,7 @@ class ImportQuery(Body):
     def _can_be_appended(self) -> ImportQuery:
         others = self.model_fields_set & _OF_FILES
         if self.append is not None and others:
-            names = ", ".join(sorted(others))
+            names = _listed(others)
             why = f"append does not allow {names}: it adds rows as they are"
             raise ValueError(why + "; leave them out, or import the file without append")
         return self
@@ -105,7 +105,7 @@ class ImportQuery(Body):
         profile = profile_of(rig)
         others = profile.model_fields_set & _OF_FILES
         if self.append is not None and others:
-            names = ", ".join(sorted(others))
+            names = _listed(others)
             why = f"append cannot go with {names} of this rig: it adds rows as they are"
             raise RigError(why + "; name a rig without them, or import the file without append")
         own_mapping, rig_mapping = _pairs(self.mapping or "{}"), _pairs(profile.mapping or "{}")
@@ -123,6 +123,12 @@ class ImportQuery(Body):
         return Options(**options)
 
 
+def _listed(parameters: set[str]) -> str:
+    """Return the names of parameters, with the other name that one of them has."""
+    names = {"time_offset_s": "time_offset_s (lag)"}
+    return ", ".join(names.get(name, name) for name in sorted(parameters))
+
+
 def profile_of(text: str) -> ImportQuery:
     """Return a rig's profile as a query; raises RigError or ValidationError if it is wrong."""
     values = Rig.read(text).options
@@ -134,6 +140,7 @@ def profile_of(text: str) -> ImportQuery:
 def _pairs(text: str) -> dict[str, str]:
     """Return the pairs of a JSON object of texts."""
     try:
+        # A tuple keeps repeated names, and tells an object from a list.
         pairs = json.loads(text, object_pairs_hook=tuple)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"is not JSON ({error}); write {_MAPPING_FORM}") from None

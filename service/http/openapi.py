@@ -140,7 +140,11 @@ def _document(app: FastAPI, keys: bool, below: str) -> dict[str, Any]:
         parts["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
         document["security"] = [{"key": []}]
     for path, operations in document["paths"].items():
-        for operation in operations.values() if not path.startswith(_OWN_ERRORS) else ():
+        for operation in operations.values():
+            if "description" in operation:  # the docstring of the call
+                operation["summary"] = operation.pop("description").removesuffix(".")
+            if path.startswith(_OWN_ERRORS):
+                continue
             statuses = (_WITH_KEYS if keys else ()) + (
                 _WITH_BODY if "requestBody" in operation else ()
             )

@@ -49,6 +49,9 @@ MAX_VALUE = 40  # characters of a quoted value: longer ones are cut
 _PLAIN = {
     "extra_forbidden": "is unknown; correct its name, or leave it out (see the fields at /docs)",
     "missing": "is missing; add it (see the fields at /docs)",
+    # The names of keys and rigs alone have a pattern.
+    "string_pattern_mismatch": "must be 1 to 64 of a-z, A-Z, 0-9, _, . and -, and begin with a "
+    "letter or digit",
 }
 # Status, kind and title of each error; a subclass that is not listed has those of its base.
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
@@ -136,12 +139,12 @@ class HttpProblemError(HTTPException):
 def bad_body(errors: Sequence[dict[str, Any]]) -> HttpProblemError:
     """Describe a request that has not the call's form, by at most MAX_ERRORS ``{loc, msg}``."""
     first = f"{errors[0]['loc']}: {errors[0]['msg']}" if errors else "see the documentation"
-    mistakes = f"{len(errors)} mistake{'s' * (len(errors) > 1)}"
+    several = f"Nothing was changed. {len(errors)} mistakes; the first is " * (len(errors) > 1)
     return HttpProblemError(
         422,
         "bad-request-body",
         "The request does not have the form of this call",
-        f"Nothing was changed. {mistakes}; the first is {first}.",
+        f"{several}{first}.",
         errors=list(errors[:MAX_ERRORS]),
     )
 

@@ -16,6 +16,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+from wrenchbook.fea.failure import ending
 from wrenchbook.service.files import lock as flock
 from wrenchbook.service.files.program import child_command, usable_cores
 from wrenchbook.service.jobs import attempt as attempts
@@ -298,13 +299,8 @@ class LocalEngine(attempts.Listeners):
         if attempt is not None:
             code = solver.process.returncode
             if code < 0 and not (attempt.folder / OUTCOME).exists():
-                try:
-                    name = signal.Signals(-code).name
-                except ValueError:
-                    name = f"signal {-code}"
-                killed = "; often its machine has no memory left" if -code == signal.SIGKILL else ""
                 with contextlib.suppress(OSError), (attempt.folder / LOG).open("a") as log:
-                    log.write(f"the solver was ended by {name}{killed}\n")
+                    log.write(f"the solver {ending(code)}\n")
             self._report(attempt.task)
 
     def _free(self, solver: SolverProcess, *, stays: bool) -> None:

@@ -383,10 +383,9 @@ def edit_import(
         raise UnknownImportError(f"{component!r} has no import {number}; {remedy}")
     lists = [finding["keys"] for finding in _stored(record[0]) if finding.get("cause") == cause]
     if cause is not None and not lists:
-        causes = ", ".join(str(finding.get("cause")) for finding in _stored(record[0])) or "none"
-        raise UnknownImportError(
-            f"import {number} of {component!r} has no finding {cause!r}; its findings are {causes}"
-        )
+        causes = ", ".join(str(finding.get("cause")) for finding in _stored(record[0]))
+        known = f"finding {cause!r}; its findings are {causes}" if causes else "findings"
+        raise UnknownImportError(f"import {number} of {component!r} has no {known}")
     keys = [key for part in lists for key in part] if all(lists) else []
     seqs = _chosen(db, component, number, keys, withdrawn=not withdrawn)
     rows.edit(db, component, seqs, withdrawn=withdrawn, now=time.time())

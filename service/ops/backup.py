@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import secrets
 import tempfile
 import time
 import zipfile
@@ -34,12 +35,13 @@ PIECE = 1 << 20  # bytes in memory at once
 TABLES = "tables"
 _FOLDERS = ("components", "fields")
 # Files in backups of release 0.3: the first start of the restored directory reads them.
-_EARLIER = (earlier.CATALOGUE, earlier.DEMAND), (earlier.SOLVER_ERRORS,)
+_EARLIER_FILES = (earlier.CATALOGUE, earlier.DEMAND)
+_EARLIER_FOLDERS = (earlier.SOLVER_ERRORS,)
 # All files of a backup. Packed tables and reports are made again; keys and settings belong to the
 # directory, attempts' folders to the server. Names of drafts begin with a dot.
 HELD = re.compile(
-    rf"{'|'.join(map(re.escape, (LEDGER, *_EARLIER[0])))}|{TABLES}/(?!\.)[^/]+\.h5|"
-    rf"(?:{'|'.join((*_FOLDERS, *_EARLIER[1]))})(?:/(?!\.)[^/]+)+"
+    rf"{'|'.join(map(re.escape, (LEDGER, *_EARLIER_FILES)))}|{TABLES}/(?!\.)[^/]+\.h5|"
+    rf"(?:{'|'.join((*_FOLDERS, *_EARLIER_FOLDERS))})(?:/(?!\.)[^/]+)+"
 )
 # Errors of reading an entry or the manifest of a damaged or changed file.
 _UNREADABLE = (
@@ -89,7 +91,7 @@ def back_up(folder: Path, target: Path) -> Manifest:
         raise BackupError(f"{target} is no regular file; name a file. No backup was made")
 
     target = real  # the file that a symbolic link names
-    draft = target.with_name(f".{target.name}.{os.getpid()}.part")
+    draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
     try:
         with (
             tempfile.TemporaryDirectory(prefix=".wrenchbook-", dir=target.parent) as scratch,
@@ -98,7 +100,7 @@ def back_up(folder: Path, target: Path) -> Manifest:
             zipfile.ZipFile(content, "w", zipfile.ZIP_STORED, allowZip64=True) as archive,
         ):
             created = time.time()
-            files = _files(folder, Path(scratch) / LEDGER, {draft, target})
+            files = _files(folder, Path(scratch) / LEDGER)
             manifest = Manifest(created, VERSION, _archived(files, archive))
             archive.writestr(MANIFEST, json.dumps(asdict(manifest)))
         manifest = verify(draft)
@@ -229,17 +231,17 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         problem = f"in its {MANIFEST} {reason_of(error)}"
         raise BackupError(f"{source} is damaged: {problem}; use another backup") from error
 
-    held = {name: digest for name, digest in files.items() if HELD.fullmatch(name)}
-    skipped = tuple(files.keys() - held.keys())
+    restored = {name: content for name, content in files.items() if HELD.fullmatch(name)}
+    skipped = tuple(files.keys() - restored.keys())
     outside = [name for name in skipped if name.startswith("/") or ".." in name.split("/")]
     if outside or (skipped and schema > 1):
         raise BackupError(
             f"{source} holds {(outside or skipped)[0]!r}, which no backup contains, so it was "
             "changed. Nothing was restored; use another backup"
         )
-    if LEDGER not in held:
+    if LEDGER not in restored:
         raise BackupError(f"{source} has no {LEDGER}, so it is no backup; name another file")
-    return Manifest(created, ledger_schema, held, skipped=tuple(sorted(skipped)))
+    return Manifest(created, ledger_schema, restored, skipped=tuple(sorted(skipped)))
 
 
 def _copied(file: IO[bytes], target: IO[bytes]) -> tuple[int, str]:
@@ -253,18 +255,18 @@ def _copied(file: IO[bytes], target: IO[bytes]) -> tuple[int, str]:
     return length, digest.hexdigest()
 
 
-def _files(folder: Path, copy: Path, excluded: set[Path]) -> Iterator[tuple[str, Path]]:
+def _files(folder: Path, copy: Path) -> Iterator[tuple[str, Path]]:
     """Yield the files of a backup, and a copy of the ledger made at its turn."""
 
-    def held(name: str) -> Iterator[tuple[str, Path]]:
+    def files_in(name: str) -> Iterator[tuple[str, Path]]:
         place = folder / name
         paths = [place] if place.is_file() else sorted(place.rglob("*"))
         for path in paths:
             path_name = path.relative_to(folder).as_posix()
-            if path.is_file() and HELD.fullmatch(path_name) and path not in excluded:
+            if path.is_file() and HELD.fullmatch(path_name):
                 yield path_name, path
 
-    yield from held(TABLES)
+    yield from files_in(TABLES)
     ledger = Ledger(folder / LEDGER)
     try:
         ledger.copy(copy)
@@ -272,4 +274,4 @@ def _files(folder: Path, copy: Path, excluded: set[Path]) -> Iterator[tuple[str,
         ledger.close()
     yield LEDGER, copy
     for name in _FOLDERS:
-        yield from held(name)
+        yield from files_in(name)

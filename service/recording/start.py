@@ -85,9 +85,8 @@ def _solvable(workspace: Workspace, name: str) -> Component:
     component = workspace.library[name]
     if not component.has_fea:
         raise NoSetupError(
-            f"{name!r} is a table of measured rows without a finite-element setup, so nothing was "
-            f"queued. The recorded wrenches stay: GET /v1/components/{name}/recording (or "
-            f"/envelope), measure or solve them, and POST the rows to /v1/components/{name}/table."
+            f"{name!r} has no finite-element setup, so nothing was queued. The recorded wrenches "
+            f"stay. Measure them, then load the rows with: wrenchbook import {name} FILE"
         )
     return component
 

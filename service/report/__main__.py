@@ -40,7 +40,7 @@ def main(folder: Path) -> int:
         bundle = read_bundle(order["bundle"])
         chosen = (order["wrenches"], order["seed"])
         report = measure(bundle, rows, meta.load_range, *chosen, note)
-        report |= {"summary": layout.summary_of(report), "advice": layout.advice_of(report)}
+        report |= {"summary": layout.summary_of(report), **layout.advice_of(report)}
         report["sections"] = [asdict(section) for section in layout.sections_of(report)]
         report["made"] = datetime.now(UTC).isoformat(timespec="seconds")
         report["table_version"] = meta.last_seq

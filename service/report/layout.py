@@ -50,25 +50,29 @@ def summary_of(report: dict[str, Any]) -> str:
     )
 
 
-def advice_of(report: dict[str, Any]) -> str:
-    """Return advice on the table in one sentence."""
+def advice_of(report: dict[str, Any]) -> dict[str, Any]:
+    """Return the advice on the table, and whether it has too small bars and needs rows."""
     table = next(
         entry
         for entry in _complete_tables(report)
         if entry["method"] == report["default"]["method"]
     )
-    return _advice_on_bars(report, table) + _advice_on_rows(report, table)
+    too_small = _bars_are_too_small(table)
+    on_rows, needs_rows = _advice_on_rows(report, table)
+    return {
+        "advice": (_advice_on_bars(report, table) if too_small else "") + on_rows,
+        "bars_too_small": too_small,
+        "needs_rows": too_small or needs_rows,
+    }
 
 
 def _bars_are_too_small(table: dict[str, Any]) -> bool:
     beyond = table["beyond_error_bar"]
-    return beyond["missed"] > (1 - ACCEPTED) * beyond["of"]
+    return beyond["of"] - beyond["missed"] < ACCEPTED * beyond["of"]
 
 
 def _advice_on_bars(report: dict[str, Any], table: dict[str, Any]) -> str:
-    """Return a warning of error bars that hold too few true errors, or ""."""
-    if not _bars_are_too_small(table):
-        return ""
+    """Return a warning of error bars that hold too few true errors."""
     beyond, compared = table["beyond_error_bar"], report["wrenches"]["compared"]
     few = ""
     if compared < FEW_WRENCHES:
@@ -79,8 +83,11 @@ def _advice_on_bars(report: dict[str, Any], table: dict[str, Any]) -> str:
     )
 
 
-def _advice_on_rows(report: dict[str, Any], table: dict[str, Any]) -> str:
-    """Return whether more rows or a finer mesh lowers the error; as in the plots, of the finest."""
+def _advice_on_rows(report: dict[str, Any], table: dict[str, Any]) -> tuple[str, bool]:
+    """Return the sentence that recommends more rows, a finer mesh or nothing.
+
+    Its errors are against the finest mesh. The second result says whether it recommends rows.
+    """
     mesh, error, total = (
         report["mesh_error"],
         table["largest_interpolation_error"],
@@ -96,7 +103,7 @@ def _advice_on_rows(report: dict[str, Any], table: dict[str, Any]) -> str:
         return (
             f"Result: {sentence}, its mesh by {_percent(mesh)}, so that more rows {lowered}; "
             "if that is too much, refine the mesh."
-        )
+        ), False
 
     p95 = zip(table["lookup_error"]["p95"], report["tolerance"] or (), strict=False)
     for output, (value, limit) in zip(report["outputs"], p95, strict=False):
@@ -104,19 +111,21 @@ def _advice_on_rows(report: dict[str, Any], table: dict[str, Any]) -> str:
             return (
                 f"More rows help: {sentence}, and {output} exceeds the tolerance; "
                 f"wrenchbook fill {report['component']}."
-            )
+            ), True
 
     if mesh is not None:
         sentence += f", its mesh by {_percent(mesh)}"
+    lacks_bars = False
     if report["tolerance"]:
         sentence += "; its interpolation error is within the tolerance"
-        if not table["beyond_error_bar"]["of"]:
+        lacks_bars = not table["beyond_error_bar"]["of"]
+        if lacks_bars:
             sentence += " at these wrenches; for error bars fill the table further"
         elif too_small:
             sentence += " at these wrenches"
         else:
             sentence += ": it needs no more rows"
-    return f"Result: {sentence}."
+    return f"Result: {sentence}.", lacks_bars
 
 
 def sections_of(report: dict[str, Any]) -> list[ReportSection]:
@@ -267,7 +276,7 @@ def _percent(fraction: float) -> str:
     percent = 100 * fraction
     if 0 < percent < LEAST_PERCENT:
         return f"< {LEAST_PERCENT} %"
-    return f"{percent:.0f} %" if percent >= 100 else f"{percent:.2g} %"
+    return f"{percent:.0f} %" if percent >= 99.5 else f"{percent:.2g} %"
 
 
 def _lengths(outputs: Sequence[str], values: Iterable[float | None]) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ Others = Literal["displacement", "load"]
 HALVINGS = 40  # halvings of the distance to the end of a curve: to 1e-12 of it
 SHORT = 1e-3  # part of the load range: a shorter curve is left out
 _ROUNDING = 1e-9  # part of the load range: rows this near to an end of a curve count as on it
+_NO_ROWS = "the table has no rows; fill it (wrenchbook fill), or import some"
 _TIGHT = 1e-15  # part of the load range: the last digit of the load of a displacement
 _OUTSIDE, _COVERED = NAMES.index("outside"), NAMES.index("covered")
 _HEAD = "axis,displacement [m or rad],load [N or N*m],bar [N or N*m],loop [N or N*m],coverage\n"
@@ -80,7 +81,8 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
             lines.append(",".join([OUTPUTS[axis], *cells, NAMES[point.coverage]]) + "\n")
     if len(lines) == 1:
         remedy = "" if others == "load" else "; others=load needs rows that load one axis only"
-        raise BushingError(f"the table has no curve of any axis: {why}{remedy}")
+        text = f"the table has no curve of any axis: {why}{remedy}"
+        raise BushingError(text if table.row_count else _NO_ROWS)
     return "".join(lines)
 
 

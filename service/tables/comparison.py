@@ -204,19 +204,20 @@ def comparison(
     compared, reference = rows.take(selection.compared), rows.take(selection.used)
     answers = _answers(component, compared, reference, error, solved=solved)
     stated = np.ascontiguousarray(compared.uncertainty)  # contiguous for the JSON writer
-    columns = _Columns(
-        outputs=component.space.output_names,
-        measured=compared.displacement,
-        expected=answers.expected,
-        bar=answers.bar,
-        scatter=np.where(np.isfinite(stated), stated, answers.noise),
-    )
+    scatter = np.where(np.isfinite(stated), stated, answers.noise)
+    columns = compared.displacement, answers.expected, answers.bar, scatter
+
+    def summaries(mask: NDArray[np.bool_]) -> dict[str, Any]:
+        """Return the differences of each output over the rows of a mask, (k,)."""
+        arrays = (column[mask].T for column in columns)
+        parts = zip(component.space.output_names, *arrays, strict=True)
+        return {name: _summary(*part) for name, *part in parts}
 
     campaign = selection.of_import[selection.compared]
     campaigns = []
     for of_import in np.unique(campaign).tolist():
         mask = campaign == of_import
-        part = {"rows": int(mask.sum()), "outputs": columns.summaries(mask)}
+        part = {"rows": int(mask.sum()), "outputs": summaries(mask)}
         campaigns.append({"import": of_import or None, **part})
     coverage = [NAMES[code] for code in answers.coverage.tolist()]
     return Comparison(
@@ -236,7 +237,7 @@ def comparison(
         coverages={name: coverage.count(name) for name in NAMES},
         noise=answers.noise,
         reason=_incomparable(compared, reference, against),
-        outputs=columns.summaries(campaign >= 0),
+        outputs=summaries(campaign >= 0),
         campaigns=campaigns,
         row=compared.seq.tolist(),
         campaign=[of_import or None for of_import in campaign.tolist()],
@@ -248,22 +249,6 @@ def comparison(
         bar=answers.bar,
         uncertainty=stated,
     )
-
-
-class _Columns(NamedTuple):
-    """Compared rows and their answers, (k, m) each, m and rad; NaN where unknown."""
-
-    outputs: Sequence[str]
-    measured: Floats
-    expected: Floats
-    bar: Floats
-    scatter: Floats
-
-    def summaries(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
-        """Return the differences of each output over the rows of a mask, (k,)."""
-        arrays = (array[mask].T for array in (self.measured, self.expected, self.bar, self.scatter))
-        parts = zip(self.outputs, *arrays, strict=True)
-        return {name: _summary(*columns) for name, *columns in parts}
 
 
 def _incomparable(compared: Rows, reference: Rows, against: int | None) -> str:

@@ -66,7 +66,7 @@ def import_files(
     options = replace(options, **setup)
     read = read_block(files[0], options) if append else read_untrusted(files, options, preview)
     report = dict(read.report)
-    refused = report["whole"] or bool(report["errors"] and not partial)
+    refused = report["is_ruined"] or bool(report["errors"] and not partial)
     report.pop("converted")
     # A block is in SI, so that a repeated one has the stored bits; a comparison with all stored
     # rows would take longer with each block.
@@ -74,7 +74,11 @@ def import_files(
 
     loaded = Loaded(0, 0, None)
     if not refused:
-        report["findings"] += _new_findings(ledger, read, table, component, origin)
+        if table is not None:
+            report["findings"] += _compared(read, table, read.report["findings"])
+        earlier = ledger.same_file(component.name, origin.digest) if origin.digest else None
+        if earlier is not None:
+            report["findings"].append(RigFinding("twice", TWICE.format(earlier)).body())
         if dry_run:
             keys = [key for piece in pieces() for key in _keys(component, piece)]
             new = len(set(keys) - ledger.known_rows(keys).keys())
@@ -110,23 +114,6 @@ def import_files(
         **report,
         "rows": {**rows, "loaded": 0 if refused or dry_run else good},
     }
-
-
-def _new_findings(
-    ledger: Ledger,
-    read: ReadResult,
-    table: ServedTable | None,
-    component: Component,
-    origin: ImportOrigin,
-) -> list[dict[str, Any]]:
-    """Return the findings of a file beside the component's table and its earlier imports."""
-    findings = []
-    if table is not None:
-        findings += _compared(read, table, read.report["findings"])
-    earlier = ledger.same_file(component.name, origin.digest) if origin.digest else None
-    if earlier is not None:
-        findings.append(RigFinding("twice", TWICE.format(earlier)).body())
-    return findings
 
 
 def _keys(component: Component, piece: ParsedTable) -> list[bytes]:

@@ -260,34 +260,28 @@ class MappedTables:
             self._thread.join()
         self._state.unpublish()
 
-    def surrogate(self, name: str) -> ServedTable:
+    def surrogate(self, name: str, *, or_empty: bool = False) -> ServedTable:
         """Return the newest table of a component.
 
         Raises UnknownComponentError if there is no such component, and TableBehindError if it has
-        rows and was not built since the start.
+        rows and was not built since the start; with `or_empty` it then returns a table without
+        rows.
         """
         known = self._tables.get(name)
         if known is not None:
             return known
         component = self._library[name]
-        if self._store.size(name):
+        is_behind = bool(self._store.size(name))
+        if is_behind and not or_empty:
             raise TableBehindError.unbuilt(name, self.faults().get(name))
-        empty = self._empty(component)
-        with self._changed:
-            return self._tables.setdefault(name, empty)
-
-    def present_or_empty(self, name: str) -> ServedTable:
-        """Return the newest table of a component, or one without rows while it was never built.
-
-        Raises UnknownComponentError if there is no such component.
-        """
-        return self._tables.get(name) or self._empty(self._library[name])
-
-    def _empty(self, component: Component) -> ServedTable:
         error = self._store.solver_error(component)
         table = build_table(component, Rows.empty(component.space), 0, error)
         packed = PackedTable.from_bytes(packed_bytes(table, component))
-        return ServedTable(packed, built=table, method=self._method)
+        empty = ServedTable(packed, built=table, method=self._method)
+        if is_behind:
+            return empty
+        with self._changed:
+            return self._tables.setdefault(name, empty)
 
     def present(self) -> dict[str, ServedTable]:
         """Return the tables that answer now, by component."""

@@ -13,7 +13,6 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Mapping
 from contextlib import closing
 
 from uvicorn.config import STARTUP_FAILURE
@@ -70,31 +69,22 @@ class Follower:
         is_older = manifest.ledger_schema != VERSION
         if self._entries.get(LEDGER) != entries[LEDGER]:
             self._take_ledger(entries[LEDGER], upgrade=is_older)
-        self._take_files(entries)
-        self._remove_outdated(entries)
-        if is_older:
-            del entries[LEDGER]  # the copy was upgraded, so that its blocks are no longer known
-        self._entries = entries
-        return manifest
-
-    def _take_files(self, entries: Mapping[str, Entry]) -> None:
-        """Write the changed files of bundles, then the packed tables; only builders need HDF5."""
-        # Bundles first, because a table is mapped only if its component exists.
+        # Bundles first, because a table is mapped only if its component exists. HDF5 files are for
+        # builders.
         for name in sorted(entries.keys() - {LEDGER}, key=lambda name: name.startswith(TABLES)):
             if self._entries.get(name) != entries[name] and not name.endswith(".h5"):
                 self._take_file(name, entries[name])
-
-    def _remove_outdated(self, entries: Mapping[str, Entry]) -> None:
-        """Remove the files that a replica no longer has.
-
-        A packed table stays until the next version of its component's table replaces it.
-        """
+        # A packed table stays until the next version of its component's table replaces it.
         packed = (self._data / TABLES).glob("[!.]*.wbt")
         tables = {f"{TABLES}/{path.name}" for path in packed}
         with_new_table = {_component_part(name) for name in entries}
         for name in (tables | self._entries.keys()) - entries.keys():
             if name not in tables or _component_part(name) in with_new_table:
                 (self._data / name).unlink(missing_ok=True)
+        if is_older:
+            del entries[LEDGER]  # the copy was upgraded, so that its blocks are no longer known
+        self._entries = entries
+        return manifest
 
     def _take_ledger(self, entry: Entry, *, upgrade: bool) -> None:
         """Write the blocks of the ledger's copy that differ, then the ledger from the copy."""

@@ -63,11 +63,10 @@ class Triangulation:
         self._triangulate()
         self.anchors = self.points[self.simplices[:, -1]]
         edges = self.points[self.simplices[:, :-1]] - self.anchors[:, None]
-        longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1, initial=0.0)
         self.volumes = np.abs(determinants(edges @ self.basis.T)) / math.factorial(self.dimension)
         finite = np.isfinite(self.weights).reshape(len(edges), -1)
         broken: NDArray[np.bool_] = np.asarray(np.any(~finite, axis=1))
-        self.degenerate = broken | (self.volumes < SLIVER * longest**self.dimension)
+        self.degenerate = broken | _is_sliver(edges, self.volumes)
         if broken.any():
             self.weights = np.where(broken[:, None, None], 0.0, self.weights)
 
@@ -267,9 +266,15 @@ def _span(points: Floats) -> tuple[int, Floats]:
 def _count_slivers(points: Floats, simplices: NDArray[np.int32]) -> int:
     """Return how many simplices of points (n, d) are degenerate."""
     edges = points[simplices[:, :-1]] - points[simplices[:, -1:]]
-    longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1)
     volumes = np.abs(determinants(edges)) / math.factorial(points.shape[1])
-    return int((volumes < SLIVER * longest ** points.shape[1]).sum())
+    return int(_is_sliver(edges, volumes).sum())
+
+
+def _is_sliver(edges: Floats, volumes: Floats) -> NDArray[np.bool_]:
+    """Return which simplices have almost no volume, by their d edges at the anchor, (m, d, k)."""
+    # The longest edge at the anchor is at least half of the longest.
+    longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1, initial=0.0)
+    return volumes < SLIVER * longest ** edges.shape[1]
 
 
 def determinants(edges: Floats) -> Floats:

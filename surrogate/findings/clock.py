@@ -45,9 +45,9 @@ TINY = 1e-300  # replaces a variance of zero in a divisor
 class Logs(NamedTuple):
     """Two logs of one test."""
 
-    time: Floats  # (n,), s: times of the loads, ascending
+    load_time: Floats  # (n,), s, ascending
     wrench: Floats  # (n, 6), N and N·m
-    when: Floats  # (m,), s: times of the displacements
+    displacement_time: Floats  # (m,), s
     displacement: Floats  # (m, 6), m and rad: NaN where not measured
 
 
@@ -64,7 +64,8 @@ class Lag(NamedTuple):
     misfit: float
     misfit_applied: float
     misfit_rate: float
-    named: bool  # whether the applied lag does not fit, and hysteresis does not explain the misfit
+    # whether the applied lag does not fit, and hysteresis does not explain the misfit
+    applied_is_wrong: bool
     # s: lags that fit as well: periodic loads do not show by how many periods the clocks differ
     others: tuple[float, ...]
 
@@ -76,16 +77,25 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
     """
     known = np.isfinite(logs.displacement).sum(axis=0) >= MIN_DISPLACEMENTS
     loads = np.ptp(logs.wrench, axis=0) > 0
-    if not known.any() or not loads.any() or np.ptp(logs.when) <= 0:
+    if not known.any() or not loads.any() or np.ptp(logs.displacement_time) <= 0:
         return None
     moved = _clipped(logs.displacement[:, known])
-    logs = Logs(logs.time, logs.wrench[:, loads], logs.when, moved)
-    duration = float(np.ptp(logs.when))
-    interval = min(float(np.median(np.diff(times))) for times in (logs.time, np.sort(logs.when)))
+    logs = Logs(logs.load_time, logs.wrench[:, loads], logs.displacement_time, moved)
+    duration = float(np.ptp(logs.displacement_time))
+    interval = min(
+        float(np.median(np.diff(times)))
+        for times in (logs.load_time, np.sort(logs.displacement_time))
+    )
     step = max(interval, (duration + 2 * MAX_LAG * duration) / MAX_STEPS, duration * RESOLUTION)
-    alike = _alike_fits(logs, applied, step)
-    if not alike:
+    # Lags that fit about as well as the best: with periodic loads, those one period apart.
+    starts = [applied, *_correlated_lags(logs, applied, step)]
+    candidates = [_fitted(logs, (applied, start), step) for start in starts]
+    fits = [candidate for candidate in candidates if candidate is not None]
+    if not fits:
         return None
+    sizes = [max(float(fit.residual(lag).mean()), MIN_MISFIT**2) for lag, fit in fits]
+    alike = [fits[at] for at, size in enumerate(sizes) if ALIKE * size <= min(sizes)]
+    alike.sort(key=lambda candidate: abs(candidate.lag - applied))
     fit = alike[0].fit
     vertices = [candidate.fit.vertex(candidate.lag) for candidate in alike]
     best, error = vertices[0]
@@ -111,7 +121,7 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
         misfit=float(at_best.mean() ** 0.5),
         misfit_applied=float(at_applied.mean() ** 0.5),
         misfit_rate=float(with_rate.mean() ** 0.5),
-        named=abs(best - applied) > error
+        applied_is_wrong=abs(best - applied) > error
         and at_applied.mean() > MIN_MISFIT**2
         and at_best.sum() < (1 - MIN_GAIN) * at_applied.sum()
         and at_best.sum() < loop.sum(),
@@ -126,19 +136,6 @@ class _LagFit(NamedTuple):
     fit: _Fit
 
 
-def _alike_fits(logs: Logs, applied: float, step: float) -> list[_LagFit]:
-    """Return the lags that fit about as well as the best, that nearest to the applied lag first.
-
-    With periodic loads lags one period apart fit alike. `applied` and `step`, s.
-    """
-    starts = [applied, *_correlated_lags(logs, applied, step)]
-    candidates = [_fitted(logs, (applied, start), step) for start in starts]
-    fits = [candidate for candidate in candidates if candidate is not None]
-    sizes = [max(float(fit.residual(lag).mean()), MIN_MISFIT**2) for lag, fit in fits]
-    alike = [fits[at] for at, size in enumerate(sizes) if ALIKE * size <= min(sizes)]
-    return sorted(alike, key=lambda candidate: abs(candidate.lag - applied))
-
-
 def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
     """Return a finding if the logs need another clock rate, or another lag than the applied one."""
     if lag is not None and lag.rate:
@@ -149,7 +146,8 @@ def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
             f"{lag.misfit_rate:.1%} instead of {lag.misfit:.1%}), and import again with lag=auto"
         )
         return [RigFinding("clock", message, (), {"rate": lag.rate})]
-    if lag is None or not lag.named or abs(applied - lag.seconds) <= lag.error:
+    # With lag=auto `applied` is by now the estimated lag.
+    if lag is None or not lag.applied_is_wrong or abs(applied - lag.seconds) <= lag.error:
         return []
     if lag.others:
         message = (
@@ -179,11 +177,13 @@ def _correlated_lags(logs: Logs, applied: float, step: float) -> list[float]:
     The part of the displacements' variance that loads explain is c' inv(G) c, with c their
     cross-correlations and G the covariance of the loads.
     """
-    longest = MAX_LAG * float(np.ptp(logs.when))
-    grid = np.arange(logs.when.min() - longest, logs.when.max() + longest, step)
-    order = np.argsort(logs.when, kind="stable")
-    x = _on_grid(grid + applied, logs.time, logs.wrench)
-    y = _on_grid(grid, logs.when[order], logs.displacement[order])
+    longest = MAX_LAG * float(np.ptp(logs.displacement_time))
+    grid = np.arange(
+        logs.displacement_time.min() - longest, logs.displacement_time.max() + longest, step
+    )
+    order = np.argsort(logs.displacement_time, kind="stable")
+    x = _on_grid(grid + applied, logs.load_time, logs.wrench)
+    y = _on_grid(grid, logs.displacement_time[order], logs.displacement[order])
 
     size = 2 * len(grid)
     of_loads = np.fft.rfft(x, size, axis=0)
@@ -217,10 +217,10 @@ def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> _LagFit | Non
     again there, with twice the width.
     """
     width = 2 * step
-    max_width = MAX_LAG * float(np.ptp(logs.when))
+    max_width = MAX_LAG * float(np.ptp(logs.displacement_time))
     while width < max_width:
         fit = _Fit(logs, lags, step, width + step)
-        if len(fit.logs.when) < MIN_DISPLACEMENTS:
+        if len(fit.logs.displacement_time) < MIN_DISPLACEMENTS:
             return None
         start = lags[1]
         result: Any = minimize_scalar(
@@ -250,10 +250,15 @@ class _Fit:
         """Choose the displacements that have loads within `width`, s, of both `lags`, s."""
         low = min(lags) - width
         high = max(lags) + width
-        inside = (logs.when + low >= logs.time[0]) & (logs.when + high <= logs.time[-1])
+        inside = (logs.displacement_time + low >= logs.load_time[0]) & (
+            logs.displacement_time + high <= logs.load_time[-1]
+        )
         indices = np.flatnonzero(inside)
         indices = indices[:: max(-(-len(indices) // MAX_DISPLACEMENTS), 1)]
-        self.logs = logs._replace(when=logs.when[indices], displacement=logs.displacement[indices])
+        self.logs = logs._replace(
+            displacement_time=logs.displacement_time[indices],
+            displacement=logs.displacement[indices],
+        )
         self._scale = np.abs(logs.wrench).max(axis=0)
         self._step = step
 
@@ -261,8 +266,8 @@ class _Fit:
         return terms_of(self._loads(lag) / self._scale)
 
     def _loads(self, lag: float | Floats) -> Floats:
-        time = self.logs.time
-        when = self.logs.when + lag
+        time = self.logs.load_time
+        when = self.logs.displacement_time + lag
         return np.stack([np.interp(when, time, load) for load in self.logs.wrench.T], axis=1)
 
     def residual(self, lag: float | Floats) -> Floats:
@@ -294,7 +299,7 @@ class _Fit:
         The vertex is that of a parabola through lags one interval of the loads apart: between two
         loads interpolation averages their noise, which bends the residual at smaller steps.
         """
-        step = float(np.median(np.diff(self.logs.time)))
+        step = float(np.median(np.diff(self.logs.load_time)))
         least, curvature = np.empty(0), np.empty(0)
         for _ in range(3):
             least = self.residual(lag)
@@ -322,11 +327,11 @@ class _Fit:
 
     def rate(self, lag: float) -> tuple[float, Floats]:
         """Return the rate that, with a lag near `lag`, fits best, and its residual, (k,)."""
-        middle = self.logs.when.mean()
-        unit = self._step / float(np.ptp(self.logs.when))
+        middle = self.logs.displacement_time.mean()
+        unit = self._step / float(np.ptp(self.logs.displacement_time))
 
         def residual(x: Floats) -> Floats:
-            shifted = lag + x[0] * self._step + x[1] * unit * (self.logs.when - middle)
+            shifted = lag + x[0] * self._step + x[1] * unit * (self.logs.displacement_time - middle)
             return self.residual(shifted)
 
         result: Any = minimize(

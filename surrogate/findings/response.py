@@ -201,8 +201,9 @@ def _sentinels(rows: Rows, flagged: NDArray[np.bool_]) -> list[RigFinding]:
         return []
     output = int(np.argmax(flagged[at[0]]))
     value = float(rows.displacement[at[0], output])
+    rows_have = "1 row has" if len(at) == 1 else f"{len(at)} rows have"
     message = (
-        f"{len(at)} rows have a value that a logger writes for a missing reading, such as "
+        f"{rows_have} a value that a logger writes for a missing reading, such as "
         f"{OUTPUTS[output]} = {value:g}; withdraw these rows, or leave the cells empty in the file"
     )
     return [RigFinding("sentinel", message, tuple(rows.seq[at].tolist()), {"value": value})]
@@ -218,9 +219,11 @@ def _outliers(rows: Rows, response: RobustFit, flagged: NDArray[np.bool_]) -> li
     order = at[np.argsort(-worst[at].max(axis=1), kind="stable")]
     row = order[0]
     output = int(np.argmax(worst[order[0]]))
+    ratio = float(residual[row, output])
+    off = f"{ratio:.1%} of its range" if ratio < 10 else f"{ratio:,.0f} times its range"
     message = (
         f"{len(at)} of {len(rows)} rows differ from those around them; the worst is row "
-        f"{rows.seq[row]}, whose {OUTPUTS[output]} is off by {residual[row, output]:.1%} of its "
-        "range. Check these rows, and withdraw the wrong ones"
+        f"{rows.seq[row]}, whose {OUTPUTS[output]} is off by {off}. "
+        "Check these rows, and withdraw the wrong ones"
     )
     return [RigFinding("outlier", message, tuple(rows.seq[order].tolist()))]

@@ -34,7 +34,9 @@ from .settings import DEFAULTS, KrigingSettings
 # Ratio to the distance within which rows merge: the span's margin on both sides of a load that no
 # row varies, and rounding.
 FIXED_WIDTH = 2.5
-HARDLY = 0.05  # of the loads on the other side of no load: a load cell's noise or offset
+# Part of the loads on one side of zero load: on the other side, smaller ones may be the zero offset
+# of a load cell, up to 2 % of its range, in a test that uses half the range.
+ONE_SIDED = 0.05
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,8 @@ def span_of(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
     that takes no part has no ends.
 
     Rows of tension show nothing of compression: a part may have play or a contact there. So on the
-    side of no load to which the rows hardly go, the span reaches at most as far again.
+    side of zero load to which the rows hardly go (`ONE_SIDED`), the span reaches at most as far
+    again.
     """
     low, high = x.min(axis=0), x.max(axis=0)
     outer = (np.abs(x - (low + high) / 2) >= (high - low) / 4).sum(axis=0)
@@ -155,8 +158,8 @@ def span_of(x: Floats, scaling: Scaling, settings: KrigingSettings) -> Floats:
     zero = scaling.loads(np.zeros((1, x.shape[1])))[0]
     sides = np.stack((zero - low, high - zero))
     is_load = np.arange(x.shape[1]) < x.shape[1] - len(scaling.space.scalars)
-    hardly = is_load & (sides < HARDLY * sides[::-1])
-    margins = np.where(hardly, np.minimum(margin, np.abs(sides) + NEAR), margin)
+    one_sided = is_load & (sides < ONE_SIDED * sides[::-1])
+    margins = np.where(one_sided, np.minimum(margin, np.abs(sides) + NEAR), margin)
     ends = np.stack((low - margins[0], high + margins[1]))
     return np.where(scaling.active, ends, [[-np.inf], [np.inf]])
 

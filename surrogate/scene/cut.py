@@ -18,6 +18,7 @@ from ..table.rows import Floats
 from .plan import Mask, Need
 
 Arrays = dict[str, NDArray[Any]]
+GROUPS = 2  # entry of space/sizes: number of groups of outputs
 
 
 def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -> list[bytes]:
@@ -28,6 +29,7 @@ def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
 
     `plan`: the scene plan that the file carries, JSON-able.
     """
+    # The names of the groups' arrays begin with g0/, g1/ and so on.
     arrays = {name: array for name, array in table.arrays.items() if name[0] != "g"}
     outputs = list(need.outputs)
     # The solver's error needs all outputs, and their derivatives by all loads.
@@ -41,7 +43,9 @@ def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
     slopes = np.ones(table.inputs, dtype=bool)
     for number, group in enumerate(groups):
         uncut = block_of(table.arrays, f"g{group}/")
-        arrays |= named(f"g{number}/", _cut_group(uncut, need, needs_all, slopes))
+        group_arrays, has_slopes = _cut_group(uncut, need, needs_all)
+        arrays |= named(f"g{number}/", group_arrays)
+        slopes &= has_slopes
     arrays |= _scene_arrays(table, need, len(groups), slopes)
     meta = {
         **table.meta,
@@ -55,7 +59,7 @@ def _scene_arrays(table: PackedTable, need: Need, groups: int, slopes: Mask) -> 
     """Return the arrays that all groups share, cut to a scene of `groups` groups."""
     ends = np.stack((need.span.low, need.span.high))
     sizes = table.arrays["space/sizes"].copy()
-    sizes[2] = groups
+    sizes[GROUPS] = groups
     locked = table.arrays["space/locked"].copy()
     locked[list(need.idle)] = 1
     arrays = {
@@ -71,10 +75,11 @@ def _scene_arrays(table: PackedTable, need: Need, groups: int, slopes: Mask) -> 
     return arrays
 
 
-def _cut_group(group: Arrays, need: Need, needs_all: bool, slopes: Mask) -> Arrays:
-    """Return a group's arrays; unmark in `slopes` (n,) the loads whose derivatives it loses."""
+def _cut_group(group: Arrays, need: Need, needs_all: bool) -> tuple[Arrays, Mask]:
+    """Return a group's arrays, and the loads (n,) whose derivatives it still has."""
     flags = group["flags"]
     method = METHODS[flags[GROUP_METHOD]]
+    # Kriging, and a linear fit that is exact, have values and error bars without the axes.
     needs_axes = not (method == "kriging" or (method == "linear" and flags[GROUP_EXACT]))
     arrays = {name: array for name, array in group.items() if "/" not in name or name[:4] == "fit/"}
     is_read = np.isin(np.arange(len(group["outputs"])), need.outputs)
@@ -86,13 +91,13 @@ def _cut_group(group: Arrays, need: Need, needs_all: bool, slopes: Mask) -> Arra
         arrays["allowed"] = np.array(allowed_by(need.tolerance, need.span.space))
     if "kriging/x" in group:
         arrays |= named("kriging/", _cut_kriging(block_of(group, "kriging/"), need, needs_all))
+    slopes = np.ones(len(need.occurring), dtype=bool)
     if needs_axes and "axes/vertex" in group:
         loaded = np.array([need.occurring[list(axis.inputs)].any() for axis in AXES]) | needs_all
         arrays |= named("axes/", _cut_axes(block_of(group, "axes/"), loaded))
         for axis, stays in zip(AXES, loaded, strict=True):
             slopes[list(axis.inputs)] &= stays
-    arrays["flags"] = flags
-    return arrays
+    return arrays, slopes
 
 
 def _cut_rows(rows: Arrays, need: Need) -> Arrays:
@@ -184,7 +189,7 @@ def _cut_axes(block: Arrays, loaded: Mask) -> Arrays:
     arrays = {
         name: np.asarray(array, block[name].dtype) for name, array in remaining._asdict().items()
     }
-    # The cuts along a moment, of both axes that it enters.
+    # cut{m}{side} is along moment m, of the axis (m - side - 1) % 3: a moment enters two axes.
     unloaded = np.flatnonzero(~loaded).tolist()
     gone = [f"cut{(axis + step) % 3}{step - 1}" for axis in unloaded for step in (1, 2)]
     cuts = {name: array for name, array in block.items() if "/" in name}

@@ -23,6 +23,7 @@ from .hdf5 import (
 )
 
 MAX_DEPTH = 8  # levels of groups above the columns: a file may link a group to itself
+MAX_LEVELS = 64  # of groups in a file: HDF5 walks from the root to each, 3,000 levels took a minute
 MAX_LISTED = 8  # names in a message: more would hide its remedy
 MAX_SHOWN = 100  # characters of a value in a message: longer ones are cut
 
@@ -121,6 +122,10 @@ def _named_columns(file: h5py.File) -> list[NamedColumn]:
             group = inside[0]
             inside = list(inside[0].values())
     if inside and all(isinstance(member, h5py.Group) for member in inside):
+        if len(inside) == 1:
+            raise TableFileError(
+                f"has its columns below more than {MAX_DEPTH} groups; write them into one group"
+            )
         groups = ", ".join(list(group)[:MAX_LISTED])
         raise TableFileError(
             f"has columns in several groups ({groups}); send each as a file of its own"
@@ -252,7 +257,8 @@ def leads_out(path: Path) -> list[str]:
 
     An uploaded mesh is such a file too, and must not read this machine's files.
 
-    Raises TableFileError if a part of the file cannot be inspected.
+    Raises TableFileError if a part of the file cannot be inspected, or its groups are nested deeper
+    than `MAX_LEVELS`.
     """
     if not h5py.is_hdf5(path):
         return []
@@ -262,12 +268,16 @@ def leads_out(path: Path) -> list[str]:
         if isinstance(member, h5py.Dataset) and (member.external or member.is_virtual):
             outside.append(name)
 
-    def check_link(name: bytes, link: h5l.LinkInfo) -> None:
+    def check_link(name: bytes, link: h5l.LinkInfo) -> bool | None:
         if link.type not in (h5l.TYPE_HARD, h5l.TYPE_SOFT):
             outside.append(name.decode(errors="replace"))
+        return name.count(b"/") >= MAX_LEVELS or None  # True ends the visit
 
     again = "; write it again"
     with named_errors("cannot be searched as HDF5", again), h5py.File(path, "r") as file:
-        file.id.links.visit(check_link, info=True)
+        if file.id.links.visit(check_link, info=True):
+            raise TableFileError(
+                f"has groups in more than {MAX_LEVELS} levels; write the data into fewer"
+            )
         file.visititems(check)
     return outside

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
+from scipy.special import ndtri
 
+from ..calibration import LEVEL
 from .rows import NEAR, SOLVED, ZERO_LOAD, Floats, LoadRange, Rows
 
 # Directions: with three, nine tenths of 30,000 rows have no neighbour along one of them.
@@ -184,13 +186,25 @@ def repeated(rows: Rows, load_range: LoadRange) -> list[NDArray[np.intp]]:
     return np.split(order, starts[1:]) if len(starts) else []
 
 
-def row_conflicts(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
+def row_conflicts(
+    rows: Rows, load_range: LoadRange, noise: Floats | float = np.nan
+) -> dict[str, Any]:
     """Return repeated wrenches for a coverage summary: their count, and the contradictory ones.
 
     Rows of a wrench disagree if an output's spread is over twice the largest stored uncertainty
-    plus a millionth of the output's range: two such rows cannot both be right.
+    plus a millionth of the output's range: two such rows cannot both be right. Readings without a
+    stated uncertainty disagree only if the spread is also larger than noise causes anywhere in the
+    table, at the level of error bars.
+
+    `noise` (m,), m and rad: 95 % half width of one reading's noise; NaN where unknown.
     """
     groups = repeated(rows, load_range)
+    pairs = sum(len(group) * (len(group) - 1) for group in groups) / 2
+    # Bonferroni: of a difference of two readings, over all pairs.
+    by_chance = ndtri(1 - (1 - LEVEL) / (2 * max(pairs, 1.0))) / ndtri((1 + LEVEL) / 2)
+    by_noise = np.nan_to_num(np.sqrt(2) * by_chance * noise)
+    is_exact = (rows.is_solved | rows.has_tangent)[:, None]
+    is_reading = ~is_exact & ~(rows.uncertainty > 0)
     size = AGREE * np.abs(np.nan_to_num(rows.displacement)).max(axis=0, initial=0.0)
     names = rows.space.output_names
     conflicts = []
@@ -198,7 +212,9 @@ def row_conflicts(rows: Rows, load_range: LoadRange) -> dict[str, Any]:
         moved = rows.displacement[indices]
         # NaN where no row measured the output.
         spread = np.fmax.reduce(moved) - np.fmin.reduce(moved)
-        allowed = 2 * np.nan_to_num(rows.uncertainty[indices]).max(axis=0) + size
+        stated = 2 * np.nan_to_num(rows.uncertainty[indices]).max(axis=0)
+        of_readings = np.where(is_reading[indices].any(axis=0), by_noise, 0.0)
+        allowed = np.maximum(stated, of_readings) + size
         over = np.flatnonzero(spread > allowed)
         if len(over):
             wrench = rows.wrench[indices[0]].tolist()

@@ -93,13 +93,13 @@ def _zero(rows: Rows, load_range: LoadRange, noise: Floats) -> dict[str, Any]:
     zero = rows.take(unloaded)
     size, stated = np.abs(zero.displacement), np.nan_to_num(zero.uncertainty)
     limit = ZERO * _sizes(rows, space) + noise
-    doubt = _reading_doubt(zero, rows.take(~unloaded), loads[~unloaded])
+    half_widths = _half_widths_at_zero(zero, rows.take(~unloaded), loads[~unloaded])
     # Independent noise averages out; a stated uncertainty may be common to all rows.
-    averaged = np.linalg.norm(doubt, axis=0) / len(zero)
-    averaged = np.where(stated.any(axis=0), doubt.max(axis=0), averaged)
+    averaged = np.linalg.norm(half_widths, axis=0) / len(zero)
+    averaged = np.where(stated.any(axis=0), half_widths.max(axis=0), averaged)
     shifted = (np.abs(zero.displacement.mean(axis=0)) > limit + averaged).any()
     over = (size > limit + stated).any(axis=1)
-    wrong = (size > limit + doubt).any(axis=1) | (over & shifted)
+    wrong = (size > limit + half_widths).any(axis=1) | (over & shifted)
     is_open = bool(over.any() and not wrong.any())
     return {
         "ok": None if is_open else not wrong.any(),
@@ -109,23 +109,35 @@ def _zero(rows: Rows, load_range: LoadRange, noise: Floats) -> dict[str, Any]:
     }
 
 
-def _reading_doubt(zero: Rows, loaded: Rows, loads: Floats) -> Floats:
+def _half_widths_at_zero(zero: Rows, loaded: Rows, loads: Floats) -> Floats:
     """Return half widths (n, m) of rows at zero load, together with their mean at `LEVEL`.
 
-    Of a stated uncertainty, or of the residuals of the loaded rows from a line; infinite if there
-    are no more of these than unknowns, 0 of solves.
+    Of a stated uncertainty, or of the residuals of the loaded rows from a line; 0 of solves.
     """
-    count = (len(zero) + 1) * zero.displacement.shape[1]
-    level = 1 - (1 - LEVEL) / 2 / count  # Bonferroni
+    statements = (len(zero) + 1) * zero.displacement.shape[1]
     line = np.column_stack((loads, np.ones(len(loaded))))
-    spare = len(loaded) - int(np.linalg.matrix_rank(line)) if len(loaded) else 0
-    noise = np.full(zero.displacement.shape[1], np.inf)
-    if spare > 0:
-        residual = loaded.displacement - line @ np.linalg.lstsq(line, loaded.displacement)[0]
-        noise = stdtrit(spare, level) * np.sqrt((residual**2).sum(axis=0) / spare)
+    residual = loaded.displacement - line @ np.linalg.lstsq(line, loaded.displacement)[0]
+    noise = _noise(residual, line, statements)
     is_exact = (zero.is_solved | zero.has_tangent)[:, None]
-    stated = np.nan_to_num(zero.uncertainty) * ndtri(level) / ndtri((1 + LEVEL) / 2)
+    stated = np.nan_to_num(zero.uncertainty) / ndtri((1 + LEVEL) / 2) * ndtri(_together(statements))
     return np.where(stated > 0, stated, np.where(is_exact, 0.0, noise))
+
+
+def _together(statements: int) -> float:
+    """Return the one-sided level of each of several half widths that together hold at `LEVEL`."""
+    return 1 - (1 - LEVEL) / 2 / statements  # Bonferroni
+
+
+def _noise(residual: Floats, terms: Floats, statements: int) -> Floats:
+    """Return half widths (m,) of readings, together at `LEVEL`, by residuals of a fit of terms.
+
+    Infinite if there are no more readings than unknowns.
+    """
+    spare = len(residual) - int(np.linalg.matrix_rank(terms)) if len(residual) else 0
+    if spare < 1:
+        return np.full(residual.shape[1], np.inf)
+    quantile = stdtrit(spare, _together(statements))
+    return np.asarray(quantile * np.sqrt((residual**2).sum(axis=0) / spare))
 
 
 def _energies(matrices: Floats, load_range: LoadRange) -> Floats:
@@ -137,26 +149,21 @@ def _energies(matrices: Floats, load_range: LoadRange) -> Floats:
     return matrices[..., : len(scale)] * scale[:, None] * scale[None, :]
 
 
-def _doubt(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> Floats:
+def _half_widths_of_mirrors(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> Floats:
     """Return half widths (m, m) of the differences of a fit's mirror energies, together at `LEVEL`.
 
-    By the residuals of the rows from the fit; infinite if there are no more rows than loads, 0 of a
-    compliance that is not fitted.
+    By the residuals of the rows from the fit; 0 of a compliance that is not fitted.
     """
-    scaled = (rows.wrench - load_range.space.zero) / load_range.scale
     count = rows.displacement.shape[1]
     if fit.origin != "fitted":
         return np.zeros((count, count))
-    spare = len(rows) - int(np.linalg.matrix_rank(scaled))
-    if spare < 1:
-        return np.full((count, count), np.inf)
+    scaled = (rows.wrench - load_range.space.zero) / load_range.scale
     residual = rows.displacement - rows.wrench @ fit.matrix.T - fit.offset
-    variance = (residual**2).sum(axis=0) / spare * load_range.scale[:count] ** 2
-    # Of the entry of output i by load j, in energy.
-    entries = variance[:, None] * np.diag(np.linalg.pinv(scaled.T @ scaled))[:count]
-    pairs = max(1, count * (count - 1) // 2)  # Bonferroni
-    quantile = stdtrit(spare, 1 - (1 - LEVEL) / 2 / pairs)
-    return np.asarray(quantile * np.sqrt(entries + entries.T))
+    noise = _noise(residual, scaled, max(1, count * (count - 1) // 2)) * load_range.scale[:count]
+    # Of the entry of output i by load j, in energy. The part of a load that no row varies is 0.
+    parts = np.diag(np.linalg.pinv(scaled.T @ scaled))[:count]
+    entries = noise[:, None] ** 2 * np.maximum(parts, np.finfo(float).tiny)
+    return np.asarray(np.sqrt(entries + entries.T))
 
 
 def _asymmetry(energies: Floats) -> Floats:
@@ -183,7 +190,8 @@ def _symmetric(rows: Rows, load_range: LoadRange, fit: ComplianceFit) -> dict[st
     energies = np.where(np.outer(loads, loads), energies, 0.0)
     asymmetry = float(_asymmetry(energies))
     apart = np.abs(energies - energies.T)
-    is_sure = apart > np.maximum(ASYMMETRY * np.abs(energies).max(), _doubt(rows, load_range, fit))
+    half_widths = _half_widths_of_mirrors(rows, load_range, fit)
+    is_sure = apart > np.maximum(ASYMMETRY * np.abs(energies).max(), half_widths)
     known, solved = rows.has_tangent, rows.is_solved
     wrong = np.zeros(len(rows), dtype=bool)
     wrong[known] = _asymmetry(_energies(rows.compliance[known], load_range)) > ASYMMETRY

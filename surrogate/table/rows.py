@@ -7,7 +7,7 @@ its m outputs: of the default space six numbers, force then moment, translation 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
@@ -362,6 +362,11 @@ def joined(parts: Sequence[Rows]) -> Rows:
             ]
         )
     return Rows(**merged, space=filled[0].space)
+
+
+def nulls(values: Iterable[float]) -> list[float | None]:
+    """Return numbers for JSON, which has no NaN: None in its place."""
+    return [None if math.isnan(value) else value for value in values]
 
 
 def why_beyond(load_range: LoadRange, wrench: Floats) -> str:

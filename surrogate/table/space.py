@@ -148,15 +148,19 @@ class Space:
 
         Raises SpaceError if a name is unknown, or a further input is missing.
         """
-        known = ", ".join(filter(None, self.interfaces))
+        known = " or ".join(filter(None, self.interfaces))
         names = [scalar.name for scalar in self.scalars]
-        no_interface = f"no such interface; there is {known}" if known else _UNNAMED
-        no_input = f"no such input; there is {', '.join(names) or 'none'}"
+        no_interface = f"no such interface; use {known}" if known else _UNNAMED
+        use = f"use {' or '.join(names)}" if names else "the component has none; leave it out"
+        no_input = f"no such input; {use}"
         mistakes = [
             *((f"loads.{name}", no_interface) for name in loads if name not in self.interfaces),
             *((f"inputs.{name}", no_input) for name in further if name not in names),
             *(
-                (f"inputs.{scalar.name}", f"missing; give its value in {scalar.unit}")
+                (
+                    f"inputs.{scalar.name}",
+                    f"missing; give its value in {scalar.unit} (--input {scalar.name}=NUMBER)",
+                )
                 for scalar in self.scalars
                 if scalar.name not in further
             ),

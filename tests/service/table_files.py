@@ -34,7 +34,7 @@ class ReadTable(ParsedTable):
 
 def read_table(pieces: list[ParsedTable], report: ReadReport) -> ReadTable:
     """Return the pieces of a file as one table."""
-    pieces = [] if report.mistakes.of_file else pieces
+    pieces = [] if report.mistakes.is_ruined else pieces
     times = [piece.time for piece in pieces if piece.time is not None]
     columns = dict(vars(joined(pieces or [Rows.empty()])))
     columns["note"] = tuple(chain.from_iterable(piece.note for piece in pieces))

@@ -97,6 +97,16 @@ def test_a_restored_directory_keeps_what_solvers_may_be_wrong_by(folder, tmp_pat
     assert result.values == reported
 
 
+def test_a_backup_leaves_the_draft_of_another_one_to_the_same_file(folder, tmp_path):
+    """Two containers have the same process ids: both failed, and deleted each other's draft."""
+    other = tmp_path / f".b.{os.getpid()}.part"
+    other.write_bytes(b"half")
+    back_up(folder, tmp_path / "b")
+    verify(tmp_path / "b")
+    assert sorted(path.name for path in tmp_path.glob("*b*")) == sorted([other.name, "b"])
+    assert other.read_bytes() == b"half"
+
+
 def test_no_flipped_byte_of_a_backup_is_restored(backup, folder, tmp_path):
     whole, same, refused = backup.read_bytes(), answers(folder), 0
     for seed in range(60):

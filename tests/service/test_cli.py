@@ -39,7 +39,7 @@ from wrenchbook.service.client import (
     ProblemError,
     ServerUnreachable,
 )
-from wrenchbook.service.contract import LOADS, OUTPUTS
+from wrenchbook.service.contract import LOADS, OUTPUTS, counted
 from wrenchbook.service.workers import private
 from wrenchbook.service.workers.supervisor import in_use
 
@@ -393,7 +393,7 @@ def test_ctrl_c_and_sigterm_cancel_the_solves_of_a_fill_and_no_others(
         assert set(states.values()) == {"cancelled"}
         assert command.returncode == 130
         assert " ".join(errors.split()) == (
-            f"Interrupted: {len(states)} solve(s) of this command cancelled."
+            f"Interrupted: {counted(len(states), 'solve')} of this command cancelled."
         )
 
 
@@ -428,7 +428,7 @@ def test_ctrl_c_while_the_server_stops_says_that_solves_were_not_cancelled(
         raise KeyboardInterrupt
     assert (ended.value.exit_code, len(calls)) == (130, 2)
     assert " ".join(capfd.readouterr().err.split()) == (
-        "Interrupted: 1 solve(s) of this command cancelled; the others were not cancelled: the "
+        "Interrupted: 1 solve of this command cancelled; the others were not cancelled: the "
         "server does not answer: nothing answers at http://127.0.0.1:1."
     )
 
@@ -450,7 +450,7 @@ def test_ctrl_c_says_why_the_server_refuses_to_cancel_a_job_that_has_not_ended(
         raise KeyboardInterrupt
     assert (ended.value.exit_code, refusals) == (130, [])
     said = " ".join(capfd.readouterr().err.split())
-    assert said.startswith("Interrupted: 0 solve(s) of this command cancelled; the others were not")
+    assert said.startswith("Interrupted: 0 solves of this command cancelled; the others were not")
     assert "Ask ann." in said
 
 

@@ -73,7 +73,20 @@ MISTAKE = {"row": 2, "field": "ux [mm]", "message": "'x' is not a number"}
         ({}, r"  row 2, ux \[mm\]: 'x' is not a number\n(.*\n)*.*and 2 more$"),
         (
             {"causes": [{**MISTAKE, "count": 295, "rows": [2, 3]}]},
-            r"row 2, ux \[mm\]: 'x' is not a number \(295 mistakes\)$",
+            r"rows 2, 3, ux \[mm\]: 'x' is not a number \(295 mistakes\)$",
+        ),
+        (
+            {
+                "causes": [
+                    {
+                        "row": 1,
+                        "message": "is not a known column.",
+                        "fields": ["A", "B"],
+                        "count": 2,
+                    }
+                ]
+            },
+            r"row 1, A, B: are not known columns. \(2 mistakes\)$",
         ),
     ],
 )

@@ -122,6 +122,7 @@ def test_a_block_with_a_mistake_adds_nothing_by_the_laws_of_an_import(live):
         (block(1), {"tare": 3}, 422, "append does not allow tare"),
         (block(1), {"rig": "tare = 3"}, 422, "append cannot go with tare of this rig"),
         (block(1), {"branch": "loading"}, 422, "append does not allow branch"),
+        (block(1), {"lag": "auto"}, 422, "append does not allow time_offset_s (lag)"),
         (block(1), {"append": ""}, 422, "append"),
         ([{"fz [N]": 1.0, "uz [mm]": 1.0, "note": "x" * (1 << 20)}], {}, 413, "1 MiB"),
     ],

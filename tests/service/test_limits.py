@@ -10,6 +10,8 @@ import zipfile
 import numpy as np
 import orjson
 import pytest
+from fastapi import FastAPI
+from starlette.responses import Response
 from starlette.testclient import TestClient
 
 from tests.service.live import add_table, as_rows, clean_wrenches, full_wrenches, moved, served
@@ -342,6 +344,17 @@ def test_an_attempts_zip_holds_what_lies_in_its_folder_and_nothing_it_points_to(
     assert not any(b"the machine's" in text for text in texts)
     assert not any(str(tmp_path).encode() in text for text in texts)
     assert b"link.txt" in b"".join(texts)
+
+
+def test_a_reply_that_holds_something_passes_a_route_of_fastapi():
+    """Such a route reads `background`, which the reply lacked."""
+    app = FastAPI()
+
+    @app.get("/")
+    async def reply():
+        return batch.HoldingReply(Response("sent"), contextlib.AsyncExitStack())
+
+    assert TestClient(app).get("/").text == "sent"
 
 
 def test_the_zip_of_an_attempt_has_the_traceback_of_its_log(tmp_path):

@@ -39,7 +39,7 @@ def report(bar):
     wrenches = np.vstack([np.zeros((1, 6)), np.diag(load_range.scale), -np.diag(load_range.scale)])
     rows = Rows.of(wrenches, wrenches @ compliance.T)
     figures = measure(bar, rows, load_range, 5, 3, lambda *_: None)
-    return figures | {"summary": summary_of(figures), "advice": advice_of(figures)}
+    return figures | {"summary": summary_of(figures), **advice_of(figures)}
 
 
 def test_a_report_is_json_markdown_and_a_page_that_needs_nothing_from_elsewhere(report):
@@ -68,6 +68,17 @@ def test_errors_of_a_report_have_units_and_no_powers_of_ten(report):
     (tolerance,) = (line for line in lines if line[0] == "tolerance")
     assert tolerance[1:] == ("300 µm", "12.3 µm", "0 m", "1.00 mrad", "2.00 rad", "0 rad")
     assert not [cell for line in lines for cell in line if re.search(r"\de-\d", cell)]
+
+
+@pytest.mark.parametrize(
+    ("fraction", "text"),
+    [(0.00999, "1 %"), (0.9949, "99 %"), (0.995, "100 %"), (0.9999, "100 %"), (1.234, "123 %")],
+)
+def test_a_percentage_of_a_report_has_no_power_of_ten(report, fraction, text):
+    """0.995 was "1e+02 %"."""
+    figures = deepcopy(report)
+    figures["default"]["errors_left_out"] = {"kriging": fraction}
+    assert sections_of(figures)[0].lines == (("kriging", text),)
 
 
 def test_percentages_of_a_report_have_a_space(report):
@@ -124,7 +135,7 @@ def test_a_report_says_which_solves_failed_and_why(bar, monkeypatch):
     wrenches = np.diag(load_range.scale)
     rows = Rows.of(wrenches, wrenches @ Solver(bar).compliance.T)
     figures = measure(bar, rows, load_range, 3, 3, lambda *_: None)
-    figures |= {"summary": summary_of(figures), "advice": advice_of(figures)}
+    figures |= {"summary": summary_of(figures), **advice_of(figures)}
     reason = "On the coarse mesh 3 of 3 solves failed: 3 x mechanism (The interface can move"
     notes = {section.title: section.note for section in sections_of(figures)}
     assert reason in notes["Finite elements"]
@@ -142,7 +153,7 @@ def test_the_advice_says_within_the_tolerance_of_the_interpolation_error_alone(r
         table["lookup_error"]["p95"] = [1e-6] * 6
     figures["mesh_error"] = 0.01
     figures["tolerance"] = [1e-6] * 6  # the error of the mesh comes on top of it
-    assert advice_of(figures).endswith(
+    assert advice_of(figures)["advice"].endswith(
         "its mesh by 1 %; its interpolation error is within the tolerance: it needs no more rows."
     )
 
@@ -153,11 +164,19 @@ def test_the_advice_says_first_that_error_bars_were_too_small(report):
         table["beyond_error_bar"] = {"missed": 9, "of": 30}
         table["lookup_error"]["p95"] = [1e-6] * 6
     figures["mesh_error"], figures["tolerance"] = None, [1e-6] * 6
-    assert advice_of(figures).startswith(
+    assert advice_of(figures)["advice"].startswith(
         "The error bars of linear were too small for 9 of 30 answers"
     )
-    assert "few wrenches were compared: 5" in advice_of(figures)
-    assert "needs no more rows" not in advice_of(figures)
+    assert "few wrenches were compared: 5" in advice_of(figures)["advice"]
+    assert "needs no more rows" not in advice_of(figures)["advice"]
+
+
+def test_error_bars_that_hold_exactly_nine_tenths_of_the_errors_are_accepted(report):
+    """15 of 150 exceeded (1 - 0.9) * 150, which is 14.999999999999996."""
+    figures = deepcopy(report)
+    for table in figures["tables"]:
+        table["beyond_error_bar"] = {"missed": 15, "of": 150}
+    assert "too small" not in advice_of(figures)["advice"]
 
 
 def test_the_advice_does_not_call_rows_useless_that_improve_the_error_bars(report):
@@ -167,8 +186,8 @@ def test_the_advice_does_not_call_rows_useless_that_improve_the_error_bars(repor
         table["beyond_error_bar"] = {"missed": 9, "of": 30}
         table["largest_interpolation_error"] = 0.001
     figures["mesh_error"] = 0.01
-    assert "more rows lower no error, but improve the error bars" in advice_of(figures)
-    assert "change nothing" not in advice_of(figures)
+    assert "more rows lower no error, but improve the error bars" in advice_of(figures)["advice"]
+    assert "change nothing" not in advice_of(figures)["advice"]
 
 
 def test_the_covered_share_of_a_report_is_that_of_the_component_s_tolerance(bar):
@@ -193,14 +212,40 @@ def test_the_advice_of_a_table_without_error_bars_is_more_rows(report):
         table["beyond_error_bar"] = {"missed": 0, "of": 0}
         table["lookup_error"]["p95"] = [1e-6] * 6
     figures["mesh_error"], figures["tolerance"] = None, [1e-6] * 6
-    assert advice_of(figures).endswith("for error bars fill the table further.")
+    assert advice_of(figures)["advice"].endswith("for error bars fill the table further.")
+
+
+@pytest.mark.parametrize(
+    ("missed", "compared", "p95", "mesh", "result"),
+    [
+        (4, 30, 1e-7, None, (True, True)),
+        (4, 30, 1e-7, 0.5, (True, True)),
+        (1, 30, 1e-5, None, (False, True)),
+        (1, 30, 1e-7, None, (False, False)),
+        (1, 30, 1e-5, 0.5, (False, False)),
+        (0, 0, 1e-7, None, (False, True)),
+    ],
+)
+def test_a_report_says_whether_bars_are_too_small_and_rows_help(
+    report, missed, compared, p95, mesh, result
+):
+    figures = deepcopy(report)
+    for table in figures["tables"]:
+        table["beyond_error_bar"] = {"missed": missed, "of": compared}
+        table["lookup_error"]["p95"] = [p95] * 6
+        table["largest_interpolation_error"] = 0.01
+    figures["mesh_error"], figures["tolerance"] = mesh, [1e-6] * 6
+    advice = advice_of(figures)
+    assert (advice["bars_too_small"], advice["needs_rows"]) == result
+    words = "More rows help", "fill the table further"
+    assert any(word in advice["advice"] for word in words) == advice["needs_rows"]
 
 
 def test_the_advice_has_the_error_that_the_plots_show(report):
     figures = deepcopy(report)
     for table in figures["tables"]:
         table["largest_error"], table["largest_interpolation_error"] = 0.0043, 0.0054
-    assert "errs by 0.43 % of the range against the finest mesh" in advice_of(figures)
+    assert "errs by 0.43 % of the range against the finest mesh" in advice_of(figures)["advice"]
 
 
 def test_errors_are_rms_quantile_and_largest():

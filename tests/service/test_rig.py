@@ -118,6 +118,12 @@ def test_axes_written_with_three_digits_are_made_perpendicular():
     assert (rig.axes == 0).sum() == 4
 
 
+def test_a_refused_value_beyond_the_basic_plane_is_quoted():
+    """JSON's pair of surrogates was refused as no TOML."""
+    with pytest.raises(RigError, match="load_cell: must be moving or fixed, not '🦾'"):
+        Rig.read(rig_text("", "", "", "🦾"))
+
+
 @cases(__file__, "rigs")
 def test_a_rig_that_cannot_be_read_is_refused_with_what_to_write(case):
     with pytest.raises(RigError) as caught:

@@ -534,7 +534,7 @@ def test_8_kilobytes_of_gzipped_empty_rows_do_not_keep_a_reader_busy():
     assert len(content) < 9000
     table, report = read(content)
     assert len(table) == 0
-    assert report.mistakes.of_file  # nothing is loaded with partial=true either
+    assert report.mistakes.is_ruined  # nothing is loaded with partial=true either
     assert report.read < 60_000
     assert "reading stopped after more than 100,000" in report.mistakes.listed()[-1].message
 
@@ -548,7 +548,7 @@ def test_a_file_of_more_rows_than_may_be_is_read_no_further(form, monkeypatch):
         "hdf5": write_hdf5(_ROWS, [1, 2], TableMeta("rig", 2, LoadRange(-np.ones(6), np.ones(6)))),
     }[form]
     _, report = read(content)
-    assert report.mistakes.of_file
+    assert report.mistakes.is_ruined
     assert "has more than 1 rows" in report.mistakes.listed()[0].message
 
 

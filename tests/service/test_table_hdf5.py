@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from scipy.io import savemat
 
 from tests.service import table_files
 from tests.service.table_files import ReadTable, read_hdf5, write_hdf5
+from wrenchbook.surrogate.table.foreign import foreign_columns
 from wrenchbook.surrogate.table.hdf5 import TableFileError, foreign_tables
 from wrenchbook.surrogate.table.meta import TableMeta
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
@@ -341,6 +343,26 @@ def test_an_empty_cell_of_a_load_is_named(tmp_path: Path):
     result, messages = read_columns(path)
     assert result[0] == [-500.0, -1500.0]
     assert messages == ["is empty; write 0 for no load, split merged cells, or leave the row out"]
+
+
+@pytest.mark.parametrize(
+    ("levels", "says"),
+    [
+        (20, "has its columns below more than 8 groups; write them into one group"),
+        (1000, "has groups in more than 64 levels; write the data into fewer"),
+    ],
+)
+def test_deeply_nested_groups_are_refused_without_a_walk_to_each(tmp_path: Path, levels, says):
+    path = tmp_path / "deep.h5"
+    with h5py.File(path, "w") as file:
+        group = file
+        for _ in range(levels):
+            group = group.create_group("g")
+    start = time.process_time()
+    with pytest.raises(TableFileError) as refusal:
+        list(foreign_columns(path))
+    assert str(refusal.value) == says
+    assert time.process_time() - start < 1  # 1,000 levels took 5 s, 3,000 took 60
 
 
 def test_columns_in_several_groups_are_named(tmp_path: Path):

@@ -115,7 +115,7 @@ def test_a_table_of_another_space_is_refused_with_both(tmp_path, kind: str):
     other = LoadRange(-np.ones(13), np.ones(13), space_of(["base", "tip"], [WARM]))
     write(tmp_path / "table", kind, table_of(other.space), other)
     result = read(tmp_path / "table", LINK_RANGE)
-    assert result.report["whole"]
+    assert result.report["is_ruined"]
     assert "left.fx" in result.report["errors"][0]["message"]
 
 

@@ -150,6 +150,21 @@ def test_rows_that_contradict_each_other_are_listed_and_repeats_are_not() -> Non
     assert summary["repeated_wrenches"] == 2
 
 
+def test_repeated_readings_within_their_noise_contradict_nothing_and_a_wrong_one_does() -> None:
+    """Three cycles of a strut with a noise of 0.5 um listed all 41 wrenches as contradictions."""
+    force = np.round(300 * np.sin(2 * np.pi * np.arange(240) / 80), 2)
+    wrench, moved = np.zeros((240, 6)), np.full((240, 6), np.nan)
+    wrench[:, 2] = force
+    moved[:, 2] = force / 2e6 + np.random.default_rng(2).normal(0, 5e-7, 240)
+    strut = LoadRange(np.array([0, 0, -300.0, 0, 0, 0]), np.array([0, 0, 300.0, 0, 0, 0]))
+    summary = build(Rows.of(wrench, moved), strut).coverage_summary()
+    assert summary["repeated_wrenches"] > 30
+    assert summary["conflicts"] == []
+    moved[100, 2] += 1e-5
+    listed = build(Rows.of(wrench, moved), strut).coverage_summary()["conflicts"]
+    assert [101 in conflict["rows"] for conflict in listed] == [True]
+
+
 def test_gaps_name_the_corners_of_the_range_outside_the_hull() -> None:
     scaled = clean_wrenches(40, 1)
     whole = gaps_of(table(smooth, scaled), RANGE)

@@ -251,9 +251,11 @@ def _element_rows(keyword: Keyword, kind: str) -> list[list[int]]:
     starts = range(0, len(labels), 1 + n_nodes)
     for start in starts:
         if start + 1 + n_nodes not in ends:
+            name = keyword.option("TYPE")
+            note = "" if kind in NODES_PER_CELL else f"; {name} is no solid and is not solved"
             raise MeshFileError(
                 f"has element {labels[start] % STRIDE} without the {n_nodes} nodes of a {kind}; "
-                f"write {n_nodes} nodes in each row, or another TYPE"
+                f"write {n_nodes} nodes in each row, or another TYPE{note}"
             )
     return [labels[start : start + 1 + n_nodes] for start in starts]
 

@@ -315,13 +315,13 @@ def _read_rbe2(data: Bulk, name: str, fields: list[str]) -> None:
 
 def _read_rbe3(data: Bulk, name: str, fields: list[str]) -> None:
     """Read a mean element as a distributed coupling; with UM, which changes it, it is skipped."""
-    words = [text.upper() for text in fields]
-    if "ALPHA" in words:
+    capitals = [text.upper() for text in fields]
+    if "ALPHA" in capitals:
         data.skipped[f"expansion of {name}"] += 1
-        fields = fields[: words.index("ALPHA")]
+        fields = fields[: capitals.index("ALPHA")]
     starts = [i for i, text in enumerate(fields) if i > 3 and "." in text]
     is_partial = not all(set("123") <= set(fields[i + 1]) for i in starts)
-    if "UM" in words or is_partial or not starts:
+    if "UM" in capitals or is_partial or not starts:
         why = "of some freedoms only" if is_partial else "with UM, or without real weights"
         data.skipped[f"{name} {why}"] += 1
         return

@@ -87,9 +87,9 @@ def node_numbers(fields: list[str], grids: Collection[str]) -> list[str]:
     numbers: list[str] = []
     try:
         while fields:
-            words = [text.upper() for text in fields[:4]]
-            if words[1:2] == ["THRU"]:
-                has_step = words[3:] == ["BY"]
+            capitals = [text.upper() for text in fields[:4]]
+            if capitals[1:2] == ["THRU"]:
+                has_step = capitals[3:] == ["BY"]
                 step = whole(fields[4]) if has_step else 1
                 first, last = whole(fields[0]), whole(fields[2])
                 if first > last:
@@ -143,14 +143,24 @@ class Bulk(Translated):
     springs: dict[str, tuple[str, list[str]]] = field(default_factory=dict)
 
     def index(self, name: str, fields: list[str]) -> None:
-        """Store a GRID or coordinate systems by number."""
+        """Store a GRID or coordinate systems by number.
+
+        Raises MeshFileError if an earlier card has the number of a node of other axes, or of the
+        second system of a card. Readers of the cards refuse other positions and first systems.
+        """
+        number = fields[0]
         if name == "GRID":
             for i in (1, CD, 6):  # coordinate systems, supports
                 fields[i] = fields[i] or self.defaults[i]
-            self.grids[fields[0]] = fields
+            if self.grids.setdefault(number, fields)[CD] != fields[CD]:
+                again = "is defined again with another CD; renumber one of the two"
+                raise MeshFileError(f"{name} {number} {again}")
         elif name in SYSTEMS:
-            self.cards.setdefault(fields[0], (name, fields))
+            self.cards.setdefault(number, (name, fields))
             if name[4] == "1" and fields[4]:
+                if fields[4] in self.cards:
+                    again = "is defined again; renumber one of the two"
+                    raise MeshFileError(f"{name} {fields[4]} {again}")
                 self.cards[fields[4]] = name, fields[4:]
 
     def system(self, number: str) -> _System:

@@ -48,7 +48,11 @@ def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None
     """Add springs, joined if they connect the same couplings; note unusable ones in the reader."""
     remaining = dict(reader.springs)
     joined: dict[tuple[int, ...], tuple[Keyword, np.ndarray]] = {}  # by the indices of couplings
-    held = _held_freedoms(reader, step)
+    # Freedoms of each node of a spring that the step holds.
+    held = {node: set[int]() for _, nodes in reader.springs.values() for node in nodes}
+    for motion in step.motions.rows if held else ():
+        for node in held.keys() & motion.labels:
+            held[node] |= motion.freedoms
     for keyword in reader.spring_sections:
         try:
             labels = _labels(reader, deck, keyword, remaining)
@@ -75,16 +79,6 @@ def join_springs(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None
         else:
             coupled = tuple(case.couplings[number] for number in ends)
             case.springs.append(DeckSpring(keyword.where, coupled, stiffness))
-
-
-def _held_freedoms(reader: Reader, step: Step) -> dict[int, set[int]]:
-    """Return the freedoms of each node of a spring that a step holds."""
-    held = {node: set[int]() for _, nodes in reader.springs.values() for node in nodes}
-    if held:
-        for motion in step.motions.rows:
-            for node in held.keys() & motion.labels:
-                held[node] |= motion.freedoms
-    return held
 
 
 def _labels(

@@ -12,7 +12,7 @@ from ..replies import Displacement
 from ..wrenches import Vector
 from .coupling import REMEDY, Relaxation, Scale, spectral_radius
 
-HALVINGS = 6  # attempts with a Newton step, each with half of the last: from the whole to 1/32
+ATTEMPTS = 6  # with a Newton step, each with half of the last: from the whole to 1/32
 RUNAWAY = 6  # residuals in a row that grow in the same direction: no equilibrium ahead
 STEP = 1.0  # tolerances: motion of a scene for its stiffness by differences
 STEP_WITHOUT_TOLERANCE = 1e-9  # m or rad: the same, and a tolerance, before answers give one
@@ -35,7 +35,7 @@ class Settled:
     residuals : tuple of float
         How far pose and answer were apart, in tolerances, answer by answer.
     spectral_radius : float or None
-        G of compliance times the scene's stiffness, where Newton has seen both.
+        Spectral radius of compliance times stiffness at the last Newton step; None without one.
     """
 
     R: Vector
@@ -76,7 +76,10 @@ class Loop:
     residuals: list[float] = field(default_factory=list)  # in tolerances
 
     def measure(self, residual: Vector) -> Vector:
-        """Return a residual (6,), m and rad, in tolerances; without one in the step without one."""
+        """Return a residual (6,), m and rad, in tolerances.
+
+        Outputs without a tolerance are measured in `STEP_WITHOUT_TOLERANCE`.
+        """
         without = self.scale.tolerance == 0.0  # all answers so far are 0, which settles nothing
         return self.scale.measure(residual) + without * residual / STEP_WITHOUT_TOLERANCE
 
@@ -192,7 +195,7 @@ def by_newton(
 
         fraction = 1.0  # the part of the step that leads nearer
         before = state
-        for _ in range(HALVINGS):
+        for _ in range(ATTEMPTS):
             state = loop.evaluate(before.displacement + fraction * step)
             if state.size < loop.size(before.residual) or state.size <= loop.accuracy:
                 break

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
-from collections import Counter
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Annotated, Any, get_origin
 from urllib.parse import urlencode
@@ -15,7 +13,7 @@ from fastapi.routing import APIRoute
 from pydantic import AliasChoices
 from starlette.responses import Response
 
-from wrenchbook.service.http.problems import MAX_PLACE, REPEATED, bad_body
+from wrenchbook.service.http.body import query_options
 from wrenchbook.service.messages import Message
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
@@ -53,36 +51,18 @@ class DirectRoute(APIRoute):
 
 
 async def check_query(request: Request) -> None:
-    """Refuse unknown and repeated query parameters: a misspelt filter would select everything."""
-    counts = Counter(name for name, _ in request.query_params.multi_items())
-    if not counts:
+    """Refuse unknown and repeated query parameters of a call whose parameters FastAPI reads."""
+    if not request.query_params:
         return
-    known = _query_parameters(request.scope["route"])
-    errors = []
-    for name, count in counts.items():
-        place = name[:MAX_PLACE]
-        if name not in known:
-            # Of the first one: each comparison with all known names takes 0.3 ms.
-            near = [] if errors else difflib.get_close_matches(place, known, n=1)
-            meant = f"; did you mean {near[0]}?" if near else "."
-            all_known = f"Known: {', '.join(known)}" if known else "This call has no parameters"
-            errors.append({"loc": place, "msg": f"is unknown{meant} {all_known}"})
-        elif count > 1 and not known[name]:
-            errors.append({"loc": place, "msg": REPEATED})
-    if errors:
-        raise bad_body(errors)
-
-
-def _query_parameters(route: APIRoute) -> dict[str, bool]:
-    """Return the names of a call's query parameters, and whether each is a list."""
-    names = {}
-    for field in get_flat_params(route.dependant):
+    known, lists = list[str](), list[str]()
+    for field in get_flat_params(request.scope["route"].dependant):
         info = field.field_info
         if not isinstance(info, params.Path | params.Header | params.Cookie):
             alias = info.validation_alias
-            aliases = alias.choices if isinstance(alias, AliasChoices) else [field.alias]
-            names |= dict.fromkeys(aliases, get_origin(info.annotation) is list)
-    return names
+            names = [*map(str, alias.choices)] if isinstance(alias, AliasChoices) else [field.alias]
+            known += names
+            lists += names if get_origin(info.annotation) is list else ()
+    query_options(request.query_params, known, lists)
 
 
 def json_reply(

@@ -15,7 +15,7 @@ from wrenchbook.service.tables.rows import iso_time
 router = APIRouter(prefix="/v1/audit", tags=["audit"], responses=refused(422))
 
 
-@router.get("", summary="List writes, newest first, in pages; needs an admin key")
+@router.get("")
 def list_audit(
     workspace: Opened,
     response: Response,
@@ -27,6 +27,7 @@ def list_audit(
     limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
     after: Annotated[int | None, Query(ge=1, lt=2**63)] = None,
 ) -> dict[str, Any]:
+    """List writes, newest first, in pages; needs an admin key."""
     filters: dict[str, Any] = {"component": component, "actor": actor, "action": action}
     times = {"since": since, "until": until}
     ends: dict[str, Any] = {name: time and time.timestamp() for name, time in times.items()}

@@ -53,7 +53,6 @@ _BUNDLE = {
 
 @router.get(
     "",
-    summary="List components by name, in pages",
     response_description="components, unreadable components, and the URL of the next page or null",
     responses=refused(422),
 )
@@ -65,6 +64,7 @@ def list_components(
     limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
     after: Annotated[str | None, Query(max_length=300)] = None,
 ) -> dict[str, Any]:
+    """List components by name, in pages."""
     searched = q.casefold().split()
     components = []
     for name in workspace.library.names():
@@ -89,13 +89,9 @@ def list_components(
     }
 
 
-@router.get(
-    "/{name}",
-    summary="Show a component: contract, load range, rows, coverage",
-    response_description="the component",
-    responses=refused(404, 422),
-)
+@router.get("/{name}", response_description="the component", responses=refused(404, 422))
 async def get_component(name: str, workspace: Opened, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
+    """Show a component: contract, load range, rows, coverage."""
     await workspace.newest(name, wait_s)
     return await run_in_threadpool(component_body, workspace, workspace.library[name])
 
@@ -103,13 +99,13 @@ async def get_component(name: str, workspace: Opened, wait_s: WaitSeconds = 0.0)
 @router.post(
     "",
     status_code=201,
-    summary="Add a component from a zip bundle, or a table-only component from JSON",
     responses=answers(dict[str, Any], "the added component", 201)
     | answers(dict[str, Any], "with `faces=true`: the faces of the mesh")
     | refused(409, 422),
     openapi_extra=takes(TableOnlyComponent, {"multipart/form-data": {"schema": _BUNDLE}}),
 )
 async def add_component(request: Request, workspace: Opened, faces: bool = False) -> Response:
+    """Add a component from a zip bundle, or a table-only component from JSON."""
     kind = content_type(request)
     if kind == "multipart/form-data":
         # The archive may be as large as a bundle, and the form adds its head.
@@ -149,12 +145,12 @@ async def add_component(request: Request, workspace: Opened, faces: bool = False
 
 @router.post(
     "/{name}/fill",
-    summary="Queue the solves that lower the table's error the most",
     responses=answers(Queued, "the interpolation error is within the tolerance")
     | answers(Queued, "solves are queued", 202)
     | refused(404, 409, 422, 429),
 )
 def fill(name: str, workspace: Opened, order: FillBody) -> Response:
+    """Queue the solves that lower the table's error the most."""
     began = time.time()
     component = workspace.library[name]
     is_part = order.range is not None or order.outputs is not None
@@ -226,7 +222,7 @@ def _warnings(
 
 def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
     """Return the facts of a component that a list shows."""
-    table = workspace.tables.present_or_empty(component.name)
+    table = workspace.tables.surrogate(component.name, or_empty=True)
     space, limit = component.space, component.tolerance
     card = workspace.catalogue[component.name]
     solved = table.sources.get("fea", 0)

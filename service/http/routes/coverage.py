@@ -54,12 +54,9 @@ class Compliance(Message):
     checks: dict[str, Any]
 
 
-@router.get(
-    "/coverage",
-    summary="Hull and gaps of each axis, and contradictory rows",
-    responses=answers(dict[str, Any], "hull, gaps and contradictory rows"),
-)
+@router.get("/coverage", responses=answers(dict[str, Any], "hull, gaps and contradictory rows"))
 def coverage(name: str, table: Newest) -> Response:
+    """Hull and gaps of each axis, and contradictory rows."""
     gaps = table.packed.meta["gaps"]
     if not table.load_range.space.is_default:
         gaps = []  # a table of other inputs than the six of one interface has no axes
@@ -68,12 +65,9 @@ def coverage(name: str, table: Newest) -> Response:
     return json_reply({"component": name, **table.summary, "gaps": gaps})
 
 
-@router.get(
-    "/compliance",
-    summary="Compliance at zero load, mean compliance over the load range, and physics checks",
-    response_model=Compliance,
-)
+@router.get("/compliance", response_model=Compliance)
 def compliance(name: str, table: Newest) -> Response:
+    """Compliance at zero load, mean compliance over the load range, and physics checks."""
     fit = table.fit
     tangent = table.packed.tangent_at_zero()
     space = table.load_range.space
@@ -98,10 +92,9 @@ def compliance(name: str, table: Newest) -> Response:
     )
 
 
-@router.get(
-    "/glance", summary="Covered, thin and outside fractions of the load range, and error bars"
-)
+@router.get("/glance")
 def glance(name: str, workspace: Opened) -> Response:
+    """Covered, thin and outside fractions of the load range, and error bars."""
     table = workspace.tables.surrogate(name)
     span = table.load_range
     outputs = len(span.space.outputs)
@@ -166,13 +159,15 @@ def _grid(span: LoadRange, axis: LoadAxis) -> Floats:
     return wrenches
 
 
-@router.get("/surface", summary="Undeformed surface for a picture, at most 2000 vertices")
+@router.get("/surface")
 def surface(name: str, workspace: Opened) -> Response:
+    """Undeformed surface for a picture, at most 2000 vertices."""
     return json_reply({"component": name, **surface_of(*_meshed(workspace, name))})
 
 
-@router.get("/faces", summary="Numbered faces of the mesh with their TOML, and a plotly figure")
+@router.get("/faces")
 def faces(name: str, workspace: Opened) -> Response:
+    """Numbered faces of the mesh with their TOML, and a plotly figure."""
     folder, fingerprint = _meshed(workspace, name)
     try:
         return Response(known_faces_of(folder, fingerprint), media_type="application/json")
@@ -189,9 +184,7 @@ def _meshed(workspace: Workspace, name: str) -> tuple[Path, str]:
     return component.folder, component.fingerprint
 
 
-@router.get(
-    "/drawing", summary="Rows for a plot, and the coverage of a grid", responses=refused(409)
-)
+@router.get("/drawing", responses=refused(409))
 def drawing(
     name: str,
     table: Newest,
@@ -199,6 +192,7 @@ def drawing(
     along: Load | None = None,
     most: Annotated[int, Query(ge=1, le=MAX_ROWS)] = 2_000,
 ) -> Response:
+    """Rows for a plot, and the coverage of a grid."""
     require_single_wrench(name, table.load_range.space)
     rows = table.rows
     drawn = next((known for known in AXES if known.name == axis), None)
@@ -239,9 +233,7 @@ def _spread(positions: Positions, count: int) -> Positions:
     return positions[np.linspace(0, len(positions) - 1, count).astype(np.intp)]
 
 
-@router.get(
-    "/response", summary="Displacement along one load, with error bars", responses=refused(409)
-)
+@router.get("/response", responses=refused(409))
 def response(
     name: str,
     table: Newest,
@@ -254,6 +246,7 @@ def response(
     mz: Number = 0.0,
     points: Annotated[int, Query(ge=2, le=501)] = 121,
 ) -> Response:
+    """Displacement along one load, with error bars."""
     require_single_wrench(name, table.load_range.space)
     low, high = _ends(table.load_range)
     wrenches = np.repeat([[fx, fy, fz, mx, my, mz]], points, axis=0)

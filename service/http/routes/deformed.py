@@ -30,7 +30,6 @@ _FILES = {  # by format: the writer, the media type, the ending of the name
 
 @router.get(
     "/deformed",
-    summary="Deformed surface and largest stress under a wrench",
     responses=answers(
         DeformedShape,
         "surface and displacement; see `coverage` outside the load range or with too few rows",
@@ -49,6 +48,7 @@ async def deformed(
     mz: _Number = 0.0,
     format: Literal["json", "gltf", "vtu"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
+    """Deformed surface and largest stress under a wrench."""
     require_single_wrench(name, workspace.library.as_read(name).space)
     loads = np.array([fx, fy, fz, mx, my, mz])
     # In its own small pool of threads: it reads files and multiplies large arrays.

@@ -22,7 +22,6 @@ from wrenchbook.service.http.body import (
     query_options,
     read_limited,
     read_query,
-    refuse_query,
     spooled,
 )
 from wrenchbook.service.http.openapi import answers, component_router, refused, takes
@@ -74,18 +73,14 @@ def _permitted(permission: Permission, read: Callable[[], Read]) -> Read:
     return result
 
 
-@router.post(
-    "/displacement",
-    summary="Displacement under one wrench",
-    responses=_ONE,
-    openapi_extra=takes(DisplacementBody),
-)
+@router.post("/displacement", responses=_ONE, openapi_extra=takes(DisplacementBody))
 async def displacement(name: str, request: Request) -> Response:
+    """Displacement under one wrench."""
     workspace: Workspace = request.app.state.workspace
     query, outcome = request.scope.get(ANSWERED, (None, None))
     if query is None:
         body = await read_limited(request.receive)
-        refuse_query(request.query_params)
+        query_options(request.query_params, ())
         space = workspace.library.as_read(name).space
         query = _permitted(permission_of(request.scope), lambda: read_query(body, space))
     outcome = await answer_or_submit(workspace, name, query, outcome)
@@ -96,18 +91,17 @@ async def displacement(name: str, request: Request) -> Response:
 
 @router.post(
     "/displacements",
-    summary="Displacements under many wrenches",
     responses=_MANY,
     openapi_extra=takes(BatchBody, batch.BINARY_BODY, batch.BinaryOptions),
 )
 async def displacements(name: str, request: Request) -> Response:
+    """Displacements under many wrenches."""
     workspace: Workspace = request.app.state.workspace
     binary = batch.is_binary(request)
     permission = permission_of(request.scope)
     space = workspace.library.as_read(name).space
-    options = query_options(request.query_params) if binary else {}
-    if not binary:
-        refuse_query(request.query_params)
+    known = batch.BinaryOptions.model_fields if binary else ()
+    options = query_options(request.query_params, known)
 
     def read(body: Spooled) -> tuple[Floats, Query]:
         if binary:
@@ -127,16 +121,12 @@ async def displacements(name: str, request: Request) -> Response:
             return batch.HoldingReply(reply, held.pop_all())
 
 
-@router.post(
-    "/solve",
-    summary="DirectFEA: solve this wrench, covered or not",
-    responses=_ONE,
-    openapi_extra=takes(SolveBody),
-)
+@router.post("/solve", responses=_ONE, openapi_extra=takes(SolveBody))
 async def solve(name: str, request: Request) -> Response:
+    """DirectFEA: solve this wrench, covered or not."""
     workspace: Workspace = request.app.state.workspace
     content = await read_limited(request.receive)
-    refuse_query(request.query_params)
+    query_options(request.query_params, ())
     space = workspace.library.as_read(name).space
     body: SolveBody = checked(SolveBody, parsed_json(content))
     query = Query(loads_of(body, space), "solve", body.wait_s, beyond_range=body.beyond_range)

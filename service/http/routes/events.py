@@ -30,7 +30,6 @@ HEADERS: Mapping[str, str] = {
 
 @router.get(
     "",
-    summary="Server-sent events",
     response_class=Response,
     responses={
         200: {
@@ -45,6 +44,7 @@ async def events(
     component: str | None = None,
     last_event_id: Annotated[str | None, Header(max_length=64)] = None,
 ) -> Response:
+    """Server-sent events."""
     watched: Events = request.app.state.events
     if component is not None:
         workspace.library[component]  # raises UnknownComponentError: 404

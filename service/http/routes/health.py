@@ -21,21 +21,20 @@ router = APIRouter(tags=["health"])
 TableState = Literal["ready", "building", "degraded", "broken"]
 
 
-@router.get(
-    "/health/live", summary="Liveness of the server; needs no key", openapi_extra={"security": []}
-)
+@router.get("/health/live", openapi_extra={"security": []})
 async def live() -> dict[str, str]:
+    """Liveness of the server; needs no key."""
     return {"status": "live"}
 
 
 @router.get(
     "/health/ready",
-    summary="Readiness of jobs and tables",
     responses=answers(dict[str, Any], "ready, degraded, or tables are being built")
     | answers(dict[str, Any], "not ready; see faults", 503)
     | refused(404, 422),
 )
 def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
+    """Readiness of jobs and tables."""
     faults = workspace.faults()
     names = set(workspace.library.names())
     rows = {
@@ -97,10 +96,10 @@ def table_states(workspace: Workspace, pending: Mapping[str, int]) -> dict[str, 
 
 @router.get(
     "/metrics",
-    summary="Counts and states for Prometheus",
     response_class=PlainTextResponse,
     response_description="metrics in Prometheus' text form",
 )
 def metrics(request: Request) -> Response:
+    """Show counts and states for Prometheus."""
     metrics: Metrics = request.app.state.metrics
     return Response(metrics.text(), media_type=CONTENT_TYPE_LATEST)

@@ -100,7 +100,7 @@ def job_body(
     return body
 
 
-@router.get("", summary="List jobs, newest first, in pages")
+@router.get("")
 def list_jobs(
     workspace: Opened,
     response: Response,
@@ -110,6 +110,7 @@ def list_jobs(
     limit: Annotated[int, Query(ge=1, le=100_000)] = 1000,
     after: Annotated[int | None, Query(ge=1, lt=2**63)] = None,
 ) -> dict[str, Any]:
+    """List jobs, newest first, in pages."""
     _check_known(workspace, component)
     jobs = workspace.ledger.jobs(component, status, limit + 1, below=after, actor=actor)
     next_url = None
@@ -122,8 +123,9 @@ def list_jobs(
     return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": next_url}
 
 
-@router.get("/{job_id}", summary="Show a job, or wait for its end")
+@router.get("/{job_id}")
 async def get_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -> dict[str, Any]:
+    """Show a job, or wait for its end."""
     (job,) = await workspace.polls.wait_all([job_id], wait_s)
 
     def body() -> dict[str, Any]:
@@ -142,7 +144,6 @@ async def get_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -
 
 @router.delete(
     "",
-    summary="Cancel all waiting or running jobs of the caller",
     responses={
         200: {"model": dict[Literal["cancelled"], int], "description": "number of cancelled jobs"}
     },
@@ -152,44 +153,38 @@ def cancel_jobs(
     component: str | None = None,
     status: Literal["waiting", "running"] = "waiting",
 ) -> dict[str, Any]:
+    """Cancel all waiting or running jobs of the caller."""
     _check_known(workspace, component)
     return {"cancelled": workspace.ledger.cancel_many(component, status)}
 
 
-@router.delete(
-    "/{job_id}",
-    summary="Cancel a job of the caller; with an admin key, any job",
-    responses=refused(409),
-)
+@router.delete("/{job_id}", responses=refused(409))
 def cancel_job(job_id: JobId, workspace: Opened) -> dict[str, Any]:
+    """Cancel a job of the caller; with an admin key, any job."""
     return job_body(workspace, workspace.ledger.cancel(job_id))
 
 
-@router.post(
-    "/{job_id}/retry", summary="Queue a failed or cancelled job again", responses=refused(409, 429)
-)
+@router.post("/{job_id}/retry", responses=refused(409, 429))
 def retry_job(job_id: JobId, workspace: Opened) -> dict[str, Any]:
+    """Queue a failed or cancelled job again."""
     return job_body(workspace, workspace.ledger.retry(job_id, workspace.quota))
 
 
 @router.get(
     "/{job_id}/files",
-    summary="Download the files of the last attempt as a zip",
     response_class=Response,
     responses={200: {"description": "the attempt's folder", "content": {"application/zip": BYTES}}},
 )
 def get_job_files(job_id: JobId, workspace: Opened) -> Response:
+    """Download the files of the last attempt as a zip."""
     folder = _attempt_files(workspace, workspace.ledger.job(job_id))
     headers = attached(f"job-{job_id}.zip")
     return StreamingResponse(pieces_of(zipped(folder)), 200, headers, "application/zip")
 
 
-@router.get(
-    "/{job_id}/log",
-    summary="Show the end of the last attempt's log",
-    response_class=PlainTextResponse,
-)
+@router.get("/{job_id}/log", response_class=PlainTextResponse)
 def get_job_log(job_id: JobId, workspace: Opened) -> Response:
+    """Show the end of the last attempt's log."""
     job = workspace.ledger.job(job_id)
     path = _attempt_files(workspace, job) / LOG
     if path.is_symlink() or not path.is_file():  # a deck's command may have made a link there

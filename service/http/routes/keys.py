@@ -51,18 +51,19 @@ class RotateBody(Body):
     overlap_hours: Annotated[float, Field(strict=True, ge=0, le=8760)] = OVERLAP_HOURS
 
 
-@router.get("", summary="List keys without their secrets; needs an admin key")
+@router.get("")
 def list_keys(request: Request) -> dict[str, Any]:
+    """List keys without their secrets; needs an admin key."""
     return {"keys": _keyring(request).public()}
 
 
 @router.post(
     "",
     status_code=201,
-    summary="Create a key; the reply has the only copy of its secret",
     responses=answers(dict[str, Any], "name, scope, and the secret as `key`", 201) | refused(422),
 )
 def add_key(request: Request, workspace: Opened, body: KeyBody) -> Response:
+    """Create a key; the reply has the only copy of its secret."""
     keyring = _keyring(request)
     fields = body.model_dump()
     with noted(workspace.ledger, "key.add", body.name, after=fields):
@@ -73,10 +74,10 @@ def add_key(request: Request, workspace: Opened, body: KeyBody) -> Response:
 @router.post(
     "/{name}/rotate",
     status_code=201,
-    summary="Replace the secret of a key; the reply has the only copy",
     responses=answers(dict[str, Any], "name, and the new secret as `key`", 201) | refused(404, 422),
 )
 def rotate_key(name: str, request: Request, workspace: Opened, body: RotateBody) -> Response:
+    """Replace the secret of a key; the reply has the only copy."""
     keyring = _keyring(request)
     after = body.model_dump()
     with noted(workspace.ledger, "key.rotate", name, after=after):
@@ -84,8 +85,9 @@ def rotate_key(name: str, request: Request, workspace: Opened, body: RotateBody)
     return json_reply({"name": name, "key": secret, **after}, 201)
 
 
-@router.delete("/{name}", summary="Revoke a key", responses=refused(404, 409, 422))
+@router.delete("/{name}", responses=refused(404, 409, 422))
 def revoke_key(name: str, request: Request, workspace: Opened) -> dict[str, Any]:
+    """Revoke a key."""
     keyring = _keyring(request)
     is_last = [key.name for key in keyring.listed()] == [name]
     if is_last and not request.app.state.access.always_needs_keys:

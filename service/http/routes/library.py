@@ -36,7 +36,6 @@ from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.findings.cycles import measured_stiffness
-from wrenchbook.surrogate.table.rows import Rows
 
 router = component_router("library", route=JsonRoute)
 ImportId = Annotated[int, Path(ge=1, lt=2**63)]
@@ -108,50 +107,47 @@ ImportEdited = TypedDict(
 
 
 @router.post(
-    "/copy",
-    status_code=201,
-    summary="Copy a component, with or without its rows",
-    responses=answers(dict[str, Any], "the copy", 201) | refused(409),
+    "/copy", status_code=201, responses=answers(dict[str, Any], "the copy", 201) | refused(409)
 )
 def copy_component(name: str, request: Request, body: CopyBody) -> Response:
+    """Copy a component, with or without its rows."""
     return _copied(request, name, body)
 
 
 @router.post(
     "/rename",
     status_code=201,
-    summary="Rename: copy under another name and archive the original",
     responses=answers(dict[str, Any], "the copy; the original is archived", 201) | refused(409),
 )
 def rename_component(name: str, request: Request, body: RenameBody) -> Response:
+    """Rename: copy under another name and archive the original."""
     return _copied(request, name, CopyBody(name=body.name), renamed=True)
 
 
-@router.post("/archive", summary="Archive a component", response_model=Card)
+@router.post("/archive", response_model=Card)
 def archive_component(name: str, request: Request) -> Response:
+    """Archive a component."""
     return _put(request, name, archived=True)
 
 
-@router.post("/unarchive", summary="Unarchive a component", response_model=Card)
+@router.post("/unarchive", response_model=Card)
 def unarchive_component(name: str, request: Request) -> Response:
+    """Unarchive a component."""
     return _put(request, name, archived=False)
 
 
-@router.put(
-    "/notes",
-    summary="Replace the notes of a component",
-    response_model=Card,
-    openapi_extra=takes(NotesBody),
-)
+@router.put("/notes", response_model=Card, openapi_extra=takes(NotesBody))
 async def write_notes(name: str, request: Request) -> Response:
+    """Replace the notes of a component."""
     text = read_body(NotesBody, await read_limited(request.receive, MAX_NOTES_BYTES)).text
     if problem := text_problem(text):
         raise bad_body([{"loc": "text", "msg": problem}])
     return await run_in_threadpool(_put, request, name, notes=text)
 
 
-@router.get("/imports", summary="List imports, newest first", response_model=Imports)
+@router.get("/imports", response_model=Imports)
 def list_imports(name: str, workspace: Opened) -> Response:
+    """List imports, newest first."""
     records = workspace.ledger.imports(workspace.library[name].name)
     versions = {span.record.id: span.last for span in workspace.ledger.import_spans(name)}
     findings: list[Any] = workspace.ledger.findings(name)
@@ -173,34 +169,25 @@ def list_imports(name: str, workspace: Opened) -> Response:
     )
 
 
-@router.delete(
-    "/imports/{number}",
-    summary="Withdraw an import's rows, or the rows of one finding",
-    response_model=ImportEdited,
-)
+@router.delete("/imports/{number}", response_model=ImportEdited)
 def withdraw_import(
     name: str, number: ImportId, workspace: Opened, finding: Finding = None
 ) -> Response:
+    """Withdraw an import's rows, or the rows of one finding."""
     return _edited(workspace, name, number, finding, withdrawn=True)
 
 
-@router.post(
-    "/imports/{number}/restore",
-    summary="Restore an import's withdrawn rows, or the rows of one finding",
-    response_model=ImportEdited,
-)
+@router.post("/imports/{number}/restore", response_model=ImportEdited)
 def restore_import(
     name: str, number: ImportId, workspace: Opened, finding: Finding = None
 ) -> Response:
+    """Restore an import's withdrawn rows, or the rows of one finding."""
     return _edited(workspace, name, number, finding, withdrawn=False)
 
 
-@router.get(
-    "/disagreement",
-    summary="List measured rows that disagree with the solved rows",
-    response_model=Disagreement,
-)
+@router.get("/disagreement", response_model=Disagreement)
 def list_disagreements(name: str, workspace: Opened) -> Response:
+    """List measured rows that disagree with the solved rows."""
     component = workspace.library[name]
     table = workspace.tables.caught_up(name, CATCH_UP_S)
     return json_reply(disagreement(component, table.rows, table.version, table.solver_error))
@@ -208,7 +195,6 @@ def list_disagreements(name: str, workspace: Opened) -> Response:
 
 @router.get(
     "/comparison",
-    summary="Compare measured rows with solved rows or with another import",
     response_class=Response,
     responses=answers(
         Comparison,
@@ -224,6 +210,7 @@ async def get_comparison(
     against: Annotated[int | None, Query(ge=1, lt=2**63)] = None,
     format: Literal["json", "csv"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
+    """Compare measured rows with solved rows or with another import."""
     table = await workspace.newest(name, CATCH_UP_S)
     async with workspace.comparison_lock:
         return await run_in_threadpool(_compared, workspace, name, table, number, against, format)
@@ -250,7 +237,7 @@ def _compared(
     return json_reply(reply)
 
 
-@router.get("/stiffness", summary="Stiffness and play of measured rows between two loads")
+@router.get("/stiffness")
 def get_stiffness(
     name: str,
     workspace: Opened,
@@ -259,13 +246,20 @@ def get_stiffness(
     of: str = "",
     number: Annotated[int | None, Query(alias="import", ge=1, lt=2**63)] = None,
 ) -> Response:
+    """Stiffness and play of measured rows between two loads."""
     component = workspace.library[name]
     table = workspace.tables.caught_up(name, CATCH_UP_S)
     rows, space, span = table.rows, component.space, component.load_range
     loads = [item.name for item in space.inputs if item.kind != "scalar"]
     ends = _two_loads(between)
     if number is not None:
-        rows = _rows_of_import(workspace, name, rows, number)
+        spans = workspace.ledger.import_spans(name)
+        if all(span.record.id != number for span in spans):
+            raise UnknownImportError(
+                f"{name!r} has no import {number} with rows; list its imports with GET "
+                f"/v1/components/{name}/imports"
+            )
+        rows = rows.take(import_numbers(spans, rows.seq) == number)
     # By default the load that these rows vary most, relative to its range.
     varied = np.ptp(rows.wrench, axis=0) / span.scale if len(rows) else span.scale
     axis = axis or loads[int(np.argmax(varied[: len(loads)]))]
@@ -287,17 +281,6 @@ def get_stiffness(
     return json_reply(reply | measured_stiffness(rows, span, ends, load, output))
 
 
-def _rows_of_import(workspace: Workspace, name: str, rows: Rows, number: int) -> Rows:
-    """Return the rows of a component's import; raises UnknownImportError if it has none."""
-    spans = workspace.ledger.import_spans(name)
-    if all(span.record.id != number for span in spans):
-        raise UnknownImportError(
-            f"{name!r} has no import {number} with rows; list its imports with GET "
-            f"/v1/components/{name}/imports"
-        )
-    return rows.take(import_numbers(spans, rows.seq) == number)
-
-
 def _two_loads(between: str) -> tuple[float, float]:
     """Return the two different loads of `between`, N or N·m; 422 if they are no such numbers."""
     try:
@@ -310,14 +293,16 @@ def _two_loads(between: str) -> tuple[float, float]:
     raise bad_body([{"loc": "between", "msg": why}])
 
 
-@router.get("/demand", summary="Demand map of queries that were not covered", response_model=Demand)
+@router.get("/demand", response_model=Demand)
 def demand(name: str, workspace: Opened) -> Response:
+    """Demand map of queries that were not covered."""
     counts = workspace.query_counts.map_of(name, workspace.library[name].load_range)
     return json_reply(Demand(component=name, **counts))
 
 
-@router.delete("/demand", summary="Clear the demand map")
+@router.delete("/demand")
 def forget_demand(name: str, workspace: Opened) -> dict[str, Any]:
+    """Clear the demand map."""
     workspace.query_counts.forget(workspace.library[name].name)
     return {"component": name, "asked": 0}
 

@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
 from wrenchbook.service import messages
-from wrenchbook.service.contract import MAX_BLOCK
+from wrenchbook.service.contract import MAX_BLOCK, counted
 from wrenchbook.service.http.batch import BINARY_BODY, is_binary, read_wrenches
 from wrenchbook.service.http.bodies import (
     BinaryBlock,
@@ -31,7 +31,6 @@ from wrenchbook.service.http.body import (
     parsed_json,
     query_options,
     read_limited,
-    refuse_query,
     with_wrenches,
 )
 from wrenchbook.service.http.openapi import answers, component_router, refused, takes
@@ -83,49 +82,43 @@ _QUEUED = answers(messages.Started, "solves are queued", 202) | refused(409, 429
 @blocks.post(
     "/recording",
     status_code=201,
-    summary="LM_direct: save wrenches for later",
     response_model=Recorded,
     responses=answers(Recorded, "the block was recorded before; nothing has changed"),
     openapi_extra=_BLOCK,
 )
 async def record(name: str, request: Request) -> Response:
+    """LM_direct: save wrenches for later."""
     wrenches, block = await _block(name, request)
     result = await run_in_threadpool(_store(request).record, name, wrenches, block)
     fields = _block_fields(name, len(wrenches), result)
     return json_reply(Recorded(**fields, **_counts(result.tally)), 200 if result.known else 201)
 
 
-@router.get("/recording", summary="Show the recording", response_model=messages.Recording)
+@router.get("/recording", response_model=messages.Recording)
 def get_recording(name: str, request: Request) -> Response:
+    """Show the recording."""
     recording = _store(request).recording(name)
     tally = recording.tally
     fields = {"reason": _thinning(tally), "wrenches": recording.wrenches, **_counts(tally)}
     return json_reply(messages.Recording(component=name, outside=tally.outside, **fields))
 
 
-@router.delete("/recording", summary="Clear the recording", response_model=Cleared)
+@router.delete("/recording", response_model=Cleared)
 def clear_recording(name: str, request: Request) -> Response:
+    """Clear the recording."""
     before = _store(request).clear(name, "recording")
     return json_reply(Cleared(component=name, cleared=before.offered))
 
 
-@router.post(
-    "/recording/start",
-    summary="LM_start: queue solves of recorded wrenches that are not covered",
-    response_model=messages.Started,
-    responses=_QUEUED,
-)
+@router.post("/recording/start", response_model=messages.Started, responses=_QUEUED)
 def solve_recording(name: str, request: Request, order: StartBody) -> Response:
+    """LM_start: queue solves of recorded wrenches that are not covered."""
     return _started(name, request, order, start_recording, _store(request))
 
 
-@blocks.post(
-    "/envelope",
-    summary="LM_max: widen the envelope by a block of wrenches",
-    response_model=Widened,
-    openapi_extra=_BLOCK,
-)
+@blocks.post("/envelope", response_model=Widened, openapi_extra=_BLOCK)
 async def widen_envelope(name: str, request: Request) -> Response:
+    """LM_max: widen the envelope by a block of wrenches."""
     wrenches, block = await _block(name, request)
     result = await run_in_threadpool(_store(request).widen, name, wrenches, block)
     envelope = await run_in_threadpool(_store(request).envelope, name)
@@ -133,14 +126,11 @@ async def widen_envelope(name: str, request: Request) -> Response:
     return json_reply(Widened(**fields, count=envelope.tally.offered, min=low, max=high))
 
 
-@router.get(
-    "/envelope",
-    summary="Show the envelope and a bound of its displacements",
-    response_model=messages.Envelope,
-)
+@router.get("/envelope", response_model=messages.Envelope)
 def get_envelope(
     name: str, request: Request, translation: Positive = None, rotation: Positive = None
 ) -> Response:
+    """Show the envelope and a bound of its displacements."""
     workspace: Workspace = request.app.state.workspace
     component = workspace.library[name]
     tolerance = both_tolerances(translation, rotation) or component.tolerance
@@ -167,29 +157,22 @@ def get_envelope(
     )
 
 
-@router.delete("/envelope", summary="Clear the envelope", response_model=Cleared)
+@router.delete("/envelope", response_model=Cleared)
 def clear_envelope(name: str, request: Request) -> Response:
+    """Clear the envelope."""
     before = _store(request).clear(name, "envelope")
     return json_reply(Cleared(component=name, cleared=before.offered))
 
 
-@router.post(
-    "/envelope/start",
-    summary="LM_start: queue solves of the envelope's extreme wrenches",
-    response_model=messages.Started,
-    responses=_QUEUED,
-)
+@router.post("/envelope/start", response_model=messages.Started, responses=_QUEUED)
 def solve_envelope(name: str, request: Request, order: EnvelopeStartBody) -> Response:
+    """LM_start: queue solves of the envelope's extreme wrenches."""
     return _started(name, request, order, start_envelope, _store(request))
 
 
-@router.post(
-    "/table/resolve",
-    summary="Queue solves of wrenches that only an earlier setup has solved",
-    response_model=messages.Started,
-    responses=_QUEUED,
-)
+@router.post("/table/resolve", response_model=messages.Started, responses=_QUEUED)
 def resolve_table(name: str, request: Request, order: StartBody) -> Response:
+    """Queue solves of wrenches that only an earlier setup has solved."""
     return _started(name, request, order, start_resolving)
 
 
@@ -202,12 +185,13 @@ async def _block(name: str, request: Request) -> tuple[Floats, tuple[str, int] |
     space = request.app.state.workspace.library.as_read(name).space
     limit = MAX_BLOCK * len(space.inputs) * NUMBER_BYTES
     body = await read_limited(request.receive, limit)
+    binary = is_binary(request)
+    options = query_options(request.query_params, BinaryBlock.model_fields if binary else ())
     key: BlockKey
-    if is_binary(request):
-        key = sent = checked(BinaryBlock, query_options(request.query_params))
-        wrenches = read_wrenches(body, sent.inputs, MAX_BLOCK, np.inf, space)
+    if binary:
+        key = sent = checked(BinaryBlock, options)
+        wrenches = read_wrenches(body, sent.inputs, space, MAX_BLOCK, np.inf)
     else:
-        refuse_query(request.query_params)
         fields = await run_in_threadpool(parsed_json, body)
         form = BlockBody, fields, len(space.inputs), np.inf, MAX_BLOCK
         wrenches, key = await run_in_threadpool(with_wrenches, *form)
@@ -253,7 +237,7 @@ def _thinning(tally: Tally) -> str:
     near = f"each differs by at most {tally.within:.2g} of the load range from one kept"
     if tally.within_outside > NEAR:
         near += f", or, outside the range, by {tally.within_outside:.2g} of itself"
-    return f"{tally.thinned} wrenches were thinned out: {near}"
+    return f"thinned out: {counted(tally.thinned, 'wrench')}; {near}"
 
 
 def _started(

@@ -32,7 +32,6 @@ _IN_PROGRESS = answers(dict[str, Any], "state of the running report", 202)
 @router.post(
     "",
     status_code=202,
-    summary="Start a new report; it solves for minutes",
     responses=answers(dict[str, Any], "state of the finished report") | _IN_PROGRESS | refused(409),
 )
 def make_report(
@@ -41,6 +40,7 @@ def make_report(
     wrenches: Annotated[int, Query(ge=3, le=1000)] = 24,
     seed: Annotated[int, Query(ge=0)] = 1,
 ) -> Response:
+    """Start a new report; it solves for minutes."""
     component = workspace.library[name]
     if not component.has_fea:
         raise NoSetupError(
@@ -66,8 +66,9 @@ def make_report(
     return _state(workspace, name)
 
 
-@router.delete("", summary="Cancel a running report")
+@router.delete("")
 def cancel_report(name: str, workspace: Opened) -> Response:
+    """Cancel a running report."""
     _ = workspace.library[name]
     workspace.reports.cancel(name)
     return _state(workspace, name)
@@ -75,7 +76,6 @@ def cancel_report(name: str, workspace: Opened) -> Response:
 
 @router.get(
     "",
-    summary="Show the latest report; 202 while the first report is running",
     responses=answers(
         dict[str, Any], "the latest report", content={"text/markdown": TEXT, "text/html": TEXT}
     )
@@ -86,6 +86,7 @@ def get_report(
     workspace: Opened,
     format: Literal["json", "md", "html", "state"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
+    """Show the latest report; 202 while the first report is running."""
     _ = workspace.library[name]
     if format == "state":
         return _state(workspace, name)

@@ -25,8 +25,9 @@ _SENT = {"requestBody": {"required": True, "content": {"application/octet-stream
 _READ: Any = {200: {"description": "the stored profile, or else the program's", "content": _TOML}}
 
 
-@router.get("", summary="List rig profiles")
+@router.get("")
 def list_rigs(workspace: Opened) -> dict[str, list[dict[str, str]]]:
+    """List rig profiles."""
     rigs = []
     for name, (text, origin) in profiles(workspace.ledger).items():
         comment = text.partition("\n")[0].partition("#")[2]  # comment of the first line
@@ -34,13 +35,15 @@ def list_rigs(workspace: Opened) -> dict[str, list[dict[str, str]]]:
     return {"rigs": rigs}
 
 
-@router.get("/{name}", summary="Show a rig profile", response_class=Response, responses=_READ)
+@router.get("/{name}", response_class=Response, responses=_READ)
 def get_rig(name: RigName, workspace: Opened) -> Response:
+    """Show a rig profile."""
     return Response(rig_of(workspace.ledger, name), 200, None, "application/toml; charset=utf-8")
 
 
-@router.put("/{name}", summary="Store or replace a rig profile", openapi_extra=_SENT)
+@router.put("/{name}", openapi_extra=_SENT)
 async def put_rig(name: RigName, request: Request, workspace: Opened) -> dict[str, str]:
+    """Store or replace a rig profile."""
     content = await read_limited(request.receive, _UTF8 * MAX_RIG)
     text = content.decode("utf-8-sig", "replace")
     message = ""
@@ -56,7 +59,8 @@ async def put_rig(name: RigName, request: Request, workspace: Opened) -> dict[st
     return {"stored": name}
 
 
-@router.delete("/{name}", summary="Remove a stored rig profile", responses=refused(409))
+@router.delete("/{name}", responses=refused(409))
 def delete_rig(name: RigName, workspace: Opened) -> dict[str, str]:
+    """Remove a stored rig profile."""
     remove_rig(workspace.ledger, name)
     return {"removed": name}

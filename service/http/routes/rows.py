@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Any
 
 from fastapi import Path
+from starlette.responses import Response
 
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
 from wrenchbook.service.http.openapi import component_router, refused
-from wrenchbook.service.http.routes import Opened
+from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.ledger import ImportRecord, LedgerRow, UnknownRowError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.tables.rows import iso_time
@@ -22,18 +22,57 @@ RowId = Annotated[int, Path(ge=1, lt=2**63)]
 _EDITS = refused(s409="the row is already withdrawn, or already in the table")
 
 
-@router.get("", summary="Show a row and its provenance")
-def get_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
-    return row_body(workspace, workspace.library[name], row)
+@router.get("", response_model=dict[str, Any])
+def get_row(name: str, row: RowId, workspace: Opened) -> Response:
+    """Show a row and its provenance."""
+    component = workspace.library[name]
+    stored = workspace.ledger.row(row)
+    if stored.component != component.name:
+        raise UnknownRowError(
+            f"the table of {component.name!r} has no row {row}; GET /v1/components/"
+            f"{component.name}/table lists its rows"
+        )
+    loaded = workspace.ledger.import_of(row)
+    job = None if stored.job is None else workspace.ledger.job(stored.job)
+    fields = {
+        "row": stored.seq,
+        "wrench": list(stored.wrench),
+        "displacement": stored.displacement,
+        "uncertainty": stored.uncertainty or None,
+        "compliance": stored.compliance,
+        "curvature": stored.curvature,
+        "source": stored.source,
+        "withdrawn": workspace.ledger.is_withdrawn(row),
+        "provenance": {
+            "when": iso_time(stored.created),
+            "note": stored.origin,
+            "import": file_fields(loaded) if loaded else None,
+            "job": job
+            and {
+                "id": job.id,
+                "url": f"/v1/jobs/{job.id}",
+                "log": f"/v1/jobs/{job.id}/files",
+                "asked_by": job.asked_by,
+                "engine": job.engine,
+                "attempts": job.attempt,
+                "started": iso_time(job.started) if job.started else None,
+                "finished": iso_time(job.finished) if job.finished else None,
+            },
+            "setup": _setup(component, stored) if stored.fingerprint else None,
+        },
+    }
+    return json_reply(fields)
 
 
-@router.delete("", summary="Withdraw a row", responses=_EDITS)
+@router.delete("", responses=_EDITS)
 def withdraw_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
+    """Withdraw a row."""
     return _edited(workspace, name, row, withdrawn=True)
 
 
-@router.post("/restore", summary="Restore a withdrawn row", responses=_EDITS)
+@router.post("/restore", responses=_EDITS)
 def restore_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
+    """Restore a withdrawn row."""
     return _edited(workspace, name, row, withdrawn=False)
 
 
@@ -47,49 +86,6 @@ def _edited(workspace: Workspace, name: str, row: int, *, withdrawn: bool) -> di
         "table_version": workspace.tables.surrogate(name).version,
         "current": current,
     }
-
-
-def row_body(workspace: Workspace, component: Component, seq: int) -> dict[str, Any]:
-    """Return a component's row with its provenance; raises UnknownRowError if it has none."""
-    row = workspace.ledger.row(seq)
-    if row.component != component.name:
-        raise UnknownRowError(
-            f"the table of {component.name!r} has no row {seq}; GET /v1/components/"
-            f"{component.name}/table lists its rows"
-        )
-    loaded = workspace.ledger.import_of(seq)
-    job = None if row.job is None else workspace.ledger.job(row.job)
-    return {
-        "row": row.seq,
-        "wrench": list(row.wrench),
-        "displacement": _nulls(row.displacement),
-        "uncertainty": _nulls(row.uncertainty) if row.uncertainty else None,
-        "compliance": row.compliance,
-        "curvature": row.curvature,
-        "source": row.source,
-        "withdrawn": workspace.ledger.is_withdrawn(seq),
-        "provenance": {
-            "when": iso_time(row.created),
-            "note": row.origin,
-            "import": file_fields(loaded) if loaded else None,
-            "job": job
-            and {
-                "id": job.id,
-                "url": f"/v1/jobs/{job.id}",
-                "log": f"/v1/jobs/{job.id}/files",
-                "asked_by": job.asked_by,
-                "engine": job.engine,
-                "attempts": job.attempt,
-                "started": iso_time(job.started) if job.started else None,
-                "finished": iso_time(job.finished) if job.finished else None,
-            },
-            "setup": _setup(component, row) if row.fingerprint else None,
-        },
-    }
-
-
-def _nulls(values: tuple[float, ...]) -> list[float | None]:
-    return [None if math.isnan(value) else value for value in values]
 
 
 def file_fields(record: ImportRecord) -> dict[str, Any]:

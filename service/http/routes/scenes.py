@@ -40,12 +40,9 @@ class Plans(Message):
     components: dict[str, Plan]
 
 
-@router.post(
-    "/scenes/plan",
-    summary="Plan a scene: the tables that its components need, and the savings",
-    response_model=Plans,
-)
+@router.post("/scenes/plan", response_model=Plans)
 async def plan_scene(workspace: Opened, scene: bodies.SceneBody) -> Response:
+    """Plan a scene: the tables that its components need, and the savings."""
     needs = {
         name: _need_of(workspace.library[name], wanted, f"components.{name}")
         for name, wanted in scene.components.items()
@@ -60,7 +57,6 @@ async def plan_scene(workspace: Opened, scene: bodies.SceneBody) -> Response:
 
 @router.get(
     "/components/{name}/scene",
-    summary="Download a packed table reduced to a scene",
     response_class=Response,
     responses={
         200: {
@@ -77,6 +73,7 @@ def scene_table(
     wanted: Annotated[str, Query(max_length=8192)],
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
+    """Download a packed table reduced to a scene."""
     component = workspace.library[name]
     body = read_body(bodies.SceneComponent, wanted.encode())
     need = _need_of(component, body, "wanted")

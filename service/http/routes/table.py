@@ -20,7 +20,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.responses import FileResponse, Response
 
-from wrenchbook.service.contract import ExportFormat
+from wrenchbook.service.contract import ExportFormat, counted
 from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.imports import Imported, ImportQuery
 from wrenchbook.service.http.openapi import BODIES, BYTES, answers, component_router, refused, takes
@@ -90,7 +90,6 @@ _TAKEN = frozenset(
 
 @router.get(
     "",
-    summary="Export the table",
     response_class=Response,
     responses=answers(TableRows, "the table", content=_WRITTEN, headers=_ETAG)
     | {304: {"description": _CURRENT, "headers": _ETAG}}
@@ -110,6 +109,7 @@ async def get_table(
     others: Others = "displacement",
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
+    """Export the table."""
     if table_version is not None and format in ("bushing", "packed"):
         message = f"is not possible for a {format} table, which always is the newest; leave it out"
         raise bad_body([{"loc": "table_version", "msg": message}])
@@ -178,7 +178,6 @@ def _tag(component: Component, version: int, error: SolverError | None) -> str:
 
 @router.post(
     "",
-    summary="Import rows from a file",
     responses=answers(Imported, "the rows are stored; with `dry_run`, they are counted")
     | refused(
         s413="the table is too large; send it in parts",
@@ -190,6 +189,7 @@ def _tag(component: Component, version: int, error: SolverError | None) -> str:
 async def import_table(
     name: str, request: Request, workspace: Opened, query: Annotated[ImportQuery, Query()]
 ) -> Response:
+    """Import rows from a file."""
     component = workspace.library[name]
     kind = content_type(request)
     if kind and kind not in _TAKEN:
@@ -227,9 +227,9 @@ async def import_table(
                 import_files, *source, table=known, append=appends, **flags
             )
 
-    loaded, whole = reply.pop("loaded"), reply.pop("whole")
+    loaded, is_ruined = reply.pop("loaded"), reply.pop("is_ruined")
     if reply["errors"] and not (query.dry_run or loaded):
-        raise _bad_rows(reply, "block" if query.append else "complete file", whole)
+        raise _bad_rows(reply, "block" if query.append else "complete file", is_ruined)
     # Rows that existed before need not wait for the next table; after an appended row the next one
     # comes soon.
     waits = loaded and (not query.append or "wait_s" in query.model_fields_set)
@@ -239,8 +239,8 @@ async def import_table(
     return json_reply(reply)
 
 
-def _bad_rows(reply: dict[str, Any], unit: str, whole: bool) -> HttpProblemError:
-    """Return the problem of a table with mistakes, or of the `whole`; send the `unit` again."""
+def _bad_rows(reply: dict[str, Any], unit: str, is_ruined: bool) -> HttpProblemError:
+    """Return the problem of a table with mistakes, which names the `unit` to send again."""
     errors, rows = reply["errors"], reply["rows"]
     first = errors[0]
     places = [
@@ -252,15 +252,18 @@ def _bad_rows(reply: dict[str, Any], unit: str, whole: bool) -> HttpProblemError
     sheet = f" of sheet {read} (--sheet reads {others})" if read and others else ""
     # 0: the mistake concerns the file, or a column.
     place = f"row {first['row']}, " if first["row"] else ""
-    has_good = rows["read"] > rows["refused"] and not whole
+    has_good = rows["read"] > rows["refused"] and not is_ruined
     partial = ", or add --partial (over HTTP partial=true) to load only the good rows"
+    them = "it" if len(errors) == 1 else "them"
+    again = f" Correct {them} and send the {unit} again{partial * has_good}."
+    if first["field"] == "file":  # its message has the remedy
+        again = ""
     return HttpProblemError(
         422,
         "bad-rows",
         "The table has mistakes",
-        f"Nothing was loaded; {len(errors)} mistake{'s' * (len(errors) > 1)}{sheet}, the first in "
-        f"{place}{first['field']}: {first['message']}. Correct them and send the {unit} "
-        f"again{partial * has_good}.",
+        f"Nothing was loaded; {counted(len(errors), 'mistake')}{sheet}, the first in "
+        f"{place}{first['field']}: {first['message']}.{again}",
         **{**reply, "errors": places},
     )
 

@@ -135,8 +135,9 @@ def _post(path: str, summary: str, reply: Any, body: Any = Named) -> Any:
     return router.post(path, **described, response_model=reply, responses=_ERRORS)
 
 
-@router.get("/Info", summary="UM-Bridge: the protocol's version and the components")
+@router.get("/Info")
 async def info(request: Request) -> Response:
+    """UM-Bridge: the protocol's version and the components."""
     workspace: Workspace = request.app.state.workspace
     names = await run_in_threadpool(workspace.library.names)
     # Components with rows first: programs try the first of a list.

@@ -50,7 +50,7 @@ async function axisOf(stage, below, about, axis, signal, tries = TRIES) {
   gap = cover.gaps.find((one) => one.axis === axis) || gap;
   put(below, differs ? note("thin", `Rows arrive: the picture is of table version ${rows.table_version}, the figures are of ${cover.table_version}.`) : null,
     el("section", { class: "card" }, el("h2", {}, "Coverage of this axis"), holds(rows, cover.axes.find((one) => one.axis === axis))),
-    el("section", { class: "card" }, el("h2", {}, "Largest gaps between rows"), worst(about, gap)));
+    el("section", { class: "card" }, el("h2", {}, "Largest gaps within the hull"), worst(about, gap)));
   if (drawing) await drawing.again();
 }
 
@@ -121,9 +121,9 @@ function holds(rows, summary) {
 }
 
 function worst(about, gap) {
-  if (!gap.worst.length) return el("p", {}, "There are no gaps.");
+  if (!gap.worst.length) return el("p", {}, "There are no gaps within the hull.");
   const loads = Object.keys(gap.worst[0].loads);
   const query = (one) => el("a", { href: `#/c/${encodeURIComponent(about.name)}/query`, onclick: () => keepWrench(about.name, LOADS.map((load) => one.loads[load] ?? 0)) }, "Query");
-  return table([...loads.map((load) => `#${plain(load)}, ${unitOfLoad(load)}`), "#of the range", ""],
+  return table([...loads.map((load) => `#${plain(load)}, ${unitOfLoad(load)}`), "#size, of the range", ""],
     gap.worst.map((one) => [...loads.map((load) => number(one.loads[load], 3)), percent(one.part_of_range), query(one)]), { scrolls: true, class: "folds named" });
 }

@@ -32,10 +32,11 @@ export async function listen(component, signal, hear) {
   }
 }
 
-// Tells `hear()` of each version of a component's table that is newer than `known`.
-export function listenToTable(component, known, signal, hear) {
+// Tells `hear()` of each version of a component's table that is newer than `known`, and `hearJob(body)` of its jobs.
+export function listenToTable(component, known, signal, hear, hearJob = () => {}) {
   let newest = known;
   return listen(component, signal, (kind, body) => {
+    if (["job", "jobs"].includes(kind)) hearJob(body);
     const version = kind === "table" ? body.table_version : kind === "hello" ? body.tables?.[component] : null;
     if (!(version > newest)) return;
     newest = version;

@@ -27,8 +27,11 @@ export function loadsOf(about) {
 export function beyondRange(about, values) {
   const spans = spansOf(about);
   const outside = inputsOf(about).flatMap(({ name, unit, zero = 0 }, place) => {
-    const [low, high] = spans[place], value = values[place], slack = 1e-9 * Math.max(Math.abs(low), Math.abs(high));
-    return value < Math.min(low, zero) - slack || value > Math.max(high, zero) + slack ? [`${label(name)} = ${number(value)} ${unit} is outside the load range, ${number(low)} to ${number(high)} ${unit}.`] : [];
+    const [low, high] = spans[place], value = values[place];
+    const slack = 1e-9 * Math.max(Math.abs(low), Math.abs(high));
+    const isBeyond = value < Math.min(low, zero) - slack || value > Math.max(high, zero) + slack;
+    if (!isBeyond) return [];
+    return [`${label(name)} = ${number(value)} ${unit} is outside the load range, ${number(low)} to ${number(high)} ${unit}.`];
   });
   return outside.join(" ");
 }
@@ -36,11 +39,22 @@ export function beyondRange(about, values) {
 // What a row there is called, in all views: it answers only its own wrench.
 export const OUTSIDE = "outside the range, not used";
 
-// How many times the load range the largest load is; 0 of a range without loads.
-export const timesRange = (about, values) => Math.max(0, ...spansOf(about).map(([low, high], place) => values[place] / (values[place] < 0 ? Math.min(low, 0) : Math.max(high, 0))).filter(Number.isFinite));
+// How many times the load range the largest load is; a load on a side where the range is 0 does not count.
+export function timesRange(about, values) {
+  const times = spansOf(about).map(([low, high], place) => {
+    const value = values[place];
+    return value / (value < 0 ? Math.min(low, 0) : Math.max(high, 0));
+  });
+  return Math.max(0, ...times.filter(Number.isFinite));
+}
 
 // The values of a job, in the order of the inputs.
-export const valuesOf = (about, { loads, force, moment, inputs = {} }) => inputsOf(about).map(({ name, kind, interface: at }, place) => (kind === "scalar" ? inputs[name] : (at ? loads[at] : { force, moment })[kind][place % 3]));
+export function valuesOf(about, { loads, force, moment, inputs = {} }) {
+  return inputsOf(about).map(({ name, kind, interface: at }, place) => {
+    if (kind === "scalar") return inputs[name];
+    return (at ? loads[at] : { force, moment })[kind][place % 3];
+  });
+}
 
 // One value an input, in their order, as requests name them.
 export function named(about, values) {
@@ -54,23 +68,30 @@ export function named(about, values) {
 }
 
 // The inputs of a request or a job as a line of text; the units of further inputs are the component's.
-export function said({ loads, force, moment, inputs }, about = {}, digits = 5) {
-  const parts = Object.entries(loads || {}).map(([name, load]) => `${name}: ${[...load.force, ...load.moment].some((one) => one) ? wrench(load.force, load.moment, digits) : "no load"}`);
+export function inputsText({ loads, force, moment, inputs }, about = {}, digits = 5) {
+  const parts = Object.entries(loads || {}).map(([name, load]) => {
+    const isLoaded = [...load.force, ...load.moment].some((value) => value);
+    return `${name}: ${isLoaded ? wrench(load.force, load.moment, digits) : "no load"}`;
+  });
   if (force) parts.push(wrench(force, moment, digits));
-  const unit = (name) => inputsOf(about).find((one) => one.name === name)?.unit || "";
-  return [...parts, ...Object.entries(inputs || {}).map(([name, value]) => `${name} ${number(value, digits)}\u00a0${unit(name)}`.trim())].join("; ");
+  const unit = (name) => inputsOf(about).find((input) => input.name === name)?.unit || "";
+  const further = Object.entries(inputs || {}).map(([name, value]) => `${name} ${number(value, digits)}\u00a0${unit(name)}`.trim());
+  return [...parts, ...further].join("; ");
 }
 
-const asked = new Map(); // components by name, for their units
+const requests = new Map(); // of components by name, for their units
 
-// The inputs of a job as an element, which asks for the component once if a unit is missing.
-export function saidOf(job) {
-  const made = document.createElement("span");
-  made.textContent = said(job);
-  if (!job.inputs) return made;
-  if (!asked.has(job.component)) asked.set(job.component, get(of(job.component)).catch(() => ({})));
-  asked.get(job.component).then((about) => { made.textContent = said(job, about); });
-  return made;
+// The inputs of a job as an element, which requests the component once if a unit is missing.
+export function inputsElement(job) {
+  const element = document.createElement("span");
+  element.textContent = inputsText(job);
+  if (!job.inputs) return element;
+  if (!requests.has(job.component)) {
+    const failed = () => { requests.delete(job.component); return {}; }; // the next job requests it again
+    requests.set(job.component, get(of(job.component)).catch(failed));
+  }
+  requests.get(job.component).then((about) => { element.textContent = inputsText(job, about); });
+  return element;
 }
 
 // F_x, or left F_x, or temperature.

@@ -5,7 +5,7 @@ import { el, note, notify, pill, put, save } from "./dom.js";
 import { empty as emptyState } from "./empty.js";
 import { listen } from "./events.js";
 import { actorOf, counted, seconds, sentence, time } from "./format.js";
-import { saidOf } from "./inputs.js";
+import { inputsElement } from "./inputs.js";
 import { rowLink } from "./rows.js";
 
 const SHOWN = 50, MOST_WAITING = 1000, NEWEST = 20; // jobs: of a page; put in the order of their start; whose solve times are averaged
@@ -132,7 +132,7 @@ function change(list, row, job) {
     list.withName ? el("td", {}, el("a", { href: `#/c/${job.component}` }, job.component)) : null,
     el("td", { class: running || job.error ? "whole" : null }, el("div", { class: "stack tight" }, el("div", { class: "line" }, pill(job.status), running && job.progress ? el("span", { class: "small muted" }, job.progress.message) : null),
       running ? el("progress", { max: "1", value: fraction ?? 0, "aria-label": `Job ${job.id}` }) : null)),
-    el("td", { class: "small whole" }, saidOf(job), job.status === "failed" && job.error ? el("div", { class: "muted" }, failureWords(job.error)[0]) : null),
+    el("td", { class: "small whole" }, inputsElement(job), job.status === "failed" && job.error ? el("div", { class: "muted" }, failureWords(job.error)[0]) : null),
     el("td", { class: "muted small" }, time(job.created).replaceAll(/(?<!,) /g, "\u00a0"), job.actor && job.actor !== "(anonymous)" ? el("div", {}, `by ${actorOf(job.actor)}`) : null),
     el("td", { class: "muted small number" }, job.seconds ? seconds(job.seconds) : left),
     el("td", {}, actions(list, row, job)));
@@ -179,7 +179,7 @@ async function saveFiles(id) {
 
 export function jobFacts(job) {
   return [
-    ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Actor", actorOf(job.actor)], ["Wrench", saidOf(job)],
+    ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Actor", actorOf(job.actor)], ["Wrench", inputsElement(job)],
     ["Attempt", job.attempt ? String(job.attempt) : ""], ["Accepted", time(job.created)], ["Started", job.started ? time(job.started) : ""],
     ["Ended", job.finished ? time(job.finished) : ""], ["Took", job.seconds ? seconds(job.seconds) : ""], ["Row", job.row ? rowLink(job.component, job.row) : ""],
     ["Waits", job.waiting?.reason ? sentence(job.waiting.reason) : ""],

@@ -6,6 +6,7 @@ import { beingBuilt, empty } from "./empty.js";
 import { listen } from "./events.js";
 import { count } from "./format.js";
 import { paint, pictured } from "./picture.js";
+import { insideBars, reportOf } from "./report.js";
 import { wholeError } from "./shares.js";
 import { tour } from "./tour.js";
 
@@ -72,8 +73,12 @@ async function refresh(name, cards, signal, rows) {
     return;
   }
   try {
-    put(shown.covered, wholeError(await get(`${of(name)}/glance`, signal), shown.about));
+    const glance = await get(`${of(name)}/glance`, signal), unknown = shown.has_fea && glance.error.includes(null);
+    const about = unknown ? await get(of(name), signal) : shown.about; // with its open jobs, of few rows
+    put(shown.covered, wholeError(glance, about));
     shown.covered.className = "";
+    const bars = insideBars(await reportOf({ ...about, rows: shown.all }, signal).catch(() => null));
+    if (bars?.tooFew) shown.covered.append(el("a", { class: "small", href: `#/c/${encodeURIComponent(name)}/report` }, "The latest report warns of the error bars."));
   } catch (error) {
     if (signal.aborted) return;
     const building = error.status === 503;

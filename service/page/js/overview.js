@@ -10,35 +10,58 @@ import { OUTSIDE, inputsOf, mark, spansOf } from "./inputs.js";
 import { paint, pictured } from "./picture.js";
 import { insideBars, insideWords, madeOf, reportOf } from "./report.js";
 import { rowLinks } from "./rows.js";
-import { WHOLE, isAtWork, legend, sharesOf, wholeError } from "./shares.js";
+import { isAtWork, legend, namesOf, openJobs, sharesOf, wholeError } from "./shares.js";
 
 export async function show(root, { name }, signal) {
   put(root, el("p", { class: "muted" }, "…"));
   const about = await get(of(name), signal);
   const warned = el("div", { class: "stack" }), glance = el("div", { class: "stack" }, el("p", { class: "muted" }, "…"));
+  const work = new EventTarget(); // jobs of this component
   const rows = el("section", { class: "card" }), range = el("section", { class: "card" });
-  let latest = 0;
+  let latest = 0, facts_ = [];
+  const draw = (...known) => { // the facts, and the emphasis of the button
+    facts_ = known;
+    put(rows, el("h2", {}, "Method and rows"), method(...known));
+    document.getElementById("fill")?.classList.toggle("first", !(known[3]?.whole[0] > 0.995 || isAtWork(known[0]))); // more solves add little to a full table, or to a queue
+  };
   const refresh = async () => {
     const mine = latest += 1; // of two at once the later one counts
     const now = await get(of(name), signal);
     const [report, imports] = await Promise.all([reportOf(now, signal), importsOf(now, signal)]);
     if (mine !== latest) return;
     put(warned, verdict(now, report), warnings(now, signal, refresh));
-    put(rows, el("h2", {}, "Method and rows"), method(now, report, imports));
+    draw(now, report, imports, facts_[3]);
     put(range, el("h2", {}, "Load range"), loads(now));
     const shares = await cover(glance, now, signal, () => mine === latest);
-    document.getElementById("fill")?.classList.toggle("first", !(shares?.whole[0] > 0.995 || isAtWork(now))); // more solves add little to a full table, or to a queue
     if (!shares || mine !== latest) return;
-    put(rows, el("h2", {}, "Method and rows"), method(now, report, imports, shares.allowed));
+    draw(now, report, imports, shares);
     if (shares.reach && !now.linear) put(range, el("h2", {}, "Load range"), loads(now, shares.reach));
   };
   put(root, warned,
     el("div", { class: "halves" },
-      el("div", { class: "stack" }, el("section", { class: "card" }, el("h2", {}, "Coverage"), glance, about.has_fea ? fill(about, signal) : el("div", {}, linkTo(about, "table", "Import measured rows"))), range),
+      el("div", { class: "stack" }, el("section", { class: "card" }, el("h2", {}, "Coverage"), glance, about.has_fea ? fill(about, work, signal) : el("div", {}, linkTo(about, "table", "Import measured rows"))), range),
       el("div", { class: "stack" }, rows, el("section", { class: "card" }, el("h2", {}, "Part and conventions"), pictureOf(about, signal), contract(about)))));
-  listenToTable(name, about.table_version, signal, () => refresh().catch(() => {}));
+  let counting = null;
+  const count_ = () => { // jobs end in bursts: the last one counts
+    clearTimeout(counting);
+    counting = setTimeout(async () => {
+      const now = await get(of(name), signal).catch(() => null);
+      if (!now || !facts_.length) return;
+      draw(now, ...facts_.slice(1));
+      if (!now.rows) await cover(glance, now, signal, () => true).catch(() => {});
+    }, COUNT_MS);
+  };
+  const heard = new Map(); // statuses of jobs
+  listenToTable(name, about.table_version, signal, () => refresh().catch(() => {}), (body) => {
+    work.dispatchEvent(new CustomEvent("job", { detail: body }));
+    if (body.id && heard.get(body.id) === body.status) return; // progress alone
+    heard.set(body.id, body.status);
+    count_();
+  });
   await refresh();
 }
+
+const COUNT_MS = 300; // after the last change of a job
 
 const importsOf = async (about, signal) => (about.measured ? (await get(`${of(about.name)}/imports`, signal)).imports.filter((one) => one.withdrawn < one.rows) : []);
 
@@ -75,9 +98,9 @@ async function cover(place, about, signal, isLatest) {
   if (rows) {
     glance = await get(`${of(about.name)}/glance`, signal);
     const title = (text) => (about.has_fea ? el("h3", {}, text) : null);
-    parts.push(title("With mesh error"), wholeError(glance, about), legend(WHOLE), title("Interpolation only"), sharesOf(glance));
+    parts.push(title("With mesh error"), wholeError(glance, about), legend(namesOf(glance)), title("Interpolation only"), sharesOf(glance));
     parts.push(legend(), el("details", { class: "small" }, el("summary", {}, "What the bars mean"), el("p", { class: "muted" }, `Parts of the load range. Covered: the interpolation error is known and within the tolerance; thin: it is larger or not known; outside: beyond the load range, or beyond the rows for the methods by axes (additive, griddata). Kriging may cover loads a little beyond the rows. The first bar compares the complete error bar, of interpolation and of the solver, with the tolerance.${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`)));
-  } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : "The table has no rows yet."));
+  } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : isAtWork(about) ? ["The table has no rows yet. Solves: ", jobsLink(about), "."] : "The table has no rows yet."));
   if (isLatest()) put(place, parts);
   return glance;
 }
@@ -93,13 +116,13 @@ function resolve(about) {
   return el("button", { onclick: order }, "Solve them again");
 }
 
-function fill(about, signal) {
+function fill(about, work, signal) {
   const budget = el("input", { type: "number", min: 1, max: 10000, value: 24, "aria-label": "Largest number of solves" });
   const order = async (event) => {
     event.preventDefault();
     try {
       event.submitter.disabled = true;
-      await fillTo(state, about.name, Number(budget.value), signal);
+      await fillTo(state, about.name, Number(budget.value), work, signal);
     } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
     event.submitter.disabled = false;
   };
@@ -110,26 +133,46 @@ function fill(about, signal) {
 
 const ROUND = 24; // solves: the next round is designed with their rows, as by the command fill
 // Queues solves round by round until the budget is spent or the table needs none; they end about in their order.
-async function fillTo(place, name, budget, signal) {
-  let ended = 0, failed = 0, stopped = false;
+async function fillTo(place, name, budget, work, signal) {
+  let ended = 0, failed = 0, queued = 0, stopped = false;
+  const open = new Map(); // jobs of this round that have not ended: their status and fraction
   const bar = el("progress", { max: String(budget), value: 0, "aria-label": "Solves that have ended" }), words = el("span", { class: "small muted" }), why = el("span", { class: "small muted" });
-  const stop = el("button", { type: "button", class: "small", id: "stop-fill", onclick: () => { stopped = stop.disabled = true; words.textContent = `Stops after the solves that are queued. ${ended} of at most ${budget} have ended.`; } }, "Stop after this round");
-  put(place, el("div", { class: "stack tight" }, words, bar, why, el("div", {}, stop)));
-  const say = (end) => { words.textContent = `${ended} of at most ${budget} solves have ended${failed ? `, ${failed} without a row: see the jobs` : ""}.${end}`; };
-  while (ended < budget && !stopped) {
-    const { jobs, reason } = await post(`${of(name)}/fill`, { budget: Math.min(ROUND, budget - ended) }, signal);
-    why.textContent = reason ? sentence(reason) : "";
-    if (!jobs.length) break;
-    const before = failed;
-    for (const { id } of jobs) {
-      if (!stopped) say(" The next round begins by itself while this view is open.");
-      let job;
-      do job = await get(`v1/jobs/${id}?wait_s=20`, signal); while (["waiting", "running"].includes(job.status));
-      failed += job.status === "done" ? 0 : 1;
-      bar.value = ended += 1;
+  const stop = el("button", { type: "button", class: "small", id: "stop-fill", onclick: () => { stopped = stop.disabled = true; say(); } }, "Stop after this round");
+  const jobs_ = el("a", { class: "small", href: `#/c/${encodeURIComponent(name)}/jobs` }, "Show the jobs");
+  const say = (end = stopped ? " Stops after these." : " The next round begins by itself while this view is open.") => {
+    const states = [...open.values()], running = states.filter((one) => one.status === "running");
+    bar.value = ended + running.reduce((sum, one) => sum + (one.progress?.fraction ?? 0), 0);
+    const parts = [[ended - failed, "done"], [failed, "without a row"], [running.length, "running"], [states.length - running.length, "waiting"]].filter(([n]) => n).map(([n, state]) => `${n} ${state}`);
+    words.textContent = `${counted(queued, "solve")} queued (at most ${budget}): ${parts.join(", ")}.${end}`;
+  };
+  const hear = ({ detail: job }) => {
+    if (!open.has(job.id) || !["waiting", "running"].includes(job.status)) return; // the end is asked for
+    open.set(job.id, job);
+    say();
+  };
+  work.addEventListener("job", hear);
+  try {
+    while (ended < budget && !stopped) {
+      const { jobs, reason } = await post(`${of(name)}/fill`, { budget: Math.min(ROUND, budget - ended) }, signal);
+      const because = reason ? sentence(reason.replace(/^\d+ of at most \d+ solves: /, "")) : "";
+      if (!jobs.length && !queued) { put(place, el("p", {}, `No solve is queued: ${because || "the table needs none."}`)); return; }
+      why.textContent = because;
+      if (!jobs.length) break;
+      if (!queued) put(place, el("div", { class: "stack tight" }, el("div", { class: "line ends" }, words, jobs_), bar, why, el("div", {}, stop)));
+      queued += jobs.length;
+      for (const job of jobs) open.set(job.id, { status: "waiting", ...job });
+      const before = failed;
+      for (const { id } of jobs) {
+        say();
+        let job;
+        do job = await get(`v1/jobs/${id}?wait_s=20`, signal); while (["waiting", "running"].includes(job.status));
+        failed += job.status === "done" ? 0 : 1;
+        ended += 1;
+        open.delete(id);
+      }
+      if (failed - before === jobs.length) break; // the next round would ask for the same
     }
-    if (failed - before === jobs.length) break; // the next round would ask for the same
-  }
+  } finally { work.removeEventListener("job", hear); }
   stop.remove();
   say(ended < budget ? "" : " The budget is spent.");
 }
@@ -152,8 +195,11 @@ function importLinks(about, imports) {
   return el("ul", { class: "plain" }, lines, imports.length > NAMED_IMPORTS ? el("li", {}, el("a", { href: `${view}/table` }, `all ${count(imports.length)} imports`)) : null);
 }
 
-function method(about, report, imports, allowed) {
-  const cover = about.coverage, bars = insideBars(report);
+const jobsLink = (about) => el("a", { href: `#/c/${encodeURIComponent(about.name)}/jobs` }, openJobs(about));
+
+function method(about, report, imports, shares) {
+  const cover = about.coverage, unmeasured = cover.unmeasured || [], allowed = shares?.allowed.map((one, place) => (unmeasured.includes(OUTPUTS[place]) ? null : one));
+  const bars = insideBars(report);
   const tolerance = about.tolerance
     ? `${quantity(about.tolerance.translation, "m")}, ${quantity(about.tolerance.rotation, "rad")}`
     : `1 % of each output's range${allowed?.length === OUTPUTS.length ? `: u\u00a0${triple(allowed.slice(0, 3), "m")}, r\u00a0${triple(allowed.slice(3), "rad")}` : ""}`;
@@ -164,6 +210,7 @@ function method(about, report, imports, allowed) {
     ["Imports", imports.length ? importLinks(about, imports) : ""],
     ["Method", sources ? cover.method : ""],
     [sources ? "Reason" : "Method", about.has_fea || sources ? sentence(cover.method_reason || "–") : "The table has no rows: import measured ones."],
+    ["Not measured", unmeasured.join(", ")],
     ["Tolerance", tolerance],
     ["Jobs", jobs.length ? el("a", { class: "line", href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : about.has_fea ? "none" : ""],
     ["Report", bars ? [`${insideWords(bars)}${leastShare(report, bars)}, `, el("a", { href: `#/c/${encodeURIComponent(about.name)}/report` }, time(report.made))] : ""],

@@ -2,12 +2,12 @@
 
 import { caughtUp, get, of, post, trouble } from "./api.js";
 import { picture } from "./arrows.js";
-import { remember } from "./asked.js";
+import { answerOf, keepAnswer, remember } from "./asked.js";
 import { el, field, note, pill, put, select } from "./dom.js";
 import { linkTo } from "./empty.js";
 import { listen } from "./events.js";
 import { OUTPUTS, counted, number, percent, pageWords, quantity, sentence, symbol, unitOfOutput, withBar, withoutRoundOff } from "./format.js";
-import { beyondRange, named, outputsOf, said } from "./inputs.js";
+import { beyondRange, inputsText, named, outputsOf } from "./inputs.js";
 import { failureWords } from "./job_list.js";
 import { insideBars, insideWords, reportOf } from "./report.js";
 import { overTolerance } from "./shares.js";
@@ -41,6 +41,13 @@ export async function show(root, about, signal) {
     action: "Ask", asked: ask, changed: () => tell(),
     more: el("div", { class: "stack" }, field("If the table does not cover the wrench", onThin), field("Method", method)),
   });
+  const last = answerOf(about.name);
+  if (last && String(last.wrench) === String(form.read())) { // left while its solve ran, or to look at another view
+    onThin.value = last.options.onThin;
+    method.value = last.options.method;
+    asked = { wrench: last.wrench, options: JSON.stringify(options()) };
+    drawn(answer, about, last, signal).catch((error) => { if (!signal.aborted) put(answer, trouble(error)); });
+  }
   const tell = () => {
     curl.say(curlOf(about, form.read(), options()));
     python.say(pythonOf(about, form.read(), options()));
@@ -48,7 +55,7 @@ export async function show(root, about, signal) {
     const stale = asked && (asked.options !== JSON.stringify(options()) || String(asked.wrench) !== String(form.read()));
     answer.parentElement?.classList.toggle("stale", Boolean(stale));
     old.hidden = !stale;
-    if (stale) put(old, `This answer is for ${said(named(about, asked.wrench), about, TYPED)}. Press Ask for the inputs typed now.`);
+    if (stale) put(old, `This answer is for ${inputsText(named(about, asked.wrench), about, TYPED)}. Press Ask for the inputs typed now.`);
   };
   let drawing = null;
   const picture_ = about.has_fea ? el("section", { class: "card" }, el("h2", {}, about.space ? "Loads at the interfaces" : "Load at the interface")) : null;
@@ -78,6 +85,13 @@ async function query(place, about, wrench, options, signal, watched = null) {
     return;
   }
   remember(about.name, wrench, answer.coverage);
+  await drawn(place, about, { wrench, options, answer, watched }, signal);
+}
+
+// Draws an answer, keeps it while the tab is open, and watches its solve.
+async function drawn(place, about, kept, signal) {
+  const { wrench, options, answer, watched } = kept;
+  keepAnswer(about.name, kept);
   const why = answered(answer) && barUnknown(answer) ? await whyUnknown(about, answer, signal) : null;
   const over = answer.coverage === "covered" && answer.within_tolerance === false ? await whyOver(about, wrench, options, signal) : null;
   const solve = answer.job === null && beyondRange(about, wrench) ? () => query(place, about, wrench, { ...options, beyond: true }, signal) : null;
@@ -118,45 +132,51 @@ function shown(answer, about, wrench, limits, why, over, solve) {
   const outside = beyondRange(about, wrench);
   const reason = (answer.reason || "").replace(/: to solve it nevertheless, set beyond_range to true.*$/, "").split("; ").filter((part) => !outside || !part.includes("is outside the load range,")).join("; "); // the note above says that, and the button is there
   return [
-    el("div", { class: "line" }, stateOf(answer), el("span", { class: "muted small" }, about_(answer))),
+    el("div", { class: "line" }, stateOf(answer, outside), el("span", { class: "muted small" }, about_(answer))),
     outside ? note("outside", el("span", {}, pageWords(`${outside.slice(0, -1)}${reason ? `; ${reason}` : ""}.`)), solve ? el("div", {}, el("button", { type: "button", onclick: solve }, "Solve it nevertheless")) : null) : null,
+    extrapolated(answer) ? note("outside", `Extrapolated from ${counted(about.rows, "row")}; its error is not known.`) : null,
     reason && !outside ? note(answered(answer) && !(why !== null && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
     !answered(answer) && !about.has_fea && !about.rows ? linkTo(about, "table", "Import rows") : null,
     why ? note("thin", el("strong", {}, "The error bar is unknown"), el("span", {}, `${sentence(why)}.`)) : null,
     over ? note("thin", over) : null,
-    Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, OUTPUTS.map((output) => limits[name ? `${name}.${output}` : output]))),
+    Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, OUTPUTS.map((output) => limits[name ? `${name}.${output}` : output]), answer)),
     answer.notes ? note("thin", el("ul", {}, answer.notes.map((one) => el("li", {}, one)))) : null,
-    el("p", { class: "muted small" }, said(named(about, wrench), about, TYPED)),
+    el("p", { class: "muted small" }, inputsText(named(about, wrench), about, TYPED)),
   ];
 }
+
+// An answer from a table with few rows, beyond these: a guess.
+const extrapolated = (answer) => answered(answer) && answer.coverage === "outside" && barUnknown(answer);
 
 const answered = ({ translation, displacements }) => Boolean(translation || Object.values(displacements || {})[0]?.translation);
 
 // Coverage as a pill; a queued solve brings the answer that is missing.
-function stateOf(answer) {
+function stateOf(answer, beyond) {
   const { coverage, within_tolerance: within } = answer;
   if (!answered(answer)) return pill(answer.job ? "no answer yet" : "no answer", "");
+  if (coverage === "outside") return pill(beyond ? "outside the load range" : "outside the rows", "outside");
   if (coverage !== "covered") return pill(coverage);
   return barUnknown(answer) ? pill("covered, error bar unknown", "thin") : within === false ? pill("covered, over tolerance", "thin")
     : answer.missing?.length ? pill(`covered; ${counted(answer.missing.length, "output")} not measured`, coverage) : pill(coverage);
 }
 
 // The displacement of an interface, its name empty where there is one.
-function moved(name, part, limits) {
+function moved(name, part, limits, answer) {
   if (!part.translation) return null;
-  const values = [part.translation, part.rotation].flatMap((group) => (part.error ? group.map((one) => (Math.abs(one) < ROUNDOFF ? 0 : one)) : withoutRoundOff(group)));
+  const values = [part.translation, part.rotation].flatMap((group) => (part.error ? group.map((one) => (one !== null && Math.abs(one) < ROUNDOFF ? 0 : one)) : withoutRoundOff(group)));
   const bars = part.error ? [...part.error.translation, ...part.error.rotation].map((one) => (one !== null && one < ROUNDOFF ? 0 : one)) : [];
   if (name && bars.length && ![...values, ...bars].some((one) => one !== 0)) return el("p", { class: "muted" }, `${name}: no displacement`);
   const hasLimit = limits.some(Boolean);
   const lines = OUTPUTS.map((output, place) => {
-    const { value, bar } = withBar(values[place], bars[place], unitOfOutput(output));
+    const unmeasured = answer.missing?.includes(name ? `${name}.${output}` : output);
+    const { value, bar } = unmeasured ? { value: "not measured", bar: "–" } : withBar(values[place], bars[place], unitOfOutput(output));
     const allowed = limits[place];
     const share = allowed && bars[place] !== null && bars[place] !== undefined ? shareOf(bars[place] / allowed) : "–";
     return row(symbol(output), value, bar, hasLimit ? share : null);
   });
   const head = ["", "Value", "95 % error bar", ...(hasLimit ? ["Of the tolerance"] : [])].map((one, place) =>
     el("th", { scope: "col", class: place ? "number" : null }, one));
-  return el("table", { class: "answer" }, name ? el("caption", {}, name) : null, el("thead", {}, el("tr", {}, head)), el("tbody", {}, lines));
+  return el("table", { class: extrapolated(answer) ? "answer guess" : "answer" }, name ? el("caption", {}, name) : null, el("thead", {}, el("tr", {}, head)), el("tbody", {}, lines));
 }
 
 function row(name, value, bar, share) {

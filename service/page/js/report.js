@@ -1,7 +1,7 @@
 // Error against run time: the report, made on demand, drawn from its figures.
 
 import { Problem, get, of, send, trouble } from "./api.js";
-import { el, field, note, put, save, table } from "./dom.js";
+import { el, field, note, notify, put, save, table } from "./dom.js";
 import { empty, emptyTable, linkTo } from "./empty.js";
 import { count, percent, time } from "./format.js";
 import { PLOTS, show as plot } from "./report_plots.js";
@@ -14,25 +14,24 @@ export async function show(root, about, signal) {
     return;
   }
   const body = el("div", { class: "stack" }), state = el("div", { class: "stack", "aria-live": "polite", id: "making" });
-  put(root, el("section", { class: "card" }, order(about, state, body, signal), state), body);
-  await latest(body, about, signal); // stays while a new one is made
-  await watch(about, state, body, signal);
+  put(root, el("section", { class: "card" }, requestForm(about, state, body, signal), state), body);
+  await followAndShow(about, state, body, signal);
 }
 
-// Follows a report to its end; until there is a first one, the body says whether it is being made.
-async function watch(about, state, body, signal) {
-  const first = () => body.firstElementChild?.matches(".empty");
-  if (first()) await latest(body, about, signal);
-  if (await follow(about, state, signal) || first()) await latest(body, about, signal);
+// Follows a report to its end; the one before it stays meanwhile. Until there is a first one, the body says whether it is being made.
+async function followAndShow(about, state, body, signal) {
+  const first = () => !body.firstElementChild || body.firstElementChild.matches(".empty");
+  if (first()) await showReport(body, about, signal);
+  if (await showProgress(about, state, signal) || first()) await showReport(body, about, signal);
 }
 
-function order(about, state, body, signal) {
+function requestForm(about, state, body, signal) {
   const wrenches = el("input", { type: "number", min: 3, max: 1000, value: 24 });
   const make = async (event) => {
     event.preventDefault();
     try {
       await send("POST", `${of(about.name)}/report?wrenches=${wrenches.value}`, { signal });
-      await watch(about, state, body, signal);
+      await followAndShow(about, state, body, signal);
     } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
   };
   return el("form", { class: "line bottom", onsubmit: make },
@@ -41,13 +40,16 @@ function order(about, state, body, signal) {
 }
 
 // Shows how far a report is until it is made; returns whether a new one is there.
-async function follow(about, state, signal) {
+async function showProgress(about, state, signal) {
   let now = await get(`${of(about.name)}/report?format=state`, signal);
   const ran = now.state === "running";
   const bar = el("progress", { max: "1", "aria-label": "The report" }), message = el("span", { class: "muted small" });
   const cancel = el("button", { type: "button", class: "small", id: "cancel-report", onclick: async () => {
     cancel.disabled = true;
-    await send("DELETE", `${of(about.name)}/report`, { signal });
+    try { await send("DELETE", `${of(about.name)}/report`, { signal }); } catch (error) {
+      cancel.disabled = false;
+      if (!signal.aborted) notify(error.message, "wrong");
+    }
   } }, "Cancel");
   const make = state.parentElement.querySelector("form button");
   if (ran && now.wrenches) state.parentElement.querySelector("form input").value = now.wrenches;
@@ -65,10 +67,10 @@ async function follow(about, state, signal) {
   return ran && now.state === "done";
 }
 
-async function latest(body, about, signal) {
+async function showReport(body, about, signal) {
   try {
     const [report, now] = await Promise.all([get(`${of(about.name)}/report`, signal), get(of(about.name), signal)]);
-    page(body, about, report, now.table_version);
+    render(body, about, report, now.table_version);
   } catch (error) {
     if (signal.aborted) return;
     if (error instanceof Problem && error.status === 404) put(body, empty("No report yet. It compares the table, in error and run time, with solves on three meshes."));
@@ -79,12 +81,10 @@ async function latest(body, about, signal) {
 // The table's version now may be newer than that of the report.
 export const madeOf = ({ made, table_version: version }, now) => (version === now ? `Made ${time(made)} with table version ${version}, the newest.` : `Made ${time(made)} with table version ${version}; the table is now ${now}: make it again.`);
 
-const ACCEPTED = 0.9; // share of true errors within their bars, as in service/report/layout.py
-
 // How many true errors a report found within the error bars of the table's own method; null if it compared none.
 export function insideBars(report) {
   const { missed, of: all } = report?.tables?.find((one) => one.method === report.default.method && one.rows === report.rows)?.beyond_error_bar || {};
-  return all ? { inside: all - missed, all, tooFew: missed > (1 - ACCEPTED) * all } : null;
+  return all ? { inside: all - missed, all, tooFew: report.bars_too_small } : null;
 }
 
 export const insideWords = ({ inside, all }) => `${percent(inside / all)} of ${count(all)} true errors lay within the error bars (nominal 95 %)`;
@@ -96,7 +96,7 @@ export async function reportOf(about, signal) {
   return get(path, signal).catch(() => null); // the first one has failed
 }
 
-function page(body, about, report, now) {
+function render(body, about, report, now) {
   if (!report.tables) { // the first one is being made
     put(body, el("p", { class: "empty" }, "The first report is being made."));
     return;
@@ -108,7 +108,7 @@ function page(body, about, report, now) {
   const places = Object.entries(PLOTS).map(([name, [title]]) => [name, title, el("div", { id: `plot-${name}` })]);
   const card = (title, ...content) => el("section", { class: "card" }, el("h2", {}, title), content);
   put(body,
-    el("section", { class: "card" }, el("p", {}, el("strong", {}, report.advice)), el("p", { class: report.table_version === now ? "muted small" : "small" }, madeOf(report, now)), el("p", { class: "muted small" }, report.summary), /More rows help|fill the table further/.test(report.advice) ? el("div", {}, linkTo(about, "overview", "Fill the table")) : null, files(about)),
+    el("section", { class: "card" }, el("p", {}, el("strong", {}, report.advice)), el("p", { class: report.table_version === now ? "muted small" : "small" }, madeOf(report, now)), el("p", { class: "muted small" }, report.summary), report.needs_rows ? el("div", {}, linkTo(about, "overview", "Fill the table")) : null, files(about)),
     places.map(([, title, place]) => card(title, place)),
     report.sections.map(({ title, note: text, head, lines }) => card(title, el("p", { class: "muted small" }, text),
       lines.length ? table(head.map((name, place) => (place ? `#${name}` : name)), lines, { scrolls: true }) : null)));
@@ -116,9 +116,11 @@ function page(body, about, report, now) {
 }
 
 function files(about) {
-  const take = (format, ending) => async () => {
-    const reply = await send("GET", `${of(about.name)}/report?format=${format}`);
-    save(await reply.blob(), `${about.name}-report.${ending}`);
+  const take = (format) => async () => {
+    try {
+      const reply = await send("GET", `${of(about.name)}/report?format=${format}`);
+      save(await reply.blob(), `${about.name}-report.${format}`);
+    } catch (error) { notify(error.message, "wrong"); }
   };
-  return el("span", { class: "line" }, ["html", "md", "json"].map((format) => el("button", { type: "button", class: "small", onclick: take(format, format) }, `Save ${format.toUpperCase()}`)));
+  return el("span", { class: "line" }, ["html", "md", "json"].map((format) => el("button", { type: "button", class: "small", onclick: take(format) }, `Save ${format.toUpperCase()}`)));
 }

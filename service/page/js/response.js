@@ -6,7 +6,7 @@ import { emptyTable } from "./empty.js";
 import { LOADS, OUTPUTS, counted, number, plain, prefixOf, quantity, symbol, unitOfLoad, unitOfOutput } from "./format.js";
 import { OUTSIDE, beyondRange, loadsOf } from "./inputs.js";
 import { draw, faint } from "./plot.js";
-import { solverError } from "./shares.js";
+import { solverError, tableError } from "./shares.js";
 import { wrenchForm } from "./wrench_form.js";
 
 export async function show(root, about, signal) {
@@ -15,7 +15,7 @@ export async function show(root, about, signal) {
     return;
   }
   const loads = loadsOf(about); // along the others there is no line to draw
-  const state = { load: loads.includes("fz") ? "fz" : loads[0], output: "uz", at: LOADS.map(() => 0), sweep: null, rows: null, drawing: null, rest: solverError(about) };
+  const state = { load: loads.includes("fz") ? "fz" : loads[0], output: "uz", at: LOADS.map(() => 0), sweep: null, rows: null, drawing: null, inner: tableError(about), rest: solverError(about) };
   const place = el("div", { class: "plot low", id: "response" });
   const caption = el("p", { class: "muted small", "aria-live": "polite" });
   const load = async () => {
@@ -23,6 +23,7 @@ export async function show(root, about, signal) {
     put(summary, `Other loads: ${LOADS.flatMap((one, k) => (one !== state.load && state.at[k] ? `${plain(one)} ${number(state.at[k])} ${unitOfLoad(one)}` : [])).join(", ") || "0"}`);
     try {
       await ask(about, state, signal);
+      measuredOnly(root, state);
       state.drawing ??= await draw(place, (shade) => picture(state, shade), signal, "");
       again();
     } catch (error) { if (!signal.aborted) put(caption, trouble(error)); }
@@ -68,14 +69,28 @@ async function ask(about, state, signal) {
   Object.assign(state, { sweep, rows });
 }
 
-function labelOf({ sweep, rows, output, load, rest }) {
+const isMeasured = (sweep, k) => sweep.displacement.some((one) => one[k] !== null);
+
+// An output that no row has cannot be chosen.
+function measuredOnly(root, state) {
+  const there = OUTPUTS.filter((_, k) => isMeasured(state.sweep, k));
+  if (there.length && !there.includes(state.output)) state.output = there[0];
+  for (const radio of root.querySelectorAll("input[name=output]")) {
+    radio.disabled = there.length > 0 && !there.includes(radio.value);
+    radio.checked = radio.value === state.output;
+  }
+}
+
+function labelOf({ sweep, rows, output, load, inner: table, rest }) {
   const thin = sweep.coverage.filter((one) => one > 0).length;
   const share = Math.round(100 * (1 - thin / sweep.coverage.length));
-  const drawn = rows ? `${rows.shown === 1 ? "1 row lies" : `${rows.shown || "no"} rows lie`} on this line${rows.outside ? ` (${counted(rows.outside, "row")} ${OUTSIDE} and not drawn)` : ""}` : "rows are not drawn, since other loads act";
-  const k = OUTPUTS.indexOf(output), bars = sweep.error.map((one) => one[k] ?? 0);
+  const k = OUTPUTS.indexOf(output), shown = rows?.displacement.filter((one) => one[k] !== null).length;
+  const drawn = rows ? `${shown === 1 ? "1 row lies" : `${shown || "no"} rows lie`} on this line${rows.outside ? ` (${counted(rows.outside, "row")} ${OUTSIDE} and not drawn)` : ""}` : "rows are not drawn, since other loads act";
+  if (!isMeasured(sweep, k)) return `${plain(output)} is not measured in any row.`;
+  const bars = sweep.error.map((one) => one[k] ?? 0);
   const unit = unitOfOutput(output), place = bars.indexOf(Math.max(...bars)), widest = quantity(bars[place], unit, 2), inner = sweep.interpolation[place]?.[k] ?? 0;
   const unknown = Math.round(100 * sweep.error.filter((one) => one[k] === null).length / sweep.error.length);
-  const parts = sweep.bars_are_whole ? ` (interpolation ${inner > bars[place] / 1000 ? quantity(inner, unit, 2) : "negligible"}, ${rest} ${quantity(Math.max(0, bars[place] - inner), unit, 2)})` : "";
+  const parts = sweep.bars_are_whole ? ` (${table} ${inner > bars[place] / 1000 ? quantity(inner, unit, 2) : "negligible"}${bars[place] > inner ? `, ${rest} ${quantity(bars[place] - inner, unit, 2)}` : ""})` : "";
   const line = `${plain(output)} over ${plain(load)} by ${sweep.method}.`, rest_ = `${share} % of the line is covered; ${drawn}.`;
   if (unknown === 100) return `${line} Its error bar is not known, so no band is drawn; ${rest_}`;
   return `${line} The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}${parts}${unknown ? `, and not known, nor drawn, on ${unknown} % of the line` : ""}; ${rest_}`;
@@ -96,7 +111,7 @@ function picture(state, shade) {
   ];
   if (rows) {
     const place = LOADS.indexOf(load);
-    data.push({ x: rows.wrench.map((one) => one[place]), y: rows.displacement.map((one) => one[k] / scale), mode: "markers", marker: { color: shade.ink, size: 7, symbol: "circle-open", line: { width: 1.5 } }, hovertemplate: hover });
+    data.push({ x: rows.wrench.map((one) => one[place]), y: rows.displacement.map((one) => (one[k] === null ? null : one[k] / scale)), mode: "markers", marker: { color: shade.ink, size: 7, symbol: "circle-open", line: { width: 1.5 } }, hovertemplate: hover });
   }
   return { data, layout: {
     xaxis: { title: { text: `${marked(load)}, ${unitOfLoad(load)}` }, range: wide(sweep.at) },
@@ -128,8 +143,8 @@ function bands(about) {
     mark.style.background = `color-mix(in srgb, var(--${colour}) ${faint_}%, var(--card))`;
     return el("li", {}, mark, text);
   };
-  return el("ul", { class: "key-of-marks" }, one("accent", "interpolation error: more rows lower it"),
-    one("query", `${solverError(about)} error: ${about.has_fea ? `a finer mesh ${about.linear ? "or nonlinear = true " : ""}lowers it` : "noise, hysteresis and drift of the measurement"}`),
+  return el("ul", { class: "key-of-marks" }, one("accent", about.has_fea ? "interpolation error: more rows lower it" : `${tableError(about)}: more readings lower them`),
+    one("query", about.has_fea ? `${solverError(about)} error: a finer mesh ${about.linear ? "or nonlinear = true " : ""}lowers it` : `${solverError(about)}: a better rig lowers them`),
     one("thin", "thin: the rows do not cover it", 100 * SHADED[1][1]), one("muted", "outside the rows or the load range", 100 * SHADED[2][1]), el("li", {}, el("i", { class: "hollow" }), "row of the table"));
 }
 

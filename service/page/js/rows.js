@@ -4,7 +4,7 @@ import { get, of, post, send, trouble } from "./api.js";
 import { el, field, notify, pill, put, select } from "./dom.js";
 import { empty, emptyTable, linkTo } from "./empty.js";
 import { counted, time, triple } from "./format.js";
-import { OUTSIDE, beyondRange, named, outputsOf, said } from "./inputs.js";
+import { OUTSIDE, beyondRange, inputsText, named, outputsOf } from "./inputs.js";
 
 const SHOWN = 25; // rows of a page, each a call
 const MOST_READ = 500; // rows that are read for a page: those of other states are left out
@@ -133,7 +133,7 @@ function draw(root, about, row) {
   const verb = row.withdrawn ? "Restore" : "Withdraw";
   put(root, number,
     el("td", {}, pill(state, { "in the table": "ok", withdrawn: "thin", [OUTSIDE]: "outside" }[state] || "")),
-    el("td", { class: "small whole", "data-head": "Wrench" }, said(named(about, row.wrench), about, 4)),
+    el("td", { class: "small whole", "data-head": "Wrench" }, inputsText(named(about, row.wrench), about, 4)),
     el("td", { class: "small whole", "data-head": "Displacement" }, displacement(about, row.displacement)),
     el("td", { class: "small", "data-head": "Source" }, origin(about, row), el("div", { class: "muted" }, time(row.provenance.when))),
     el("td", {}, el("button", { type: "button", class: "small", "aria-label": `${verb} row ${row.row}`, onclick: edit }, verb)));

@@ -2,8 +2,8 @@
 
 import { caughtUp, get, of, post, send, trouble } from "./api.js";
 import { choice, el, facts, field, note, pill, put, save, select, working } from "./dom.js";
-import { beyondRange } from "./inputs.js";
-import { LOADS, counted, number, pageWords, quantity, stress, symbol, withBar } from "./format.js";
+import { beyondRange, named } from "./inputs.js";
+import { LOADS, counted, number, pageWords, quantity, stress, symbol, triple, withBar } from "./format.js";
 import { draw } from "./plot.js";
 import { overTolerance } from "./shares.js";
 import { awayFrom, column, extent, lengths, lines, moved, outline } from "./surface.js";
@@ -52,6 +52,8 @@ async function solved(stage, about, wrench, outside, signal) {
 }
 
 async function stageOf(stage, about, wrench, shape, signal) {
+  const mean = await post(`${of(about.name)}/displacement`, { ...named(about, wrench), on_thin: "estimate" }, signal).catch(() => null);
+  if (signal.aborted) return;
   const sizes = lengths(shape.displacement);
   const largest = sizes.reduce((a, b) => Math.max(a, b), 0);
   const natural = largest > 0 ? (SEEN * extent(shape.vertices)) / largest : 1;
@@ -79,7 +81,7 @@ async function stageOf(stage, about, wrench, shape, signal) {
       el("button", { type: "button", class: "small", onclick: () => set(round(natural), true) }, "Initial scale")),
     slider,
     el("div", { class: "line bottom ends" }, choice("colour", "Colour", SHOWN(), "size", (value) => { state.colour = value; drawing?.again(); }), download(about, wrench)),
-    measured(shape, sizes, largest));
+    measured(shape, sizes, largest, mean));
   set(state.factor, false);
   drawing = await draw(place, (shade) => picture(shape, sizes, state, shade, view.camera(), place.clientWidth < NARROW), signal, said(about, largest));
   view.hold(drawing);
@@ -149,16 +151,17 @@ function redraw(drawing, shape, factor) {
   }, { ...axes, "scene.aspectratio": aspect(points) }, [0, 2, 3]);
 }
 
-function measured(shape, sizes, largest) {
+function measured(shape, sizes, largest, mean) {
   const where = shape.vertices[sizes.indexOf(largest)] || [0, 0, 0];
   const bar = shape.error ? shape.error[sizes.indexOf(largest)] : null, size = withBar(largest, bar, "m");
   const found = shape.stress;
   return facts([
     ["Largest displacement", `${size.value}${bar === null ? ", its error bar is not known," : ` ${size.bar}`} at ${at(where)}`],
+    ["Interface", mean?.translation ? `u ${triple(mean.translation, "m")} (Query): the motion of the section as a whole; single points of the surface move more or less.` : ""],
     ["Error bar", sharesOf(shape.error_parts)],
     ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : found.error < 1e-3 * found.largest ? " (interpolation error negligible; the mesh's error is not included)" : ` ± ${stress(found.error, 2)} (interpolation; the mesh's error is not included)`} at ${at(found.at)}` : "not known between the rows here"],
     ["Yields", found && found.error === null ? "not known, since the error bar is not known" : found && found.yields !== null ? (found.yields ? "yes" : `no (yield strength ${stress(found.yield_strength)}; the mesh's error is not included)`) : ""],
-    ["Points", "In the axes of the mesh, undeformed; the mark in the drawing is at the largest displacement."],
+    ["Points", "In the interface frame: from the interface point, along its axes, undeformed. The mark in the drawing is at the largest displacement."],
     ["Surface", `${shape.vertices.length} points, ${shape.triangles.length} triangles${shape.simplified ? `, simplified from ${shape.simplified.from} points` : ""}`],
   ]);
 }

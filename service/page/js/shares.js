@@ -5,7 +5,10 @@ import { quantity } from "./format.js";
 import { outputsOf } from "./inputs.js";
 
 const NAMES = ["covered", "thin", "outside"];
-export const WHOLE = ["within the tolerance", "over it or not known", "outside"];
+const WHOLE = ["within the tolerance", "over it or not known", "outside"];
+
+// A covered answer without some output or error bar cannot be compared with the tolerance.
+export const namesOf = (glance) => (glance.within_tolerance === null ? NAMES : WHOLE);
 
 const IS_TRANSLATION = /(^|\.)u[xyz]$/;
 
@@ -29,15 +32,18 @@ export function sharesOf(glance) {
   ]));
 }
 
-// What the rest of an error bar is, after interpolation: a linear analysis errs too, and so do readings.
-export const solverError = (about) => (!about.has_fea ? "reading" : about.linear ? "discretisation and linearity" : "discretisation");
+// What the rest of an error bar is, after interpolation: a linear analysis errs too, and so does a rig.
+export const solverError = (about) => (!about.has_fea ? "hysteresis and drift" : about.linear ? "discretisation and linearity" : "discretisation");
+
+// The interpolation error of measured rows contains their noise.
+export const tableError = (about) => (about.has_fea ? "interpolation" : "interpolation and noise");
 
 // Why an error bar exceeds the tolerance, and whether more solves help; `rest` is the bar without interpolation, over the tolerance.
-export const overTolerance = (about, rest) => (rest > 1 ? `An error bar exceeds the tolerance because of the ${solverError(about)} error. ${about.has_fea ? "More solves do not help; the component's overview says what does." : "Only readings with less noise, hysteresis and drift lower it."}`
-  : `An error bar exceeds the tolerance by interpolation and ${solverError(about)} error together. Rows near this wrench lower the first.`);
+export const overTolerance = (about, rest) => (rest > 1 ? `An error bar exceeds the tolerance because of ${solverError(about)}. ${about.has_fea ? "More solves do not help; the component's overview says what does." : "Only readings with less of them lower it."}`
+  : `An error bar exceeds the tolerance by ${tableError(about)} and ${solverError(about)} together. Rows near this wrench lower the first.`);
 
-// The solves of a component that have not ended: "3 waiting, 2 running". A card of the library does not know them.
-const openJobs = ({ jobs = {} }) => ["waiting", "running"].filter((status) => jobs[status]).map((status) => `${jobs[status]} ${status}`).join(", ");
+// The solves of a component that have not ended: "3 waiting, 2 running".
+export const openJobs = ({ jobs = {} }) => ["waiting", "running"].filter((status) => jobs[status]).map((status) => `${jobs[status]} ${status}`).join(", ");
 export const isAtWork = (about) => openJobs(about) !== "";
 
 // The share of the load range whose whole error bar is within the tolerance, and that bar's parts.
@@ -52,9 +58,10 @@ export function wholeError(glance, about) {
     return el("div", { class: "stack tight" }, el("div", { class: "shares" }, el("span", {}, "within tolerance"), el("span", { class: "bar" }), el("span", {}, "–")),
       el("span", { class: "muted small" }, "Not known: the rows are too few for an error bar. ", isAtWork(about) ? [el("a", { href: `#/c/${encodeURIComponent(about.name)}/jobs` }, openJobs(about)), ": the bar is shown after them."] : about.has_fea ? "Fill the table." : "Import more rows."));
   }
-  const parts = known ? `interpolation ${bar(glance.interpolation[k])} + ${solverError(about)} ${bar(Math.max(0, errors[k] - glance.interpolation[k]))}`
+  const rest = Math.max(0, errors[k] - glance.interpolation[k]);
+  const parts = known ? [`${tableError(about)} ${bar(glance.interpolation[k])}`, ...(rest > 0 || about.has_fea ? [`${solverError(about)} ${bar(rest)}`] : [])].join(" + ")
       : "interpolation; the discretisation error is not known";
   return el("div", { class: "stack tight" },
-    el("div", { class: "shares" }, el("span", {}, glance.within_tolerance === null && about.has_fea ? "covered" : "within tolerance"), sharesBar([within, Math.max(0, 1 - within - outside), outside], WHOLE), el("span", {}, `${Math.round(100 * within)} %`)),
+    el("div", { class: "shares" }, el("span", {}, glance.within_tolerance === null ? "covered" : "within tolerance"), sharesBar([within, Math.max(0, 1 - within - outside), outside], namesOf(glance)), el("span", {}, `${Math.round(100 * within)} %`)),
     errors[k] === null ? el("span", { class: "muted small" }, "The error bar is not known for half of the load range or more, most often beyond the rows.") : el("span", { class: "muted small" }, `Median error bar ± ${bar(errors[k])}: ${parts}${about.tolerance ? `; tolerance ${exactly(about.tolerance.translation)}` : ""}`));
 }

@@ -12,7 +12,7 @@ const TERMS = [
   ["Table version", "A number that grows with each change of a table: rows added, withdrawn or restored. The versions of all tables of a server count on together, so that it is no count of rows."],
   ["Packed table", "A table in one file (.wbt) that answers without a server. It keeps a version of the table."],
   ["Axis x, y, z", "A group of three loads that act on one axis: Fx, My and Mz on x, Fy, Mz and Mx on y, Fz, Mx and My on z. Rows with loads of one axis only are the basis of the methods griddata and additive."],
-  ["Error bar", "Half the width of the interval about an answer that holds the true value in 95 % of queries. Its parts are interpolation (more rows lower it), discretisation (a finer mesh lowers it), in a linear analysis linearity, and of measured rows the reading error: noise, hysteresis and drift."],
+  ["Error bar", "Half the width of the interval about an answer that holds the true value in 95 % of queries. Its parts are interpolation (more rows lower it), discretisation (a finer mesh lowers it), in a linear analysis linearity, and of measured rows hysteresis and drift; their noise is in the interpolation error."],
   ["Covered", "The interpolation error of the answer is known and within the tolerance."],
   ["Thin", "The interpolation error is larger than the tolerance or not known. The answer is an estimate; a query queues a solve whose row makes the table thicker."],
   ["Outside", "The wrench is beyond the load range, or beyond the rows for a method that does not extrapolate. Widen [range], or add rows there."],

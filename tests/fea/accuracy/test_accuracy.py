@@ -148,6 +148,17 @@ def test_a_coarser_mesh_that_is_no_coarser_where_the_error_is_leaves_it_unknown(
     assert reported["loads"] == [200, 200, 200, 5, 5, 5]
 
 
+@pytest.mark.parametrize(("size", "unknowns"), [("coarser", 0), ("finer", 100_000)])
+def test_a_second_mesh_of_the_same_size_where_the_error_is_is_named_as_the_reason(
+    bar, monkeypatch, size, unknowns
+):
+    """The basis was "no second mesh can be made", of the finer mesh "no coarser"."""
+    monkeypatch.setattr(estimate, "MIN_RATIO", 9.0)
+    monkeypatch.setattr(estimate, "FINER_UNKNOWNS", unknowns)
+    basis = accuracy_or_why(bar)["mesh_basis"]
+    assert f"a {size} mesh is no {size} where the error is" in basis
+
+
 def test_a_large_mesh_file_has_the_recovered_estimate_with_a_margin(bracket, monkeypatch):
     monkeypatch.setattr(estimate, "FINER_UNKNOWNS", 10_000)
     source = MeshFile(bracket.component.bundle.mesh.file, "m")

@@ -36,7 +36,7 @@ def test_the_page_has_the_keys_of_every_reader():
 
 @pytest.mark.parametrize(("heading", "key", "info"), FIELDS)
 def test_each_key_has_an_example_that_its_type_takes(heading, key, info):
-    assert key in tomllib.loads(f"{key} = {extra_of(info)['toml']}")
+    assert key in tomllib.loads(f"{key} = {extra_of(info)['example']}")
 
 
 def test_what_the_models_require_is_missed(tmp_path):

@@ -175,6 +175,12 @@ def test_another_deck_in_the_folder_is_left_as_it_is(tmp_path):
     assert (tmp_path / "calculix.inp").read_text() == "** mine\n"
 
 
+def test_an_archive_without_elements_is_refused_without_an_empty_list(tmp_path):
+    (tmp_path / "e.cdb").write_text("/PREP7\n")
+    with pytest.raises(BundleError, match="has no solid elements; export the volume mesh"):
+        propose(tmp_path / "e.cdb", tmp_path / "e", "mm")
+
+
 @pytest.mark.parametrize(
     "change", [("*ELEMENT, TYPE=C3D20", "*ELEMENT, TYPE=C3D99"), ("--case", "none")]
 )

@@ -298,7 +298,7 @@ def test_springs_are_those_of_the_temperature():
     ("inputs", "words"),
     [
         (None, "temperature: missing; give its value in degC"),
-        ({"heat": 30.0}, "no such input; there is temperature"),
+        ({"heat": 30.0}, "no such input; use temperature"),
         ({"temperature": 200.0}, "temperature must be 20 to 120 degC, not 200"),
         ({"temperature": "80"}, "temperature must be 20 to 120 degC, not 80"),
     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -42,6 +43,19 @@ def test_the_band_of_a_response_is_the_answers_error_bars(client, pyplot):
         edge.max(), (answers.displacements + answers.errors)[:, 0].max(), rtol=1e-12
     )
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("fx [N]", "ux [m]")
+
+
+def test_a_covered_wrench_between_two_others_is_a_marker_on_the_curve(client, pyplot, monkeypatch):
+    """It was a line of one point, which draws nothing."""
+    table = client.download("rig")
+    answers = plot._answers(table, None, None, None, {0: np.linspace(-100, 100, 3)})
+    sole = replace(answers, coverage=np.array(["thin", "covered", "thin"]))
+    monkeypatch.setattr(plot, "_answers", lambda *_: sole)
+    whole, covered = plot.response(table, "fx", "ux", count=3).lines
+    assert (whole.get_linestyle(), covered.get_linestyle()) == ("--", "-")
+    np.testing.assert_array_equal(whole.get_ydata(), answers.displacements[:, 0])
+    assert covered.get_marker() == "."
+    assert np.isfinite(covered.get_ydata()).tolist() == [False, True, False]
 
 
 def test_a_client_and_its_table_draw_the_same_response(client, pyplot):

@@ -136,6 +136,27 @@ def test_the_old_report_stays_while_a_new_one_is_made_which_can_be_cancelled(bro
     assert reported.call_json("GET", f"{REPORT}?format=state")["state"] == "done"
 
 
+def test_a_report_that_cannot_be_cancelled_says_so_and_can_be_cancelled_again(browser, plate):
+    """The button stayed disabled, and no notice said why."""
+    browser.visit("#/terms")
+    browser.one("h1")
+    running = {"state": "running", "fraction": 0.1, "message": "solving"}
+    browser.run(STUB, json.dumps([["format=state", running]]))
+    browser.run(REFUSED, "DELETE")
+    browser.go(f"{PLATE}/report")
+    browser.click("#cancel-report")
+    browser.named("#notices", "The server is busy.")
+    browser.until(lambda: browser.one("#cancel-report").is_enabled())
+
+
+def test_a_report_that_cannot_be_saved_says_so(browser, reported):
+    browser.visit(f"{PLATE}/report")
+    browser.one("#plot-front[data-drawn]")
+    browser.run(REFUSED, "GET")
+    browser.click("button", "Save MD")
+    browser.named("#notices", "The server is busy.")
+
+
 def test_cards_show_the_part_and_an_error_bar_with_its_discretisation_error(browser, plate):
     browser.visit("#/")
     card = browser.named(".card.library", "plate_thin")
@@ -646,6 +667,23 @@ def test_a_temperature_is_asked_beside_the_wrench(browser):
     assert "temperature 80" in browser.one("main").text
 
 
+def test_a_unit_that_could_not_be_read_is_requested_for_the_next_list_of_jobs(browser):
+    """A failed request left a job's temperature without its unit until the page was loaded anew."""
+    heated = job(2, "done", component="hot_bracket", created="2026-01-01T00:00:00Z")
+    heated["inputs"] = {"temperature": 80.0}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["v1/jobs?", {"jobs": [heated], "next": None}]]))
+    browser.run("window.served = window.fetch;" + REFUSED, "GET", "v1/components/hot_bracket")
+    browser.go("#/jobs")
+    assert "temperature 80" in browser.one("#job-2").text
+    browser.go("#/terms")
+    browser.named("h1", "Terms")
+    browser.run("window.fetch = window.served;")
+    browser.go("#/jobs")
+    browser.until(lambda: "80\u00a0°C" in browser.one("#job-2").text.replace(" ", "\u00a0"))
+
+
 def test_arrows_follow_the_loads_that_are_typed(browser):
     browser.visit("#/c/link/query")
     drawn(browser)
@@ -935,6 +973,7 @@ def doubtful(plate):
     report = {"tables": [table], "default": {"method": "kriging"}, "rows": rows}
     report |= {"made": "2026-01-01T00:00:00Z", "table_version": 1}
     report["advice"] = "The error bars of kriging were too small for 4 of 6 answers."
+    report |= {"bars_too_small": True, "needs_rows": True}
     return report
 
 
@@ -955,6 +994,7 @@ def test_the_overview_shows_that_the_error_bars_were_too_small_in_the_report(bro
 def test_an_answer_says_that_the_error_bars_were_too_small_in_the_report(browser, plate, missed):
     report = doubtful(plate)
     report["tables"][0]["beyond_error_bar"]["missed"] = missed
+    report["bars_too_small"] = missed > 0
     browser.visit("#/terms")
     browser.one("h1")
     browser.run(STUB, json.dumps([["format=state", {"state": "done"}], ["/report", report]]))
@@ -1132,11 +1172,16 @@ def test_stretches_of_a_response_that_are_thin_and_outside_have_their_words(brow
     assert np.ptp(np.array(colours, dtype=float), axis=0)[:3].max() > 60
 
 
-def test_the_error_of_a_reading_has_its_name_in_the_band_of_a_measured_table(browser, client):
-    measured(client, "read", 100, 200, 300)
-    browser.visit("#/c/read/response")
+def test_the_parts_of_the_band_of_a_measured_table_have_the_names_of_its_errors(browser, gauge):
+    """The key counted noise as an error beside the interpolation error, which contains it."""
+    browser.visit("#/c/gauge/response")
     browser.drawn("#response")
-    assert "reading error: noise, hysteresis" in browser.one(".key-of-marks").text
+    key = browser.one(".key-of-marks").text
+    assert "interpolation and noise: more readings lower them" in key
+    assert "hysteresis and drift: a better rig lowers them" in key
+    caption = browser.named("main p", "lie on this line").text
+    assert "(interpolation and noise" in caption
+    assert ", hysteresis" not in caption
 
 
 @pytest.mark.parametrize(
@@ -1358,6 +1403,14 @@ window.fetch = (to, how) => {
   if (reply === undefined) return own(to, how);
   if (how.body) window.sent.push(JSON.parse(how.body));
   return Promise.resolve(new Response(JSON.stringify(reply)));
+};"""
+
+# Refuses the calls of a method, all or those whose address has a text.
+REFUSED = """const before = window.fetch, [method, text = ""] = arguments;
+window.fetch = (to, how) => {
+  if (how.method !== method || !String(to).includes(text)) return before(to, how);
+  const problem = { title: "Busy", detail: "The server is busy." };
+  return Promise.resolve(new Response(JSON.stringify(problem), { status: 503 }));
 };"""
 
 
@@ -1666,3 +1719,178 @@ def test_triangles_without_an_area_draw_no_edges_on_a_flat_face(browser, client)
     script = "return (await import('/page/js/surface.js')).outline(...arguments[0])"
     edges = browser.run(script, [points, triangles])
     assert {tuple(edge) for edge in edges} == {(0, 3), (0, 5), (1, 2), (1, 5), (2, 3)}
+# -- outputs that no row has ----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def gauge(client):
+    """A measured component with one load and one gauge, whose readings have noise."""
+    about = {"name": "gauge", "title": "Strut", "range": {"force": [0, 0, 300], "moment": [0] * 3}}
+    client.call_json("POST", "/v1/components", about)
+    force = np.round(300 * np.sin(2 * np.pi * np.arange(80) / 40), 2)
+    noise = np.random.default_rng(2).normal(0, 5e-4, len(force))
+    lines = [f"0,0,{f},0,0,0,{f / 2000 + e:.6f}" for f, e in zip(force, noise, strict=True)]
+    client.import_table("gauge", "\n".join([f"{LOADS},uz [mm]", *lines]).encode())
+    client.component("gauge", wait_s=60)
+    return client
+
+
+def test_an_output_that_no_row_has_is_not_measured_in_an_answer(browser, gauge):
+    """The answer printed 0 m for null."""
+    browser.visit("#/c/gauge/query")
+    ask(browser, fz=-150)
+    shown = browser.one("table.answer").text
+    assert shown.count("not measured") == 5
+    assert "0 m" not in shown.split("not measured")[0]
+    pill = browser.one("section .pill").text
+    assert pill.startswith("covered")
+    assert "unknown" not in pill
+
+
+def test_an_output_that_no_row_has_cannot_be_chosen_for_a_response(browser, gauge):
+    browser.visit("#/c/gauge/response")
+    browser.drawn("#response")
+    disabled = "input[name=output]:disabled"
+    assert [one.get_attribute("value") for one in browser.all(disabled)] == [
+        "ux",
+        "uy",
+        "rx",
+        "ry",
+        "rz",
+    ]
+
+
+def test_a_response_draws_and_counts_only_the_rows_that_have_its_output(browser, client):
+    """Rows without ux were circles at ux = 0."""
+    measured(client, "halves", 100, 200, 300)
+    rows = "\n".join([f"{LOADS},ux [mm]", *(f"0,0,{f},0,0,0,{f}e-3" for f in (150, 250))])
+    client.import_table("halves", rows.encode())
+    browser.visit("#/c/halves/response")
+    browser.named("main p", "3 rows lie on this line")
+    drawn = browser.run("return document.querySelector('#response').data.at(-1).y")
+    assert sorted(value is None for value in drawn) == [False] * 3 + [True] * 2
+
+
+@pytest.mark.parametrize(("address", "title"), [("#/", "gauge"), ("#/c/gauge", "Coverage")])
+def test_a_bar_that_no_tolerance_was_compared_with_is_called_covered(
+    browser, gauge, address, title
+):
+    """Library and overview printed "within tolerance 100 %"; the reply had null."""
+    browser.visit(address)
+    place = browser.named(".card", title)
+    shown = browser.until(lambda: "Median error bar" in place.text and place.text)
+    assert "covered" in shown
+    assert "within tolerance" not in shown
+    assert re.search(r"interpolation and noise \d+ nm$", shown, re.MULTILINE)
+
+
+def test_the_overview_names_the_outputs_that_no_row_has(browser, gauge):
+    browser.visit("#/c/gauge")
+    browser.named("main", "Not measured")
+    shown = browser.named("section", "Not measured").text.replace("\u00a0", " ")
+    assert "ux, uy, rx, ry, rz" in shown
+    tolerance = browser.named("dd", "of each output's range: u")
+    assert "u (–, –, " in tolerance.text.replace("\u00a0", " ")
+    assert "Contradictions" not in browser.one("main").text
+
+
+def test_an_answer_beyond_few_rows_is_muted_and_called_extrapolated(browser, client):
+    """One row answered a wrench within the load range in full ink, with "outside" alone."""
+    measured(client, "single", 100)
+    browser.visit("#/c/single/query")
+    ask(browser, fz=200)
+    browser.named(".note", "Extrapolated from 1 row; its error is not known.")
+    assert browser.one("section .pill").text == "outside the rows"
+    assert browser.all("table.answer.guess")
+    ask(browser, fz=700)
+    browser.until(lambda: browser.one("section .pill").text == "outside the load range")
+
+
+def test_the_gaps_of_the_coverage_are_called_those_within_the_hull(browser, plate):
+    browser.visit(f"{PLATE}/coverage")
+    browser.named("h2", "Largest gaps within the hull")
+
+
+# -- solves at work -------------------------------------------------------------------------------
+
+
+def test_an_answer_and_its_queued_solve_are_there_again_after_another_view(browser, plate):
+    answer = {"translation": None, "rotation": None, "error": None, "coverage": "thin"}
+    answer |= {"within_tolerance": None, "source": None, "method": "", "table_version": 1}
+    answer |= {"elapsed_us": 1.0, "job": {"id": 77, "status": "waiting"}}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/displacement", answer]]))
+    browser.run(
+        "const stub = window.fetch; window.fetch = (to, how) =>"
+        " String(to).includes('v1/jobs/77') ? new Promise(() => {}) : stub(to, how);"
+    )
+    browser.go(f"{PLATE}/query")
+    ask(browser, fz=-987)
+    browser.named("#watched", "Job 77")
+    browser.go(PLATE)
+    browser.named("h2", "Coverage")
+    browser.go(f"{PLATE}/query")
+    browser.named("#watched", "Job 77")
+    assert len(browser.run("return window.sent")) == 1
+
+
+def test_an_open_overview_follows_the_states_of_jobs(browser, client):
+    """It showed the jobs of its first moment until rows arrived."""
+    browser.visit("#/c/plate")
+    browser.named("section", "Method and rows")
+    browser.one("main .shares, main .halves p")
+    cancelled = client.component("plate")["jobs"].get("cancelled", 0)
+    order = {"force": [0, 0, -20.0], "moment": [0, 0, 0]}
+    job = client.call_json("POST", "/v1/components/plate/solve", order)["job"]
+    client.call("DELETE", f"/v1/jobs/{job['id']}")
+    browser.named("dd .pill", f"{cancelled + 1} cancelled")
+
+
+def test_a_fill_counts_its_solves_in_one_sentence_and_links_to_them(browser, client):
+    browser.visit("#/c/plate")
+    browser.one("#fill")
+    queued = {"jobs": [{"id": 1}, {"id": 2}], "reason": "2 of at most 24 solves: the largest first"}
+    browser.run(STUB, json.dumps([["/fill", queued], ["v1/jobs/", {"status": "done"}]]))
+    browser.type("form input[type=number]", "2")
+    browser.click("#fill")
+    browser.named("span", "2 solves queued (at most 2): 2 done. The budget is spent.")
+    browser.named("span", "The largest first")
+    assert browser.named("main a", "Show the jobs").get_attribute("href").endswith("#/c/plate/jobs")
+
+
+def test_a_fill_that_queues_nothing_has_no_bar_and_says_why(browser, client):
+    browser.visit("#/c/plate")
+    browser.one("#fill")
+    reason = "the interpolation error of 100 % of the range is within the tolerance"
+    browser.run(STUB, json.dumps([["/fill", {"jobs": [], "reason": reason}]]))
+    browser.click("#fill")
+    browser.named("p", "No solve is queued: The interpolation error of 100 %")
+    assert not browser.all("main section progress")
+
+
+def test_a_card_has_the_open_solves_and_the_verdict_of_the_report(browser, plate):
+    """While a fill ran, its card advised to fill the table."""
+    glance = {"whole": [0, 1, 0], "error": [None] * 6, "interpolation": [None] * 6}
+    glance |= {"within_tolerance": 0, "bars_are_whole": True, "axes": {}}
+    about = plate.component("plate_thin") | {"jobs": {"running": 2}}
+    browser.visit("#/terms")
+    browser.one("h1")
+    replies = [["/plate_thin/glance", glance], ["format=state", {"state": "done"}]]
+    surface = plate.call_json("GET", "/v1/components/plate_thin/surface")
+    replies += [["/report", doubtful(plate)], ["/surface", surface]]
+    replies += [["components/plate_thin", about]]
+    browser.run(STUB, json.dumps(replies))
+    browser.go("#/")
+    card = browser.named(".card.library", "2 running")
+    assert "Fill the table" not in card.text
+    browser.until(lambda: "The latest report warns of the error bars" in card.text)
+
+
+def test_a_shape_names_its_frame_and_the_displacement_of_its_interface(browser, plate):
+    """The points are in the interface frame; the text named the axes of the mesh."""
+    browser.visit(f"{PLATE}/shape")
+    browser.drawn("#shape")
+    shown = browser.one("dl.facts").text
+    assert "In the interface frame" in shown
+    assert re.search(r"Interface\s+u \(.*mm \(Query\)", shown.replace("\u00a0", " "))
