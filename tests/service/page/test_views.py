@@ -39,7 +39,7 @@ def strut(client):
     noise = np.random.default_rng(1).normal(0, 5e-4, 61)
     lines = [f"{x},{x * 1e-3 + e}" for x, e in zip(range(-300, 301, 10), noise, strict=True)]
     text = "\n".join(["Fz [N],uz [mm]", *lines])
-    path = "/v1/components/strut/table?missing_loads=zero"
+    path = "/v1/components/pull_strut/table?missing_loads=zero"
     client.call("POST", path, content=text.encode(), headers={"Content-Type": "text/csv"})
     return client
 
