@@ -34,12 +34,12 @@ COLUMNS = [
 def strut(client):
     """A measured component with one load and one output: Fz and uz."""
     spans = {"force": [0, 0, 300], "moment": [0, 0, 0]}
-    about = {"name": "strut", "title": "Strut", "range": spans}
+    about = {"name": "pull_strut", "title": "Strut", "range": spans}
     client.call_json("POST", "/v1/components", about)
     noise = np.random.default_rng(1).normal(0, 5e-4, 61)
     lines = [f"{x},{x * 1e-3 + e}" for x, e in zip(range(-300, 301, 10), noise, strict=True)]
     text = "\n".join(["Fz [N],uz [mm]", *lines])
-    path = "/v1/components/strut/table?missing_loads=zero"
+    path = "/v1/components/pull_strut/table?missing_loads=zero"
     client.call("POST", path, content=text.encode(), headers={"Content-Type": "text/csv"})
     return client
 
@@ -957,7 +957,7 @@ def test_the_log_of_a_failed_job_has_the_message_first_and_the_traceback_folded(
     client.add_component(bundle(tmp_path, "strut", **changed))
     with pytest.raises(ProblemError, match="buckles"):
         client.solve("strut", [-10_000, 0, 0], [0, 0, 0], wait_s=120)
-    browser.visit("#/c/strut/jobs")
+    browser.visit("#/c/pull_strut/jobs")
     browser.click("button", "Log")
     folded = browser.one("dialog summary")
     assert "Traceback" not in browser.one("dialog").text
@@ -1581,7 +1581,7 @@ def test_a_job_outside_the_load_range_says_how_far_and_that_the_part_yields(brow
 
 
 def test_a_response_runs_along_a_load_with_a_range_alone(browser, strut):
-    browser.visit("#/c/strut/response")
+    browser.visit("#/c/pull_strut/response")
     browser.drawn("#response")
     assert browser.one(".choice").text == "Fz"
     key = browser.one(".key-of-marks").text
@@ -1602,7 +1602,7 @@ def test_the_other_loads_of_a_response_leave_the_drawn_one_out(browser, client):
 
 
 def test_the_coverage_of_one_load_has_no_picture_in_space(browser, strut):
-    browser.visit("#/c/strut/coverage")
+    browser.visit("#/c/pull_strut/coverage")
     text = browser.named("section", "Coverage of this axis").text
     assert "none of them with loads of other axes too, span 1 dimension." in text
     assert not browser.all("#coverage")
@@ -1612,7 +1612,7 @@ def test_the_coverage_of_one_load_has_no_picture_in_space(browser, strut):
 
 
 def test_a_compliance_of_one_load_has_the_measured_entry_alone(browser, strut):
-    browser.visit("#/c/strut/checks")
+    browser.visit("#/c/pull_strut/checks")
     mean = browser.named("section", "Mean compliance")
     assert len(mean.find_elements("css selector", "td")) == 1
     assert "fitted from 61 rows" in mean.text
@@ -1621,7 +1621,7 @@ def test_a_compliance_of_one_load_has_the_measured_entry_alone(browser, strut):
 
 
 def test_a_measured_stiffness_is_rounded_to_its_bar_and_has_units(browser, strut):
-    browser.visit("#/c/strut/table")
+    browser.visit("#/c/pull_strut/table")
     browser.type("#stiffness-low", "-200")
     browser.type("#stiffness-high", "200")
     browser.click("#stiffness-ask")
@@ -1635,7 +1635,7 @@ def test_a_measured_stiffness_is_rounded_to_its_bar_and_has_units(browser, strut
 
 def test_an_answer_with_unmeasured_outputs_says_how_many_and_has_a_tolerance(browser, strut):
     """Its pill said that the error bar is unknown, although that of uz is known."""
-    browser.visit("#/c/strut/query")
+    browser.visit("#/c/pull_strut/query")
     ask(browser, fz=-150)
     browser.named(".pill", "covered; 5 outputs not measured")
     assert "Of the tolerance" in browser.one("table.answer").text
