@@ -15,6 +15,7 @@ import math
 import os
 import re
 import secrets
+import socket
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -65,7 +66,11 @@ _WITHOUT_KEYS: Final = (
 
 
 class KeysError(ValueError):
-    """No key was changed; the class itself means an invalid value, or a name that is taken."""
+    """No key was changed; the class itself means an invalid value."""
+
+
+class KeyExistsError(KeysError):
+    """A key has this name already."""
 
 
 class UnknownKeyError(KeysError, LookupError):
@@ -132,9 +137,9 @@ class Keyring:
     Raises KeysError if the keys cannot be read.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, option: str = "") -> None:
         self._path = folder / FILE
-        self._option = f"--data {folder}"
+        self._option = option or f"--data {folder}"  # of the commands that messages name
         self._lock = threading.Lock()
         self._stamp: tuple[int, int, int] | None = None
         self._keys: dict[str, Key] = {}
@@ -207,7 +212,7 @@ class Keyring:
                 raise KeysFullError(f"{_FULL} {self._option}")
             if any(key.name == name for key in keys.values()):
                 taken = f"a key {name!r} exists; choose another name, or revoke it first with: "
-                raise KeysError(taken + f"wrenchbook keys revoke {name} {self._option}")
+                raise KeyExistsError(taken + f"wrenchbook keys revoke {name} {self._option}")
             values = {"name": name, "scope": scope, "digest": digest_of(secret)}
             try:
                 key = _checked({**values, "created": time.time(), **limits})
@@ -335,9 +340,15 @@ def is_loopback(host: str) -> bool:
 def require_keys(host: str, folder: Path) -> None:
     """Check that an address that other machines reach has keys.
 
-    Raises KeysNeededError without keys, and KeysError if they cannot be read.
+    Raises KeysNeededError without keys, and KeysError if they cannot be read, or the host has no
+    address.
     """
     if not len(Keyring(folder)) and not is_loopback(host):
+        try:
+            socket.getaddrinfo(host, None)
+        except OSError:
+            why = f"no host has the name {host!r}; give an address of this machine with --host"
+            raise KeysError(why) from None
         raise KeysNeededError(_WITHOUT_KEYS.format(host=host, folder=folder))
 
 
@@ -379,17 +390,23 @@ def _stored_keys(content: bytes) -> list[Key]:
     return keys
 
 
+def checked_name(name: Any) -> str:
+    """Return a valid name of a key; raises ValueError for any other."""
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise ValueError(
+            f"{name!r} is not a valid key name; use 1 to 64 letters, digits, '.', '_', '@' and "
+            "'-', beginning with a letter or digit"
+        )
+    return name
+
+
 def _checked(values: dict[str, Any]) -> Key:
     """Return the key of its fields.
 
     Raises ValueError if a value is invalid.
     """
     key = Key(**{**values, "components": tuple(values.get("components", ANY))})
-    if not isinstance(key.name, str) or not NAME.fullmatch(key.name):
-        raise ValueError(
-            f"{key.name!r} is not a valid key name; use 1 to 64 letters, digits, '.', '_', '@' and "
-            "'-', beginning with a letter or digit"
-        )
+    checked_name(key.name)
     if key.scope not in SCOPES:
         raise ValueError(f"the scope must be one of {', '.join(SCOPES)}, not {key.scope!r}")
     if not (isinstance(key.rate, int | float) and 1e-6 <= key.rate < 1e9):

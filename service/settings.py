@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import json
 import os
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
@@ -19,6 +20,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Le
 
 from wrenchbook.service.files.program import usable_cores
+from wrenchbook.service.mistakes import mistake_of
 
 PREFIX = "WRENCHBOOK_"
 FILE = "wrenchbook.toml"  # settings file in the data directory, unless --config names another
@@ -125,8 +127,7 @@ def read_settings(
             place = f"{name} in {file}"
         elif place == "command line":
             place = f"--{name.replace('_', '-')}"
-        rule = first["msg"].replace("Input should be", "must be")
-        raise SettingsError(f"{place}: {rule}, not {first['input']!r}") from error
+        raise SettingsError(f"{place}: {mistake_of(first)}") from error
 
 
 def listed(text: str | None) -> list[str]:
@@ -183,6 +184,23 @@ def check_copies(settings: Settings) -> None:
     if settings.read_only and (settings.replicate or settings.backup_every):
         copying = "replicate" if settings.replicate else "backup_every"
         raise SettingsError(f"{copying}: a server with read_only makes no copies; remove {copying}")
+
+
+def check_names(settings: Settings) -> None:
+    """Check names and origins of other machines; raises SettingsError for any other text."""
+    for host in listed(settings.allow_host):
+        if "/" in host:
+            name = host.split("://")[-1].split("/")[0] or "HOST"
+            text = f"takes a host name without http:// or a path: {name}"
+            raise SettingsError(f"--allow-host {text}")
+    for origin in listed(settings.allow_origin):
+        if not re.fullmatch(r"https?://[^/]+/?", origin, re.IGNORECASE):
+            host = origin.split("://")[-1].split("/")[0] or "HOST"
+            text = f"{origin} is not an origin; write https://{host}"
+            raise SettingsError(f"--allow-origin {text}")
+    if settings.public_url and not re.match(r"https?://[^/]", settings.public_url, re.IGNORECASE):
+        text = f"{settings.public_url} is not a URL; write https://HOST"
+        raise SettingsError(f"--public-url {text}")
 
 
 def as_file(settings: Settings, origins: Mapping[str, str]) -> str:

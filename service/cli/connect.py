@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from wrenchbook.fea.bundle.read import FILE_NAME
 from wrenchbook.fea.bundle.shipped import SHIPPED
@@ -15,6 +17,7 @@ from wrenchbook.service.client import Client
 from wrenchbook.service.client.errors import InvalidArgument
 
 DEFAULT_SERVER = "http://127.0.0.1:8000"
+_NO_NUMBER = re.compile(r"^(.+) is not a valid (int|integer|float)( range)?\.$")
 COMPLETION_S = 2.0  # s for which a shell waits at each tab
 
 
@@ -33,13 +36,51 @@ def component_names(ctx: typer.Context, incomplete: str) -> list[str]:
     return sorted(name for name in known if name.startswith(incomplete))
 
 
+def _refuse_both(ctx: typer.Context, value: Any) -> Any:
+    """Refuse --server beside --data; a variable of the environment may name a server."""
+    sources = [ctx.get_parameter_source(name) for name in ("server", "data")]
+    if all(source is not None and source.name == "COMMANDLINE" for source in sources):
+        raise typer.BadParameter("--server and --data exclude each other; leave one out")
+    return value
+
+
+class PlainCommand(TyperCommand):
+    """A command whose refusal of a text in the place of a number is in plain words."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse as the base class does."""
+        try:
+            return super().parse_args(ctx, args)
+        except typer.BadParameter as error:
+            if text := _NO_NUMBER.match(error.message):
+                kind = "a number" if text[2] == "float" else "a whole number"
+                error.message = f"must be {kind}, not {text[1]}."
+            raise
+
+
+class Commands(typer.Typer):
+    """A group whose commands are `PlainCommand`s."""
+
+    def command(self, name: str | None = None, **options: Any) -> Any:
+        """Return the decorator of a command."""
+        return super().command(name, **{"cls": PlainCommand, **options})
+
+
 Name = Annotated[str, typer.Argument(help="name of the component", autocompletion=component_names)]
 Server = Annotated[
-    str, typer.Option(envvar="WRENCHBOOK_SERVER", help="address of a running server")
+    str,
+    typer.Option(
+        envvar="WRENCHBOOK_SERVER",
+        help="address of a running server",
+        callback=_refuse_both,
+    ),
 ]
 Data = Annotated[
     Path | None,
-    typer.Option(help="use this data directory by a temporary server, instead of --server"),
+    typer.Option(
+        help="use this data directory by a temporary server, instead of --server",
+        callback=_refuse_both,
+    ),
 ]
 BeyondRange = Annotated[
     bool, typer.Option("--beyond-range", help="also solve wrenches outside the load range")

@@ -19,7 +19,7 @@ from annotated_types import Ge, Le
 from rich.table import Table
 
 from wrenchbook.service.actors import ANY
-from wrenchbook.service.cli.connect import AsJson, in_folder
+from wrenchbook.service.cli.connect import AsJson, Commands, in_folder
 from wrenchbook.service.cli.render import Screen, plain, print_json, show
 from wrenchbook.service.contract import counted
 from wrenchbook.service.files.program import run_child, usable_cores
@@ -39,6 +39,7 @@ from wrenchbook.service.settings import (
     as_file,
     check_copies,
     check_engine,
+    check_names,
     read_settings,
 )
 
@@ -83,6 +84,7 @@ def serve(
         check_engine(settings.engine, settings.scheduler)
         trust = proxy_trust(settings)
         check_copies(settings)
+        check_names(settings)
     except SettingsError as error:
         raise typer.BadParameter(str(error)) from error
     _make_folder(settings.data)
@@ -165,6 +167,9 @@ def work(
 
     from wrenchbook.service.workers.builder import opened, solving
 
+    if not data.is_dir():  # an empty one is allowed: a container may start before the server's
+        start = f"start wrenchbook serve --data {data} first, or correct the path"
+        raise _refused(f"there is no data directory {data}; {start}")
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -319,7 +324,7 @@ def _data_option(data: Path) -> str:
     return "" if data == DEFAULT_DATA else f" --data {shlex.quote(str(data))}"
 
 
-keys = typer.Typer(no_args_is_help=True, help="List, add, rotate and revoke access keys.")
+keys = Commands(no_args_is_help=True, help="List, add, rotate and revoke access keys.")
 
 KeyName = Annotated[str, typer.Argument(help="name of the key's owner")]
 
@@ -400,7 +405,8 @@ def _noted(data: Path, action: str, name: str, after: Any = None) -> Iterator[No
     from wrenchbook.service.ledger import Ledger, noted
 
     if action != "key.add" and not (data / KEYS).exists():  # otherwise a ledger would be made there
-        raise KeysError(f"{data} has no {KEYS}; name the server's data directory with --data")
+        create = f"create one with: wrenchbook keys add NAME{_data_option(data)}"
+        raise KeysError(f"{data} has no keys; {create}, or name another directory with --data")
     with (
         closing(Ledger(data / "ledger.sqlite")) as ledger,
         noted(ledger, action, name, after=after),

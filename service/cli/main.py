@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any, cast
 
 import typer
-from typer.core import TyperCommand
 
 import wrenchbook
 from wrenchbook.service.cli import progress, render
@@ -18,9 +17,11 @@ from wrenchbook.service.cli.connect import (
     ZERO,
     AsJson,
     BeyondRange,
+    Commands,
     Data,
     FurtherInput,
     Name,
+    PlainCommand,
     Server,
     Three,
     by_name,
@@ -47,14 +48,14 @@ from wrenchbook.service.client.client import deformed_format
 from wrenchbook.service.client.errors import InvalidArgument, mistake_line
 from wrenchbook.service.contract import OnThin
 
-app = typer.Typer(
+app = Commands(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Displacements of deformable components from tables of finite-element results.",
 )
 
 
-class NumbersCommand(TyperCommand):
+class NumbersCommand(PlainCommand):
     """A command with options of several numbers; an option with too few numbers is named."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

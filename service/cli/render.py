@@ -154,6 +154,9 @@ def print_answer(
 def comparison_shown(reply: dict[str, Any]) -> Iterator[RenderableType]:
     """Yield the factors of a comparison, of all rows and of each import."""
     reference = reply["reference"]
+    if reply["reason"] and not reference["of"]:
+        yield f"Nothing is compared: {reply['reason']}."
+        return
     rows = f"{reference['rows']} of {reference['of']} rows"
     named = "the solves" if reference["import"] is None else f"import {reference['import']}"
     counts = ", ".join(f"{number} {name}" for name, number in reply["coverages"].items() if number)

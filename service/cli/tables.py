@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -254,7 +255,7 @@ def export_table(
         refuse_alone("a file that ends in .fmu", {"--method": method, "--platforms": platforms})
     format_ = "csv"
     if not to_stdout:
-        format_ = "packed" if ending in COMPILED else table_format(file)
+        format_ = table_format(file, dict.fromkeys(COMPILED, "packed"))
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     units = {quantity: unit for quantity, unit in units.items() if unit is not None}
     curves = {}
@@ -471,10 +472,24 @@ def _import_lines(reply: dict[str, Any]) -> list[str]:
             f"file are not added to them. Withdrawn rows that count again: {reply['restored']}."
         )
     if rig := reply["rig"]:
-        axes = "left-handed" if rig["left_handed"] else "right-handed"
-        cell = f", load cell {rig['load_cell']}" if rig.get("load_cell") else ""
-        lines.append(f"Readings were taken to the interface from rig {rig['name']}, {axes}{cell}.")
+        lines.append(rig_line(rig))
     return lines
+
+
+def rig_line(rig: dict[str, Any]) -> str:
+    """Return the line of an import's rig: its axes and points, or those of the options alone."""
+    cell = rig.get("load_cell")
+    # The server names a rig without a name by eight digits of its digest.
+    named = "" if re.fullmatch("[0-9a-f]{8}", rig["name"]) else f" from rig {rig['name']}"
+    if cell and not named and rig["frame"] == [[1, 0, 0], [0, 1, 0], [0, 0, 1]]:
+        point = "moving interface point" if cell == "moving" else "undeformed interface point"
+        return f"Moments were taken about the {point} (--load-cell {cell})."
+    axes = "left-handed" if rig["left_handed"] else "right-handed"
+    return (
+        f"Readings were taken to the interface{named}, {axes}"
+        + (f", load cell {cell}" if cell else "")
+        + "."
+    )
 
 
 TABLE_COMMANDS = {

@@ -74,6 +74,8 @@ class Table:
         etag: str | None = None,
         scene: Scene | None = None,
     ) -> None:
+        if isinstance(packed, str | os.PathLike):
+            raise TypeError(f"Table takes a packed table, not a path; use Table.open({packed!r})")
         self._now = packed, etag  # replaced as a pair: threads read it
         self.name: str = name or packed.meta["provenance"]["component"]
         self._client = client

@@ -95,7 +95,8 @@ class Connection:
         try:
             parts = urlsplit(url if "://" in url else f"http://{url}")
             port, hostname = parts.port, parts.hostname
-            if parts.scheme not in ("http", "https") or not hostname:
+            has_slip = "://" not in url and re.match("https?[:/]", url)  # http//host, http:/host
+            if parts.scheme not in ("http", "https") or not hostname or has_slip:
                 raise ValueError
             hostname.encode("idna")  # as a connection does; UnicodeError is a ValueError
         except (TypeError, ValueError):  # no text, no port, an empty label

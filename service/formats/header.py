@@ -335,7 +335,8 @@ def _read_labels(
             if _key(name) not in present and name not in options.optional:
                 message = f"is in {option}, but the file has no such column; {known}"
                 header.mistakes.append(FileMistake(line, name, message))
-    for message in _missing_columns(header, labels, options):
+    meanings = [target or label for label, target in zip(labels, targets, strict=True)]
+    for message in _missing_columns(header, labels, meanings, options):
         header.mistakes.append(FileMistake(line, "header", message))
 
 
@@ -372,7 +373,9 @@ def _add_column(
         )
 
     try:
-        name, unit, factor = _reading(text, bare.unit, header.preamble, columns)
+        name, unit, factor = _reading(
+            text, bare.unit, header.preamble, columns, mapped=bare.label if target else ""
+        )
     except _UnknownColumnError:
         if not options.ignore_extra or target:
             raise
@@ -381,15 +384,31 @@ def _add_column(
     if sign < 0 and name not in (*columns.loads, *columns.displacement):
         raise UnitError(f"only loads and displacements take a minus sign, not {name}; write {text}")
     if name in header.columns:
-        first = quoted(header.columns[name].label)
-        message = f"{name} is there twice, also as {first}; leave one out with ignore (--ignore)"
+        message = _repeated(name, header.columns[name], bare)
         header.mistakes.append(FileMistake(line, bare.label, message))
     zero = columns.zero(name, unit)
     header.columns[name] = HeaderColumn(bare.index, bare.label, name, factor * sign, unit, zero)
 
 
-def _reading(label: str, below: str, preamble: Preamble, columns: Columns) -> Reading:
-    """Return name, unit and factor of a label with a unit below it; raises UnitError."""
+def _repeated(name: str, first: HeaderColumn, second: HeaderColumn) -> str:
+    """Return a message on two columns of one meaning."""
+    if _key(first.label) != _key(second.label):
+        also = quoted(first.label)
+        return f"{name} is there twice, also as {also}; leave one out with ignore (--ignore)"
+    return (  # the label would leave both out
+        f"columns {first.index + 1} and {second.index + 1} are both {second.label}; rename one of "
+        "them in the file, or leave one out by its number with ignore "
+        f"(--ignore {second.index + 1})"
+    )
+
+
+def _reading(
+    label: str, below: str, preamble: Preamble, columns: Columns, mapped: str = ""
+) -> Reading:
+    """Return name, unit and factor of a label with a unit below it; raises UnitError.
+
+    `mapped`: the file's label to which the mapping gives `label` as meaning.
+    """
     problem: UnitError | None = None
     fits: dict[str, Reading] = {}
     meanings = list(columns.readings(label))
@@ -400,6 +419,8 @@ def _reading(label: str, below: str, preamble: Preamble, columns: Columns) -> Re
         unit, count = counted or (written or below, 1.0)
         if not unit and name != TIME_COLUMN:
             example = columns.examples(name)
+            if mapped:
+                example += f" (--column '{_parts(mapped)[0]}={example.split(', ')[0]}')"
             problem = problem or UnitError(f"has no unit; write for example {example}")
             continue
         try:
@@ -419,7 +440,8 @@ def _reading(label: str, below: str, preamble: Preamble, columns: Columns) -> Re
     if problem and (split(label)[1] or any(not meaning.unit for meaning in meanings)):
         raise problem
     name = _parts(label)[0]
-    raise _UnknownColumnError(columns.interface_problem(name) or _unknown(name, columns))
+    unknown = _unknown_meaning(label, mapped, columns) if mapped else _unknown(name, columns)
+    raise _UnknownColumnError(columns.interface_problem(name) or unknown)
 
 
 class _UnknownColumnError(UnitError):
@@ -454,6 +476,19 @@ def _unknown(name: str, columns: Columns) -> str:
     )
 
 
+def _unknown_meaning(meaning: str, mapped: str, columns: Columns) -> str:
+    """Return a message on a mapping's meaning that is not a known column, with the nearest one."""
+    name, unit = _parts(meaning)
+    near = difflib.get_close_matches(name.lower(), (*columns.numbers, *TEXTS), n=1, cutoff=0.6)
+    column = near[0] if near else columns.loads[0]
+    written = f"{column} [{unit}]" if unit else column
+    hint = "Did you mean" if near else "Write for example"
+    return (
+        f"has the meaning '{meaning}' by mapping (--column), which is not a known column. {hint} "
+        f"--column '{_parts(mapped)[0]}={written}'{'?' if near else ''}"
+    )
+
+
 def _missing_of_profile(named: set[str], labels: Sequence[str], options: Options) -> Iterator[str]:
     """Yield a message on each load that a profile names and the file lacks: it is not zero."""
     present = _keys(labels)
@@ -484,14 +519,24 @@ def _missing_outputs(header: Header, named: set[str], columns: Columns) -> Itera
             )
 
 
-def _missing_columns(header: Header, labels: list[str], options: Options) -> Iterator[str]:
-    """Yield messages on missing columns: a load, a displacement, a time."""
+def _missing_columns(
+    header: Header, labels: list[str], meanings: list[str], options: Options
+) -> Iterator[str]:
+    """Yield messages on missing columns: a load, a displacement, a time.
+
+    `meanings`: of each label, by the mapping or the label itself.
+    """
     columns = options.columns
     # A column with a mistake in its unit is not missing.
     known = {*header.ignored, *(column.label for column in header.columns.values())}
-    mistaken = {
-        r.column for label in labels if label not in known for r in readings_of(label, columns)
-    }
+    pairs = [pair for pair in zip(labels, meanings, strict=True) if pair[0] not in known]
+    read = [readings_of(meaning.lstrip("- "), columns) for _, meaning in pairs]
+    mistaken = {reading.column for readings in read for reading in readings}
+    # A meaning with a slip may be any column.
+    has_slip = any(
+        label != meaning and not readings
+        for (label, meaning), readings in zip(pairs, read, strict=True)
+    )
     named = mistaken | set(header.columns)
 
     has_loads = options.role != "displacements"
@@ -502,7 +547,7 @@ def _missing_columns(header: Header, labels: list[str], options: Options) -> Ite
     if has_loads:
         needed.append(("load", columns.loads))
     for quantity, names in needed:
-        if not named & set(names):
+        if not (named & set(names) or has_slip):
             units = (columns.quantity(name).examples[0] for name in names)
             named_so = ", ".join(map("{} [{}]".format, names, units))
             alone = _ALONE if quantity == "displacement" and options.role == "table" else ""

@@ -67,8 +67,8 @@ _READERS: dict[str, Callable[[Path, Options, ReadReport], Iterator[ParsedTable]]
 # Of formats whose packages raise many classes of errors for damaged files.
 _UNREADABLE = {
     "xlsx": "is no readable XLSX workbook: {}; save it again",
-    "parquet": "cannot be read as Parquet ({}); write it again",
-    "mat": "cannot be read as a MATLAB file: {}; save it again with save('t.mat', '-v7')",
+    "parquet": "is damaged, or not Parquet; write it again",
+    "mat": "is damaged, or not a MATLAB file; save it again with save('t.mat', '-v7')",
     "tdms": "cannot be read as TDMS: {}; export it again, or as CSV",
     "xls": "cannot be read as .xls (save it as .xlsx): {}",
 }

@@ -277,8 +277,8 @@ class AccessControl:
         return key.name.startswith(USER) or self.keyring.has(key)
 
 
-def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:
-    """Return the refusal of a call that needs another scope."""
+def beyond_scope(permission: Permission, needed: Scope, reads: str = "") -> HttpProblemError:
+    """Return the refusal of a call that needs another scope; `reads`: its form that needs read."""
     assert permission.key is not None
     name, scope = permission.key.name, permission.key.scope
     holder = "key"
@@ -286,11 +286,8 @@ def beyond_scope(permission: Permission, needed: Scope) -> HttpProblemError:
     if name.startswith(USER):
         holder = "user"
         remedy = f"Start the server with: wrenchbook serve --trust-proxy-scopes GROUP={needed}"
-    if needed == "write":
-        remedy = (
-            "A displacement with on_thin 'estimate' or 'reject' needs only read, if its body "
-            f"has no mistake. {remedy}"
-        )
+    if reads:
+        remedy = f"{reads} {remedy}"
     why = f"The {holder} {name!r} has the scope {scope}, but this call needs {needed}"
     title = f"The {holder}'s scope does not allow this"
     return HttpProblemError(403, "scope", title, why + "; nothing was changed. " + remedy)

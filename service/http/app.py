@@ -238,7 +238,9 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
     app.state.settings = settings
     app.state.counts = Counts()
     app.state.large_batches = asyncio.Semaphore(AT_ONCE)
-    app.state.access = AccessControl(Keyring(settings.data), security or SecuritySettings())
+    app.state.access = AccessControl(
+        Keyring(settings.data, "--data FOLDER"), security or SecuritySettings()
+    )
 
     problems.install(app)
     openapi.install(app)

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Discriminator,
     FailFast,
@@ -28,7 +29,21 @@ Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Load = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST_LOAD, le=LARGEST_LOAD)]
-Vector = Annotated[list[Load], Field(min_length=3, max_length=3)]
+
+
+def _of(count: int, contents: str) -> BeforeValidator:
+    """Return the check of a list's length, with one message for both limits."""
+
+    def check(values: Any) -> Any:
+        if isinstance(values, list) and len(values) != count:
+            known = {"contents": contents, "length": len(values)}
+            raise PydanticCustomError("length", "must be {contents}, not {length}", known)
+        return values
+
+    return BeforeValidator(check)
+
+
+Vector = Annotated[list[Load], Field(min_length=3, max_length=3), _of(3, "3 numbers (x, y, z)")]
 Wrench = list[Load]
 # A list of a million mistakes would take gigabytes.
 Wrenches = Annotated[list[Wrench], FailFast()]
@@ -58,8 +73,8 @@ def _as_many(count: Literal["inputs", "outputs"]) -> AfterValidator:
         length = len(values)
         if length == size:
             return values
-        kind, limit = ("too_short", "min_length") if length < size else ("too_long", "max_length")
-        raise PydanticKnownError(kind, {"field_type": "List", limit: size, "actual_length": length})
+        known = {"size": size, "length": length}
+        raise PydanticCustomError("length", "must be {size} numbers, not {length}", known)
 
     return AfterValidator(check)
 
@@ -166,17 +181,26 @@ class SolveBody(LoadsBody):
     beyond_range: Flag = False
 
 
+def _span(span: Any) -> Any:
+    is_number = isinstance(span, int | float) and not isinstance(span, bool)
+    if len(span) == 2 if isinstance(span, list) else is_number and span >= 0:
+        return span
+    raise PydanticCustomError("span", "must be 0 or more, or [low, high]")
+
+
+FORMS = ("[low, high]", "0 or more")  # of a span: pydantic adds the form to a mistake's place
 Span = Annotated[
-    Annotated[Annotated[list[Finite], Field(min_length=2, max_length=2)], Tag("pair")]
-    | Annotated[NotNegative, Tag("number")],
+    Annotated[Annotated[list[Finite], Field(min_length=2, max_length=2)], Tag(FORMS[0])]
+    | Annotated[NotNegative, Tag(FORMS[1])],
     # A mistake in a span is reported for its own form alone.
-    Discriminator(lambda span: "pair" if isinstance(span, list) else "number"),
+    Discriminator(lambda span: FORMS[not isinstance(span, list)]),
+    BeforeValidator(_span),
 ]
 
 
 MAX_VALUES = 64  # inputs, or outputs, of a table
 Outputs = Annotated[list[str] | None, Field(min_length=1, max_length=MAX_VALUES)]
-Spans = Annotated[list[Span], Field(min_length=3, max_length=3)]
+Spans = Annotated[list[Span], Field(min_length=3, max_length=3), _of(3, "3 ranges (x, y, z)")]
 
 
 class RangeBody(Body):

@@ -285,9 +285,15 @@ def parsed_json(body: bytes) -> Any:
     except (orjson.JSONDecodeError, RecursionError) as error:
         if "memory" in str(error).lower():
             raise MemoryError from None
-        has_nan = b"NaN" in body or b"Infinity" in body
-        remedy = "JSON has no NaN and no Infinity: leave them out" if has_nan else "correct it"
-        message = f"is not valid JSON ({error}); {remedy}"
+        if not body.strip():
+            message = "is empty; send a JSON object"
+        elif "infinity" in str(error):
+            place = str(error).split(": ")[-1]
+            message = f"has a number that is too large ({place}); the largest is 1.8e308"
+        elif b"NaN" in body or b"Infinity" in body:
+            message = "has NaN or Infinity, which JSON does not have; give a finite number"
+        else:
+            message = f"is not valid JSON ({error}); correct it"
         raise bad_body([{"loc": "body", "msg": message}]) from None
     if repeated:
         raise bad_body([{"loc": place[:MAX_PLACE], "msg": REPEATED} for place in repeated])

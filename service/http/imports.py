@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import fields
+from math import isfinite
 from typing import Annotated, Any, Literal
 
 import orjson
-from pydantic import AliasChoices, Field, field_validator, model_validator
+from pydantic import AliasChoices, BeforeValidator, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 from typing_extensions import TypedDict
 
 from wrenchbook.service.contract import ImportFormat
@@ -17,6 +19,7 @@ from wrenchbook.service.formats.read import MAX_PREVIEW
 from wrenchbook.service.formats.rig import MAX_RIG, NAME, Rig, RigError, rig_text
 from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.messages import ImportFinding, PreviewRow, RowMistake, RowMistakes
+from wrenchbook.service.mistakes import MAX_VALUE
 
 _MAX_COLUMNS = 1000  # columns of a mapping: a logger has some hundred
 _MAPPING_FORM = '{"column in the file": "fz [N]"}'
@@ -28,6 +31,18 @@ _OF_FILES = frozenset(
 WAIT_S = 10.0  # s: a table of 20,000 measured rows is built by then
 MAX_WAIT_S = 600.0  # s: a million rows take minutes
 _Text = Annotated[str, Field(max_length=1000)]
+
+
+def _offset(text: Any) -> Any:
+    """Return an offset, s, or ``auto``: with one message, of which a union has two."""
+    try:
+        if text == "auto" or isfinite(float(text)):
+            return text
+    except (TypeError, ValueError):
+        pass
+    known = {"sent": repr(str(text)[:MAX_VALUE])}
+    text = "must be seconds or 'auto' (--lag SECONDS, --lag auto), not {sent}"
+    raise PydanticCustomError("offset", text, known)
 
 
 class ImportQuery(Body):
@@ -55,6 +70,7 @@ class ImportQuery(Body):
     mean_cycles: bool = False
     time_offset_s: Annotated[
         Annotated[float, Field(allow_inf_nan=False)] | Literal["auto"],
+        BeforeValidator(_offset),
         Field(validation_alias=AliasChoices("time_offset_s", "lag")),
     ] = 0.0
     max_gap_s: Annotated[float | None, Field(gt=0, allow_inf_nan=False)] = None

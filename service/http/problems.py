@@ -26,9 +26,11 @@ from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.formats.rig import RigError
 from wrenchbook.service.formats.units import UnitError
 from wrenchbook.service.formats.xlsx import SheetFullError
+from wrenchbook.service.http.bodies import FORMS
 from wrenchbook.service.jobs.waiting import TooManyPollsError
 from wrenchbook.service.library import component
 from wrenchbook.service.library.rigs import ShippedRigError, UnknownRigError
+from wrenchbook.service.mistakes import mistake_of
 from wrenchbook.service.ops.logs import REQUEST_ID
 from wrenchbook.service.query import BeyondRangeError, NotCoveredError, SolveFailedError
 from wrenchbook.service.sandbox import SandboxBusyError, SandboxError
@@ -44,15 +46,6 @@ MAX_ERRORS = 1000
 MAX_TEXT = 1000  # characters of a message: longer ones are cut
 REPEATED = "is there more than once; send one"
 MAX_PLACE = 200  # characters of a path or a key, which a caller may send at any length
-MAX_VALUE = 40  # characters of a quoted value: longer ones are cut
-# Texts by pydantic's type of an error, if its own text has no remedy.
-_PLAIN = {
-    "extra_forbidden": "is unknown; correct its name, or leave it out (see the fields at /docs)",
-    "missing": "is missing; add it (see the fields at /docs)",
-    # The names of keys and rigs alone have a pattern.
-    "string_pattern_mismatch": "must be 1 to 64 of a-z, A-Z, 0-9, _, . and -, and begin with a "
-    "letter or digit",
-}
 # Status, kind and title of each error; a subclass that is not listed has those of its base.
 _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     component.UnknownComponentError: (404, "unknown-component", "No such component"),
@@ -69,6 +62,7 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ledger.ImportRunningError: (503, "importing", "Another table is being imported"),
     ledger.UnknownRowError: (404, "unknown-row", "No such row"),
     ledger.UnknownImportError: (404, "unknown-import", "No such finished import or finding"),
+    keys.KeyExistsError: (409, "key-exists", "The name is taken"),
     keys.UnknownKeyError: (404, "unknown-key", "No valid key has this name"),
     keys.KeysBusyError: (503, "busy", "The keys are being changed"),
     keys.KeysFullError: (409, "keys-full", "The server has as many keys as it can"),
@@ -150,24 +144,20 @@ def bad_body(errors: Sequence[dict[str, Any]]) -> HttpProblemError:
 
 
 def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[str, str]]:
-    """Turn pydantic's errors into ``{loc, msg}``: a dotted location, and of a query the value."""
+    """Turn pydantic's errors into ``{loc, msg}`` with a dotted location."""
     if isinstance(error, RequestValidationError):
         errors = error.errors()
     else:
-        errors = error.errors(include_url=False, include_context=False, include_input=False)
+        errors = error.errors(include_url=False)
     mistakes = []
     for mistake in islice(errors, MAX_ERRORS):
         path = mistake["loc"]
         part = str(*path[:1])
         if part in ("body", "query"):  # a parameter has the name that the caller has sent
             path = path[1:]
+        path = [name for name in path if name not in FORMS]
         loc = ".".join(map(str, path))[:MAX_PLACE] or part or "body"
-        text = _PLAIN.get(mistake["type"]) or mistake["msg"].removeprefix("Value error, ")
-        text = text.replace("Input should be", "must be")
-        sent = mistake.get("input")
-        if text.startswith("must be") and isinstance(sent, str | float):
-            text += f", not {str(sent)[:MAX_VALUE]!r}"
-        mistakes.append({"loc": loc, "msg": text[:MAX_TEXT]})
+        mistakes.append({"loc": loc, "msg": mistake_of(mistake)[:MAX_TEXT]})
     return mistakes
 
 

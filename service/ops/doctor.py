@@ -53,6 +53,9 @@ def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
         ]
     if problem := unfinished_restore(folder / LEDGER):
         return [DataFinding("fault", problem)]
+    if not any(folder.glob(f"{LEDGER}*")) and not (folder / "tables").is_dir():
+        text = f"{folder} is not a data directory: it has neither {LEDGER} nor tables/"
+        return [DataFinding("fault", text, "name the server's data directory with --data")]
     findings = [*check_disk(folder), *check_side_files(folder, repair=repair)]
     if copies := trouble_of(read_status(folder)):
         remedy = "check that the target exists, has room and can be written; the server tries again"

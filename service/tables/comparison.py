@@ -236,7 +236,7 @@ def comparison(
         compared=len(compared),
         coverages={name: coverage.count(name) for name in NAMES},
         noise=answers.noise,
-        reason=_incomparable(compared, reference, against),
+        reason=_incomparable(component, compared, reference, against),
         outputs=summaries(campaign >= 0),
         campaigns=campaigns,
         row=compared.seq.tolist(),
@@ -251,8 +251,15 @@ def comparison(
     )
 
 
-def _incomparable(compared: Rows, reference: Rows, against: int | None) -> str:
+def _incomparable(
+    component: Component, compared: Rows, reference: Rows, against: int | None
+) -> str:
     """Return the reason for which there is no comparison; empty if there is one."""
+    if not component.has_fea and against is None:
+        return (
+            f"{component.name!r} has no finite-element setup, so it has no solves; compare two "
+            "imports with against (--import A --against B)"
+        )
     if not len(reference):
         return "there is no solved row; fill the table"
     if len(compared):

@@ -142,7 +142,10 @@ def named_errors(problem: str, remedy: str) -> Iterator[None]:
     except TableFileError:
         raise
     except Exception as error:  # h5py's errors on a damaged file have no common base
-        raise TableFileError(f"{problem} ({str(error) or repr(error)}){remedy}") from error
+        why = str(error) or repr(error)
+        if isinstance(error, OSError) and error.errno is None:  # of the HDF5 library
+            why = "the file is damaged, or not HDF5"
+        raise TableFileError(f"{problem} ({why}){remedy}") from error
 
 
 def _write_meta(file: h5py.File, meta: TableMeta) -> None:

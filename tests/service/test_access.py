@@ -98,7 +98,10 @@ def test_every_call_refuses_none_and_a_wrong_key_and_every_write_a_key_for_readi
     elif method != "GET":
         refused = locked.request(method, url, headers=bearer(secrets_["read"]))
         assert refused.status_code == 403, refused.text
-        assert "needs write" in refused.json()["detail"]
+        detail = refused.json()["detail"]
+        assert "needs write" in detail
+        is_query = path.endswith(("/displacement", "/displacements"))
+        assert ("(--on-thin estimate) needs only read" in detail) == is_query
     elif path != "/v1/events":  # which goes on for ever
         assert locked.request(method, url, headers=bearer(secrets_["read"])).status_code not in (
             401,
@@ -175,7 +178,11 @@ def test_keys_are_made_listed_and_revoked_over_http_and_the_secret_is_told_once(
     assert created.json()["key"] not in reported.text
     assert "digest" not in reported.text
     again = locked.post("/v1/keys", json={"name": "eve"}, headers=admin)
-    assert again.status_code == 422
+    assert again.status_code == 409
+    assert again.json()["detail"].endswith("with: wrenchbook keys revoke eve --data FOLDER")
+    unfit = locked.post("/v1/keys", json={"name": "b b"}, headers=admin)
+    assert unfit.status_code == 422
+    assert "name: 'b b' is not a valid key name; use 1 to 64 letters" in unfit.json()["detail"]
     assert locked.delete("/v1/keys/eve", headers=admin).status_code == 200
     assert locked.get("/v1/jobs", headers=eve).status_code == 401
     assert locked.delete("/v1/keys/eve", headers=admin).status_code == 404

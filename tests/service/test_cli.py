@@ -31,6 +31,7 @@ from wrenchbook.service.cli.jobs import event_line
 from wrenchbook.service.cli.main import main
 from wrenchbook.service.cli.progress import Pace, _bar, cancelled_on_interrupt
 from wrenchbook.service.cli.render import Screen, answer_shown, matrix_table
+from wrenchbook.service.cli.tables import rig_line
 from wrenchbook.service.client import (
     Client,
     Displacement,
@@ -111,6 +112,15 @@ def test_a_command_sends_what_it_is_given_and_prints_the_reply(
     assert [words for words in case.get("absent", ()) if words in shown] == []
     if "json" in case:
         assert json.loads(out) == replies[0].body
+
+
+def test_an_import_names_the_rig_or_the_point_of_its_moments():
+    unit = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    rig = {"name": "b83e6161", "left_handed": False, "frame": unit, "load_cell": "moving"}
+    point = "Moments were taken about the moving interface point (--load-cell moving)."
+    assert rig_line(rig) == point
+    named = rig_line(rig | {"name": "press", "load_cell": None})
+    assert named == "Readings were taken to the interface from rig press, right-handed."
 
 
 @cases(__file__, "cli")

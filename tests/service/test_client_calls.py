@@ -330,6 +330,7 @@ def test_fill_until_stops_when_a_whole_round_fails(stub: Stub, client: Client):
         (lambda client: client.displacement("plate", inputs=3), "inputs must map names"),
         (lambda _: Client("127.0.0.1:99999"), "not the address of a server"),
         (lambda _: Client("http://127.0.0.1:x"), "not the address of a server"),
+        (lambda _: Client("http//x"), "'http//x' is not the address of a server"),
         (lambda _: Client(None), "None is not the address of a server"),
         (lambda _: Client("http://plate..lab:8000"), "not the address of a server"),
         (lambda _: Client(timeout="5"), "timeout must be above 0 s .*, such as 10.0, not '5'"),

@@ -53,6 +53,11 @@ def link(tmp_path_factory: pytest.TempPathFactory) -> Table:
     return Table(PackedTable.from_bytes(content))
 
 
+def test_a_path_in_the_place_of_a_packed_table_is_refused_with_the_call_that_opens_it() -> None:
+    with pytest.raises(TypeError, match=r"not a path; use Table.open\('x.wbt'"):
+        Table("x.wbt")  # type: ignore[arg-type]
+
+
 def test_refresh_takes_new_rows_and_withdrawals_and_tells_whether_there_were_any(
     client: Client,
 ) -> None:

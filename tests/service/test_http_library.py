@@ -181,7 +181,8 @@ def test_measured_rows_outside_of_the_solves_bars_are_named_with_their_offset(ht
     assert {row["row"] for row in reported["rows"] if row["output"] == "uz"} == {61, 62, 63}
     assert reported["outputs"]["uz"]["mean_difference"] == pytest.approx(3e-5, rel=0.1)
     empty = http.get("/v1/components/rig/disagreement").json()
-    assert (empty["compared"], empty["reason"]) == (0, "there is no solved row; fill the table")
+    assert empty["compared"] == 0
+    assert empty["reason"].startswith("'rig' has no finite-element setup, so it has no solves")
 
 
 def asked(http, force, **more):

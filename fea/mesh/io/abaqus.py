@@ -166,9 +166,9 @@ def _take_nodes(deck: Deck, keyword: Keyword) -> None:
     moved = kind == "C" or keyword.frame.number in deck.systems
     deck.node_lines.append((len(deck.nodes), keyword.at))
     labels = []
-    for row in keyword.rows:
+    for row, line in zip(keyword.rows, keyword.row_lines, strict=True):
         label = keyword.frame.label(row[0])
-        point = _coordinates(row)
+        point = _coordinates(row, keyword, line)
         if moved:
             point = (cartesian(kind, np.array(point)) @ axes + origin).tolist()
         point = keyword.frame.transformed(point)
@@ -176,24 +176,26 @@ def _take_nodes(deck: Deck, keyword: Keyword) -> None:
             here = ", ".join(f"{x:g}" for x in point)
             there = ", ".join(f"{x:g}" for x in deck.nodes[label])
             index = list(deck.nodes).index(label)
-            line = [line for first, line in deck.node_lines if first <= index][-1]
+            earlier = [line for first, line in deck.node_lines if first <= index][-1]
             raise MeshFileError(
-                f"has node {row[0]} at ({here}), but the *NODE of line {line} has it at ({there}); "
-                "give one of the two another number"
+                f"has node {row[0]} at ({here}), but the *NODE of line {earlier} has it at "
+                f"({there}); give one of the two another number"
             )
         labels.append(label)
     if "NSET" in keyword.options:
         add(deck, deck.node_sets, keyword.frame, keyword.options["NSET"], labels)
 
 
-def _coordinates(row: list[str]) -> list[float]:
+def _coordinates(row: list[str], keyword: Keyword, line: int) -> list[float]:
     """Return the three coordinates of a row of *NODE, in the deck's unit; a missing one is 0."""
     texts = row[1:4]
     try:
         coordinates = [real(text or "0") for text in texts]
     except ValueError:
         at = ", ".join(texts)
-        raise MeshFileError(f"has node {row[0]} at ({at}); write three numbers") from None
+        place = keyword.deck.place(line)
+        message = f"has node {row[0]} at ({at}) in line {place}; write three numbers"
+        raise MeshFileError(message) from None
     return coordinates + [0.0] * (3 - len(coordinates))
 
 

@@ -155,12 +155,20 @@ def _take(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     """Read the mesh of a deck and its other contents.
 
-    Raises MeshFileError as `fea.mesh.io.abaqus.parsed`, or if a keyword has its rows in another
-    file.
+    Raises MeshFileError as `fea.mesh.io.abaqus.parsed`, if a keyword has its rows in another file,
+    or if there are no elements.
     """
     reader = Reader()
     deck = parsed(path, lambda deck, keyword: _take(reader, deck, keyword))
     content = reader.content
+    if "ELEMENT" not in content.taken:
+        if deck.nodes:
+            raise MeshFileError("has *NODE, but no *ELEMENT; it may be cut off, so export it again")
+        if not path.stat().st_size:
+            raise MeshFileError("is empty; export it again")
+        raise MeshFileError(
+            "is not an Abaqus or CalculiX deck: it has no *NODE and no *ELEMENT; name another file"
+        )
     content.cases = _cases(reader, deck)
     # All sets are known now: give groups their final names.
     regions, groups = set_names(deck, deck.element_sets), set_names(deck, deck.node_sets)

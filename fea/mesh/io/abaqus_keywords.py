@@ -66,6 +66,8 @@ class Keyword:
     options: dict[str, str]
     rows: list[list[str]] = field(default_factory=list)
     frame: Frame = Frame()
+    row_lines: list[int] = field(default_factory=list)  # counted as `line`
+    deck: DeckText = field(default=DeckText(), repr=False)
 
     @property
     def where(self) -> str:
@@ -162,9 +164,10 @@ def _blocks(text: DeckText) -> Iterator[Keyword]:
             keyword, *options = (part.strip() for part in line.lstrip("*").split(","))
             pairs = (option.partition("=") for option in options if option)
             values = {key.strip().upper(): value.strip() for key, _, value in pairs}
-            head = Keyword(first, text.place(first), keyword.upper(), values)
+            head = Keyword(first, text.place(first), keyword.upper(), values, deck=text)
             open_head = line if line.endswith(",") else ""
         elif head is not None:
+            head.row_lines.append(number)
             head.rows.append([each.strip() for each in line.rstrip(",").split(",")])
     if head is not None:
         yield head

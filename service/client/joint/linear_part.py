@@ -159,7 +159,12 @@ def _require_springs(table: Table, compliance: Vector) -> None:
         cause = f"its compliance is not positive definite (smallest eigenvalue {smallest:.3g})"
     if smallest <= 0.0:
         is_solved = "fea" in table.packed.meta.get("provenance", {}).get("sources", {"fea": 1})
-        more = f"run wrenchbook fill {table.name} --for-joint" if is_solved else "measure more rows"
+        more = (
+            f"run wrenchbook fill {table.name} --for-joint"
+            if is_solved
+            else f"correct rows with findings first (wrenchbook withdraw {table.name}), measure "
+            "more rows"
+        )
         raise InvalidArgument(
             f"{table.name} has no stiffness at this load, because {cause}; {more}, or give another "
             "load"

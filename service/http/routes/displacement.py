@@ -41,6 +41,10 @@ from wrenchbook.service.query import (
 from wrenchbook.service.workspace import Workspace
 
 Read = TypeVar("Read", Query, tuple[Floats, Query])
+_READS = (
+    "A displacement with on_thin 'estimate' or 'reject' (--on-thin estimate) needs only read, if "
+    "its body has no mistake."
+)
 
 
 router = component_router("displacement", codes=(404, 409, 422, 429), route=DirectRoute)
@@ -66,10 +70,10 @@ def _permitted(permission: Permission, read: Callable[[], Read]) -> Read:
     try:
         result = read()
     except HttpProblemError:
-        raise beyond_scope(permission, "write") from None
+        raise beyond_scope(permission, "write", _READS) from None
     query = result if isinstance(result, Query) else result[1]
     if query.on_thin not in ("estimate", "reject"):
-        raise beyond_scope(permission, "write")
+        raise beyond_scope(permission, "write", _READS)
     return result
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Request
-from pydantic import Field
+from pydantic import AfterValidator, Field
 from starlette.responses import Response
 
 from wrenchbook.service.actors import ANY
@@ -23,13 +23,14 @@ from wrenchbook.service.keys import (
     RATE,
     Keyring,
     Scope,
+    checked_name,
 )
 from wrenchbook.service.ledger import noted
 
 router = APIRouter(
     prefix="/v1/keys",
     tags=["keys"],
-    responses=refused(s409="the server has no keys, or as many as there can be"),
+    responses=refused(s409="the server has no keys, as many as there can be, or one of this name"),
     route_class=JsonRoute,
 )
 
@@ -37,7 +38,9 @@ router = APIRouter(
 class KeyBody(Body):
     """A new key."""
 
-    name: Annotated[str, Field(pattern=f"^{NAME.pattern}$")]
+    name: Annotated[
+        str, AfterValidator(checked_name), Field(json_schema_extra={"pattern": f"^{NAME.pattern}$"})
+    ]
     scope: Scope = "write"
     rate: Annotated[float, Field(strict=True, gt=0, lt=1000000000.0)] = RATE
     megabytes: Annotated[int, Field(strict=True, gt=0, le=MAX_MEGABYTES)] = MEGABYTES

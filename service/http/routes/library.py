@@ -17,12 +17,13 @@ from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
 from wrenchbook.service.http.body import JsonRoute, read_body, read_limited
 from wrenchbook.service.http.openapi import TEXT, answers, component_router, refused, takes
 from wrenchbook.service.http.permission import permission_of
-from wrenchbook.service.http.problems import MAX_VALUE, HttpProblemError, bad_body
+from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, attached, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import ImportOrigin, UnknownImportError, import_numbers
 from wrenchbook.service.messages import ImportFinding, Message, Six
+from wrenchbook.service.mistakes import MAX_VALUE
 from wrenchbook.service.tables.comparison import (
     Comparison,
     Disagreement,

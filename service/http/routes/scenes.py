@@ -17,11 +17,12 @@ from starlette.responses import Response
 from wrenchbook.service.http import bodies
 from wrenchbook.service.http.body import JsonRoute, read_body
 from wrenchbook.service.http.openapi import BYTES, refused
-from wrenchbook.service.http.problems import MAX_VALUE, bad_body
+from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.routes import Newest, Opened, holds, json_reply, naming
 from wrenchbook.service.http.routes.table import PACKED_TYPE
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.messages import Message, Plan
+from wrenchbook.service.mistakes import MAX_VALUE
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.scene.cut import cut

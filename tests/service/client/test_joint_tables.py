@@ -75,6 +75,13 @@ def test_a_table_without_rows_is_refused_by_name():
         Joint(table)
 
 
+def test_measured_rows_without_a_stiffness_are_corrected_first():
+    table = packed_table(Rows.of(np.empty((0, 6)), np.empty((0, 6))), SPAN)
+    table.packed.meta["provenance"]["sources"] = {"measured": 9}
+    with pytest.raises(InvalidArgument, match=r"\(wrenchbook withdraw bar\), measure more"):
+        LinearPart.of(table)
+
+
 def test_a_table_with_rows_beyond_its_range_alone_is_refused_by_name():
     table = packed_table(stiffening(3.0 * np.diag(HIGH)), SPAN)
     with pytest.raises(InvalidArgument, match=r"bar has no stiffness, because no row"):
