@@ -147,15 +147,16 @@ def sections_of(report: dict[str, Any]) -> list[ReportSection]:
         ),
         ReportSection(
             "Finite elements",
-            f"Direct solves, one thread; processor times.{STAR}: no other entry is both better and "
-            f"faster.{failed}",
+            "Direct solves, one thread; processor times: the median, and the time in which 95 % of "
+            f"the solves end.{STAR}: no other entry is both better and faster.{failed}",
             ("mesh", "unknowns", "set-up, s", "solve median, s", "95 %, s", *outputs),
             _mesh_lines(report),
         ),
         ReportSection(
             "Tables",
-            f"Errors against solves on the table's own mesh.{STAR}: no other entry is both better, "
-            "against the finest mesh, and faster.",
+            "Errors against solves on the table's own mesh. Times of an answer: the median, and "
+            "the time in which 99 % of the answers come. MB: memory of the table."
+            f"{STAR}: no other entry is both better, against the finest mesh, and faster.",
             (*of_tables, *outputs, "covered"),
             _table_lines(report),
         ),

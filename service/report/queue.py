@@ -27,11 +27,12 @@ _KILLED = (
 
 @dataclass(frozen=True)
 class ReportState:
-    """Progress of a report; ``message`` is why it failed."""
+    """Progress of a report of ``wrenches``; ``message`` is why it failed."""
 
     state: State
     fraction: float = 0.0
     message: str = ""
+    wrenches: int | None = None  # of the running one
 
 
 class Reports:
@@ -107,8 +108,12 @@ class Reports:
             alive = self._is_alive(name)
         if alive:
             progress = _read(folder / "progress.json") or {}
+            order = _read(folder / "order.json") or {}
             return ReportState(
-                "running", progress.get("fraction", 0.0), progress.get("message", "starting")
+                "running",
+                progress.get("fraction", 0.0),
+                progress.get("message", "starting"),
+                order.get("wrenches"),
             )
         failure = _read(folder / "failure.json")
         if failure:

@@ -295,7 +295,8 @@ def test_a_cancelled_report_is_not_a_failed_one(http, monkeypatch):
     solve = {"force": [0, 0, -900], "moment": [0, 0, 0], "wait_s": 60}
     assert http.post("/v1/components/plate_thin/solve", json=solve).status_code == 200
     assert http.post(call, params={"wrenches": 1000}).status_code == 202
-    assert http.get(call, params={"format": "state"}).json()["state"] == "running"
+    state = http.get(call, params={"format": "state"}).json()
+    assert (state["state"], state["wrenches"]) == ("running", 1000)
     assert http.delete(call).json()["state"] == "none"
     assert http.delete(call).status_code == 200  # none is made
 

@@ -3,6 +3,7 @@
 import { get } from "./api.js";
 import { el, field, put, select } from "./dom.js";
 import { actorOf, sentence, time } from "./format.js";
+import { kindWords } from "./job_list.js";
 
 const SHOWN = 50;
 // Each action the service writes, by its object.
@@ -26,7 +27,7 @@ export async function show(root, _, signal) {
     const page = await get(path, signal);
     if (fresh) put(body);
     for (const one of page.entries) {
-      const cells = [time(one.time), actorOf(one.actor) || "–", actionOf(one.action), one.component ? el("a", { href: `#/c/${encodeURIComponent(one.component)}` }, one.component) : "", objectOf(one)];
+      const cells = [time(one.time, { second: "2-digit" }), actorOf(one.actor) || "–", actionOf(one.action), one.component ? el("a", { href: `#/c/${encodeURIComponent(one.component)}` }, one.component) : "", objectOf(one)];
       body.append(el("tr", { id: `entry-${one.id}` }, cells.map((text) => el("td", {}, text)), el("td", { class: "small whole" }, states(one))));
     }
     next = page.next;
@@ -67,7 +68,7 @@ const withUnit = (name, value) => `${wordsOf(value, name)}${name in UNITS && typ
 // A state as words: "status waiting, priority 0".
 function wordsOf(state, name) {
   if (typeof state === "number" && TIMES.includes(name)) return time(1e3 * state);
-  if (name === "kind") return state.replaceAll("_", " ");
+  if (name === "kind") return kindWords(state);
   if (state === null || typeof state !== "object") return String(state).replace(/^([0-9a-f]{12})[0-9a-f]{52}$/, "$1"); // a digest, shortened
   return Object.entries(state).filter(([, value]) => value !== null && value !== "").map(([name, value]) => (Array.isArray(state) ? wordsOf(value) : `${name.replaceAll("_", " ")} ${withUnit(name, value)}`)).join(", ");
 }

@@ -5,7 +5,7 @@ import { el, facts, note, pill, put, working } from "./dom.js";
 import { emptyTable } from "./empty.js";
 import { OUTSIDE } from "./inputs.js";
 import { rowLinks } from "./rows.js";
-import { LOADS, OUTPUTS, count, counted, number, percent, scientific, sentence, superscript, symbol, triple } from "./format.js";
+import { LOADS, OUTPUTS, count, counted, number, percent, plain, scientific, sentence, superscript, symbol, triple } from "./format.js";
 
 const CHECKS = {
   zero_at_zero_load: ["The displacement at zero load is zero", (one) => (one.displacement ? `largest displacement u\u00a0${triple(Object.values(one.displacement).slice(0, 3), "m")}, r\u00a0${triple(Object.values(one.displacement).slice(3, 6), "rad")}${one.reason ? `; ${one.reason}` : ""}` : one.reason)],
@@ -24,18 +24,18 @@ const FAILED = { linear: ["not linear", ""], tangents: ["deviates", "thin"] };
 
 export async function show(root, about, signal) {
   if (!about.rows) {
-    put(root, emptyTable(about, "There are no rows to check yet."));
+    put(root, emptyTable(about, "The table has no rows yet. This view will show its compliance, and whether the rows keep physical laws such as its symmetry."));
     return;
   }
   put(root, working("The checks are computed …"));
-  const [reply, { coverage }] = await Promise.all([get(`${of(about.name)}/compliance`, signal), get(of(about.name), signal)]);
+  const [reply, { rows, coverage }] = await Promise.all([get(`${of(about.name)}/compliance`, signal), get(of(about.name), signal)]);
   const beyond = coverage.beyond_range;
   const beside = await get(`${of(about.name)}/disagreement`, signal).catch(() => null);
   put(root,
     el("section", { class: "card" }, el("h2", {}, "Compliance at zero load"),
       reply.tangent_origin === "none" ? el("p", { class: "muted" }, "Not known yet: there are no rows.") : matrix(reply.tangent, "Tangent at zero load", `${ORIGINS[reply.tangent_origin] || `du/dw of ${reply.tangent_origin}`} at zero load`)),
     reply.origin === "none" ? null : el("section", { class: "card" }, el("h2", {}, "Mean compliance over the load range"),
-      matrix(mean(reply), "Mean compliance", `${reply.origin} from ${counted(reply.rows_checked, "row")}${beyond ? `; ${counted(beyond, "row")} ${OUTSIDE}` : ""}`)),
+      matrix(mean(reply), "Mean compliance", `${reply.origin} from ${counted(rows - beyond, "row")}${beyond ? `; ${counted(beyond, "row")} ${OUTSIDE}` : ""}`)),
     el("section", { class: "card" }, el("h2", {}, "Physical checks of the rows"), checks(reply, about)),
     beside?.compared ? el("section", { class: "card" }, el("h2", {}, "Measured against solved rows"), disagreement(beside, about)) : null);
 }
@@ -49,11 +49,12 @@ const ORIGINS = { row: "tangent of the row" };
 // Its columns are zero where no row tells a load.
 const mean = (reply) => reply.matrix.map((line) => line.map((value, j) => (reply.known_loads.includes(LOADS[j]) ? value : null)));
 
-// Shades compare entries that have one unit only: each cell against its 3 x 3 block.
+// Outputs that no row measures and loads that no row has are left out. Shades compare entries that have one unit only: each cell against its 3 x 3 block.
 function matrix(values, name, origin) {
   const power = 3 * Math.ceil((Math.log10(Math.max(...values.flat().map(Math.abs)) || 1) - 4) / 3); // the largest entry has up to four digits before its point
   const size = (value) => (value === null ? 0 : Math.abs(value));
   const largest = (i, j) => Math.max(...[0, 1, 2].flatMap((a) => [0, 1, 2].map((b) => size(values[3 * Math.floor(i / 3) + a][3 * Math.floor(j / 3) + b]))));
+  const shown = LOADS.map((_, j) => j).filter((j) => values.some((line) => line[j] !== null)); // of the columns
   const cell = (value, i, j) => {
     const noise = value && size(value) < Math.max(LEAST * 10 ** power, NOISE * Math.max(largest(i, j), Math.sqrt(size(values[i][i]) * size(values[j][j]))));
     const made = el("td", {}, value === null ? "–" : noise ? "≈ 0" : value ? number(value / 10 ** power, size(value) < 0.1 * 10 ** power ? 2 : 3) : "0");
@@ -65,11 +66,15 @@ function matrix(values, name, origin) {
     made.style.background = `color-mix(in srgb, var(--accent) ${Math.round(26 * part)}%, transparent)`;
     return made;
   };
+  const lines = el("tbody", {}, values.map((line, i) => (line.some((value) => value !== null) ? el("tr", {}, el("th", { scope: "row" }, symbol(OUTPUTS[i])), shown.map((j) => cell(line[j], i, j))) : "")));
+  const table = el("table", { class: "matrix" },
+    el("thead", {}, el("tr", {}, el("th", {}), shown.map((j) => el("th", { class: "number", scope: "col" }, symbol(LOADS[j]))))), lines);
+  if (shown.length < LOADS.length) table.style.maxWidth = `${9 * (shown.length + 1)}rem`; // a value is near its name
+  const has = (sign) => [...lines.querySelectorAll("td")].some((one) => one.textContent === sign);
+  const absent = [...OUTPUTS.filter((_, i) => values[i].every((value) => value === null)), ...LOADS.filter((_, j) => !shown.includes(j)).map(plain)];
   return [
-    el("div", { class: "wide", tabindex: "0", role: "region", "aria-label": `${name}, 6 by 6` }, el("table", { class: "matrix" },
-      el("thead", {}, el("tr", {}, el("th", {}), LOADS.map((load) => el("th", { class: "number", scope: "col" }, symbol(load))))),
-      el("tbody", {}, values.map((line, i) => el("tr", {}, el("th", { scope: "row" }, symbol(OUTPUTS[i])), line.map((value, j) => cell(value, i, j))))))),
-    el("p", { class: "muted small" }, `In ${power ? `10${superscript(power)} ` : ""}m or rad per N or N·m; ${origin}. By blocks: u by F in m/N, u by M in m/(N·m), r by F in rad/N, r by M in rad/(N·m). Shades compare entries of one unit. The rows do not determine entries with ? yet: they are negative on the diagonal, or more than 10 % off their mirror entries.`),
+    el("div", { class: "wide", tabindex: "0", role: "region", "aria-label": name }, table),
+    el("p", { class: "muted small" }, `In ${power ? `10${superscript(power)} ` : ""}m or rad per N or N·m; ${origin}. By blocks: u by F in m/N, u by M in m/(N·m), r by F in rad/N, r by M in rad/(N·m). Shades compare entries of one unit.${has("?") ? " The rows do not determine entries with ? yet: they are negative on the diagonal, or more than 10 % off their mirror entries." : ""}${has("–") ? " –: not known." : ""}${absent.length ? ` Not in the rows: ${absent.join(", ")}.` : ""}`),
   ];
 }
 

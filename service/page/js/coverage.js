@@ -3,26 +3,27 @@
 import { asked } from "./asked.js";
 import { get, of, trouble } from "./api.js";
 import { choice, el, note, put, table, working } from "./dom.js";
-import { emptyTable } from "./empty.js";
+import { emptyTable, linkTo } from "./empty.js";
 import { LOADS, count, counted, number, percent, plain, symbol, unitOfLoad } from "./format.js";
-import { OUTSIDE, beyondRange } from "./inputs.js";
+import { OUTSIDE, beyondRange, loadsOf } from "./inputs.js";
 import { box } from "./load_box.js";
 import { draw } from "./plot.js";
 import { figure } from "./view3d.js";
 import { keepWrench } from "./wrench_form.js";
 
-const AXES = [["x", "axis x"], ["y", "axis y"], ["z", "axis z"]];
+const AXES = { x: ["fx", "my", "mz"], y: ["fy", "mz", "mx"], z: ["fz", "mx", "my"] };
 const TRIES = 3; // drawings until picture and figures are of one version: a fill adds rows faster
 
 export async function show(root, about, signal) {
   if (!about.rows) {
-    put(root, emptyTable(about));
+    put(root, emptyTable(about, "The table has no rows yet. This view will show the loads that its rows reach, and the largest gaps between them."));
     return;
   }
   const stage = el("div", { class: "stack" }), below = el("div", { class: "halves" });
   const pick = (axis) => axisOf(stage, below, about, axis, signal).catch((error) => { if (!signal.aborted) put(stage, trouble(error)); });
-  put(root, el("section", { class: "card" }, choice("axis", "Rows of", AXES, "z", pick), stage), below);
-  await pick("z");
+  const axes = Object.keys(AXES).filter((axis) => AXES[axis].some((load) => loadsOf(about).includes(load))), first = axes.at(-1);
+  put(root, el("section", { class: "card" }, choice("axis", "Rows of", axes.map((axis) => [axis, `axis ${axis}`]), first, pick), stage), below);
+  await pick(first);
 }
 
 // The picture and its figures come by two calls: where rows arrived between them, both are asked for again.
@@ -34,21 +35,23 @@ async function axisOf(stage, below, about, axis, signal, tries = TRIES) {
   const inside = rows.wrench.map((one) => !beyondRange(about, one)), far = inside.filter((one) => !one).length; // rows far out would shrink all else to a point
   for (const column of ["wrench", "clean"]) rows[column] = rows[column].filter((_, place) => inside[place]);
   let gap = { hull: [], worst: [] };
+  const drawn = rows.inputs.filter((load) => loadsOf(about).includes(load));
   const place = el("div", { class: "plot", id: "coverage" });
   const view = figure(place, `Rows of axis ${axis}`, marks(about, rows, latest));
-  put(below, working("The convex hull is computed …"));
-  put(stage, rows.shown < rows.of ? note("", `${count(rows.shown)} of ${count(rows.of)} rows are drawn, spread over the table.`) : null, far ? note("", `${counted(far, "row")} ${OUTSIDE} and not drawn.`) : null, view.root);
-  const drawing = await draw(place, (shade) => picture(about, rows, gap, latest, shade, view.camera()), signal, `${rows.shown} rows of axis ${axis} over ${rows.inputs.join(", ")}`);
-  view.hold(drawing);
+  const waiting = working("The convex hull is computed …");
+  put(below, waiting);
+  put(stage, rows.shown < rows.of ? note("", `${count(rows.shown)} of ${count(rows.of)} rows are drawn, spread over the table.`) : null, far ? note("", `${counted(far, "row")} ${OUTSIDE} and not drawn.`) : null, drawn.length > 1 ? view.root : el("div", { class: "line" }, `Of this axis only ${plain(drawn[0])} has a load range: the response along it shows its rows.`, linkTo(about, "response", "Show the response")));
+  const drawing = drawn.length > 1 && await draw(place, (shade) => picture(about, rows, gap, latest, shade, view.camera()), signal, `${rows.shown} rows of axis ${axis} over ${rows.inputs.join(", ")}`);
+  if (drawing) view.hold(drawing);
   const cover = await get(`${of(about.name)}/coverage`, signal); // seconds for 100,000 rows
-  if (!stage.contains(place)) return; // another axis was chosen meanwhile
+  if (!below.contains(waiting)) return; // another axis was chosen meanwhile
   const differs = cover.table_version !== rows.table_version;
   if (differs && tries > 1) { await axisOf(stage, below, about, axis, signal, tries - 1); return; }
   gap = cover.gaps.find((one) => one.axis === axis) || gap;
   put(below, differs ? note("thin", `Rows arrive: the picture is of table version ${rows.table_version}, the figures are of ${cover.table_version}.`) : null,
     el("section", { class: "card" }, el("h2", {}, "Coverage of this axis"), holds(rows, cover.axes.find((one) => one.axis === axis))),
     el("section", { class: "card" }, el("h2", {}, "Largest gaps within the hull"), worst(about, gap)));
-  await drawing.again();
+  if (drawing) await drawing.again();
 }
 
 // What the server was asked and could not cover, if it keeps that, and what this tab asked.
@@ -64,7 +67,7 @@ function marks(about, rows, latest) {
   const kinds = [
     [rows.clean.some(Boolean), "", "accent", "row with loads of this axis only"], [!rows.clean.every(Boolean), "hollow", "card", "row with other loads too"],
     [has(1), "square", "thin", "loads that are thin"], [has(2), "hollow diamond", "card", "loads outside the rows"],
-    [true, "hollow square", "card", "frame: the load range"], [rows.of > 3, "square pale", "accent", "convex hull of the rows"],
+    [true, "hollow square", "card", "frame: the load range"], [rows.of > 3 && rows.inputs.every((load) => loadsOf(about).includes(load)), "square pale", "accent", "convex hull of the rows"],
     [latest.some((one) => isNear(about, one)), "diamond", "query", "latest queries, within twice the load range"],
   ];
   return el("ul", { class: "key-of-marks" }, kinds.filter(([drawn]) => drawn).map(([, kind, colour, text]) => {
@@ -112,7 +115,7 @@ function holds(rows, summary) {
   if (!summary) return el("p", {}, "The table's compliance answers: all loads are covered by six unit solves, whatever the rows.");
   const lines = Object.entries(summary.spans).map(([load, [low, high]]) => [symbol(load), number(low), number(high), unitOfLoad(load)]);
   return [
-    el("p", {}, `Rows at ${counted(summary.rows, "load")}, ${count(summary.corrected)} of them with loads of other axes too, span ${summary.dimensions ?? 0} dimensions. Their convex hull encloses ${percent(summary.part_of_range)} of the range; kriging covers loads beyond it where its error is known and within the tolerance.`),
+    el("p", {}, `Rows at ${counted(summary.rows, "load")}, ${summary.corrected ? count(summary.corrected) : "none"} of them with loads of other axes too, span ${counted(summary.dimensions ?? 0, "dimension")}. Their convex hull encloses ${percent(summary.part_of_range)} of the range; kriging covers loads beyond it where its error is known and within the tolerance.`),
     lines.length ? table(["Load", "#from", "#to", "unit"], lines) : null,
   ];
 }

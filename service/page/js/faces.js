@@ -52,7 +52,7 @@ const numberOf = (trace) => Number.parseInt(trace.name, 10);
 // The chosen face in the colour of links, the others pale; numbers in the colour of text.
 function painted(trace, chosen, shade, labels = []) {
   const here = numberOf(trace) === chosen;
-  if (trace.type !== "mesh3d") return { ...trace, text: [labels.map(numberOf).sort((a, b) => a - b).join(", ")], textposition: "top center", textfont: { color: shade.ink, size: labels.some((one) => numberOf(one) === chosen) ? 18 : 13 } };
+  if (trace.type !== "mesh3d") return { ...trace, text: [labels.map(numberOf).sort((a, b) => a - b).join(", ")], textposition: "top center", textfont: { color: shade.ink, size: 13 } };
   return { ...trace, color: here ? shade.accent : shade.part, flatshading: false, lighting: { ambient: 0.7, diffuse: 0.5, specular: 0.05 } };
 }
 

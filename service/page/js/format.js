@@ -101,9 +101,10 @@ export function seconds(value) {
   return `${number(value / 60, 3)} min`;
 }
 
-export function time(text) {
+// `more` are further options of the format, such as seconds.
+export function time(text, more = {}) {
   if (!text) return "–";
-  return new Date(text).toLocaleString("en-GB", { day: "numeric", month: "short", year: "numeric", hour: "2-digit", minute: "2-digit", timeZoneName: "short" }); // 24 hours
+  return new Date(text).toLocaleString("en-GB", { day: "numeric", month: "short", year: "numeric", hour: "2-digit", minute: "2-digit", timeZoneName: "short", ...more }); // 24 hours
 }
 
 const ACTORS = { "(anonymous)": "anonymous", "(local)": "a command", "(server)": "the server" };

@@ -151,7 +151,8 @@ function mistakes(state, errors, result) {
   const shown = [...byRow].slice(0, MENDED), edits = new Map(), mended = state.text && !state.options.displacements();
   const mend = () => { for (const [row, input] of edits) state.text = withLine(state.text, row, input.value.replace(/[\r\n]+/g, " ")); };
   const ofHeader = errors.every((one) => one.row === 1) && result.rows?.read === 0 && !result.rows.refused; // and so the rows were not read
-  const named = ofHeader ? `the header needs ${errors.length === 1 ? "a decision" : `${errors.length} decisions`}` : `${count(byRow.size)} ${byRow.size === 1 ? "row has a mistake" : "rows have mistakes"}`;
+  const decisions = [...byRow.values()].reduce((sum, list) => sum + alike(list).length, 0);
+  const named = ofHeader ? `the header needs ${decisions === 1 ? "a decision" : `${decisions} decisions`}` : `${count(byRow.size)} ${byRow.size === 1 ? "row has a mistake" : "rows have mistakes"}`;
   return [
     note("outside", el("strong", {}, `${state.file.name}: ${named}; nothing was loaded.`), result.inserted ? tallies(result) : null,
       byRow.size > MENDED ? el("span", {}, `The first ${MENDED} are shown.`) : null),
@@ -171,6 +172,7 @@ const pageWords = (message) => message.replace(ZERO, "count them as zero")
   .replace(/set load_cell=moving \(--load-cell moving\), else load_cell=fixed/, "choose “moves with the interface” as load cell, else “stays on the ground”")
   .replace(/; leave one out with ignore \(--ignore\)/, "; leave one out under Meaning of the columns")
   .replace(/name one by mapping, such as --column '.*'/, "choose one under Meaning of the columns")
+  .replace("also send the log of the displacements: displacements=FILE (--displacements FILE)", "add the log of the displacements under “Two logs”")
   .replace(/ with mapping \(--column '.*?'\)/, " under Meaning of the columns")
   .replaceAll(/ \(--[^)]*\)/g, "");
 
@@ -191,7 +193,7 @@ function alike(list) {
 }
 
 function mistake(text, row, list, edits) {
-  const words = el("ul", {}, alike(list).map((group) => el("li", {}, group.flatMap((one, k) => (one.field ? [k ? ", " : "", el("code", {}, one.field)] : [])), group[0].field ? ": " : "", pageWords(group[0].message))));
+  const words = el("ul", {}, alike(list).map((group) => el("li", {}, group.flatMap((one, k) => (one.field ? [k ? ", " : "", el("code", {}, one.field)] : [])), group[0].field ? ": " : "", group.length > 1 ? pageWords(group[0].message).replace("is not a known column", "are not known columns").replace("Choose what it is", "Choose what each is") : pageWords(group[0].message))));
   const title = el("strong", {}, row === 0 ? "The file" : text ? `Line ${row}` : `Row ${row}`);
   if (!text || row === 0) return el("div", { class: "note" }, title, words);
   const line = lineOf(text, row); // wrapped: its last cell is seen too

@@ -8,13 +8,13 @@ import { actorOf, count, time } from "./format.js";
 
 export async function history(root, about, signal) {
   const again = () => history(root, about, signal);
-  const [{ imports }, { table_version: version }] = await Promise.all([get(`${of(about.name)}/imports`, signal), get(of(about.name), signal)]);
-  put(root, el("h2", {}, "Imports"), contents(about, imports, version, signal, again));
+  const [{ imports }, { rows, table_version: version }] = await Promise.all([get(`${of(about.name)}/imports`, signal), get(of(about.name), signal)]);
+  put(root, el("h2", {}, "Imports"), contents(about, imports, rows ? version : null, signal, again));
 }
 
 function contents(about, imports, version, signal, again) {
-  const now = el("p", { class: "muted small" }, `Queries are answered from table version ${version}. To keep this version, export the packed table (.wbt).`);
-  if (!imports.length) return [now, empty("Nothing was imported yet.")];
+  const now = version === null ? null : el("p", { class: "muted small" }, `Queries are answered from table version ${version}. To keep this version, export the packed table, a .wbt file.`);
+  if (!imports.length) return [now, empty("Nothing was imported yet. Each import stands here with its rows, and can be withdrawn.")];
   const shown = imports.slice(0, 100);
   const columns = [
     ["file", (one) => el("a", { href: `#/c/${encodeURIComponent(about.name)}/rows?import=${one.id}`, title: `Rows of import ${one.id}` }, one.filename || one.format)],

@@ -17,6 +17,12 @@ export function spansOf({ range }) {
   return [...loads.flatMap((one) => [...one.force, ...one.moment]), ...Object.values(range.inputs || {})];
 }
 
+// The loads of a component with one interface whose range is not 0; all six of a range without any.
+export function loadsOf(about) {
+  const loads = LOADS.filter((_, place) => spansOf(about)[place].some((end) => end));
+  return loads.length ? loads : LOADS;
+}
+
 // The inputs beyond the load range in a sentence; empty if there are none.
 export function beyondRange(about, values) {
   const spans = spansOf(about);

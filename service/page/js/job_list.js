@@ -131,10 +131,9 @@ function change(list, row, job) {
     el("td", { class: "number" }, el("a", { href: `#/jobs/${job.id}` }, String(job.id))),
     list.withName ? el("td", {}, el("a", { href: `#/c/${job.component}` }, job.component)) : null,
     el("td", { class: running || job.error ? "whole" : null }, el("div", { class: "stack tight" }, el("div", { class: "line" }, pill(job.status), running && job.progress ? el("span", { class: "small muted" }, job.progress.message) : null),
-      running ? el("progress", { max: "1", value: fraction ?? 0, "aria-label": `Job ${job.id}` }) : null,
-      job.status === "failed" && job.error ? el("span", { class: "small" }, failureWords(job.error)[0]) : null)),
-    el("td", { class: "small whole" }, inputsElement(job)),
-    el("td", { class: "muted small" }, time(job.created).replaceAll(" ", "\u00a0"), job.actor && job.actor !== "(anonymous)" ? ` by ${actorOf(job.actor)}` : null),
+      running ? el("progress", { max: "1", value: fraction ?? 0, "aria-label": `Job ${job.id}` }) : null)),
+    el("td", { class: "small whole" }, inputsElement(job), job.status === "failed" && job.error ? el("div", { class: "muted" }, failureWords(job.error)[0]) : null),
+    el("td", { class: "muted small" }, time(job.created).replaceAll(/(?<!,) /g, "\u00a0"), job.actor && job.actor !== "(anonymous)" ? el("div", {}, `by ${actorOf(job.actor)}`) : null),
     el("td", { class: "muted small number" }, job.seconds ? seconds(job.seconds) : left),
     el("td", {}, actions(list, row, job)));
 }
@@ -190,7 +189,8 @@ export function jobFacts(job) {
 }
 
 const KINDS = { snap_through: "buckling or snap-through" };
-const failure = (error) => note("outside", el("strong", {}, sentence(KINDS[error.kind] || (error.kind || "failed").replaceAll("_", " "))), failureWords(error));
+export const kindWords = (kind) => KINDS[kind] || kind.replaceAll("_", " ");
+const failure = (error) => note("outside", el("strong", {}, sentence(kindWords(error.kind || "failed"))), failureWords(error));
 
 // Why a solve failed, and what helps, each once: messages often hold both.
 export function failureWords({ kind, message, remedy }) {

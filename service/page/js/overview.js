@@ -5,7 +5,7 @@ import { el, facts, field, note, notify, pill, put, table } from "./dom.js";
 import { listenToTable } from "./events.js";
 import { beingBuilt, linkTo } from "./empty.js";
 import { findingNote } from "./findings.js";
-import { OUTPUTS, count, counted, number, quantity, sentence, time, triple } from "./format.js";
+import { OUTPUTS, count, counted, number, percent, quantity, sentence, time, triple } from "./format.js";
 import { OUTSIDE, inputsOf, mark, spansOf } from "./inputs.js";
 import { paint, pictured } from "./picture.js";
 import { insideBars, insideWords, madeOf, reportOf } from "./report.js";
@@ -213,12 +213,20 @@ function method(about, report, imports, shares) {
     ["Not measured", unmeasured.join(", ")],
     ["Tolerance", tolerance],
     ["Jobs", jobs.length ? el("a", { class: "line", href: `#/c/${encodeURIComponent(about.name)}/jobs` }, jobs) : about.has_fea ? "none" : ""],
-    ["Report", bars ? [`${insideWords(bars)}, `, el("a", { href: `#/c/${encodeURIComponent(about.name)}/report` }, time(report.made))] : ""],
+    ["Report", bars ? [`${insideWords(bars)}${leastShare(report, bars)}, `, el("a", { href: `#/c/${encodeURIComponent(about.name)}/report` }, time(report.made))] : ""],
     ["Contradictions", cover.conflicting_wrenches ? [`${cover.conflicting_wrenches} ${cover.conflicting_wrenches === 1 ? "wrench has" : "wrenches have"} rows that disagree: `, rowLinks(about.name, clashes, 12), ". Withdraw the wrong ones."] : ""],
     ["Outside", cover.beyond_range ? pill(`${counted(cover.beyond_range, "row")} ${OUTSIDE}`, "outside") : ""],
     ["Table version", String(about.table_version)],
     ["Notes", about.notes],
   ]);
+}
+
+const CONFIDENCE = 0.95; // as in service/report/layout.py
+
+// What a few wrenches without a miss prove: with n successes of n the least share is (1 - confidence)^(1/n), Clopper and Pearson 1934.
+function leastShare({ wrenches }, { inside, all }) {
+  if (inside < all || !wrenches?.compared) return "";
+  return `; with ${count(wrenches.compared)} wrenches, at least ${percent((1 - CONFIDENCE) ** (1 / wrenches.compared))} of each output's true errors do so with 95 % confidence`;
 }
 
 // The range of each load, and the part of it that the table's rows reach.

@@ -7,7 +7,7 @@ import { el, field, note, pill, put, select } from "./dom.js";
 import { linkTo } from "./empty.js";
 import { listen } from "./events.js";
 import { OUTPUTS, counted, number, percent, pageWords, quantity, sentence, symbol, unitOfOutput, withBar, withoutRoundOff } from "./format.js";
-import { beyondRange, inputsText, named } from "./inputs.js";
+import { beyondRange, inputsText, named, outputsOf } from "./inputs.js";
 import { failureWords } from "./job_list.js";
 import { insideBars, insideWords, reportOf } from "./report.js";
 import { overTolerance } from "./shares.js";
@@ -95,13 +95,21 @@ async function drawn(place, about, kept, signal) {
   const why = answered(answer) && barUnknown(answer) ? await whyUnknown(about, answer, signal) : null;
   const over = answer.coverage === "covered" && answer.within_tolerance === false ? await whyOver(about, wrench, options, signal) : null;
   const solve = answer.job === null && beyondRange(about, wrench) ? () => query(place, about, wrench, { ...options, beyond: true }, signal) : null;
-  put(place, shown(answer, about, wrench, why, over, solve));
+  const limits = answered(answer) ? await limitsOf(about, signal) : {};
+  put(place, shown(answer, about, wrench, limits, why, over, solve));
   if (answer.job && answer.job.id !== watched) await watch(place, about, wrench, options, answer.job, signal);
 }
 
 const TYPED = 12; // digits: a load as it was typed
 const ROUNDOFF = 1e-20; // m or rad: the kernel's least error bar is 1e-30
 const shareOf = (part) => (part < 10 ? percent(part, 2) : `${number(part, 2)} times`);
+
+// The tolerance of each output by its name: of a component without a stated one, a part of each output's range.
+async function limitsOf(about, signal) {
+  const stated = about.tolerance;
+  const allowed = stated ? null : (await get(`${of(about.name)}/glance`, signal).catch(() => ({}))).allowed;
+  return Object.fromEntries(outputsOf(about).map((name, k) => [name, stated ? stated[name.split(".").at(-1)[0] === "u" ? "translation" : "rotation"] : allowed?.[k]]));
+}
 
 // Why a covered answer exceeds the tolerance; the parts of its error bars come with a second call.
 async function whyOver(about, wrench, options, signal) {
@@ -120,19 +128,18 @@ async function whyUnknown(about, answer, signal) {
   return warnings.find((one) => one.where === "tolerance" && one.message.includes("unknown"))?.message || few;
 }
 
-function shown(answer, about, wrench, why, over, solve) {
+function shown(answer, about, wrench, limits, why, over, solve) {
   const outside = beyondRange(about, wrench);
   const reason = (answer.reason || "").replace(/: to solve it nevertheless, set beyond_range to true.*$/, "").split("; ").filter((part) => !outside || !part.includes("is outside the load range,")).join("; "); // the note above says that, and the button is there
   return [
     el("div", { class: "line" }, stateOf(answer, outside), el("span", { class: "muted small" }, about_(answer))),
-    outside ? note("outside", outside) : null,
+    outside ? note("outside", el("span", {}, pageWords(`${outside.slice(0, -1)}${reason ? `; ${reason}` : ""}.`)), solve ? el("div", {}, el("button", { type: "button", onclick: solve }, "Solve it nevertheless")) : null) : null,
     extrapolated(answer) ? note("outside", `Extrapolated from ${counted(about.rows, "row")}; its error is not known.`) : null,
-    reason ? note(answered(answer) && !(why !== null && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
+    reason && !outside ? note(answered(answer) && !(why !== null && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
     !answered(answer) && !about.has_fea && !about.rows ? linkTo(about, "table", "Import rows") : null,
     why ? note("thin", el("strong", {}, "The error bar is unknown"), el("span", {}, `${sentence(why)}.`)) : null,
-    solve ? el("div", {}, el("button", { type: "button", onclick: solve }, "Solve it nevertheless")) : null,
     over ? note("thin", over) : null,
-    Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, about.tolerance, answer)),
+    Object.entries(answer.displacements || { "": answer }).map(([name, part]) => moved(name, part, OUTPUTS.map((output) => limits[name ? `${name}.${output}` : output]), answer)),
     answer.notes ? note("thin", el("ul", {}, answer.notes.map((one) => el("li", {}, one)))) : null,
     el("p", { class: "muted small" }, inputsText(named(about, wrench), about, TYPED)),
   ];
@@ -149,23 +156,25 @@ function stateOf(answer, beyond) {
   if (!answered(answer)) return pill(answer.job ? "no answer yet" : "no answer", "");
   if (coverage === "outside") return pill(beyond ? "outside the load range" : "outside the rows", "outside");
   if (coverage !== "covered") return pill(coverage);
-  return barUnknown(answer) ? pill("covered, error bar unknown", "thin") : within === false ? pill("covered, over tolerance", "thin") : pill(coverage);
+  return barUnknown(answer) ? pill("covered, error bar unknown", "thin") : within === false ? pill("covered, over tolerance", "thin")
+    : answer.missing?.length ? pill(`covered; ${counted(answer.missing.length, "output")} not measured`, coverage) : pill(coverage);
 }
 
 // The displacement of an interface, its name empty where there is one.
-function moved(name, part, limit, answer) {
+function moved(name, part, limits, answer) {
   if (!part.translation) return null;
   const values = [part.translation, part.rotation].flatMap((group) => (part.error ? group.map((one) => (one !== null && Math.abs(one) < ROUNDOFF ? 0 : one)) : withoutRoundOff(group)));
   const bars = part.error ? [...part.error.translation, ...part.error.rotation].map((one) => (one !== null && one < ROUNDOFF ? 0 : one)) : [];
   if (name && bars.length && ![...values, ...bars].some((one) => one !== 0)) return el("p", { class: "muted" }, `${name}: no displacement`);
+  const hasLimit = limits.some(Boolean);
   const lines = OUTPUTS.map((output, place) => {
     const unmeasured = answer.missing?.includes(name ? `${name}.${output}` : output);
     const { value, bar } = unmeasured ? { value: "not measured", bar: "–" } : withBar(values[place], bars[place], unitOfOutput(output));
-    const allowed = limit && (place < 3 ? limit.translation : limit.rotation);
+    const allowed = limits[place];
     const share = allowed && bars[place] !== null && bars[place] !== undefined ? shareOf(bars[place] / allowed) : "–";
-    return row(symbol(output), value, bar, limit ? share : null);
+    return row(symbol(output), value, bar, hasLimit ? share : null);
   });
-  const head = ["", "Value", "95 % error bar", ...(limit ? ["Of the tolerance"] : [])].map((one, place) =>
+  const head = ["", "Value", "95 % error bar", ...(hasLimit ? ["Of the tolerance"] : [])].map((one, place) =>
     el("th", { scope: "col", class: place ? "number" : null }, one));
   return el("table", { class: extrapolated(answer) ? "answer guess" : "answer" }, name ? el("caption", {}, name) : null, el("thead", {}, el("tr", {}, head)), el("tbody", {}, lines));
 }

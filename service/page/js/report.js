@@ -52,6 +52,7 @@ async function showProgress(about, state, signal) {
     }
   } }, "Cancel");
   const make = state.parentElement.querySelector("form button");
+  if (ran && now.wrenches) state.parentElement.querySelector("form input").value = now.wrenches;
   make.disabled = ran;
   if (ran) put(state, bar, el("div", { class: "line ends" }, message, cancel));
   while (now.state === "running") {

@@ -3,21 +3,24 @@
 import { get, of, trouble } from "./api.js";
 import { choice, el, note, put } from "./dom.js";
 import { emptyTable } from "./empty.js";
-import { LOADS, OUTPUTS, counted, plain, prefixOf, quantity, symbol, unitOfLoad, unitOfOutput } from "./format.js";
-import { OUTSIDE, beyondRange } from "./inputs.js";
+import { LOADS, OUTPUTS, counted, number, plain, prefixOf, quantity, symbol, unitOfLoad, unitOfOutput } from "./format.js";
+import { OUTSIDE, beyondRange, loadsOf } from "./inputs.js";
 import { draw, faint } from "./plot.js";
 import { solverError, tableError } from "./shares.js";
 import { wrenchForm } from "./wrench_form.js";
 
 export async function show(root, about, signal) {
   if (!about.rows) {
-    put(root, emptyTable(about));
+    put(root, emptyTable(about, "The table has no rows yet. This view will draw a displacement along a load, with its error band."));
     return;
   }
-  const state = { load: "fz", output: "uz", at: LOADS.map(() => 0), sweep: null, rows: null, drawing: null, inner: tableError(about), rest: solverError(about) };
+  const loads = loadsOf(about); // along the others there is no line to draw
+  const state = { load: loads.includes("fz") ? "fz" : loads[0], output: "uz", at: LOADS.map(() => 0), sweep: null, rows: null, drawing: null, inner: tableError(about), rest: solverError(about) };
   const place = el("div", { class: "plot low", id: "response" });
   const caption = el("p", { class: "muted small", "aria-live": "polite" });
   const load = async () => {
+    others.inputs.forEach((input, k) => { input.closest("label").hidden = input.disabled = LOADS[k] === state.load; });
+    put(summary, `Other loads: ${LOADS.flatMap((one, k) => (one !== state.load && state.at[k] ? `${plain(one)} ${number(state.at[k])} ${unitOfLoad(one)}` : [])).join(", ") || "0"}`);
     try {
       await ask(about, state, signal);
       measuredOnly(root, state);
@@ -25,7 +28,13 @@ export async function show(root, about, signal) {
       again();
     } catch (error) { if (!signal.aborted) put(caption, trouble(error)); }
   };
+  // The key names what is drawn alone.
+  const key = bands(about), [, , thin, outside, row] = key.children;
   const again = () => {
+    const k = OUTPUTS.indexOf(state.output);
+    thin.hidden = !state.sweep.coverage.includes(1);
+    outside.hidden = !state.sweep.coverage.includes(2);
+    row.hidden = !state.rows?.displacement.some((one) => one[k] !== null);
     state.drawing?.again();
     place.setAttribute("aria-label", labelOf(state));
     put(caption, labelOf(state));
@@ -33,13 +42,14 @@ export async function show(root, about, signal) {
   const symbols = (names) => names.map((name) => [name, symbol(name)]);
   const others = wrenchForm(about, { action: "Apply", asked: (wrench) => { state.at = wrench; load(); } });
   others.inputs.forEach((input) => { input.value = "0"; });
+  const summary = el("summary", {});
   put(root, el("section", { class: "card" },
     el("div", { class: "line bottom" },
-      choice("load", "Along", symbols(LOADS), state.load, (value) => { state.load = value; load(); }),
+      choice("load", "Along", symbols(loads), state.load, (value) => { state.load = value; load(); }),
       choice("output", "Output", symbols(OUTPUTS), state.output, (value) => { state.output = value; again(); })),
-    place, bands(about), caption,
-    el("details", {}, el("summary", {}, "The other five loads"),
-      el("div", { class: "stack" }, note("", "Rows are drawn only if all five are zero."), others.form))));
+    place, key, caption,
+    el("details", { id: "other-loads" }, summary,
+      el("div", { class: "stack" }, note("", "Rows are drawn only if all of these are zero."), others.form))));
   await load();
 }
 

@@ -2,7 +2,7 @@
 
 import { get, of, trouble } from "./api.js";
 import { el, field, note, put, select, table } from "./dom.js";
-import { LOADS, OUTPUTS, count, number, plain, quantity } from "./format.js";
+import { LOADS, OUTPUTS, count, number, plain, rounded, unitOfLoad, withBar } from "./format.js";
 
 const ROWS = { all: "all", loading: "loading", unloading: "unloading", opposite: "opposite sign" };
 const PLAY = { branches: "loading and unloading", signs: "positive and negative loads" };
@@ -25,13 +25,19 @@ export function stiffnessForm(about, signal) {
 }
 
 function drawn(body) {
-  const lines = Object.entries(body.lines).filter(([, line]) => line), unit = body.unit.split("/").at(-1);
+  const lines = Object.entries(body.lines).filter(([, line]) => line), unit = body.unit.split("/").at(-1), load = unitOfLoad(body.axis.slice(-2));
   if (!lines.length) return note("thin", "Fewer than three measured rows are between these loads.");
   const plays = Object.entries(body.play).filter(([, play]) => play && play.value !== null), others = Object.entries(body.other_loads);
   return [
-    table(["Rows", "#number", `#slope, ${body.unit}`, "#± 95 %", "#residual", "#r²"], lines.map(([name, line]) => [ROWS[name], count(line.rows), number(line.slope, 5), number(line.slope_half_width, 2), number(line.residual, 3), number(line.r2, 5)]),
+    table(["Rows", "#number", `#slope, ${body.unit}`, `#± 95 %, ${body.unit}`, `#residual, ${load}`, "#r²"], lines.map(([name, line]) => {
+      const { value, bar } = rounded(line.slope, line.slope_half_width);
+      return [ROWS[name], count(line.rows), value, bar, number(line.residual, 3), number(line.r2, 5)];
+    }),
       { caption: `${plain(body.axis.slice(-2))} over ${body.of}, ${number(body.between[0])} to ${number(body.between[1])}`, scrolls: true }),
-    plays.map(([name, play]) => el("p", {}, `Play at no load, between ${PLAY[name]}: ${quantity(play.value, unit, 3)} ± ${quantity(play.half_width, unit, 2)}`)),
+    plays.map(([name, play]) => {
+      const { value, bar } = withBar(play.value, play.half_width, unit);
+      return el("p", {}, `Play at no load, between ${PLAY[name]}: ${value} ${bar}`);
+    }),
     others.length ? note("thin", `Other loads vary in these rows, and the slopes have their effect: ${others.map(([name, size]) => `${name} by ${number(size, 3)}`).join(", ")}.`) : null,
   ];
 }

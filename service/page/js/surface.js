@@ -2,6 +2,8 @@
 
 const SHARP = Math.cos(Math.PI / 6); // facets that meet at less are one smooth face to the eye
 
+const FOLDED = -0.999; // the simplification of a surface turns small facets of a flat face over
+
 export function normals(vertices, triangles) {
   return triangles.map(([a, b, c]) => {
     const [p, q, r] = [vertices[a], vertices[b], vertices[c]];
@@ -22,10 +24,18 @@ export function outline(vertices, triangles) {
       if (found) found.push(number); else seen.set(edge, [number]);
     }
   });
+  const hasArea = (number) => facing[number].some((one) => one), edgesOf = ([a, b, c]) => [[a, b], [b, c], [c, a]].map(([one, other]) => Math.min(one, other) * count + Math.max(one, other));
+  const isSharp = (one, other) => {
+    const dot = facing[one].reduce((sum, value, k) => sum + value * facing[other][k], 0);
+    return dot < SHARP && dot > FOLDED;
+  };
   const edges = [];
-  for (const [edge, [one, other]] of seen) {
-    const dot = other === undefined ? -1 : facing[one].reduce((sum, value, k) => sum + value * facing[other][k], 0);
-    if (dot < SHARP) edges.push([Math.floor(edge / count), edge % count]);
+  for (const [edge, numbers] of seen) {
+    // The simplification of a surface leaves triangles without an area: a facet meets the facets at their other edges.
+    const [one, other] = numbers.filter(hasArea), flat = numbers.filter((number) => !hasArea(number));
+    const beyond = () => flat.flatMap((number) => edgesOf(triangles[number]).flatMap((key) => seen.get(key))).filter((number) => number !== one && hasArea(number));
+    const sharp = one === undefined ? false : other !== undefined ? isSharp(one, other) : !flat.length || beyond().some((number) => isSharp(one, number));
+    if (sharp) edges.push([Math.floor(edge / count), edge % count]);
   }
   return edges;
 }

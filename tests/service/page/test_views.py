@@ -31,6 +31,20 @@ COLUMNS = [
 
 
 @pytest.fixture(scope="module")
+def strut(client):
+    """A measured component with one load and one output: Fz and uz."""
+    spans = {"force": [0, 0, 300], "moment": [0, 0, 0]}
+    about = {"name": "pull_strut", "title": "Strut", "range": spans}
+    client.call_json("POST", "/v1/components", about)
+    noise = np.random.default_rng(1).normal(0, 5e-4, 61)
+    lines = [f"{x},{x * 1e-3 + e}" for x, e in zip(range(-300, 301, 10), noise, strict=True)]
+    text = "\n".join(["Fz [N],uz [mm]", *lines])
+    path = "/v1/components/pull_strut/table?missing_loads=zero"
+    client.call("POST", path, content=text.encode(), headers={"Content-Type": "text/csv"})
+    return client
+
+
+@pytest.fixture(scope="module")
 def plate(client):
     """`plate_thin` with a few rows and a report."""
     for force in ([0, 0, -900.0], [0, 0, 900.0], [500.0, 0, 0]):
@@ -240,7 +254,7 @@ def test_a_mistake_of_six_columns_is_one_sentence(browser, rig):
     browser.visit("#/c/unmeasured/table")
     browser.drop(".drop", "bare.csv", "a,b,c,d,e,g\n1,2,3,4,5,6\n")
     told = browser.one("#mistakes").text
-    assert told.count("is not a known column") == 1
+    assert told.count("are not known columns") == 1
     assert "a, b, c, d, e, g" in told
 
 
@@ -932,7 +946,7 @@ def test_the_list_of_jobs_says_who_asked_when_and_why_a_solve_failed(browser, pl
     browser.run(STUB, json.dumps([["v1/jobs?", {"jobs": [failed], "next": None}]]))
     browser.go("#/jobs")
     shown = " ".join(browser.one("#job-7").text.replace("\u00a0", " ").split())
-    assert shown.startswith("7 plate_thin failed It buckles. F (0, 0, 7) N, M (0, 0, 0) N·m")
+    assert shown.startswith("7 plate_thin failed F (0, 0, 7) N, M (0, 0, 0) N·m It buckles.")
     assert shown.endswith("1 Jan 2026, 00:00 UTC by ann 2.00 s Retry Log")
 
 
@@ -943,7 +957,7 @@ def test_the_log_of_a_failed_job_has_the_message_first_and_the_traceback_folded(
     client.add_component(bundle(tmp_path, "strut", **changed))
     with pytest.raises(ProblemError, match="buckles"):
         client.solve("strut", [-10_000, 0, 0], [0, 0, 0], wait_s=120)
-    browser.visit("#/c/strut/jobs")
+    browser.visit("#/c/pull_strut/jobs")
     browser.click("button", "Log")
     folded = browser.one("dialog summary")
     assert "Traceback" not in browser.one("dialog").text
@@ -1153,6 +1167,7 @@ def test_stretches_of_a_response_that_are_thin_and_outside_have_their_words(brow
     browser.drawn("#response")
     shapes = browser.run("return document.querySelector('#response').layout.shapes")
     assert [shape["label"]["text"] for shape in shapes] == ["outside", "thin"]
+    assert "thin" in browser.one(".key-of-marks").text
     colours = [re.findall(r"[\d.]+", shape["fillcolor"]) for shape in shapes]
     assert np.ptp(np.array(colours, dtype=float), axis=0)[:3].max() > 60
 
@@ -1293,6 +1308,7 @@ def test_the_terms_of_an_answer_are_explained(browser):
     browser.named("h1", "Terms")
     terms = {item.text for item in browser.all("dl.terms dt")}
     assert {"Wrench", "Interface", "Error bar", "Covered", "Thin", "Outside"} <= terms
+    assert {"Table version", "Packed table", "Axis x, y, z", "Demand"} <= terms
 
 
 def test_a_compliance_has_one_power_of_ten_and_no_entry_is_cut_on_a_telephone(browser, plate):
@@ -1564,6 +1580,145 @@ def test_a_job_outside_the_load_range_says_how_far_and_that_the_part_yields(brow
     browser.named(".note.thin", "The part yields")
 
 
+def test_a_response_runs_along_a_load_with_a_range_alone(browser, strut):
+    browser.visit("#/c/pull_strut/response")
+    browser.drawn("#response")
+    assert browser.one(".choice").text == "Fz"
+    key = browser.one(".key-of-marks").text
+    assert "row of the table" in key
+    assert "thin" not in key  # all is covered
+    assert "outside" not in key
+
+
+def test_the_other_loads_of_a_response_leave_the_drawn_one_out(browser, client):
+    measured(client, "others", 100, 200)
+    browser.visit("#/c/others/response")
+    browser.drawn("#response")
+    browser.named("#other-loads summary", "Other loads: 0").click()
+    assert not browser.one("#other-loads").find_element("name", "fz").is_displayed()
+    browser.type("#other-loads input[name=fx]", "50")
+    browser.click("#other-loads button", "Apply")
+    browser.named("#other-loads summary", "Other loads: Fx 50 N")
+
+
+def test_the_coverage_of_one_load_has_no_picture_in_space(browser, strut):
+    browser.visit("#/c/pull_strut/coverage")
+    text = browser.named("section", "Coverage of this axis").text
+    assert "none of them with loads of other axes too, span 1 dimension." in text
+    assert not browser.all("#coverage")
+    assert browser.one(".choice").text == "axis z"
+    browser.click("a.button", "Show the response")
+    browser.drawn("#response")
+
+
+def test_a_compliance_of_one_load_has_the_measured_entry_alone(browser, strut):
+    browser.visit("#/c/pull_strut/checks")
+    mean = browser.named("section", "Mean compliance")
+    assert len(mean.find_elements("css selector", "td")) == 1
+    assert "fitted from 61 rows" in mean.text
+    assert "?" not in mean.text
+    assert "Not in the rows: ux, uy, rx, ry, rz, Fx, Fy, Mx, My, Mz." in mean.text
+
+
+def test_a_measured_stiffness_is_rounded_to_its_bar_and_has_units(browser, strut):
+    browser.visit("#/c/pull_strut/table")
+    browser.type("#stiffness-low", "-200")
+    browser.type("#stiffness-high", "200")
+    browser.click("#stiffness-ask")
+    table = browser.one("#stiffness table")
+    heads = [item.text for item in table.find_elements("css selector", "th")]
+    assert heads[2:5] == ["Slope, N/m", "± 95 %, N/m", "Residual, N"]
+    cells = [item.text for item in table.find_elements("css selector", "tbody tr:first-child td")]
+    assert re.fullmatch(r"\d+00", cells[2])
+    assert re.fullmatch(r"\d\d00", cells[3])
+
+
+def test_an_answer_with_unmeasured_outputs_says_how_many_and_has_a_tolerance(browser, strut):
+    """Its pill said that the error bar is unknown, although that of uz is known."""
+    browser.visit("#/c/pull_strut/query")
+    ask(browser, fz=-150)
+    browser.named(".pill", "covered; 5 outputs not measured")
+    assert "Of the tolerance" in browser.one("table.answer").text
+    uz = browser.one("table.answer tbody tr:nth-child(3)").text
+    assert re.search(r"± 0\.\d+ µm \d+(\.\d+)? %", uz)
+    assert "The error bar is unknown" not in browser.one("main").text
+
+
+def test_a_query_beyond_the_range_has_one_note_with_its_button(browser, plate):
+    browser.visit(f"{PLATE}/query")
+    ask(browser, fz=-2600)
+    note = browser.named(".note.outside", "outside the load range, −2000 to 2000 N; no solve is")
+    assert note.find_element("css selector", "button").text == "Solve it nevertheless"
+    assert len(browser.all(".note.outside")) == 1
+
+
+def test_a_header_without_known_columns_counts_its_decisions_in_words_of_the_page(browser, rig):
+    browser.visit("#/c/unmeasured/table")
+    browser.drop(".drop", "pull.csv", "Load [N],Gauge [mm]\n1,0.1\n")
+    browser.named(".note.outside", "the header needs 3 decisions")
+    told = browser.one("#mistakes").text
+    assert len(browser.all("#mistakes li")) == 3
+    assert "Load [N], Gauge [mm]: are not known columns" in told
+    assert "add the log of the displacements under “Two logs”" in told
+    assert "displacements=FILE" not in told
+
+
+def test_a_table_without_rows_has_no_version(browser, rig):
+    browser.visit("#/c/unmeasured/table")
+    browser.named("#imports", "Nothing was imported yet.")
+    assert "table version" not in browser.one("#imports").text
+
+
+def test_the_audit_has_seconds_and_names_a_failure_as_the_jobs_do(browser, client):
+    shown = audit_of(browser, action="job.fail", object="7", after={"kind": "snap_through"})
+    assert "00:00:00 UTC" in shown
+    assert shown.endswith("kind buckling or snap-through")
+
+
+def test_no_name_of_a_component_is_broken_in_the_audit(browser, client):
+    audit_of(browser, action="component.add", object="unmeasured_rig", component="unmeasured_rig")
+    link = browser.one("#entry-1 td:nth-child(4) a")
+    assert len(browser.run("return arguments[0].getClientRects()", link)) == 1
+
+
+@pytest.mark.parametrize("width", [762, 800])
+def test_the_list_of_jobs_fits_a_narrow_window(browser, plate, width):
+    browser.resize(width, 900)
+    browser.visit("#/jobs")
+    browser.one("table.jobs tr[id]")
+    assert browser.run("return document.documentElement.scrollWidth") <= width
+
+
+def test_the_overview_says_what_a_report_of_few_wrenches_proves(browser, plate):
+    report = doubtful(plate) | {"wrenches": {"compared": 5}}
+    report["tables"][0]["beyond_error_bar"]["missed"] = 0
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["format=state", {"state": "done"}], ["/report", report]]))
+    browser.go(PLATE)
+    browser.named(
+        "section", "with 5 wrenches, at least 55 % of each output's true errors do so with 95 %"
+    )
+
+
+def test_the_field_of_a_running_report_has_its_number_of_wrenches(browser, reported):
+    browser.visit("#/terms")
+    browser.one("h1")
+    state = {"state": "running", "fraction": 0.2, "message": "solves", "wrenches": 5}
+    browser.run(STUB, json.dumps([["format=state", state]]))
+    browser.go(f"{PLATE}/report")
+    browser.one("#cancel-report")
+    assert browser.one("form input[type=number]").get_attribute("value") == "5"
+
+
+def test_triangles_without_an_area_draw_no_edges_on_a_flat_face(browser, client):
+    """The simplified surface of a plate had dashes and doubled rings."""
+    points = [[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [1, 0, 0], [1, -1, 0]]
+    triangles = [[0, 1, 2], [0, 2, 3], [0, 5, 4], [4, 5, 1], [0, 4, 1]]  # the last one is a line
+    browser.visit("#/terms")
+    script = "return (await import('/page/js/surface.js')).outline(...arguments[0])"
+    edges = browser.run(script, [points, triangles])
+    assert {tuple(edge) for edge in edges} == {(0, 3), (0, 5), (1, 2), (1, 5), (2, 3)}
 # -- outputs that no row has ----------------------------------------------------------------------
 
 
