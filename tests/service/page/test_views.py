@@ -1719,6 +1719,8 @@ def test_triangles_without_an_area_draw_no_edges_on_a_flat_face(browser, client)
     script = "return (await import('/page/js/surface.js')).outline(...arguments[0])"
     edges = browser.run(script, [points, triangles])
     assert {tuple(edge) for edge in edges} == {(0, 3), (0, 5), (1, 2), (1, 5), (2, 3)}
+
+
 # -- outputs that no row has ----------------------------------------------------------------------
 
 
