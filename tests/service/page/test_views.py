@@ -995,7 +995,7 @@ def test_the_log_of_a_failed_job_has_the_message_first_and_the_traceback_folded(
     client.add_component(bundle(tmp_path, "strut", **changed))
     with pytest.raises(ProblemError, match="buckles"):
         client.solve("strut", [-10_000, 0, 0], [0, 0, 0], wait_s=120)
-    browser.visit("#/c/pull_strut/jobs")
+    browser.visit("#/c/strut/jobs")
     browser.click("button", "Log")
     folded = browser.one("dialog summary")
     assert "Traceback" not in browser.one("dialog").text
