@@ -283,8 +283,9 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     outcome.job = placement.job
     if placement.job is None:
         set_it = "to solve it nevertheless, set beyond_range to true (--beyond-range)"
-        why = f"no solve is queued for it: {set_it}" if beyond else submission.refusal(component)
-        reason = _also(beyond, outcome.reply.reason.removeprefix(beyond).removeprefix("; "))
+        unqueued = f"{beyond}; no solve is queued for it: {set_it}"
+        why = unqueued if beyond else submission.refusal(component)
+        reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
         outcome.reply = outcome.reply._replace(reason=_also(reason, why))
         return outcome
     return _ended(workspace, query, outcome) if placement.exact else outcome

@@ -56,14 +56,14 @@ def cauchy_stress(
     displacement: np.ndarray,
     tangents: np.ndarray,
     temperature: float,
-    loads: int = 0,
+    loads: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the Cauchy stresses of a displaced body, and their change with the inputs.
 
     displacement: shape (n, 3), m.
     tangents: shape (n, 3, k): its change with the inputs, m per unit of each.
     temperature: K from the reference.
-    loads: the number of inputs before the temperature, where that is an input.
+    loads: the number of inputs before the temperature; None where that is no input.
     Returns stresses: shape (p, 6), Pa: xx, yy, zz, xy, xz, yz. changes: shape (p, 6, k), Pa per
     unit of each.
     """
@@ -75,7 +75,9 @@ def cauchy_stress(
         stresses.append(_six(stress))
         changes.append(np.moveaxis(_six(slopes), 0, -1))
     stress_field, slopes = np.concatenate(stresses), np.concatenate(changes)
-    if body.expands and slopes.shape[2]:  # per kelvin at a fixed displacement, central difference
+    if (
+        body.expands and loads is not None and slopes.shape[2]
+    ):  # per kelvin at a fixed displacement, central difference
         no_fields = tangents[:, :, :0]
         warmer, cooler = (
             cauchy_stress(body, displacement, no_fields, temperature + step)[0]

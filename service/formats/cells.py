@@ -133,7 +133,7 @@ def time_seconds(cell: str, factor: float | None, *, comma: bool) -> float:
     if factor is not None:
         number = number_text(text, comma=comma)
         return math.nan if number is None else float(number) * factor
-    text = text.replace(",", ".") if comma else text
+    text = re.sub(r"(?<=\d),(?=\d)", ".", text) if comma else text
     for form in (None, *_CLOCK_FORMATS):
         try:
             moment = datetime.fromisoformat(text) if form is None else datetime.strptime(text, form)

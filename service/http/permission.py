@@ -63,7 +63,8 @@ class Rates:
         name = bytes.fromhex(key.digest[:16])
         burst_s = max(_BURST_S, 1.0 / key.rate)  # duration of a full bucket, s
         full = max(buckets.get(name, now), self._known.get(name, now))
-        if full > now + 2.0 * burst_s:  # written before the machine was restarted
+        # Written before the machine was restarted, or by a key of this name with another rate.
+        if full > now + burst_s + 1.0 / key.rate:
             full = now
         # 1e-6: rounding does not withhold a request that is due.
         due = int((now + burst_s - full) * key.rate + 1e-6)

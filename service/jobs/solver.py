@@ -121,7 +121,6 @@ class ComponentSolver:
             limit_memory(None)  # the deck's solver, whose memory is unknown, would inherit it
             return _solved(bundle, attempt, report)
         try:
-            self._limit(self.estimated or attempt.memory)
             self._make_ready(bundle, attempt)
             self._limit(self.estimated)
             return _solved(self.ready, attempt, report)
@@ -168,6 +167,7 @@ class ComponentSolver:
         if self.ready is not None and key == self._key:
             return
         self._drop()
+        self._limit(attempt.memory)
         component = build(bundle)
         # `build` has read the files again: an edit since the first hash must not be cached.
         _require_same(attempt, read_bundle(bundle.folder).fingerprint)

@@ -68,23 +68,9 @@ class Reason(NamedTuple):
 
 
 def text_of(reasons: Sequence[Reason], inputs: Sequence[float], packed: Packed) -> str:
-    """Return the text of reasons, without repetitions, for one wrench of n inputs, N and N·m.
-
-    Loads outside the load range come first: they are the cause of the other reasons.
-    """
-    if not reasons:
-        return ""
-    loads = _beyond(inputs, packed)
-    beyond = [Reason(Code.BEYOND_RANGE, 0, -1, load, inputs[load], 0.0) for load in loads]
-    every = [*beyond, *reasons]
-    texts = [FIXED.get(reason.code) or _filled(reason, inputs, packed) for reason in every]
-    return "; ".join(dict.fromkeys(filter(None, texts)))
-
-
-def _beyond(inputs: Sequence[float], packed: Packed) -> list[int]:
-    """Return the loads outside the load range."""
-    ends = packed.arrays["space/range"].T.tolist()
-    return [k for k, (low, high) in enumerate(ends) if inputs[k] < low or inputs[k] > high]
+    """Return the text of reasons, without repetitions, for one wrench of n inputs, N and N·m."""
+    texts = [FIXED.get(reason.code) or _filled(reason, inputs, packed) for reason in reasons]
+    return "; ".join(dict.fromkeys(texts))
 
 
 def _name(packed: Packed, index: int) -> tuple[str, str]:
@@ -120,14 +106,10 @@ def _filled(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
 
 
 def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
-    """Return the loads that lie outside the rows' range, and this range, as a text.
-
-    The text is empty if all of them are outside the load range, which is a reason of its own.
-    """
+    """Return the loads that lie outside the rows' range, and this range, as a text."""
     name = "xyz"[reason.axis]
     axes = f"g{reason.group}/axes/"
     sentences = []
-    beyond = _beyond(inputs, packed)
     span = packed.arrays[axes + "span"][reason.axis]
     floats = packed.arrays[axes + "floats"][reason.axis]
     for column, load in enumerate(axis_inputs(reason.axis)):
@@ -135,8 +117,6 @@ def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
         # The kernel counts wrenches within this distance as on the hull.
         slack = ZERO_LOAD * float(floats[column])
         if low - slack <= inputs[load] <= high + slack:
-            continue
-        if load in beyond:
             continue
         load_name, unit = _name(packed, load)
         if high - low <= slack:
@@ -147,8 +127,6 @@ def _off_hull(reason: Reason, inputs: Sequence[float], packed: Packed) -> str:
         sentences.append(f"{_amount(packed, load, inputs[load])}{where}")
     if sentences:
         return f"axis {name}: {', '.join(sentences)}"
-    if set(beyond) & set(axis_inputs(reason.axis)):
-        return ""
     first = packed.arrays[axes + "point_first"]
     count = int(first[reason.axis + 1] - first[reason.axis])
     amounts = _axis_amounts(reason, inputs, packed)

@@ -105,8 +105,10 @@ static void finish(const wb_table *t, const wb_group *g, const wb_options *o, wb
     if (g->used) judge_error(t, g, o, a);
     if (a->coverage == WB_COVERED) return;
     if (!o->without_rows && wb_answer_by_row(t, g, o, w, a)) {
-        a->coverage = WB_COVERED, a->method = WB_ROW, a->reasons = 0;
-        judge_error(t, g, o, a);
+        int told = 1; /* whether rows tell the noise of each of its outputs */
+        for (int q = 0; q < t->outputs; q++) told &= isnan(a->outputs[q]) || !isnan(a->error[q]);
+        a->coverage = told ? WB_COVERED : WB_THIN, a->method = WB_ROW, a->reasons = 0;
+        if (!told) wb_add_reason(a, WB_REASON_NO_ERROR);
     } else if (with_reasons && g->used && !a->reasons) {
         wb_axes_reasons(t, g, w, a);
     } else if (with_reasons && g->has_kriging

@@ -310,6 +310,17 @@ def test_a_machine_that_was_started_again_holds_no_key_up(tmp_path, clock):
     assert permissions(path, 1.0, 1)[0].wait() == 0.0
 
 
+@pytest.mark.parametrize("before", [0.3, 2.1, 2.9, 3.9])  # s on the clock of the bucket in the file
+def test_a_bucket_of_the_time_before_a_start_lifts_no_limit(tmp_path, clock, before):
+    """A negative number of requests was taken, and each further one was free."""
+    path = tmp_path / "rates"
+    permissions(path, 100.0, 1)[0].wait()
+    start = clock[0]
+    clock[0] = start - before
+    (permission,) = permissions(path, 100.0, 1)
+    assert sum(permission.wait() == 0.0 for _ in range(1000)) <= 201
+
+
 def test_a_disk_that_takes_nothing_lifts_no_limit(tmp_path, clock, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")

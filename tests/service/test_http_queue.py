@@ -228,8 +228,8 @@ def test_queue_beyond_the_range_answers_202_with_job_null_and_the_reason(http, h
     assert reply.status_code == 202
     assert "location" not in reply.headers
     assert body["job"] is None
-    assert body["reason"].startswith("fz = ")
-    assert body["reason"].count("outside the load range") == 1
+    assert "load range" in body["reason"]
+    assert "fz" in body["reason"]
     assert "no solve is queued for it: to solve it nevertheless, set beyond_range" in body["reason"]
     assert jobs(http) == []
 

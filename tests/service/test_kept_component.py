@@ -140,6 +140,23 @@ def test_a_solve_beyond_its_memory_fails_by_name_and_the_next_one_has_a_new_solv
     assert (done.status, first != second) == ("done", True)
 
 
+def test_a_component_is_built_under_its_own_memory_limit_not_that_of_the_one_before(
+    site, monkeypatch
+):
+    limits = []
+    monkeypatch.setattr(solver, "limit_memory", limits.append)
+    kept = solver.ComponentSolver()
+    for name in ("small", "large"):
+        bundle, folder = site.block(name), site.folder / "attempts" / name
+        folder.mkdir(parents=True)
+        spec = Attempt(
+            1, 1, name, str(bundle), read_bundle(bundle).fingerprint, tuple(wrenches(1)[0])
+        )
+        limits.clear()
+        kept.solve(replace(spec, folder=folder, memory=7e9), lambda *_: None)
+        assert limits[0] == 7e9
+
+
 def test_a_margin_that_is_no_number_is_refused_by_name(site, monkeypatch):
     monkeypatch.setenv("WRENCHBOOK_MEMORY_MARGIN", "plenty")
     outcome, _ = site.solved(site.engine(), site.block(), wrenches(1)[0])

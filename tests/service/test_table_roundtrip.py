@@ -131,6 +131,19 @@ def test_an_export_in_any_unit_is_read_back_to_rounding(table: ReadTable, units)
     same_to_rounding(table, read(written(write_xlsx, table, units))[0])
 
 
+@pytest.mark.parametrize(
+    ("earlier", "later"),
+    [
+        ("Nov 29, 2026 10:00:00 PM", "Nov 29, 2026 10:00:02 PM"),
+        ("29.11.2026 22:00:00,5", "29.11.2026 22:00:02,5"),
+    ],
+)
+def test_a_clock_time_is_read_beside_decimal_commas(earlier, later):
+    """The comma of an English date became a point, and the time unknown."""
+    first, second = (time_seconds(text, None, comma=True) for text in (earlier, later))
+    assert second - first == pytest.approx(2.0)
+
+
 @given(texts)
 def test_texts_survive_the_guards_of_spreadsheets(text):
     assert unguard_formula(guard_formula(text)) == text

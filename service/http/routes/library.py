@@ -342,8 +342,15 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
         raise HttpProblemError(409, "shipped", "A shipped component keeps its name", why)
     newer = workspace.catalogue[name].renamed_to
     if renamed and newer:
-        newer = CALLER.get().visible(newer) or "(another name)"
-        now = f"{name!r} is {newer!r} now. Rename that, or copy: POST /v1/components/{name}/copy."
+        shown = CALLER.get().visible(newer)
+        now = (
+            f"{name!r} is {shown!r} now. Rename that"
+            if shown
+            else (
+                f"{name!r} has a new name now, which this key does not allow. Ask for a key of it"
+            )
+        )
+        now += f", or copy: POST /v1/components/{name}/copy."
         raise HttpProblemError(409, "renamed", "The component was renamed already", now)
     copy = workspace.library.add_copy(name, body.name, body.title)
     workspace.catalogue.change(copy.name, notes=workspace.catalogue[name].notes, copied_from=name)

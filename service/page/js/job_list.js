@@ -11,20 +11,23 @@ import { rowLink } from "./rows.js";
 const SHOWN = 50, MOST_WAITING = 1000, NEWEST = 20; // jobs: of a page; put in the order of their start; whose solve times are averaged
 
 export async function jobList(root, component, signal) {
-  const list = { running: el("tbody", { class: "running" }), waiting: el("tbody", { class: "waiting" }), root: el("tbody", {}), rows: new Map(), withName: !component, means: new Map(), calls: new Map(), signal };
+  const list = { running: el("tbody", { class: "running" }), waiting: el("tbody", { class: "waiting" }), root: el("tbody", {}), rows: new Map(), last: null, loads: 0, withName: !component, means: new Map(), calls: new Map(), signal };
   const status = { value: "" };
   const older = el("button", { type: "button", hidden: true }, "Older jobs");
   let following = null;
   const load = async (path, fresh) => {
+    const turn = fresh ? ++list.loads : list.loads; // a slow reply must not replace that of a later filter
     let page = await get(path, signal);
     const running = fresh && !status.value ? (await get(query("running"), signal)).jobs : [];
     const waiting = fresh && ["", "waiting"].includes(status.value) ? (await get(query("waiting", MOST_WAITING), signal)).jobs.sort(inOrder) : [];
+    if (turn !== list.loads) return;
     if (fresh) { list.rows.clear(); put(list.root); put(list.running); put(list.waiting); }
     const ended = () => (status.value === "waiting" ? [] : page.jobs.filter((job) => job.status !== "waiting"));
     while (!fresh && page.next && !ended().length) page = await get(page.next.slice(1), signal);
+    if (turn !== list.loads) return;
     for (const job of [...running, ...(status.value ? waiting : waiting.slice(0, SHOWN)), ...ended()]) if (!list.rows.has(job.id)) place(list, rowOf(list, job));
     following = status.value === "waiting" ? null : page.next;
-    if (fresh) { list.last = waiting.at(-1); list.count(); }
+    if (fresh) { list.last = waiting.at(-1) || null; list.count(); }
     older.hidden = !following;
   };
   const query = (kind = status.value, limit = SHOWN) => `v1/jobs?limit=${limit}${component ? `&component=${encodeURIComponent(component)}` : ""}${kind ? `&status=${kind}` : ""}`;
@@ -36,13 +39,15 @@ export async function jobList(root, component, signal) {
     all.hidden = !empty.hidden;
     const waiting = [...list.rows.values()].map((row) => row.job).filter((job) => job.status === "waiting");
     get(query("waiting", 1), signal).then(({ jobs }) => { cancelAll.hidden = !jobs.length; }).catch(() => {});
-    return waitingTime([...waiting, list.last].filter(Boolean).sort(inOrder).at(-1), queue, signal);
+    const hidden = list.last && !list.rows.has(list.last.id) ? [list.last] : []; // of a long queue
+    return waitingTime([...waiting, ...hidden].sort(inOrder).at(-1), queue, signal);
   };
+  const wrong = (error) => { if (!signal.aborted) notify(error.message, "wrong"); };
   const fresh = () => load(query(), true).catch((error) => { if (!signal.aborted) put(root, trouble(error)); });
-  older.addEventListener("click", () => load(following.replace(/^\//, ""), false));
+  older.addEventListener("click", () => load(following.replace(/^\//, ""), false).catch(wrong));
   const filter = el("select", { "aria-label": "Which jobs", onchange: (event) => { status.value = event.target.value; fresh(); } },
     ["", "waiting", "running", "done", "failed", "cancelled"].map((one) => el("option", { value: one }, one || "all")));
-  const cancelAll = el("button", { type: "button", class: "small", hidden: true, onclick: () => cancelWaiting(component) }, "Cancel all waiting jobs");
+  const cancelAll = el("button", { type: "button", class: "small", hidden: true, onclick: () => cancelWaiting(component).catch(wrong) }, "Cancel all waiting jobs");
   const head = ["#Job", component ? null : "Component", "State", "Wrench", "Accepted", "#Took", ""].filter((one) => one !== null);
   const all = el("table", { class: `folds jobs${component ? "" : " all"}` }, el("thead", {}, el("tr", {}, head.map((one) => el("th", { scope: "col", class: one[0] === "#" ? "number" : null }, one.replace("#", ""))))), list.running, list.waiting, list.root);
   put(root,
@@ -56,6 +61,7 @@ export async function jobList(root, component, signal) {
 function hear(list, kind, body, fresh, status) {
   if (["jobs", "hello", "missed"].includes(kind)) fresh();
   if (kind !== "job") return;
+  if (body.id === list.last?.id && body.status !== "waiting") list.last = null;
   const row = list.rows.get(body.id);
   const moved = row?.job.status !== body.status;
   if (row) change(list, row, { ...row.job, ...body });
@@ -140,7 +146,7 @@ function change(list, row, job) {
 
 function actions(list, row, job) {
   const act = (call) => async () => {
-    try { change(list, row, await call()); } catch (error) { notify(error.message, "wrong"); }
+    try { change(list, row, await call()); await list.count(); } catch (error) { notify(error.message, "wrong"); }
   };
   const buttons = [];
   if (["waiting", "running"].includes(job.status)) buttons.push(["Cancel", act(async () => (await send("DELETE", `v1/jobs/${job.id}`)).json())]);

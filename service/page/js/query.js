@@ -130,11 +130,11 @@ async function whyUnknown(about, answer, signal) {
 
 function shown(answer, about, wrench, limits, why, over, solve) {
   const outside = beyondRange(about, wrench);
-  const reason = (answer.reason || "").replace(/: to solve it nevertheless, set beyond_range to true.*$/, "").split("; ").filter((part) => !outside || !part.includes("is outside the load range,")).join("; "); // the note above says that, and the button is there
+  const reason = (answer.reason || "").replace(/: to solve it nevertheless, set beyond_range to true.*$/, "").split("; ").filter((part) => !outside || !/ outside the (load range|rows), /.test(part)).join("; "); // the note above says that, and the button is there
   return [
     el("div", { class: "line" }, stateOf(answer, outside), el("span", { class: "muted small" }, about_(answer))),
     outside ? note("outside", el("span", {}, pageWords(`${outside.slice(0, -1)}${reason ? `; ${reason}` : ""}.`)), solve ? el("div", {}, el("button", { type: "button", onclick: solve }, "Solve it nevertheless")) : null) : null,
-    extrapolated(answer) ? note("outside", `Extrapolated from ${counted(about.rows, "row")}; its error is not known.`) : null,
+    extrapolated(answer) && !outside ? note("outside", `Extrapolated from ${counted(about.rows, "row")}; its error is not known.`) : null,
     reason && !outside ? note(answered(answer) && !(why !== null && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
     !answered(answer) && !about.has_fea && !about.rows ? linkTo(about, "table", "Import rows") : null,
     why ? note("thin", el("strong", {}, "The error bar is unknown"), el("span", {}, `${sentence(why)}.`)) : null,

@@ -385,7 +385,7 @@ def test_a_shape_beyond_the_tolerance_by_its_mesh_names_the_cause(browser, clien
     ask(browser, "Show", fz=-60)
     browser.named(
         ".note.thin",
-        "An error bar exceeds the tolerance because of the discretisation and linearity",
+        "An error bar exceeds the tolerance because of discretisation and linearity",
     )
 
 

@@ -632,6 +632,44 @@ def test_a_job_that_ends_while_it_is_watched_shows_how_long_it_took(browser, pla
     browser.until(lambda: not browser.run("return document.querySelector('#queue').textContent"))
 
 
+def test_a_refused_cancellation_of_all_waiting_jobs_is_named(browser, client):
+    waiting = job(2, "waiting", created="2026-01-01T00:00:00Z")
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["v1/jobs?", {"jobs": [waiting], "next": None}]]))
+    browser.run(REFUSED, "DELETE")
+    browser.go("#/jobs")
+    browser.click("main button", "Cancel all waiting jobs")
+    browser.named("#notices", "The server is busy.")
+
+
+def test_a_slow_reply_of_an_earlier_filter_does_not_replace_the_jobs_of_a_later_one(
+    browser, client
+):
+    about = {"created": "2026-01-01T00:00:00Z", "seconds": 1.0}
+    pages = {"failed": job(1, "failed", **about), "done": job(2, "done", **about)}
+    replies = [[f"status={name}", {"jobs": [one], "next": None}] for name, one in pages.items()]
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([*replies, ["v1/jobs?", {"jobs": [], "next": None}]]))
+    browser.run(
+        "const stub = window.fetch; window.fetch = (to, how) => String(to).includes('failed') ?"
+        " new Promise((go) => { window.release = () => go(stub(to, how)); }) : stub(to, how);"
+    )
+    browser.go("#/jobs")
+    browser.one("main select")
+    for name in pages:
+        browser.run(
+            "const filter = document.querySelector('main select'); filter.value = arguments[0];"
+            "filter.dispatchEvent(new Event('change'));",
+            name,
+        )
+    browser.one("#job-2")
+    browser.run("window.release(); await new Promise((go) => setTimeout(go, 0));")
+    assert browser.all("#job-2")
+    assert not browser.all("#job-1")
+
+
 # -- components with several interfaces, and with a temperature ----------------------------------
 
 VIEWS = ("overview", "query", "rows", "jobs", "table", "settings")
@@ -957,7 +995,7 @@ def test_the_log_of_a_failed_job_has_the_message_first_and_the_traceback_folded(
     client.add_component(bundle(tmp_path, "strut", **changed))
     with pytest.raises(ProblemError, match="buckles"):
         client.solve("strut", [-10_000, 0, 0], [0, 0, 0], wait_s=120)
-    browser.visit("#/c/pull_strut/jobs")
+    browser.visit("#/c/strut/jobs")
     browser.click("button", "Log")
     folded = browser.one("dialog summary")
     assert "Traceback" not in browser.one("dialog").text
