@@ -172,7 +172,7 @@ def test_a_component_without_finite_elements_keeps_wrenches_and_says_what_to_do(
     assert http.post(path, json={"wrenches": [[1] * 6]}).status_code < 300
     reply = http.post(f"{path}/start")
     assert reply.status_code == 409
-    assert "POST the rows to /v1/components/rig/table" in reply.json()["detail"]
+    assert "load the rows with: wrenchbook import rig FILE" in reply.json()["detail"]
 
 
 def test_a_linear_component_is_solved_once_however_many_wrenches_were_recorded(http, stand_in):

@@ -384,7 +384,7 @@ def test_the_client_and_the_command_line_take_the_load_cell(tmp_path, solved):
         assert "--load-cell moving" in str(refused.exception)
         ran = CliRunner().invoke(app, [*words, "--load-cell", "fixed"])
         assert ran.exit_code == 0, ran.output
-        assert "load cell fixed" in " ".join(ran.output.split())
+        assert "--load-cell fixed" in " ".join(ran.output.split())
         rows = [
             orjson.loads(client.export_table(name, "json"))["rows"] for name in ("python", "shell")
         ]
