@@ -126,4 +126,4 @@ def test_a_curve_of_a_table_without_rows_asks_for_rows(http):  # noqa: F811
     query = {"format": "bushing", "others": "load"}
     refused = http.get("/v1/components/rig/table", params=query)
     assert refused.status_code == 409
-    assert "the table has no rows; fill it (wrenchbook fill), or import some" in refused.json()["detail"]
+    assert "the table has no rows; fill it (wrenchbook fill)" in refused.json()["detail"]

@@ -68,7 +68,7 @@ def test_a_restored_replica_has_the_answers_and_jobs_of_the_lost_directory(shipp
     shipped.insert(5, first=30)
     assert shipped.round().rows == 35
     lines = CliRunner().invoke(app, ["restore", shipped.url, "--data", str(tmp_path / "again")])
-    assert "35 rows, up to number 35, and 1 jobs" in lines.output
+    assert "35 rows, up to number 35, and 1 job" in lines.output
     assert answers(tmp_path / "again") == answers(shutil.copytree(shipped.folder, tmp_path / "b"))
     assert [finding for finding in examine(tmp_path / "again") if finding.kind == "fault"] == []
 

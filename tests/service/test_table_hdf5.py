@@ -428,4 +428,4 @@ def test_a_damaged_matlab_file_is_named(tmp_path: Path, cut: int):
     path.write_bytes((tmp_path / "a.mat").read_bytes()[:cut])
     result, (message,) = read_columns(path)
     assert result == ([], [])
-    assert "read as a MATLAB file" in message or "not a table" in message
+    assert "is damaged, or not a MATLAB file" in message or "not a table" in message
