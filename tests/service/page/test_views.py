@@ -549,6 +549,7 @@ def measured(client, name, *pulls):
     if pulls:
         kind = {"Content-Type": "text/csv"}
         client.call("POST", f"/v1/components/{name}/table", content=text.encode(), headers=kind)
+        client.component(name, wait_s=60)  # until the table has the rows
 
 
 def test_an_open_view_shows_the_first_rows_and_offers_to_draw_later_ones(browser, client):
