@@ -49,8 +49,7 @@ for _name in ("distributed.client", "distributed.batched"):
 TASKS_A_THREAD = 2
 CLOSE_SECONDS = 5.0  # time for the engine's thread to end, as the scheduler may not answer
 CANCEL_SECONDS = 2.0  # time for the scheduler to be reachable before an attempt counts as cancelled
-# Time for a connection, and for a client to reconnect by itself before another one replaces it.
-CONNECT_SECONDS = 10.0
+CONNECT_SECONDS = 10.0  # time for a connection
 AWAY_SECONDS = (0.2, 5.0)  # pause before the first reconnection, and the longest one
 # Interval of requests for the list of workers: a new one is used within a second.
 ROSTER_SECONDS = 1.0
@@ -232,10 +231,7 @@ class DaskEngine(attempts.Listeners):
         return task
 
     async def _connect(self, scheduler: str) -> None:
-        """Connect and follow the workers until the engine closes.
-
-        The client reconnects by itself for CONNECT_SECONDS; then another one replaces it.
-        """
+        """Connect and follow the workers until the engine closes."""
         pause = AWAY_SECONDS[0]
         options: dict[str, Any] = {"timeout": CONNECT_SECONDS, "name": "wrenchbook"}
         while True:
@@ -273,15 +269,15 @@ class DaskEngine(attempts.Listeners):
         self._disconnected = reason
 
     async def _follow(self, client: Client) -> None:
-        """Keep the list of workers up to date until the client closes."""
+        """Keep the list of workers up to date until the connection is lost.
+
+        Dask's client would reconnect under its old name, which the scheduler may confuse with that
+        of the lost connection; `_connect` makes another client.
+        """
         scheduler: Any = client.scheduler
-        while client.status in ("running", "connecting"):
-            if client.status == "connecting":
-                self._set_disconnected("cannot be used: the connection to it was lost")
-                await asyncio.sleep(AWAY_SECONDS[0])
-                continue
-            # A client that has reconnected has no subscriptions.
-            client.subscribe_topic(TOPIC, self._on_progress)
+        connection = client.scheduler_comm
+        client.subscribe_topic(TOPIC, self._on_progress)
+        while client.status == "running" and client.scheduler_comm is connection:
             try:
                 roster = await asyncio.wait_for(scheduler.identity(n_workers=-1), ANSWER_SECONDS)
             except (TimeoutError, OSError):
