@@ -5,8 +5,6 @@ Numpy only: a web process may import it too.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
@@ -106,23 +104,18 @@ def rotation_vector(matrix: np.ndarray) -> np.ndarray:
     return axial * (angle / sine)
 
 
-class _Coefficients(NamedTuple):
-    """Analytic functions of t^2, the square of the angle, rad^2."""
+def _coefficients(vector: np.ndarray) -> tuple[complex, complex, complex]:
+    """Return sin t / t, (1 - cos t) / t^2 and (t - sin t) / t^3 of a rotation vector, (3,), rad.
 
-    a: complex  # sin t / t
-    b: complex  # (1 - cos t) / t^2
-    c: complex  # (t - sin t) / t^3
-
-
-def _coefficients(vector: np.ndarray) -> _Coefficients:
-    """Return the coefficients of a rotation vector, (3,), rad."""
+    These are analytic functions of the square of its angle t.
+    """
     square = vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]
     if abs(square) < _SERIES_LIMIT:
-        return _Coefficients(_series(square, 1), _series(square, 2), _series(square, 3))
+        return _series(square, 1), _series(square, 2), _series(square, 3)
     angle = np.sqrt(square)
     sine, cosine = np.sin(angle), np.cos(angle)
     c = (angle - sine) / (square * angle)
-    return _Coefficients(sine / angle, (1 - cosine) / square, c)
+    return sine / angle, (1 - cosine) / square, c
 
 
 def _series(square: complex, start: int) -> complex:

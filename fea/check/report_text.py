@@ -126,7 +126,20 @@ def _set_up(report: Mapping[str, Any]) -> Iterator[str]:
             f"tie: {tie['nodes']} nodes of {tie['secondary']} follow {tie['main']}, "
             f"{tie['untied']} are not tied; largest gap {1e3 * tie['gap']:.3g} mm"
         )
-    yield from _joints(report)
+    for bolt in report.get("bolts", []):
+        of_yield = _of_yield(bolt["stress"], bolt["yield_strength"])
+        of_yield = f" ({of_yield})" if of_yield else ""
+        yield (
+            f"bolt {bolt['shank']}: {bolt['force']:g} N, keeps its {bolt['keeps']}, cut below "
+            f"{bolt['cells']} cells near {_vector(bolt['at'])} m, {1e6 * bolt['area']:.5g} mm^2, "
+            f"mean stress {bolt['stress'] / 1e6:.4g} MPa{of_yield}"
+        )
+    for spring in report.get("springs", []):
+        kind = "rigid joint" if spring["rigid"] else f"spring with {spring['coupling']} ends"
+        nodes = " and ".join(map(str, spring["nodes"]))
+        groups = " and ".join(spring["groups"])
+        at = _vector(spring["point"])
+        yield f"{kind} between {groups}: {nodes} nodes, point at {at} m"
     if warm := report.get("temperature"):
         yield f"temperature: {warm['low']:g} to {warm['high']:g}, reference {warm['reference']:g}"
     if largest := report.get("acceleration"):
@@ -143,24 +156,6 @@ def _set_up(report: Mapping[str, Any]) -> Iterator[str]:
             f"interface{name}: {section['nodes']} nodes, {area}, {section['coupling']}{locked}, "
             f"point at {_vector(section['point'])} m"
         )
-
-
-def _joints(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield bolts, and springs and rigid joints between groups."""
-    for bolt in report.get("bolts", []):
-        of_yield = _of_yield(bolt["stress"], bolt["yield_strength"])
-        of_yield = f" ({of_yield})" if of_yield else ""
-        yield (
-            f"bolt {bolt['shank']}: {bolt['force']:g} N, keeps its {bolt['keeps']}, cut below "
-            f"{bolt['cells']} cells near {_vector(bolt['at'])} m, {1e6 * bolt['area']:.5g} mm^2, "
-            f"mean stress {bolt['stress'] / 1e6:.4g} MPa{of_yield}"
-        )
-    for spring in report.get("springs", []):
-        kind = "rigid joint" if spring["rigid"] else f"spring with {spring['coupling']} ends"
-        nodes = " and ".join(map(str, spring["nodes"]))
-        groups = " and ".join(spring["groups"])
-        at = _vector(spring["point"])
-        yield f"{kind} between {groups}: {nodes} nodes, point at {at} m"
 
 
 _AT_REST = {

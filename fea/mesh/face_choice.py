@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from graphlib import CycleError, TopologicalSorter
 from itertools import combinations
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -110,31 +110,24 @@ def _chosen(
     return chosen
 
 
-class _Restriction(NamedTuple):
-    """Facets that a key allows."""
-
-    key: str
-    allowed: np.ndarray  # shape (f,), bool
-    excess: np.ndarray  # shape (f,): distance of each facet from being allowed
-    unit: str  # unit and meaning of `excess`
-
-
 def _restrictions(
     surface: Surface, choice: FaceSelector, inside: np.ndarray | None
-) -> Iterator[_Restriction]:
-    """Yield the restrictions of a choice; `inside` as of `_chosen`."""
+) -> Iterator[tuple[str, np.ndarray, np.ndarray, str]]:
+    """Yield each key of a choice that restricts it, and the facets that it allows, (f,), bool.
+
+    Then come the distance of each facet from being allowed, (f,), and the unit and meaning of the
+    distance. `inside` is as of `_chosen`.
+    """
     if choice.box is not None:
         points, (low, high) = surface.mesh.points[surface.corners], np.array(choice.box)
         outside = np.maximum(low - points, points - high).max(axis=(1, 2))
-        yield _Restriction(
-            "box", outside <= NEAR * surface.sizes, outside, "m out of it by a corner"
-        )
+        yield "box", outside <= NEAR * surface.sizes, outside, "m out of it by a corner"
     if choice.normal is not None:
         angles = np.degrees(np.arccos(np.clip(surface.normals @ choice.normal, -1, 1)))
-        yield _Restriction("normal", angles <= (choice.angle or _ANGLE), angles, "degrees from it")
+        yield "normal", angles <= (choice.angle or _ANGLE), angles, "degrees from it"
     if inside is not None:
         apart = np.linalg.norm(surface.middles - surface.middles[inside].mean(axis=0), axis=1)
-        yield _Restriction("inside", inside, apart, f"m from the middle of {choice.inside}")
+        yield "inside", inside, apart, f"m from the middle of {choice.inside}"
 
 
 def _nearest(surface: Surface, point: Point, where: str) -> int:

@@ -303,14 +303,6 @@ class _Mixed(NamedTuple):
     areas: np.ndarray  # shape (s,), m^2
 
 
-class _Integrals(NamedTuple):
-    """Integrals over the overlaps of f secondary facets with the main surface."""
-
-    mass: np.ndarray  # shape (f, k, k), m^2: products of transformed functions
-    mixed: list[_Mixed]
-    off: np.ndarray  # shape (f,), m: largest distance of a facet to main facets too far from it
-
-
 def _integrals(
     points: np.ndarray,
     block: FacetBlock,
@@ -318,8 +310,11 @@ def _integrals(
     plane: np.ndarray,
     distance: float,
     edge: float,
-) -> _Integrals:
-    """Integrate over the overlaps of a secondary block with the main surface.
+) -> tuple[np.ndarray, list[_Mixed], np.ndarray]:
+    """Integrate over the overlaps of the f facets of a secondary block with the main surface.
+
+    Returns the products of transformed functions, (f, k, k), m^2, those with functions of main
+    facets, and the largest distance of each facet to main facets too far from it, (f,), m.
 
     plane: shape (f, 3, 2): directions in the mean plane of each facet of the block.
     distance: largest distance of tied facets, m. edge: largest distance of facets considered, m.
@@ -341,7 +336,7 @@ def _integrals(
             masters, gaps = main_block.nodes[second], facing.gaps[near]
             areas = weights.sum(axis=1)
             mixed.append(_Mixed(index, first, second, masters, products, gaps, areas))
-    return _Integrals(mass, mixed, off)
+    return mass, mixed, off
 
 
 class _Transform(NamedTuple):

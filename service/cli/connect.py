@@ -44,11 +44,23 @@ def _refuse_both(ctx: typer.Context, value: Any) -> Any:
     return value
 
 
-class PlainCommand(TyperCommand):
-    """A command whose refusal of a text in the place of a number is in plain words."""
+class NumbersCommand(TyperCommand):
+    """A command that refuses wrong numbers, and too few, in plain words."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse as the base class does."""
+        """Refuse an option of n numbers that another option follows before the n-th."""
+        for option in self.params:
+            if option.nargs < 2:
+                continue
+            for name in set(option.opts) & set(args):
+                place = args.index(name) + 1
+                for count, text in enumerate(args[place : place + option.nargs]):
+                    if "," in text:
+                        ctx.fail(f"{name} {text}: write {option.nargs} numbers separated by blanks")
+                    if text.startswith("--"):
+                        ctx.fail(f"{name} needs {option.nargs} numbers, but {text} follows {count}")
+            if "--force" in option.opts and len(args) > 1 and re.match(r"[-+]?\.?\d", args[1]):
+                ctx.fail(f"{args[1]}: write a wrench as --force FX FY FZ --moment MX MY MZ")
         try:
             return super().parse_args(ctx, args)
         except typer.BadParameter as error:
@@ -59,11 +71,11 @@ class PlainCommand(TyperCommand):
 
 
 class Commands(typer.Typer):
-    """A group whose commands are `PlainCommand`s."""
+    """A group whose commands are `NumbersCommand`s."""
 
     def command(self, name: str | None = None, **options: Any) -> Any:
         """Return the decorator of a command."""
-        return super().command(name, **{"cls": PlainCommand, **options})
+        return super().command(name, cls=NumbersCommand, **options)
 
 
 Name = Annotated[str, typer.Argument(help="name of the component", autocompletion=component_names)]

@@ -6,6 +6,9 @@ import inspect
 import json
 import os
 import shlex
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -22,7 +25,7 @@ from wrenchbook.service.actors import ANY
 from wrenchbook.service.cli.connect import AsJson, Commands, in_folder
 from wrenchbook.service.cli.render import Screen, plain, print_json, show
 from wrenchbook.service.contract import counted
-from wrenchbook.service.files.program import run_child, usable_cores
+from wrenchbook.service.files.program import child_command, usable_cores
 from wrenchbook.service.keys import FILE as KEYS
 from wrenchbook.service.keys import (
     MEGABYTES,
@@ -162,7 +165,6 @@ def work(
     as_json: AsJson = False,
 ) -> None:
     """Solve the queued jobs of a data directory, next to its server, until SIGINT or SIGTERM."""
-    import signal
     import threading
 
     from wrenchbook.service.workers.builder import opened, solving
@@ -206,8 +208,10 @@ PROGRAMS = {
 
 
 def run_program(ctx: typer.Context) -> None:
-    """Run a command of `PROGRAMS` with its arguments unchanged."""
-    raise typer.Exit(run_child("wrenchbook.fea.check.commands", str(ctx.info_name), *ctx.args))
+    """Run a command of `PROGRAMS` with its arguments unchanged; a SIGTERM ends it too."""
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    command = child_command("wrenchbook.fea.check.commands", str(ctx.info_name), *ctx.args)
+    raise typer.Exit(subprocess.run(command, check=False).returncode)
 
 
 def backup(

@@ -21,7 +21,6 @@ from wrenchbook.service.cli.connect import (
     Data,
     FurtherInput,
     Name,
-    PlainCommand,
     Server,
     Three,
     by_name,
@@ -55,27 +54,6 @@ app = Commands(
 )
 
 
-class NumbersCommand(PlainCommand):
-    """A command with options of several numbers; an option with too few numbers is named."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Refuse an option of n numbers that another option follows before the n-th."""
-        for option in self.params:
-            if option.nargs < 2:
-                continue
-            for name in set(option.opts) & set(args):
-                place = args.index(name) + 1
-                for count, text in enumerate(args[place : place + option.nargs]):
-                    if "," in text:
-                        ctx.fail(f"{name} {text}: write {option.nargs} numbers separated by blanks")
-                    if text.startswith("--"):
-                        ctx.fail(f"{name} needs {option.nargs} numbers, but {text} follows {count}")
-        takes_wrench = any("--force" in option.opts for option in self.params)
-        if takes_wrench and len(args) > 1 and re.match(r"[-+]?\.?\d", args[1]):
-            ctx.fail(f"{args[1]}: write a wrench as --force FX FY FZ --moment MX MY MZ")
-        return super().parse_args(ctx, args)
-
-
 def print_version(chosen: bool) -> None:
     """Print the version and end, if the option is given."""
     if chosen:
@@ -95,13 +73,11 @@ def program(
 
 for name, table_command in TABLE_COMMANDS.items():
     app.command(name)(table_command)
-for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, jobs, audit):
+for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, jobs, audit, joint, stiffness):
     app.command()(command)
 for name, summary in PROGRAMS.items():
     passed_on = {"ignore_unknown_options": True, "allow_extra_args": True}
     app.command(name, help=summary, add_help_option=False, context_settings=passed_on)(run_program)
-for command in (joint, stiffness):
-    app.command(cls=NumbersCommand)(command)
 app.add_typer(keys, name="keys")
 
 Six = tuple[float, float, float, float, float, float]
@@ -138,7 +114,7 @@ ToleranceRotation = Annotated[
 Former = Annotated[float | None, typer.Option(hidden=True)]  # names of version 0.2
 
 
-@app.command(cls=NumbersCommand)
+@app.command()
 def query(
     name: Name,
     force: Force = None,
@@ -198,7 +174,7 @@ def query(
     print_answer(answer, as_json, data, tolerance)
 
 
-@app.command(cls=NumbersCommand)
+@app.command()
 def solve(
     name: Name,
     force: Force = None,
@@ -222,7 +198,7 @@ def solve(
     print_answer(answer, as_json, data, tolerance)
 
 
-@app.command(cls=NumbersCommand)
+@app.command()
 def deformed(
     name: Name,
     file: Annotated[
@@ -243,7 +219,7 @@ def deformed(
     show({"file": file, "bytes": size}, as_json, f"{file}: {size} bytes")
 
 
-@app.command(cls=NumbersCommand)
+@app.command()
 def fill(
     name: Name,
     budget: Annotated[int, typer.Option(min=1, help="largest number of solves")] = 100,

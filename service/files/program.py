@@ -5,8 +5,6 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import os
-import signal
-import subprocess
 import sys
 from contextlib import suppress
 from functools import cache
@@ -17,15 +15,6 @@ from pathlib import Path
 def child_command(module: str, *arguments: str) -> list[str]:
     """Return the command line that runs a module, such as ``wrenchbook.fea.check``, as a child."""
     return [sys.executable, "-P", "-m", module, *arguments]
-
-
-def run_child(module: str, *arguments: str) -> int:
-    """Run a module in a child process, which a SIGTERM of this process ends too.
-
-    Returns its exit status. This process must have no other work meanwhile.
-    """
-    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
-    return subprocess.run(child_command(module, *arguments), check=False).returncode
 
 
 def usable_cores() -> int:

@@ -172,7 +172,15 @@ class Supervisor:
         self._watch()
         for number in _ENDS:
             signal.signal(number, lambda number, _: os._exit(128 + number))
-        self._end_web()
+        # Web workers end after their open requests; further connections are refused.
+        web = [*self._web, *self._retired, *([self._successor] if self._successor else [])]
+        for child in web:
+            child.send(signal.SIGTERM)
+        time.sleep(REFUSE_AFTER_S)
+        with suppress(OSError):  # otherwise new connections would wait in the queue
+            self._bound.shutdown(socket.SHUT_RDWR)
+        for child in web:
+            child.join()
         for child in (self._builder, *self._copiers):  # a copier ships the builder's last rows
             child.send(signal.SIGTERM)
             child.join()
@@ -184,17 +192,6 @@ class Supervisor:
         while not self.failed and _ENDS.isdisjoint(self._signals):
             self.check()
             wait([child.process.sentinel for child in (self._builder, *self._web)], POLL_S)
-
-    def _end_web(self) -> None:
-        """End the web workers after their open requests, and refuse further connections."""
-        web = [*self._web, *self._retired, *([self._successor] if self._successor else [])]
-        for child in web:
-            child.send(signal.SIGTERM)
-        time.sleep(REFUSE_AFTER_S)
-        with suppress(OSError):  # otherwise new connections would wait in the queue
-            self._bound.shutdown(socket.SHUT_RDWR)
-        for child in web:
-            child.join()
 
     def check(self) -> None:
         """Print once that the server is ready; from then on restart processes that have ended."""

@@ -20,7 +20,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from ..table.axes import AXES, ZERO_LOAD, LoadAxis, OffAxis, axis_rows, single_axis_rows
@@ -265,7 +264,12 @@ def _stations(shape: Triangulation, column: int) -> Floats:
     """Return, ascending, where the line crosses faces of the simplices; none or several."""
     if shape.dimension == 0 or not shape.holds_direction(column):
         return np.empty(0)
-    simplices = _simplices_on_line(shape, column)
+    # The simplices that the line may cross, by their boxes: a few in a hundred.
+    others = [load for load in range(3) if load != column]
+    corners = shape.points[:, others][shape.simplices]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    margin = BOX_MARGIN * np.abs(shape.points).max(initial=1.0)
+    simplices = np.flatnonzero(((low <= margin) & (high >= -margin)).all(axis=1))
     start = np.zeros((len(simplices), 3))
     at_zero = shape.barycentric(simplices, start)
     start[:, column] = 1.0
@@ -280,12 +284,3 @@ def _stations(shape: Triangulation, column: int) -> Floats:
     if len(stations) < 2:
         return np.empty(0)
     return stations[np.concatenate(([True], np.diff(stations) > SAME_STATION))]
-
-
-def _simplices_on_line(shape: Triangulation, column: int) -> NDArray[np.intp]:
-    """Return the simplices that the line may cross, by their boxes: a few in a hundred."""
-    others = [load for load in range(3) if load != column]
-    corners = shape.points[:, others][shape.simplices]
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    margin = BOX_MARGIN * np.abs(shape.points).max(initial=1.0)
-    return np.flatnonzero(((low <= margin) & (high >= -margin)).all(axis=1))

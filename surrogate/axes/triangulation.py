@@ -105,29 +105,24 @@ class Triangulation:
             with np.errstate(divide="ignore", invalid="ignore"):  # no length: marked degenerate
                 self.weights = -self.basis[None] / np.diff(local[order, 0])[:, None, None]
         else:
-            self._connect_simplices(local)
-
-    def _connect_simplices(self, local: Floats) -> None:
-        """Triangulate; in three dimensions the points themselves, so that the result is scipy's.
-
-        qhull joins the cells of a grid by slivers where their diagonals differ: answers would jump
-        there. After a slight shear each cell has one triangulation only, and barycentric
-        coordinates are unchanged.
-        """
-        points = self.points if self.dimension == 3 else local
-        delaunay = Delaunay(points)
-        slivers = _count_slivers(points, delaunay.simplices)
-        if slivers:
-            sheared = Delaunay(points @ SHEAR[: self.dimension, : self.dimension].T)
-            if _count_slivers(points, sheared.simplices) < slivers:
-                delaunay = sheared
-        self.simplices = delaunay.simplices.astype(np.intp)
-        self.neighbours = delaunay.neighbors.astype(np.intp)
-        edges = points[self.simplices[:, :-1]] - points[self.simplices[:, -1:]]
-        self.weights = inverses(edges).transpose(0, 2, 1)
-        if self.dimension < 3:
-            with np.errstate(invalid="ignore"):  # no area: marked degenerate
-                self.weights = self.weights @ self.basis
+            # In three dimensions the points themselves, so that the result is scipy's.
+            points = self.points if self.dimension == 3 else local
+            delaunay = Delaunay(points)
+            # qhull joins the cells of a grid by slivers where their diagonals differ: answers would
+            # jump there. After a slight shear each cell has one triangulation only, and barycentric
+            # coordinates are unchanged.
+            slivers = _count_slivers(points, delaunay.simplices)
+            if slivers:
+                sheared = Delaunay(points @ SHEAR[: self.dimension, : self.dimension].T)
+                if _count_slivers(points, sheared.simplices) < slivers:
+                    delaunay = sheared
+            self.simplices = delaunay.simplices.astype(np.intp)
+            self.neighbours = delaunay.neighbors.astype(np.intp)
+            edges = points[self.simplices[:, :-1]] - points[self.simplices[:, -1:]]
+            self.weights = inverses(edges).transpose(0, 2, 1)
+            if self.dimension < 3:
+                with np.errstate(invalid="ignore"):  # no area: marked degenerate
+                    self.weights = self.weights @ self.basis
 
     def locate(self, x: ArrayLike) -> Indices:
         """Return the simplex of each point, shape (k, 3) -> (k,), or -1 outside the hull.

@@ -10,7 +10,6 @@ import itertools
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
 
 import numpy as np
 
@@ -360,8 +359,12 @@ def _add_springs(data: Bulk) -> None:
             continue
         is_bush = name == "CBUSH"
         try:
-            ends = _spring_ends(fields, is_bush)
-            nodes = [end.node for end in ends]
+            ends = [(fields[2], fields[3]), (fields[4], fields[5])]
+            if is_bush:
+                ends = [(fields[2], "1"), (fields[3], "1")]
+            # A grounded end has no node, or 0.
+            ends = [(node, whole(first or "0")) for node, first in ends if node.strip("0")]
+            nodes = [node for node, _ in ends]
             sizes = data.stiffnesses(name, number)
             if not nodes or not any(sizes):
                 raise MeshFileError("has a stiffness of 0" if nodes else "has no end on a node")
@@ -376,28 +379,12 @@ def _add_springs(data: Bulk) -> None:
                 data.couplings += [f"*ELEMENT, TYPE=SPRING{len(ends)}, ELSET={element}"]
                 data.couplings += [", ".join([str(next(elements)), *nodes])]
                 data.couplings += [f"*SPRING, ELSET={element}{option}"]
-                data.couplings += [", ".join(str(end.freedom + i) for end in ends), f"{size:.12g}"]
+                data.couplings += [", ".join(str(first + i) for _, first in ends), f"{size:.12g}"]
 
     for (name, why), numbers in refused.items():
         number = f"{numbers[0]} and others" if len(numbers) > 1 else numbers[0]
         note = f"{name} {number} (it {why}): write [[supports.bushing]] or [[spring]]"
         data.skipped[note] += len(numbers)
-
-
-class _End(NamedTuple):
-    """An end of a spring."""
-
-    node: str
-    freedom: int  # the first, from 1
-
-
-def _spring_ends(fields: list[str], is_bush: bool) -> list[_End]:
-    """Return the ends of a spring without a grounded one, whose node is empty or 0."""
-    if is_bush:
-        ends = [(fields[2], "1"), (fields[3], "1")]
-    else:
-        ends = [(fields[2], fields[3]), (fields[4], fields[5])]
-    return [_End(node, whole(freedom or "0")) for node, freedom in ends if node.strip("0")]
 
 
 def _end_axes(data: Bulk, nodes: list[str]) -> np.ndarray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 
@@ -151,16 +150,10 @@ def _require_free(coupled: CoupledGroup, node: int) -> None:
     raise MeshFileError(f"the point {node % STRIDE} is {why}")
 
 
-class _Constants(NamedTuple):
-    """Data lines of a *SPRING."""
-
-    freedoms: list[int]  # from 0, at each node
-    axes: np.ndarray  # (3, 3): unit vectors in rows
-    stiffness: float  # in the deck's units
-
-
-def _constants(reader: Reader, keyword: Keyword, nodes: list[int]) -> _Constants:
-    """Return the data of a *SPRING on nodes."""
+def _constants(
+    reader: Reader, keyword: Keyword, nodes: list[int]
+) -> tuple[list[int], np.ndarray, float]:
+    """Return a *SPRING's freedom at each node, from 0, its axes in rows, (3, 3), and stiffness."""
     rows = [row for row in keyword.rows if any(row)]
     axes = np.eye(3)
     further = sorted(keyword.options.keys() - {"ELSET", "ORIENTATION"})
@@ -187,7 +180,7 @@ def _constants(reader: Reader, keyword: Keyword, nodes: list[int]) -> _Constants
         turned = [node for node in nodes if node in reader.turned]
         node = turned[0] if turned else nodes[0]
         raise MeshFileError(f"node {node % STRIDE} has rotated axes, but it has no ORIENTATION")
-    return _Constants(freedoms, axes, stiffness)
+    return freedoms, axes, stiffness
 
 
 def _check_between(case: LoadCase, ends: list[CoupledGroup], shift: np.ndarray) -> None:

@@ -16,7 +16,7 @@ import math
 from collections.abc import Mapping
 from numbers import Real
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -502,17 +502,13 @@ def further_inputs(table: Table, by_name: Mapping[str, float]) -> tuple[float, .
     return tuple(map(float, values))
 
 
-class MovingFreedoms(NamedTuple):
-    """The freedoms of the k interfaces of a part that move."""
+def moving(
+    table: Table, interface: str | None, several: bool = True
+) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[str, ...]]:
+    """Return the freedoms of the k interfaces of a table's part that move.
 
-    indices: NDArray[np.intp]  # (6 k,): indices of the table's loads and outputs
-    # (f,): indices, among these 6 k, of the freedoms that the part does not lock.
-    free: NDArray[np.intp]
-    interfaces: tuple[str, ...]  # k names; ("",) for a single interface
-
-
-def moving(table: Table, interface: str | None, several: bool = True) -> MovingFreedoms:
-    """Return the freedoms of the interfaces of a table's part that move.
+    They are the indices of the table's loads and outputs, (6 k,), the indices among these of the
+    freedoms that the part does not lock, (f,), and the names; ("",) for a single interface.
 
     Raises InvalidArgument if no interface moves, or if interfaces other than `interface` move;
     without `interface` more than one must not move, unless `several` are allowed.
@@ -556,4 +552,4 @@ def moving(table: Table, interface: str | None, several: bool = True) -> MovingF
             f"{table.name} moves at {len(names)} interfaces ({listed}), but a joint takes at most "
             f"{MAX_INTERFACES}; divide the part into several components"
         )
-    return MovingFreedoms(indices[moves].ravel(), np.flatnonzero(free[moves]), names)
+    return indices[moves].ravel(), np.flatnonzero(free[moves]), names

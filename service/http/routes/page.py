@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -40,15 +39,6 @@ BORROWED: Final = {
 }
 
 
-@dataclass(frozen=True)
-class PageFile:
-    """A file in the form of its reply: compressed once, with a tag from its content."""
-
-    packed: bytes
-    media_type: str
-    tag: str
-
-
 @router.get("/")
 def page(request: Request, if_none_match: Annotated[str | None, Header()] = None) -> Response:
     return _file("index.html", request, if_none_match)
@@ -73,16 +63,15 @@ def _file(name: str, request: Request, if_none_match: str | None) -> Response:
     if path is None:
         why = f"The page has no file {name[:200]!r}. The page is at /, the calls at /docs."
         raise HttpProblemError(404, "no-file", "No such file", why)
-    file = _read(path, path.stat().st_mtime_ns)
-    headers = {**naming(file.tag), "Vary": "Accept-Encoding"}
-    if holds(if_none_match, file.tag):
+    content, tag = _read(path, path.stat().st_mtime_ns)
+    headers = {**naming(tag), "Vary": "Accept-Encoding"}
+    if holds(if_none_match, tag):
         return Response(status_code=304, headers=headers)
-    content = file.packed
     if "gzip" in request.headers.get("accept-encoding", ""):
         headers["Content-Encoding"] = "gzip"
     else:
         content = gzip.decompress(content)
-    return Response(content, 200, headers, file.media_type)
+    return Response(content, 200, headers, MEDIA_TYPES[path.suffix])
 
 
 @cache
@@ -101,8 +90,8 @@ def _paths() -> dict[str, Path]:
 
 
 @lru_cache(maxsize=256)
-def _read(path: Path, changed: int) -> PageFile:
-    """Return a file at a time of change, ns; a changed file is read again."""
+def _read(path: Path, changed: int) -> tuple[bytes, str]:
+    """Return a file, compressed, and the tag of its content; a changed file is read again."""
     content = path.read_bytes()
     tag = hashlib.blake2b(content, digest_size=12).hexdigest()
-    return PageFile(gzip.compress(content, 6, mtime=0), MEDIA_TYPES[path.suffix], f'"{tag}"')
+    return gzip.compress(content, 6, mtime=0), f'"{tag}"'

@@ -122,23 +122,18 @@ async def get_table(
         headers = attached(f"{name}-{table.version}-bushing.csv")
         return Response(content, 200, headers, MEDIA_TYPES["csv"])
     if format == "packed":
-        return await _packed(workspace, name, if_none_match)
+        table = await workspace.newest(name, CATCH_UP_S)
+        # The file has the solver's error too, which can change within a version, as the setup can.
+        tag = f'"{table.version}-{table.packed.checksum:08x}"'
+        headers = naming(tag)
+        if holds(if_none_match, tag):
+            return Response(status_code=304, headers=headers)
+        headers |= attached(f"{name}-{table.version}{SUFFIX}")
+        content = await run_in_threadpool(lambda: table.packed.content)
+        return Response(content, 200, headers, PACKED_TYPE)
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     export = ExportRequest(format, units, table_version, comments)
     return await run_in_threadpool(_export, workspace, name, export, if_none_match)
-
-
-async def _packed(workspace: Workspace, name: str, if_none_match: str | None) -> Response:
-    """Return the packed table that answers."""
-    table = await workspace.newest(name, CATCH_UP_S)
-    # The file has the solver's error too, which can change within a version, as the setup can.
-    tag = f'"{table.version}-{table.packed.checksum:08x}"'
-    headers = naming(tag)
-    if holds(if_none_match, tag):
-        return Response(status_code=304, headers=headers)
-    headers |= attached(f"{name}-{table.version}{SUFFIX}")
-    content = await run_in_threadpool(lambda: table.packed.content)
-    return Response(content, 200, headers, PACKED_TYPE)
 
 
 def _export(
