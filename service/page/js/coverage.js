@@ -5,13 +5,12 @@ import { get, of, trouble } from "./api.js";
 import { choice, el, note, put, table, working } from "./dom.js";
 import { emptyTable, linkTo } from "./empty.js";
 import { LOADS, count, counted, number, percent, plain, symbol, unitOfLoad } from "./format.js";
-import { OUTSIDE, beyondRange, loadsOf } from "./inputs.js";
+import { OUTSIDE, axesOf, beyondRange, loadsOf } from "./inputs.js";
 import { box } from "./load_box.js";
 import { draw } from "./plot.js";
-import { figure } from "./view3d.js";
+import { CUBE, figure } from "./view3d.js";
 import { keepWrench } from "./wrench_form.js";
 
-const AXES = { x: ["fx", "my", "mz"], y: ["fy", "mz", "mx"], z: ["fz", "mx", "my"] };
 const TRIES = 3; // drawings until picture and figures are of one version: a fill adds rows faster
 
 export async function show(root, about, signal) {
@@ -21,7 +20,7 @@ export async function show(root, about, signal) {
   }
   const stage = el("div", { class: "stack" }), below = el("div", { class: "halves" });
   const pick = (axis) => axisOf(stage, below, about, axis, signal).catch((error) => { if (!signal.aborted) put(stage, trouble(error)); });
-  const axes = Object.keys(AXES).filter((axis) => AXES[axis].some((load) => loadsOf(about).includes(load))), first = axes.at(-1);
+  const axes = axesOf(about), first = axes.at(-1);
   put(root, el("section", { class: "card" }, choice("axis", "Rows of", axes.map((axis) => [axis, `axis ${axis}`]), first, pick), stage), below);
   await pick(first);
 }
@@ -36,7 +35,7 @@ async function axisOf(stage, below, about, axis, signal, tries = TRIES) {
   for (const column of ["wrench", "clean"]) rows[column] = rows[column].filter((_, place) => inside[place]);
   let gap = { hull: [], worst: [] };
   const drawn = rows.inputs.filter((load) => loadsOf(about).includes(load));
-  const place = el("div", { class: "plot", id: "coverage" });
+  const place = Object.assign(el("div", { class: "plot", id: "coverage" }), { fit: { box: CUBE } });
   const view = figure(place, `Rows of axis ${axis}`, marks(about, rows, latest));
   const waiting = working("The convex hull is computed …");
   put(below, waiting);

@@ -120,7 +120,7 @@ function meanOf(list, component) {
 
 async function expected(list, job, place_) {
   const mean = await meanOf(list, job.component), ran = (Date.now() - new Date(job.started)) / 1000;
-  if (mean !== null) place_.textContent = ran < mean ? `about ${rough(mean - ran)} left` : `longer than the mean of ${rough(mean)}`;
+  if (mean !== null) place_.textContent = ran < mean ? `about ${rough(mean - ran)} left` : `longer than the mean, ${rough(mean)}`;
 }
 
 const rough = (value) => (value < 120 ? `${Math.max(1, Math.round(value))} s` : `${Math.round(value / 60)} min`);
@@ -129,7 +129,7 @@ function change(list, row, job) {
   const moves = row.root.isConnected && bodyOf(list, row.job) !== bodyOf(list, job);
   row.job = job;
   if (moves) place(list, row);
-  const left = el("span", {});
+  const left = el("span", { class: "small muted" });
   if (job.status === "running" && job.started) expected(list, job, left);
   const running = job.status === "running";
   const fraction = job.progress?.fraction;
@@ -137,10 +137,10 @@ function change(list, row, job) {
     el("td", { class: "number" }, el("a", { href: `#/jobs/${job.id}` }, String(job.id))),
     list.withName ? el("td", {}, el("a", { href: `#/c/${job.component}` }, job.component)) : null,
     el("td", { class: running || job.error ? "whole" : null }, el("div", { class: "stack tight" }, el("div", { class: "line" }, pill(job.status), running && job.progress ? el("span", { class: "small muted" }, job.progress.message) : null),
-      running ? el("progress", { max: "1", value: fraction ?? 0, "aria-label": `Job ${job.id}` }) : null)),
+      running ? el("progress", { max: "1", value: fraction ?? 0, "aria-label": `Job ${job.id}` }) : null, running ? left : null)),
     el("td", { class: "small whole" }, inputsElement(job), job.status === "failed" && job.error ? el("div", { class: "muted" }, failureWords(job.error)[0]) : null),
     el("td", { class: "muted small" }, time(job.created).replaceAll(/(?<!,) /g, "\u00a0"), job.actor && job.actor !== "(anonymous)" ? el("div", {}, `by ${actorOf(job.actor)}`) : null),
-    el("td", { class: "muted small number" }, job.seconds ? seconds(job.seconds) : left),
+    el("td", { class: "muted small number" }, job.seconds ? seconds(job.seconds) : ""),
     el("td", {}, actions(list, row, job)));
 }
 
