@@ -114,7 +114,7 @@ function holds(rows, summary) {
   if (!summary) return el("p", {}, "The table's compliance answers: all loads are covered by six unit solves, whatever the rows.");
   const lines = Object.entries(summary.spans).map(([load, [low, high]]) => [symbol(load), number(low), number(high), unitOfLoad(load)]);
   return [
-    el("p", {}, `Rows at ${counted(summary.rows, "load")}, ${summary.corrected ? count(summary.corrected) : "none"} of them with loads of other axes too, span ${counted(summary.dimensions ?? 0, "dimension")}. Their convex hull encloses ${percent(summary.part_of_range)} of the range; kriging covers loads beyond it where its error is known and within the tolerance.`),
+    el("p", {}, `Rows at ${counted(summary.rows, "load")}, ${summary.corrected ? (summary.corrected === summary.rows ? "all" : count(summary.corrected)) : "none"} of them with loads of other axes too, span ${counted(summary.dimensions ?? 0, "dimension")}. Their convex hull encloses ${percent(summary.part_of_range)} of the range; kriging covers loads beyond it where its error is known and within the tolerance.`),
     lines.length ? table(["Load", "#from", "#to", "unit"], lines) : null,
   ];
 }

@@ -96,7 +96,7 @@ function labelOf(state) {
   const unit = unitOfOutput(output), place = bars.indexOf(Math.max(...bars)), widest = quantity(bars[place], unit, 2), inner = sweep.interpolation[place]?.[k] ?? 0;
   const unknown = Math.round(100 * sweep.error.filter((one) => one[k] === null).length / sweep.error.length);
   const parts = sweep.bars_are_whole ? ` (${table} ${inner > bars[place] / 1000 ? quantity(inner, unit, 2) : "negligible"}${bars[place] > inner ? `, ${rest} ${quantity(bars[place] - inner, unit, 2)}` : ""})` : "";
-  const line = `${plain(output)} over ${plain(load)} by ${sweep.method}${straight ? `, less a straight line of ${quantity(straight.slope, `${unit}/${unitOfLoad(load).replace("N·m", "(N·m)")}`)}` : ""}.`, rest_ = `${share} % of the line is covered; ${drawn}.`;
+  const line = `${plain(output)} over ${plain(load)} by ${sweep.method}${straight ? `, less the straight line ${quantity(straight.at(0), unit)} + ${quantity(straight.slope, `${unit}/${unitOfLoad(load).replace("N·m", "(N·m)")}`)} · ${plain(load)}` : ""}.`, rest_ = `${share} % of the line is covered; ${drawn}.`;
   if (unknown === 100) return `${line} Its error bar is not known, so no band is drawn; ${rest_}`;
   return `${line} The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}${parts}${unknown ? `, and not known, nor drawn, on ${unknown} % of the line` : ""}; ${rest_}`;
 }

@@ -11,7 +11,7 @@ import { figure } from "./view3d.js";
 import { lastWrench, wrenchForm } from "./wrench_form.js";
 
 const MM = 1000;
-const NAMES = [32, 24]; // px beside, and above and below the box: its axes have ticks at true scale alone
+const NAMES = [54, 24]; // px beside, and above and below the box: its axes have ticks at true scale alone
 const SEEN = 0.12; // of the part's size: what the largest displacement is first magnified to
 const SHOWN = () => [["size", "|u|"], ["0", symbol("ux")], ["1", symbol("uy")], ["2", symbol("uz")]];
 

@@ -1156,7 +1156,7 @@ return [place.clientWidth, place.clientHeight].map((length, k) =>
         ("query", "#loads", (60, 36)),
         ("coverage", "#coverage", (60, 36)),
         ("faces", "#faces", (60, 36)),
-        ("shape", "#shape", (32, 24)),
+        ("shape", "#shape", (54, 24)),
     ],
 )
 def test_a_drawing_in_space_fills_its_frame(browser, plate, view, place, names, width):
@@ -1265,8 +1265,8 @@ def test_a_response_can_be_drawn_as_its_deviation_from_a_straight_line(browser, 
     browser.visit("#/c/gauge/response")
     browser.drawn("#response")
     browser.click("label", "deviation from a straight line")
-    shown = browser.named("main p", "less a straight line of").text
-    slope = float(re.search(r"line of (\d+) nm/N", shown.replace("\u00a0", " "))[1])
+    shown = browser.named("main p", "less the straight line").text
+    slope = float(re.search(r"\+ (\d+) nm/N · Fz", shown.replace("\u00a0", " "))[1])
     assert slope == pytest.approx(500, rel=0.01)
     title = "return document.querySelector('#response').layout.yaxis.title.text"
     assert "less a line" in browser.run(title)
@@ -1282,6 +1282,35 @@ def test_an_overview_leaves_out_axes_and_tolerances_without_loads_and_outputs(br
     shown = browser.named("section", "Method and rows").text
     assert "1 % of each output's range: u (–, –, " in shown.replace("\u00a0", " ")
     assert "r (" not in shown
+
+
+def test_all_columns_of_a_compliance_have_one_width(browser, plate):
+    browser.resize(1400, 900)
+    browser.visit(f"{PLATE}/checks")
+    browser.one("table.matrix")
+    widths = {round(item.size["width"]) for item in browser.all("table.matrix thead th")[:7]}
+    assert max(widths) - min(widths) <= 1
+
+
+def test_the_buttons_of_an_import_are_below_its_facts_on_a_telephone(browser, strut):
+    """They were between the number of its rows and its date."""
+    browser.resize(390, 844)
+    browser.visit("#/c/pull_strut/table")
+    button = browser.one(".imports td button").location["y"]
+    cells = browser.all(".imports tbody tr:first-child td[data-head]")
+    assert button > max(cell.location["y"] for cell in cells)
+
+
+def test_rows_that_all_have_loads_of_other_axes_are_called_all(browser, plate):
+    """It said that 90 of 90 have them."""
+    reply = plate.call_json("GET", "/v1/components/plate_thin/coverage")
+    for entry in reply["axes"]:
+        entry.update(rows=90, corrected=90)
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/coverage", reply]]))
+    browser.go(f"{PLATE}/coverage")
+    browser.named("p", "all of them with loads of other axes too")
 
 
 def test_a_finding_has_no_options_of_commands(browser):
