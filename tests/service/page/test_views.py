@@ -1392,9 +1392,9 @@ def test_the_parts_of_the_band_of_a_measured_table_have_the_names_of_its_errors(
     [
         (
             "the error of rz, 0.0012 rad, is over 6e-05 rad",
-            "The error of rz, 1.2 mrad, is over 60 µrad",
+            "The error of rz, 1.2\u00a0mrad, is over 60\u00a0µrad",
         ),
-        ("self-weight moves it by 0.0014 m", "Self-weight moves it by 1.4 mm"),
+        ("self-weight moves it by 0.0014 m", "Self-weight moves it by 1.4\u00a0mm"),
         ("analysis.gravity is missing", "analysis.gravity is missing"),
         ("under [0, 0.0849, -9.77] m/s^2", "Under [0, 0.0849, −9.77] m/s²"),
     ],
