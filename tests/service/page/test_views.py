@@ -1676,8 +1676,8 @@ def test_the_preview_of_an_import_names_the_units_of_the_file(browser, rig):
 
 
 def test_one_import_of_a_table_without_solves_has_nothing_to_be_compared_with(browser, client):
-    measured(client, "single", 100, 200)
-    browser.visit("#/c/single/compare")
+    measured(client, "singly_imported", 100, 200)
+    browser.visit("#/c/singly_imported/compare")
     browser.named(".empty", "Compare needs two imports")
 
 
@@ -2009,6 +2009,13 @@ def test_an_answer_beyond_few_rows_is_muted_and_called_extrapolated(browser, cli
     assert browser.all("table.answer.guess")
     ask(browser, fz=700)
     browser.until(lambda: browser.one("section .pill").text == "outside the load range")
+
+
+def test_a_reason_of_two_sentences_has_two_capital_letters(browser, client):
+    measured(client, "capital", 100)
+    browser.visit("#/c/capital/query")
+    ask(browser, fz=100)
+    assert "exactly this wrench. The rows" in browser.named(".note", "exactly this wrench").text
 
 
 def test_the_gaps_of_the_coverage_are_called_those_within_the_hull(browser, plate):
