@@ -129,7 +129,7 @@ def comparison_findings(
     # Like the factor, an offset has three digits of the output's range; a smaller one is rounding.
     least = dict(zip(OUTPUTS, 5e-4 * np.nan_to_num(np.abs(expected)).max(axis=0), strict=True))
     listed = ", ".join(
-        f"{name} is {pair['factor']:.3g} times theirs"
+        f"{name} is {round(pair['factor'], 3) + 0:.4g} times theirs"
         + (
             f" {pair['offset']:+.2g} {'m' if name[0] == 'u' else 'rad'}"
             if abs(pair["offset"]) > least[name]

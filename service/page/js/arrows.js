@@ -4,12 +4,11 @@ import { get, of } from "./api.js";
 import { el } from "./dom.js";
 import { named } from "./inputs.js";
 import { draw } from "./plot.js";
-import { column, extent, lines, outline, spansOf } from "./surface.js";
+import { boxOf, column, extent, lines, outline } from "./surface.js";
 import { figure } from "./view3d.js";
 
 const MM = 1e3;
 const LONGEST = 0.35; // of the part's extent: the arrow of the largest force, and of the largest moment
-const FLAT = 0.01; // of the part's extent: the least length of an axis
 const TIP = 0.25; // of the longest arrow
 
 // `read()` gives the inputs; `again()` of the result draws them anew.
@@ -48,11 +47,10 @@ function drawn(place, about, { vertices, triangles }, edges, interfaces, values,
     return interfaces.flatMap(([, one], k) => (loads[k].some((part) => part) ? arrow(one, loads[k].map((part) => (size * part) / most), size, shade[which ? "query" : "outside"]) : []));
   });
   const data = [body, rim, points, ...interfaces.map(([name, one]) => named_(name, one, middle, 0.75 * size, shade)), ...interfaces.flatMap(([, one]) => frame(one, 0.5 * size, shade)), ...arrows];
-  const spans = spansOf(data.flatMap((one) => one.x.map((x, k) => [x, one.y[k], one.z[k]])).filter(([x]) => x !== null)), longest = extent(vertices) * MM;
-  const [x, y, z] = spans.map((one) => Math.max(one / longest, FLAT));
-  place.box = { x, y, z };
+  const box = boxOf(data.flatMap((one) => one.x.map((x, k) => [x, one.y[k], one.z[k]])).filter(([x]) => x !== null));
+  place.fit = { box };
   const axis = (name) => ({ title: { text: `${name}, mm` }, nticks: 4 });
-  return { data, layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "manual", aspectratio: place.box, camera: camera() }, uirevision: "same" } };
+  return { data, layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "manual", aspectratio: box, camera: camera() }, uirevision: "same" } };
 }
 
 const vectorOf = (about, values, name, kind) => {

@@ -5,13 +5,12 @@ import { get, of, trouble } from "./api.js";
 import { choice, el, note, put, table, working } from "./dom.js";
 import { emptyTable, linkTo } from "./empty.js";
 import { LOADS, count, counted, number, percent, plain, symbol, unitOfLoad } from "./format.js";
-import { OUTSIDE, beyondRange, loadsOf } from "./inputs.js";
+import { OUTSIDE, axesOf, beyondRange, loadsOf } from "./inputs.js";
 import { box } from "./load_box.js";
 import { draw } from "./plot.js";
-import { figure } from "./view3d.js";
+import { CUBE, figure } from "./view3d.js";
 import { keepWrench } from "./wrench_form.js";
 
-const AXES = { x: ["fx", "my", "mz"], y: ["fy", "mz", "mx"], z: ["fz", "mx", "my"] };
 const TRIES = 3; // drawings until picture and figures are of one version: a fill adds rows faster
 
 export async function show(root, about, signal) {
@@ -21,7 +20,7 @@ export async function show(root, about, signal) {
   }
   const stage = el("div", { class: "stack" }), below = el("div", { class: "halves" });
   const pick = (axis) => axisOf(stage, below, about, axis, signal).catch((error) => { if (!signal.aborted) put(stage, trouble(error)); });
-  const axes = Object.keys(AXES).filter((axis) => AXES[axis].some((load) => loadsOf(about).includes(load))), first = axes.at(-1);
+  const axes = axesOf(about), first = axes.at(-1);
   put(root, el("section", { class: "card" }, choice("axis", "Rows of", axes.map((axis) => [axis, `axis ${axis}`]), first, pick), stage), below);
   await pick(first);
 }
@@ -36,7 +35,7 @@ async function axisOf(stage, below, about, axis, signal, tries = TRIES) {
   for (const column of ["wrench", "clean"]) rows[column] = rows[column].filter((_, place) => inside[place]);
   let gap = { hull: [], worst: [] };
   const drawn = rows.inputs.filter((load) => loadsOf(about).includes(load));
-  const place = el("div", { class: "plot", id: "coverage" });
+  const place = Object.assign(el("div", { class: "plot", id: "coverage" }), { fit: { box: CUBE } });
   const view = figure(place, `Rows of axis ${axis}`, marks(about, rows, latest));
   const waiting = working("The convex hull is computed …");
   put(below, waiting);
@@ -115,7 +114,7 @@ function holds(rows, summary) {
   if (!summary) return el("p", {}, "The table's compliance answers: all loads are covered by six unit solves, whatever the rows.");
   const lines = Object.entries(summary.spans).map(([load, [low, high]]) => [symbol(load), number(low), number(high), unitOfLoad(load)]);
   return [
-    el("p", {}, `Rows at ${counted(summary.rows, "load")}, ${summary.corrected ? count(summary.corrected) : "none"} of them with loads of other axes too, span ${counted(summary.dimensions ?? 0, "dimension")}. Their convex hull encloses ${percent(summary.part_of_range)} of the range; kriging covers loads beyond it where its error is known and within the tolerance.`),
+    el("p", {}, `Rows at ${counted(summary.rows, "load")}, ${summary.corrected ? (summary.corrected === summary.rows ? "all" : count(summary.corrected)) : "none"} of them with loads of other axes too, span ${counted(summary.dimensions ?? 0, "dimension")}. Their convex hull encloses ${percent(summary.part_of_range)} of the range; kriging covers loads beyond it where its error is known and within the tolerance.`),
     lines.length ? table(["Load", "#from", "#to", "unit"], lines) : null,
   ];
 }

@@ -5,11 +5,11 @@ import { el, notify, put, table } from "./dom.js";
 import { empty, linkTo } from "./empty.js";
 import { count, number, plain, wrench, LOADS, unitOfLoad } from "./format.js";
 import { choice } from "./dom.js";
+import { AXES } from "./inputs.js";
 import { box } from "./load_box.js";
 import { draw } from "./plot.js";
-import { figure } from "./view3d.js";
+import { CUBE, figure } from "./view3d.js";
 
-const AXES = { x: ["fx", "my", "mz"], y: ["fy", "mz", "mx"], z: ["fz", "mx", "my"] };
 
 export async function show(root, about, signal) {
   let reply;
@@ -24,8 +24,8 @@ export async function show(root, about, signal) {
     put(root, empty("No query was thin or outside the table yet.", linkTo(about, "query", "Ask a query")));
     return;
   }
-  const place = el("div", { class: "plot", id: "demand" });
-  const view = figure(place, `Uncovered queries of ${about.name}`, marks());
+  const place = Object.assign(el("div", { class: "plot", id: "demand" }), { fit: { box: CUBE } });
+  const view = figure(place, `Uncovered queries of ${about.name}`, marks(reply));
   const state = { axis: "z" };
   let drawing = null;
   const forget = async () => { if (!confirm("Delete the statistics of all queries of this component?")) return; await send("DELETE", `${of(about.name)}/demand`); notify("Forgotten."); await show(root, about, signal); };
@@ -40,15 +40,16 @@ export async function show(root, about, signal) {
 }
 
 const SYMBOLS = { thin: "circle", outside: "diamond" }; // apart without their colours too
+const KINDS = [["thin", "thin: rows near, error too large or unknown"], ["outside", "outside: no rows around, or beyond the load range"]];
 const COLOURS = { thin: "thin", outside: "muted" }; // as in Response and Coverage
 
-function marks() {
+function marks({ cells }) {
   const one = (kind, text) => {
     const mark = el("i", { class: SYMBOLS[kind] });
     mark.style.background = `var(--${COLOURS[kind]})`;
     return el("li", {}, mark, text);
   };
-  return el("ul", { class: "key-of-marks" }, one("thin", "thin: rows near, error too large or unknown"), one("outside", "outside: no rows around, or beyond the load range"));
+  return el("ul", { class: "key-of-marks" }, KINDS.filter(([kind]) => cells.some((cell) => cell.coverage === kind)).map(([kind, text]) => one(kind, text)));
 }
 
 function picture(about, reply, axis, shade, camera) {
@@ -83,6 +84,6 @@ function most(reply) {
   const half = reply.cell_size.map((one) => one / 2);
   return [
     table(["#thin", "#outside", "loads, rounded"], lines, { scrolls: true }),
-    el("p", { class: "muted small" }, `Loads that are close are counted together: ± ${wrench(half.slice(0, 3), half.slice(3))}. Loads with ≥ or ≤ count with all that are farther out.${reply.elsewhere ? ` ${count(reply.elsewhere)} more were asked elsewhere.` : ""}`),
+    el("p", { class: "muted small" }, `Loads that are close are counted together: ±\u00a0${wrench(half.slice(0, 3), half.slice(3))}. Loads with ≥ or ≤ count with all that are farther out.${reply.elsewhere ? ` ${count(reply.elsewhere)} more were asked elsewhere.` : ""}`),
   ];
 }

@@ -6,7 +6,7 @@ import { number } from "./format.js";
 import { draw } from "./plot.js";
 import { pressed } from "./pressed.js";
 import { snippet } from "./snippet.js";
-import { awayFrom, extent } from "./surface.js";
+import { boxOf, extent } from "./surface.js";
 import { figure as turning } from "./view3d.js";
 
 export async function show(root, about, signal) {
@@ -18,7 +18,7 @@ export async function show(root, about, signal) {
 export async function facesIn(root, { faces, figure }, signal, ofDeck = false) {
   let chosen = 0;
   const bodies = figure.data.filter((trace) => trace.type === "mesh3d").map(({ x, y, z }) => [x, y, z].map(decoded));
-  const place = el("div", { class: "plot", id: "faces", "data-away": 1.1 * awayFrom(bodies.flatMap(([x, y, z]) => Array.from(x, (one, k) => [one, y[k], z[k]]))) });
+  const place = el("div", { class: "plot", id: "faces" });
   const view = turning(place, "Numbered faces"), lines = snippet("For component.toml");
   const group = el("input", { id: "faces-name", value: "NAME", pattern: "[A-Za-z0-9_\\-]+", autocomplete: "off", spellcheck: "false", oninput: () => choose(chosen) });
   const list = select(faces.map((one) => [one.number, described(one)]), null, (value) => choose(Number(value)));
@@ -40,7 +40,7 @@ export async function facesIn(root, { faces, figure }, signal, ofDeck = false) {
       : "Click a face, or choose it in the list. Copy its lines into component.toml; supports and interfaces name the group. Lengths in component.toml are in m."),
     view.root, el("div", { class: "halves" }, field(`Face (1 to ${faces.length})`, list), field("Name of the group", group)), lines.root));
   choose(faces[0].number);
-  drawing = await draw(place, (shade) => ({ data: figure.data.map((trace) => painted(trace, chosen, shade, together.find(([first]) => first === trace))), layout: { scene: sceneOf(view, bodies) } }), signal, `${faces.length} numbered faces`);
+  drawing = await draw(place, (shade) => ({ data: figure.data.map((trace) => painted(trace, chosen, shade, together.find(([first]) => first === trace))), layout: { scene: sceneOf(place, view, bodies, labels) } }), signal, `${faces.length} numbered faces`);
   view.hold(drawing);
   pressed(place, (trace) => choose(numberOf(trace)));
 }
@@ -56,10 +56,11 @@ function painted(trace, chosen, shade, labels = []) {
   return { ...trace, color: here ? shade.accent : shade.part, flatshading: false, lighting: { ambient: 0.7, diffuse: 0.5, specular: 0.05 } };
 }
 
-function sceneOf(view, bodies) {
-  const spans = [0, 1, 2].map((k) => { const ends = bodies.map((body) => [Math.min(...body[k]), Math.max(...body[k])]).flat(); return Math.max(...ends) - Math.min(...ends); });
-  const axis = (name, k) => ({ title: { text: `${name}, mm` }, nticks: spans[k] < 0.1 * Math.max(...spans) ? 2 : 5 });
-  return { xaxis: axis("x", 0), yaxis: axis("y", 1), zaxis: axis("z", 2), aspectmode: "data", camera: view.camera() };
+function sceneOf(place, view, bodies, labels) {
+  const box = boxOf([...bodies.flatMap(([x, y, z]) => Array.from(x, (one, k) => [one, y[k], z[k]])), ...labels.map(placeOf)]);
+  place.fit = { box };
+  const axis = (name) => ({ title: { text: `${name}, mm` }, nticks: box[name] < 0.1 ? 2 : 5 });
+  return { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "manual", aspectratio: box, camera: view.camera() };
 }
 
 function described({ number: face, kind, area, radius }) {

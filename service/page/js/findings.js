@@ -2,7 +2,7 @@
 
 import { of, send, trouble } from "./api.js";
 import { el, note, notify, put } from "./dom.js";
-import { count, sentence } from "./format.js";
+import { count, pageWords, sentence } from "./format.js";
 import { rowLinks } from "./rows.js";
 
 const NAMED = 20; // rows that are named; the button withdraws all
@@ -32,6 +32,6 @@ export function findingNote(name, one, number, signal, done = () => {}) {
   const some = one.rows?.slice(0, NAMED) || [];
   const rows = some.length ? [number ? ["Table ", rowLinks(name, some, NAMED)] : `Rows of the file: ${some.join(", ")}`, one.count > NAMED ? ` and ${count(one.count - NAMED)} more.` : "."] : null;
   const words = one.message.replaceAll(/--(\w+)-point/g, "the $1 point");
-  return note("thin", el("strong", {}, sentence(one.cause)), el("span", {}, `${sentence(words)}.`), rows ? el("span", {}, rows) : null,
+  return note("thin", el("strong", {}, sentence(one.cause)), el("span", {}, `${pageWords(words)}.`), rows ? el("span", {}, rows) : null,
     number ? el("div", {}, el("button", { type: "button", class: "withdraw", onclick: withdraw }, one.count ? `Withdraw ${count(one.count)} ${one.count === 1 ? "row" : "rows"}` : "Withdraw this import")) : null, state);
 }

@@ -77,7 +77,7 @@ export function withBar(value, bar, unit) {
 export function quantity(value, unit, digits = 3) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const [scale, prefix] = prefixOf(value);
-  return `${number(value / scale, digits)} ${prefix}${unit}`;
+  return `${number(value / scale, digits)}\u00a0${prefix}${unit}`; // no line breaks before a unit
 }
 
 // Three values with one prefix: (1.2, 0, −3.4) µm.

@@ -23,6 +23,11 @@ export function loadsOf(about) {
   return loads.length ? loads : LOADS;
 }
 
+export const AXES = { x: ["fx", "my", "mz"], y: ["fy", "mz", "mx"], z: ["fz", "mx", "my"] };
+
+// The axes of which a load has a range.
+export const axesOf = (about) => Object.keys(AXES).filter((axis) => AXES[axis].some((load) => loadsOf(about).includes(load)));
+
 // The inputs beyond the load range in a sentence; empty if there are none.
 export function beyondRange(about, values) {
   const spans = spansOf(about);

@@ -98,7 +98,7 @@ async function cover(place, about, signal, isLatest) {
   if (rows) {
     glance = await get(`${of(about.name)}/glance`, signal);
     const title = (text) => (about.has_fea ? el("h3", {}, text) : null);
-    parts.push(title("With mesh error"), wholeError(glance, about), legend(namesOf(glance)), title("Interpolation only"), sharesOf(glance));
+    parts.push(title("With mesh error"), wholeError(glance, about), legend(namesOf(glance)), title("Interpolation only"), sharesOf(glance, about));
     parts.push(legend(), el("details", { class: "small" }, el("summary", {}, "What the bars mean"), el("p", { class: "muted" }, `Parts of the load range. Covered: the interpolation error is known and within the tolerance; thin: it is larger or not known; outside: beyond the load range, or beyond the rows for the methods by axes (additive, griddata). Kriging may cover loads a little beyond the rows. The first bar compares the complete error bar, of interpolation and of the solver, with the tolerance.${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`)));
   } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : isAtWork(about) ? ["The table has no rows yet. Solves: ", jobsLink(about), "."] : "The table has no rows yet."));
   if (isLatest()) put(place, parts);
@@ -191,7 +191,7 @@ function sourcesOf(about) {
 
 function importLinks(about, imports) {
   const view = `#/c/${encodeURIComponent(about.name)}`;
-  const lines = imports.slice(0, NAMED_IMPORTS).map((one) => el("li", {}, el("a", { href: `${view}/rows?import=${one.id}` }, one.filename || `import ${one.id}`), `, ${counted(one.rows - one.withdrawn, "row")}, ${time(one.when)}`));
+  const lines = imports.slice(0, NAMED_IMPORTS).map((one) => el("li", {}, el("a", { href: `${view}/rows?import=${one.id}` }, one.filename || `import ${one.id}`), ` (${counted(one.rows - one.withdrawn, "row")}, ${time(one.when)})`));
   return el("ul", { class: "plain" }, lines, imports.length > NAMED_IMPORTS ? el("li", {}, el("a", { href: `${view}/table` }, `all ${count(imports.length)} imports`)) : null);
 }
 
@@ -202,7 +202,7 @@ function method(about, report, imports, shares) {
   const bars = insideBars(report);
   const tolerance = about.tolerance
     ? `${quantity(about.tolerance.translation, "m")}, ${quantity(about.tolerance.rotation, "rad")}`
-    : `1 % of each output's range${allowed?.length === OUTPUTS.length ? `: u\u00a0${triple(allowed.slice(0, 3), "m")}, r\u00a0${triple(allowed.slice(3), "rad")}` : ""}`;
+    : `1 % of each output's range${allowed?.length === OUTPUTS.length ? `: ${[["u", "m", allowed.slice(0, 3)], ["r", "rad", allowed.slice(3)]].filter(([, , limits]) => limits.some((one) => one !== null)).map(([name, unit, limits]) => `${name}\u00a0${triple(limits, unit)}`).join(", ")}` : ""}`;
   const sources = sourcesOf(about), clashes = (cover.conflicts || []).flatMap((one) => one.rows);
   const jobs = Object.entries(about.jobs).filter(([, n]) => n).map(([status, n]) => pill(`${n} ${status}`, status));
   return facts([

@@ -65,6 +65,7 @@ function fill(canvas, flat, order, axes = []) {
   const scale = (axes.length ? 0.8 : 0.88) * Math.min(SIZE[0] / (high[0] - low[0] || 1), SIZE[1] / (high[1] - low[1] || 1));
   const at = (one) => [0, 1].map((k) => SIZE[k] / 2 + scale * (one[k] - (low[k] + high[k]) / 2));
   const pen = penOf(canvas), shade = colours(), [red, green, blue] = shade.accent.match(/[\d.]+/g).map(Number);
+  pen.lineJoin = "round"; // mitred strokes of thin triangles would end in spikes
   for (const [corners, normal] of order) {
     const light = 0.45 + 0.55 * Math.max(0, dot(normal, LIGHT));
     pen.fillStyle = pen.strokeStyle = `rgb(${[red, green, blue].map((one) => Math.round(one * light + 60 * light)).join()})`;
@@ -74,7 +75,7 @@ function fill(canvas, flat, order, axes = []) {
     pen.fill();
     pen.stroke(); // closes the seams between triangles
   }
-  pen.lineJoin = "round";
+  pen.font = `600 12px ${getComputedStyle(document.body).fontFamily}`;
   for (const [colour, width] of [[shade.sunken, 4.5], [shade.ink, 1.5]]) { // a halo: in dark colours the part is nearly as light as the ink
     pen.strokeStyle = pen.fillStyle = colour;
     pen.lineWidth = width;
@@ -85,8 +86,10 @@ function fill(canvas, flat, order, axes = []) {
         pen.lineTo(...at(end));
         pen.stroke();
         const text = ["xyz"[k], at(end)[0] + 3, at(end)[1] - 2];
+        pen.lineWidth = 3; // wider, the halo of a letter closes its gaps
         if (colour === shade.ink) pen.fillText(...text);
         else pen.strokeText(...text);
+        pen.lineWidth = width;
       });
     }
   }

@@ -3,6 +3,8 @@
 import { base } from "./api.js";
 import { el, working } from "./dom.js";
 
+export const NARROW = 600; // px: the width below which a place is that of a telephone
+
 let loading = null;
 
 function plotly() {
@@ -30,10 +32,10 @@ export function colours() {
 
 export const faint = (colour, part) => colour.replace(/^rgb\((.*)\)$/, `rgba($1, ${part})`);
 
-function themed(layout) {
+function themed(layout, narrow) {
   const shade = colours();
   const axis = { gridcolor: shade.line, zerolinecolor: shade.line, linecolor: shade.line, tickcolor: shade.line, exponentformat: "SI", automargin: true };
-  const space = { ...axis, backgroundcolor: shade.card, showbackground: false, showspikes: false };
+  const space = { ...axis, backgroundcolor: shade.card, showbackground: false, showspikes: false, tickfont: { size: narrow ? 10 : 12 } };
   const common = {
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
     font: { family: getComputedStyle(document.body).fontFamily, size: 12, color: shade.muted },
@@ -43,7 +45,7 @@ function themed(layout) {
   const made = { ...common, ...layout };
   if (layout.scene) {
     made.scene = { ...layout.scene };
-    for (const name of ["xaxis", "yaxis", "zaxis"]) made.scene[name] = { ...space, ...layout.scene[name] };
+    for (const name of ["xaxis", "yaxis", "zaxis"]) made.scene[name] = { ...space, ...layout.scene[name], title: { font: { size: narrow ? 11 : 14 }, ...layout.scene[name].title } };
   } else {
     for (const name of ["xaxis", "yaxis"]) made[name] = { ...axis, ...layout[name] };
   }
@@ -61,7 +63,7 @@ export async function draw(place, make, signal, label) {
   place.setAttribute("aria-label", label);
   drawing.again = async () => {
     const { data, layout } = make(colours());
-    await drawing.plotly.react(place, data, themed(layout), { displayModeBar: false, responsive: true, displaylogo: false });
+    await drawing.plotly.react(place, data, themed(layout, place.clientWidth < NARROW), { displayModeBar: false, responsive: true, displaylogo: false });
     place.dataset.drawn = String(Number(place.dataset.drawn || 0) + 1);
   };
   if (signal.aborted) return drawing;

@@ -130,7 +130,7 @@ async function whyUnknown(about, answer, signal) {
 
 function shown(answer, about, wrench, limits, why, over, solve) {
   const outside = beyondRange(about, wrench);
-  const reason = (answer.reason || "").replace(/: to solve it nevertheless, set beyond_range to true.*$/, "").split("; ").filter((part) => !outside || !/ outside the (load range|rows), /.test(part)).join("; "); // the note above says that, and the button is there
+  const reason = (answer.reason || "").replace(/: to solve it nevertheless, set beyond_range to true.*$/, "").split("; ").filter((part) => !outside || !/ outside the (load range|rows), /.test(part)).join("; ").replaceAll(/(?<=\. )[a-z]/g, (letter) => letter.toUpperCase()); // the note above says that, and the button is there
   return [
     el("div", { class: "line" }, stateOf(answer, outside), el("span", { class: "muted small" }, about_(answer))),
     outside ? note("outside", el("span", {}, pageWords(`${outside.slice(0, -1)}${reason ? `; ${reason}` : ""}.`)), solve ? el("div", {}, el("button", { type: "button", onclick: solve }, "Solve it nevertheless")) : null) : null,

@@ -9,13 +9,15 @@ import { draw, faint } from "./plot.js";
 import { solverError, tableError } from "./shares.js";
 import { wrenchForm } from "./wrench_form.js";
 
+const LEAST_REST = 1e-3; // of the interpolation error: what is less is no colour in the drawing
+
 export async function show(root, about, signal) {
   if (!about.rows) {
     put(root, emptyTable(about, "The table has no rows yet. This view will draw a displacement along a load, with its error band."));
     return;
   }
   const loads = loadsOf(about); // along the others there is no line to draw
-  const state = { load: loads.includes("fz") ? "fz" : loads[0], output: "uz", at: LOADS.map(() => 0), sweep: null, rows: null, drawing: null, inner: tableError(about), rest: solverError(about) };
+  const state = { load: loads.includes("fz") ? "fz" : loads[0], output: "uz", at: LOADS.map(() => 0), less: "nothing", sweep: null, rows: null, drawing: null, inner: tableError(about), rest: solverError(about) };
   const place = el("div", { class: "plot low", id: "response" });
   const caption = el("p", { class: "muted small", "aria-live": "polite" });
   const load = async () => {
@@ -29,9 +31,10 @@ export async function show(root, about, signal) {
     } catch (error) { if (!signal.aborted) put(caption, trouble(error)); }
   };
   // The key names what is drawn alone.
-  const key = bands(about), [, , thin, outside, row] = key.children;
+  const key = bands(about), [, rest, thin, outside, row] = key.children;
   const again = () => {
     const k = OUTPUTS.indexOf(state.output);
+    rest.hidden = !state.sweep.error.some((one, place) => one[k] > (1 + LEAST_REST) * state.sweep.interpolation[place][k]);
     thin.hidden = !state.sweep.coverage.includes(1);
     outside.hidden = !state.sweep.coverage.includes(2);
     row.hidden = !state.rows?.displacement.some((one) => one[k] !== null);
@@ -46,7 +49,8 @@ export async function show(root, about, signal) {
   put(root, el("section", { class: "card" },
     el("div", { class: "line bottom" },
       choice("load", "Along", symbols(loads), state.load, (value) => { state.load = value; load(); }),
-      choice("output", "Output", symbols(OUTPUTS), state.output, (value) => { state.output = value; again(); })),
+      choice("output", "Output", symbols(OUTPUTS), state.output, (value) => { state.output = value; again(); }),
+      choice("less", "Drawn", [["nothing", "output"], ["line", "deviation from a straight line"]], state.less, (value) => { state.less = value; again(); })),
     place, key, caption,
     el("details", { id: "other-loads" }, summary,
       el("div", { class: "stack" }, note("", "Rows are drawn only if all of these are zero."), others.form))));
@@ -81,7 +85,8 @@ function measuredOnly(root, state) {
   }
 }
 
-function labelOf({ sweep, rows, output, load, inner: table, rest }) {
+function labelOf(state) {
+  const { sweep, rows, output, load, inner: table, rest } = state, straight = straightOf(state);
   const thin = sweep.coverage.filter((one) => one > 0).length;
   const share = Math.round(100 * (1 - thin / sweep.coverage.length));
   const k = OUTPUTS.indexOf(output), shown = rows?.displacement.filter((one) => one[k] !== null).length;
@@ -91,7 +96,7 @@ function labelOf({ sweep, rows, output, load, inner: table, rest }) {
   const unit = unitOfOutput(output), place = bars.indexOf(Math.max(...bars)), widest = quantity(bars[place], unit, 2), inner = sweep.interpolation[place]?.[k] ?? 0;
   const unknown = Math.round(100 * sweep.error.filter((one) => one[k] === null).length / sweep.error.length);
   const parts = sweep.bars_are_whole ? ` (${table} ${inner > bars[place] / 1000 ? quantity(inner, unit, 2) : "negligible"}${bars[place] > inner ? `, ${rest} ${quantity(bars[place] - inner, unit, 2)}` : ""})` : "";
-  const line = `${plain(output)} over ${plain(load)} by ${sweep.method}.`, rest_ = `${share} % of the line is covered; ${drawn}.`;
+  const line = `${plain(output)} over ${plain(load)} by ${sweep.method}${straight ? `, less the straight line ${quantity(straight.at(0), unit)} + ${quantity(straight.slope, `${unit}/${unitOfLoad(load).replace("N·m", "(N·m)")}`)} · ${plain(load)}` : ""}.`, rest_ = `${share} % of the line is covered; ${drawn}.`;
   if (unknown === 100) return `${line} Its error bar is not known, so no band is drawn; ${rest_}`;
   return `${line} The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}${parts}${unknown ? `, and not known, nor drawn, on ${unknown} % of the line` : ""}; ${rest_}`;
 }
@@ -99,8 +104,9 @@ function labelOf({ sweep, rows, output, load, inner: table, rest }) {
 function picture(state, shade) {
   const { sweep, rows, output, load } = state;
   const k = OUTPUTS.indexOf(output);
-  const values = sweep.displacement.map((one) => one[k]), bars = sweep.error.map((one) => one[k]), inner = sweep.interpolation.map((one) => one[k]);
-  const largest = values.reduce((a, b) => Math.max(a, Math.abs(b ?? 0)), 0);
+  const line = straightOf(state), less = (value, x) => (value === null ? null : value - (line?.at(x) ?? 0));
+  const values = sweep.displacement.map((one, place) => less(one[k], sweep.at[place])), bars = sweep.error.map((one) => one[k]), inner = sweep.interpolation.map((one) => one[k]);
+  const largest = values.reduce((a, b, place) => Math.max(a, Math.abs(b ?? 0) + (line ? bars[place] ?? 0 : 0)), 0);
   const [scale, prefix] = prefixOf(largest);
   const hover = `%{x:.4~g} ${unitOfLoad(load)}: %{y:.5~g} ${prefix}${unitOfOutput(output)}<extra></extra>`;
   const band = (width, fillcolor) => ({ ...around(sweep.at, values, width, scale), mode: "lines", line: { width: 0 }, hoverinfo: "skip", fill: "toself", fillcolor });
@@ -111,13 +117,22 @@ function picture(state, shade) {
   ];
   if (rows) {
     const place = LOADS.indexOf(load);
-    data.push({ x: rows.wrench.map((one) => one[place]), y: rows.displacement.map((one) => (one[k] === null ? null : one[k] / scale)), mode: "markers", marker: { color: shade.ink, size: 7, symbol: "circle-open", line: { width: 1.5 } }, hovertemplate: hover });
+    data.push({ x: rows.wrench.map((one) => one[place]), y: rows.displacement.map((one, row) => (one[k] === null ? null : less(one[k], rows.wrench[row][place]) / scale)), mode: "markers", marker: { color: shade.ink, size: 7, symbol: "circle-open", line: { width: 1.5 } }, hovertemplate: hover });
   }
   return { data, layout: {
     xaxis: { title: { text: `${marked(load)}, ${unitOfLoad(load)}` }, range: wide(sweep.at) },
-    yaxis: { title: { text: `${marked(output)}, ${prefix}${unitOfOutput(output)}` } },
+    yaxis: { title: { text: `${marked(output)}${line ? " less a line" : ""}, ${prefix}${unitOfOutput(output)}` } },
     shapes: uncovered(sweep, shade), margin: { l: 56, r: 12, t: 12, b: 44 },
   } };
+}
+
+// The straight line that is subtracted, least squares through the answers; null where none is.
+function straightOf({ sweep, output, less: kind }) {
+  if (kind === "nothing") return null;
+  const k = OUTPUTS.indexOf(output), known = sweep.at.map((x, place) => [x, sweep.displacement[place][k]]).filter(([, y]) => y !== null);
+  const mean = (of) => known.reduce((sum, one) => sum + of(one), 0) / known.length, middle = mean(([x]) => x), level = mean(([, y]) => y);
+  const slope = mean(([x, y]) => (x - middle) * (y - level)) / (mean(([x]) => (x - middle) ** 2) || 1);
+  return { slope, at: (x) => level + slope * (x - middle) };
 }
 
 // The outline of a band, one polygon each stretch of the line whose error bar is known.

@@ -3,15 +3,15 @@
 import { caughtUp, get, of, post, send, trouble } from "./api.js";
 import { choice, el, facts, field, note, pill, put, save, select, working } from "./dom.js";
 import { beyondRange, named } from "./inputs.js";
-import { LOADS, counted, number, pageWords, quantity, stress, symbol, triple, withBar } from "./format.js";
-import { draw } from "./plot.js";
+import { LOADS, counted, number, pageWords, quantity, rounded, stress, symbol, triple, withBar } from "./format.js";
+import { NARROW, draw } from "./plot.js";
 import { overTolerance } from "./shares.js";
-import { awayFrom, column, extent, lengths, lines, moved, outline } from "./surface.js";
-import { NARROW, figure } from "./view3d.js";
+import { boxOf, column, extent, lengths, lines, moved, outline } from "./surface.js";
+import { figure } from "./view3d.js";
 import { lastWrench, wrenchForm } from "./wrench_form.js";
 
 const MM = 1000;
-const LONGEST = 1.6; // of the box of the axes, for the camera's distance: all corners are in the picture when it turns
+const NAMES = [54, 24]; // px beside, and above and below the box: its axes have ticks at true scale alone
 const SEEN = 0.12; // of the part's size: what the largest displacement is first magnified to
 const SHOWN = () => [["size", "|u|"], ["0", symbol("ux")], ["1", symbol("uy")], ["2", symbol("uz")]];
 
@@ -58,7 +58,7 @@ async function stageOf(stage, about, wrench, shape, signal) {
   const largest = sizes.reduce((a, b) => Math.max(a, b), 0);
   const natural = largest > 0 ? (SEEN * extent(shape.vertices)) / largest : 1;
   const state = { factor: round(natural), colour: "size", edges: outline(shape.vertices, shape.triangles) };
-  const place = el("div", { class: "plot", id: "shape", "data-away": awayFrom(moved(shape.vertices, shape.displacement, natural)) });
+  const place = el("div", { class: "plot", id: "shape" });
   const view = figure(place, `Deformed ${about.name}`);
   const magnification = el("output", { id: "factor" });
   const slider = el("input", { type: "range", min: 0, max: 100, step: 1, value: 50, id: "magnify", "aria-label": "Magnification" });
@@ -83,7 +83,7 @@ async function stageOf(stage, about, wrench, shape, signal) {
     el("div", { class: "line bottom ends" }, choice("colour", "Colour", SHOWN(), "size", (value) => { state.colour = value; drawing?.again(); }), download(about, wrench)),
     measured(shape, sizes, largest, mean));
   set(state.factor, false);
-  drawing = await draw(place, (shade) => picture(shape, sizes, state, shade, view.camera(), place.clientWidth < NARROW), signal, said(about, largest));
+  drawing = await draw(place, (shade) => picture(place, shape, sizes, state, shade, view.camera), signal, said(about, largest));
   view.hold(drawing);
 }
 
@@ -109,7 +109,8 @@ function sourceOf(shape) {
 }
 
 // Where the screen is narrow the colour bar is below the part, else it would lie over it.
-function picture(shape, sizes, { factor, colour, edges }, shade, camera, narrow) {
+function picture(place, shape, sizes, { factor, colour, edges }, shade, camera) {
+  const narrow = place.clientWidth < NARROW;
   const points = moved(shape.vertices, shape.displacement, factor);
   const values = (colour === "size" ? sizes : column(shape.displacement, Number(colour), 1)).map((one) => one * MM);
   const corners = [0, 1, 2].map((k) => shape.triangles.map((one) => one[k]));
@@ -122,10 +123,14 @@ function picture(shape, sizes, { factor, colour, edges }, shade, camera, narrow)
   const before = { type: "scatter3d", mode: "lines", ...lines(shape.vertices, edges, MM), line: { color: shade.muted, width: 3 }, hoverinfo: "skip", connectgaps: false };
   const after = { ...before, ...lines(points, edges, MM), line: { color: shade.ink, width: 3 } };
   const axis = (name) => ({ ...measure(name, factor), nticks: 5 });
-  const top = farthest(points, sizes);
-  const mark = { type: "scatter3d", mode: "markers", x: [top[0]], y: [top[1]], z: [top[2]], marker: { size: 5, color: shade.query }, hovertemplate: "largest displacement<extra></extra>", showlegend: false };
-  return { data: [body, before, after, mark], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: { ...axis("z"), nticks: narrow ? 2 : 4 }, aspectmode: "manual", aspectratio: aspect(points), domain: narrow ? { x: [0, 1], y: [0.2, 1] } : { x: [0, 0.9], y: [0, 1] }, camera }, uirevision: "same" } };
+  const box = boxOf([...points, ...shape.vertices]), domain = narrow ? { x: [0, 1], y: [0.2, 1] } : { x: [0, 0.9], y: [0, 1] };
+  place.fit = { box, domain, names: NAMES };
+  const annotations = [mark(farthest(points, sizes), shade)];
+  return { data: [body, before, after], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: { ...axis("z"), nticks: narrow ? 2 : 4 }, aspectmode: "manual", aspectratio: box, domain, camera: camera(), annotations }, uirevision: "same" } };
 }
+
+// A text, which the part does not hide: half of a marker sinks into the surface on which it lies.
+const mark = ([x, y, z], { query }) => ({ x, y, z, text: "●", hovertext: "largest displacement", showarrow: false, font: { size: 15, color: query } });
 
 // Of the points the one that moves most, mm.
 const farthest = (points, sizes) => (points[sizes.indexOf(sizes.reduce((most, one) => Math.max(most, one), 0))] || [0, 0, 0]).map((one) => one * MM);
@@ -133,22 +138,15 @@ const farthest = (points, sizes) => (points[sizes.indexOf(sizes.reduce((most, on
 // Ticks are lengths at true scale alone.
 const measure = (name, factor) => ({ title: { text: factor === 1 ? `${name}, mm` : name }, showticklabels: factor === 1 });
 
-// The box of the axes: as long as the body, and no longer where the body is flat.
-function aspect(points) {
-  const extents = [0, 1, 2].map((k) => column(points, k, 1)).map((values) => values.reduce((most, one) => Math.max(most, one), -Infinity) - values.reduce((least, one) => Math.min(least, one), Infinity));
-  const [x, y, z] = extents.map((one) => LONGEST * Math.max(one / Math.max(...extents), 0.01));
-  return { x, y, z };
-}
-
 // Only points are moved: colours and triangles stay as they are.
 function redraw(drawing, shape, factor) {
   const points = moved(shape.vertices, shape.displacement, factor);
   const edges = outline(shape.vertices, shape.triangles);
-  const after = lines(points, edges, MM), top = farthest(points, lengths(shape.displacement));
+  const after = lines(points, edges, MM), [x, y, z] = farthest(points, lengths(shape.displacement));
   const axes = Object.fromEntries(["x", "y", "z"].flatMap((name) => Object.entries(measure(name, factor)).map(([key, value]) => [`scene.${name}axis.${key}`, value])));
   drawing.plotly.update(drawing.place, {
-    x: [column(points, 0, MM), after.x, [top[0]]], y: [column(points, 1, MM), after.y, [top[1]]], z: [column(points, 2, MM), after.z, [top[2]]],
-  }, { ...axes, "scene.aspectratio": aspect(points) }, [0, 2, 3]);
+    x: [column(points, 0, MM), after.x], y: [column(points, 1, MM), after.y], z: [column(points, 2, MM), after.z],
+  }, { ...axes, "scene.aspectratio": boxOf([...points, ...shape.vertices]), "scene.annotations[0].x": x, "scene.annotations[0].y": y, "scene.annotations[0].z": z }, [0, 2]);
 }
 
 function measured(shape, sizes, largest, mean) {
@@ -157,13 +155,23 @@ function measured(shape, sizes, largest, mean) {
   const found = shape.stress;
   return facts([
     ["Largest displacement", `${size.value}${bar === null ? ", its error bar is not known," : ` ${size.bar}`} at ${at(where)}`],
-    ["Interface", mean?.translation ? `u ${triple(mean.translation, "m")} (Query): the motion of the section as a whole; single points of the surface move more or less.` : ""],
+    ["Interface", mean?.translation ? `u ${triple(beyondBars(mean), "m")} (Query): the motion of the section as a whole; single points of the surface move more or less.` : ""],
     ["Error bar", sharesOf(shape.error_parts)],
-    ["Largest von Mises stress", found ? `${stress(found.largest)}${found.error === null ? "" : found.error < 1e-3 * found.largest ? " (interpolation error negligible; the mesh's error is not included)" : ` ± ${stress(found.error, 2)} (interpolation; the mesh's error is not included)`} at ${at(found.at)}` : "not known between the rows here"],
+    ["Largest von Mises stress", found ? `${stressWithBar(found)} at ${at(found.at)}` : "not known between the rows here"],
     ["Yields", found && found.error === null ? "not known, since the error bar is not known" : found && found.yields !== null ? (found.yields ? "yes" : `no (yield strength ${stress(found.yield_strength)}; the mesh's error is not included)`) : ""],
     ["Points", "In the interface frame: from the interface point, along its axes, undeformed. The mark in the drawing is at the largest displacement."],
     ["Surface", `${shape.vertices.length} points, ${shape.triangles.length} triangles${shape.simplified ? `, simplified from ${shape.simplified.from} points` : ""}`],
   ]);
+}
+
+// A translation, m, to three digits, with 0 for what its error bar cannot tell from it.
+const beyondBars = ({ translation, error }) => translation.map((one, k) => (one === null ? null : Math.abs(one) < (error?.translation[k] ?? 0) ? 0 : Number(one.toPrecision(3))));
+
+function stressWithBar({ largest, error }) {
+  if (error === null) return stress(largest);
+  if (error < 1e-3 * largest) return `${stress(largest)} (interpolation error negligible; the mesh's error is not included)`;
+  const { value, bar } = rounded(largest / 1e6, error / 1e6);
+  return `${value} MPa ± ${bar} MPa (interpolation; the mesh's error is not included)`;
 }
 
 const at = (point) => `(${point.map((one) => number(one * MM, 3)).join(", ")}) mm`;

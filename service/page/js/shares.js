@@ -2,7 +2,7 @@
 
 import { el } from "./dom.js";
 import { quantity } from "./format.js";
-import { outputsOf } from "./inputs.js";
+import { axesOf, outputsOf } from "./inputs.js";
 
 const NAMES = ["covered", "thin", "outside"];
 const WHOLE = ["within the tolerance", "over it or not known", "outside"];
@@ -25,8 +25,9 @@ export function sharesBar(shares, names = NAMES) {
 // The colours of the bars.
 export const legend = (names = NAMES) => el("p", { class: "legend muted small" }, NAMES.map((kind, place) => el("span", {}, el("i", { class: kind }), ` ${names[place]}`)));
 
-export function sharesOf(glance) {
-  const lines = [["all loads", glance.whole], ...Object.entries(glance.axes).map(([axis, shares]) => [`axis ${axis}`, shares])];
+export function sharesOf(glance, about) {
+  const axes = Object.entries(glance.axes).filter(([axis]) => about.space || axesOf(about).includes(axis)); // others have nothing to cover
+  const lines = [["all loads", glance.whole], ...axes.map(([axis, shares]) => [`axis ${axis}`, shares])];
   return el("div", { class: "shares" }, lines.map(([name, shares]) => [
     el("span", {}, name), sharesBar(shares), el("span", {}, `${Math.round(100 * shares[0])} %`),
   ]));
@@ -52,7 +53,7 @@ export function wholeError(glance, about) {
   const [covered, , outside] = glance.whole, within = glance.within_tolerance ?? covered;
   const known = !about.has_fea || glance.bars_are_whole, errors = glance.error.map((one, place) => (IS_TRANSLATION.test(outputs[place]) ? one : 0));
   const k = errors.reduce((best, one, place) => ((one ?? 0) > (errors[best] ?? 0) ? place : best), 0);
-  const exactly = (value) => quantity(value, "m", 2).replaceAll(" ", "\u00a0");
+  const exactly = (value) => quantity(value, "m", 2);
   const bar = (value) => (value > 0 && value < errors[k] / 1000 ? "negligible" : exactly(value));
   if (errors[k] === null && !within) {
     return el("div", { class: "stack tight" }, el("div", { class: "shares" }, el("span", {}, "within tolerance"), el("span", { class: "bar" }), el("span", {}, "–")),

@@ -64,8 +64,13 @@ export function spansOf(vertices) {
   });
 }
 
-// How much farther than usual a part is looked at from: plotly scales it to a mean size of 1, and long ones would not fit.
-const FITS = 2.6; // extent over the mean size that fits from the usual distance
-export const awayFrom = (vertices) => Math.max(1.12, extent(vertices) / Math.cbrt(spansOf(vertices).reduce((product, one) => product * one, 1)) / FITS);
+const FLAT = 0.01; // of the longest axis: the least length of an axis
+
+// The lengths of the axes of a drawing, true to scale but for a flat part.
+export function boxOf(points) {
+  const spans = spansOf(points), longest = Math.max(...spans);
+  const [x, y, z] = spans.map((one) => Math.max(one / longest, FLAT));
+  return { x, y, z };
+}
 
 export const extent = (vertices) => Math.hypot(...spansOf(vertices));

@@ -1058,7 +1058,7 @@ def test_the_overview_names_the_files_and_dates_of_measured_rows(browser, client
     browser.visit("#/c/benched")
     shown = browser.named("section", "Method and rows")
     browser.until(lambda: "1 measured" in shown.text)
-    assert re.search(r"monday\.csv, 1 row, \d+ \w+ \d{4}, \d\d:\d\d UTC", shown.text)
+    assert re.search(r"monday\.csv \(1 row, \d+ \w+ \d{4}, \d\d:\d\d UTC\)", shown.text)
     assert ", rig " not in shown.text
 
 
@@ -1137,25 +1137,189 @@ def test_outside_queries_of_the_demand_are_grey_in_the_key_too(browser, plate):
     assert np.ptp(np.array(re.findall(r"\d+", drawn), dtype=float)) < 40
 
 
+# Pixels between the box of the axes and its part of the drawing, beside, and above and below it.
+FREE = """const place = document.querySelector(arguments[0]), scene = place._fullLayout.scene;
+const {view, projection} = scene._scene.glplot.cameraParams;
+const by = (m, v) => [0, 1, 2, 3].map((k) => v.reduce((sum, x, j) => sum + m[4*j+k]*x, 0));
+const {x, y, z} = scene.aspectratio, halves = [-0.5, 0.5];
+const corners = halves.flatMap((a) => halves.flatMap((b) => halves.map((c) =>
+  by(projection, by(view, [a * x, b * y, c * z, 1])))));
+const spans = [scene.domain.x, scene.domain.y].map(([low, high]) => high - low);
+return [place.clientWidth, place.clientHeight].map((length, k) =>
+  spans[k] * length / 2 * (1 - Math.max(...corners.map((one) => Math.abs(one[k] / one[3])))));"""
+
+
 @pytest.mark.parametrize("width", [390, 1400])
-def test_the_part_and_its_loads_fill_their_frame(browser, plate, width):
+@pytest.mark.parametrize(
+    ("view", "place", "names"),
+    [
+        ("query", "#loads", (60, 36)),
+        ("coverage", "#coverage", (60, 36)),
+        ("faces", "#faces", (60, 36)),
+        ("shape", "#shape", (54, 24)),
+    ],
+)
+def test_a_drawing_in_space_fills_its_frame(browser, plate, view, place, names, width):
+    """All but that of the loads were small on a telephone."""
     browser.resize(width, 900)
-    browser.visit(f"{PLATE}/query")
-    browser.drawn("#loads")
-    ends = browser.run(
-        """const place = document.querySelector("#loads"), scene = place._fullLayout.scene;
-        const {view, projection} = scene._scene.glplot.cameraParams;
-        const by = (m, v) => [0, 1, 2, 3].map((k) => v.reduce((sum, x, j) => sum + m[4*j+k]*x, 0));
-        const {x, y, z} = scene.aspectratio, halves = [-0.5, 0.5];
-        const corners = halves.flatMap((a) => halves.flatMap((b) => halves.map((c) =>
-          by(projection, by(view, [a * x, b * y, c * z, 1])))));
-        const {clientWidth: width, clientHeight: height} = place;
-        return [[0, width], [1, height]].map(([k, length]) =>
-          length / 2 * (1 - Math.max(...corners.map((one) => Math.abs(one[k] / one[3])))));"""
+    browser.visit(f"{PLATE}/{view}")
+    browser.drawn(place)
+    beside, above = browser.run(FREE, place)
+    assert beside > names[0] - 10  # px for the names and ticks of the axes
+    assert above > names[1] - 6
+    assert beside < names[0] + 5 or above < names[1] + 4
+
+
+def test_the_names_of_axes_in_space_are_smaller_on_a_telephone(browser, plate):
+    """The left edge cut the name of the vertical axis."""
+    browser.resize(390, 844)
+    browser.visit(f"{PLATE}/coverage")
+    browser.drawn("#coverage")
+    axis = "document.querySelector('#coverage')._fullLayout.scene.zaxis"
+    assert browser.run(f"return {axis}.title.font.size") <= 11
+    assert browser.run(f"return {axis}.tickfont.size") <= 10
+
+
+def test_the_mark_of_the_largest_displacement_is_not_in_the_surface(browser, plate):
+    """The surface hid half of the marker."""
+    browser.visit(f"{PLATE}/shape")
+    browser.drawn("#shape")
+    marks = "return document.querySelector('#shape').layout.scene.annotations"
+    (mark,) = browser.run(marks)
+    assert "largest" in mark["hovertext"]
+    assert "markers" not in browser.run(
+        "return document.querySelector('#shape').data.map((one) => one.mode)"
     )
-    assert ends[0] > 50  # px beside the box, for the names of its axes
-    assert ends[1] > 30
-    assert ends[0] < 65 or ends[1] < 40
+    browser.click("button", "True scale")
+    browser.until(lambda: browser.run(marks)[0]["z"] != mark["z"], "a mark at true scale")
+
+
+def test_a_stress_is_rounded_to_the_last_digit_of_its_error(browser, plate):
+    reply = plate.call_json("GET", "/v1/components/plate_thin/deformed?fz=-900")
+    stress = {"largest": 68.7612e6, "error": 1.34e6, "at": [0, 0, 0], "yields": False}
+    reply["stress"] = {**stress, "yield_strength": 240e6}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/deformed", reply]]))
+    browser.go(f"{PLATE}/shape")
+    assert "68.8 MPa ± 1.3 MPa" in browser.one("dl.facts").text
+
+
+def test_a_shape_has_0_for_a_displacement_within_its_error_bar(browser, plate):
+    """A plate pressed at its centre moved 1.445·10⁻⁵ mm aside."""
+    small = {"translation": [1.4e-8, -1.2e-8, -2.653e-3], "rotation": [0] * 3}
+    error = {"translation": [1e-7, 1e-7, 1e-4], "rotation": [0] * 3}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/displacement", {**small, "error": error}]]))
+    browser.go(f"{PLATE}/shape")
+    shown = browser.one("dl.facts").text.replace("\u00a0", " ")
+    assert "u (0, 0, −2.65) mm" in shown
+
+
+def test_strokes_of_the_picture_of_a_part_have_no_spikes(browser, client):
+    """Mitred corners of thin triangles made a saw of the far edge of a plate."""
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(
+        "window.joins = new Set(); const own = CanvasRenderingContext2D.prototype.stroke;"
+        "CanvasRenderingContext2D.prototype.stroke = function () {"
+        " window.joins.add(this.lineJoin); return own.call(this); }"
+    )
+    browser.go("#/c/plate_thin")
+    browser.one(".picture canvas:not([hidden])")
+    assert browser.until(lambda: browser.run("return [...window.joins]")) == ["round"]
+
+
+def test_the_time_left_of_a_job_takes_at_most_two_lines(browser, plate):
+    """Its mean took five lines of the column of the solve times."""
+    done = job(1, "done", seconds=1.0)
+    running = job(2, "running", started="2026-01-01T00:00:00Z")
+    running["progress"] = {"fraction": 0.5, "message": "step 3"}
+    lists = [
+        ["status=running", {"jobs": [running], "next": None}],
+        ["status=done", {"jobs": [done], "next": None}],
+        ["jobs?", {"jobs": [running, done], "next": None}],
+    ]
+    browser.resize(1400, 900)
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps(lists))
+    browser.go("#/jobs")
+    words = browser.named("#job-2 span", "longer than the mean")
+    assert words.size["height"] < 45  # px: two lines
+
+
+def test_the_key_of_the_demand_names_what_is_drawn_alone(browser, plate):
+    cell = {"wrench": [0] * 6, "count": 1, "coverage": "outside", "thin": 0, "outside": 1}
+    reply = {"cells": [cell], "asked": 1, "cell_size": [1] * 6, "elsewhere": 0, "latest": []}
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/demand", reply]]))
+    browser.go(f"{PLATE}/demand")
+    assert "thin" not in browser.one(".key-of-marks").text
+
+
+def test_a_response_can_be_drawn_as_its_deviation_from_a_straight_line(browser, gauge):
+    """The band of a good rig was thinner than its line."""
+    browser.visit("#/c/gauge/response")
+    browser.drawn("#response")
+    browser.click("label", "deviation from a straight line")
+    shown = browser.named("main p", "less the straight line").text
+    slope = float(re.search(r"\+ (\d+) nm/N · Fz", shown.replace("\u00a0", " "))[1])
+    assert slope == pytest.approx(500, rel=0.01)
+    title = "return document.querySelector('#response').layout.yaxis.title.text"
+    assert "less a line" in browser.run(title)
+    line = "return document.querySelector('#response').data[2].y"
+    assert max(map(abs, browser.run(line))) < 1000  # nm, of 150,000 nm
+
+
+def test_an_overview_leaves_out_axes_and_tolerances_without_loads_and_outputs(browser, strut):
+    """A strut with one load had bars of three axes, and the tolerance r (–, –, –) rad."""
+    browser.visit("#/c/pull_strut")
+    browser.named(".shares", "axis z")
+    assert "axis x" not in browser.one("main").text
+    shown = browser.named("section", "Method and rows").text
+    assert "1 % of each output's range: u (–, –, " in shown.replace("\u00a0", " ")
+    assert "r (" not in shown
+
+
+def test_all_columns_of_a_compliance_have_one_width(browser, plate):
+    browser.resize(1400, 900)
+    browser.visit(f"{PLATE}/checks")
+    browser.one("table.matrix")
+    widths = {round(item.size["width"]) for item in browser.all("table.matrix thead th")[:7]}
+    assert max(widths) - min(widths) <= 1
+
+
+def test_the_buttons_of_an_import_are_below_its_facts_on_a_telephone(browser, strut):
+    """They were between the number of its rows and its date."""
+    browser.resize(390, 844)
+    browser.visit("#/c/pull_strut/table")
+    button = browser.one(".imports td button").location["y"]
+    cells = browser.all(".imports tbody tr:first-child td[data-head]")
+    assert button > max(cell.location["y"] for cell in cells)
+
+
+def test_rows_that_all_have_loads_of_other_axes_are_called_all(browser, plate):
+    """It said that 90 of 90 have them."""
+    reply = plate.call_json("GET", "/v1/components/plate_thin/coverage")
+    for entry in reply["axes"]:
+        entry.update(rows=90, corrected=90)
+    browser.visit("#/terms")
+    browser.one("h1")
+    browser.run(STUB, json.dumps([["/coverage", reply]]))
+    browser.go(f"{PLATE}/coverage")
+    browser.named("p", "all of them with loads of other axes too")
+
+
+def test_a_finding_has_no_options_of_commands(browser):
+    browser.visit("#/terms")
+    script = """return import('/page/js/findings.js').then(({ findingNote }) =>
+      findingNote('rig', { cause: 'hysteresis', message: arguments[0] }, 1).textContent)"""
+    shown = browser.run(script, "import again with branch=loading (--branch loading)")
+    assert "branch=loading." in shown
+    assert "--" not in shown
 
 
 def test_the_wrench_of_a_job_stays_in_a_line_beside_one_that_runs(browser, plate):
@@ -1217,7 +1381,7 @@ def test_the_parts_of_the_band_of_a_measured_table_have_the_names_of_its_errors(
     browser.drawn("#response")
     key = browser.one(".key-of-marks").text
     assert "interpolation and noise: more readings lower them" in key
-    assert "hysteresis and drift: a better rig lowers them" in key
+    assert "hysteresis" not in key  # this rig has none, and the key names what is drawn alone
     caption = browser.named("main p", "lie on this line").text
     assert "(interpolation and noise" in caption
     assert ", hysteresis" not in caption
@@ -1228,9 +1392,9 @@ def test_the_parts_of_the_band_of_a_measured_table_have_the_names_of_its_errors(
     [
         (
             "the error of rz, 0.0012 rad, is over 6e-05 rad",
-            "The error of rz, 1.2 mrad, is over 60 µrad",
+            "The error of rz, 1.2\u00a0mrad, is over 60\u00a0µrad",
         ),
-        ("self-weight moves it by 0.0014 m", "Self-weight moves it by 1.4 mm"),
+        ("self-weight moves it by 0.0014 m", "Self-weight moves it by 1.4\u00a0mm"),
         ("analysis.gravity is missing", "analysis.gravity is missing"),
         ("under [0, 0.0849, -9.77] m/s^2", "Under [0, 0.0849, −9.77] m/s²"),
     ],
@@ -1512,8 +1676,8 @@ def test_the_preview_of_an_import_names_the_units_of_the_file(browser, rig):
 
 
 def test_one_import_of_a_table_without_solves_has_nothing_to_be_compared_with(browser, client):
-    measured(client, "single", 100, 200)
-    browser.visit("#/c/single/compare")
+    measured(client, "singly_imported", 100, 200)
+    browser.visit("#/c/singly_imported/compare")
     browser.named(".empty", "Compare needs two imports")
 
 
@@ -1845,6 +2009,13 @@ def test_an_answer_beyond_few_rows_is_muted_and_called_extrapolated(browser, cli
     assert browser.all("table.answer.guess")
     ask(browser, fz=700)
     browser.until(lambda: browser.one("section .pill").text == "outside the load range")
+
+
+def test_a_reason_of_two_sentences_has_two_capital_letters(browser, client):
+    measured(client, "capital", 100)
+    browser.visit("#/c/capital/query")
+    ask(browser, fz=100)
+    assert "exactly this wrench. The rows" in browser.named(".note", "exactly this wrench").text
 
 
 def test_the_gaps_of_the_coverage_are_called_those_within_the_hull(browser, plate):

@@ -59,6 +59,15 @@ def test_an_offset_of_rounding_is_not_named():
     assert f"{rig.size[0]:+.2g} m, uy" in result.message
 
 
+def test_the_factor_of_a_dead_channel_is_zero():
+    """It was 4.44e-16, a rounding error."""
+    rig = Rig(3, ("random",))
+    expected = rig.displacement[:6]
+    moved = expected * [0, 1000, 1.1, 1.1, 1.1, 1.1]
+    (result,) = comparison_findings(moved, expected, 1e-3 * np.abs(expected), solves=True)
+    assert "(ux is 0 times theirs, uy is 1000 times theirs" in result.message
+
+
 def test_outputs_that_the_table_does_not_know_are_not_compared():
     rig = Rig(4, ("random",))
     unknown = np.full_like(rig.displacement, np.nan)
