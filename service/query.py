@@ -285,7 +285,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         set_it = "to solve it nevertheless, set beyond_range to true (--beyond-range)"
         unqueued = f"{beyond}; no solve is queued for it: {set_it}"
         why = unqueued if beyond else submission.refusal(component)
-        reason = outcome.reply.reason.removeprefix(beyond).removeprefix("; ")
+        reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
         outcome.reply = outcome.reply._replace(reason=_also(reason, why))
         return outcome
     return _ended(workspace, query, outcome) if placement.exact else outcome
