@@ -36,6 +36,7 @@ _KINDS = {
     "list": "must be a list",
     "tuple": "must be a list",
     "dict": "must be an object",
+    "datetime": "must be a date or a time such as 2026-05-03 or 2026-05-03T09:00:00Z",
     "model": "must be an object",
 }
 _OBJECTS = {

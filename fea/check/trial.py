@@ -133,6 +133,14 @@ def deflection_warnings(
     limit = component.bundle.tolerance
     if limit is None:
         return
+    largest_angle = np.radians(MAX_DEGREES)
+    if limit.rotation > largest_angle:
+        message = (
+            f"is {limit.rotation:g} rad, but solves end at {largest_angle:.3g} rad "
+            f"({MAX_DEGREES:g} degrees), so it accepts every answer; if it is in degrees, convert "
+            "it to rad"
+        )
+        yield BundleProblem("tolerance.rotation", message)
     both = each_interface(moved)
     allowed = np.repeat([limit.translation, limit.rotation], 3)
     free = component.active

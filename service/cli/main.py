@@ -376,6 +376,8 @@ def _with_options(text: str) -> str:
         name = "--" + match[1].replace("_", "-")
         # The field of a repeatable option is a list with the plural: outputs.0 of --output.
         names = (name, name.removesuffix("s")) if match[2] else (name,)
+        if match[1] == "time_offset_s":
+            names = ("--lag", "--time-offset")
         sent = [known for known in names if known in sys.argv]
         return sent[0] if sent else match[0]
 

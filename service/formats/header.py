@@ -33,10 +33,12 @@ from wrenchbook.service.formats.units import UnitError
 
 MAX_TITLES = 30  # lines above a table: a page of a report
 _SEVERAL = 2  # names of columns in a header: one word of a title may be a name ("Fx test, 3 mm")
+_SLIP = 0.8  # similarity of a word with one letter of five or six wrong: notes, soruce
 _MAX_LISTED = 200  # characters of the file's labels in a message
 _SURE_DELIMITERS, _OTHER_DELIMITERS = ";\t", ",|"  # delimiters that no label contains, and others
 POSITION = re.compile(r"[1-9]\d{0,3}")
 _BOOKKEEPING = re.compile(r"(status.*|rdt sequence|f/t sequence)", re.IGNORECASE)
+_BY_MAPPING = "by mapping (--column)"
 _ALONE = (
     ". If the file is a log of loads, also send the log of the displacements: displacements=FILE "
     "(--displacements FILE)"
@@ -324,7 +326,8 @@ def _read_labels(
             try:
                 _add_column(header, column, target, options, line)
             except UnitError as error:
-                header.mistakes.append(FileMistake(line, column.label, str(error)))
+                message = str(error).replace(_BY_MAPPING, _author_of(label, options), 1)
+                header.mistakes.append(FileMistake(line, column.label, message))
 
     if options.role == "table":
         present = _keys(labels).union(str(at) for at in range(1, len(labels) + 1))
@@ -338,6 +341,12 @@ def _read_labels(
     meanings = [target or label for label, target in zip(labels, targets, strict=True)]
     for message in _missing_columns(header, labels, meanings, options):
         header.mistakes.append(FileMistake(line, "header", message))
+
+
+def _author_of(label: str, options: Options) -> str:
+    """Return whether the import or its rig gives a mapped label its meaning, for a message."""
+    is_of_rig = not _keys([label]).isdisjoint(map(_key, options.optional))
+    return "by the rig" if is_of_rig else _BY_MAPPING
 
 
 def _counts_columns(cells: Sequence[str]) -> bool:
@@ -439,8 +448,11 @@ def _reading(
     # With brackets, or as a bare name, the label is a column and its unit is the mistake.
     if problem and (split(label)[1] or any(not meaning.unit for meaning in meanings)):
         raise problem
-    name = _parts(label)[0]
-    unknown = _unknown_meaning(label, mapped, columns) if mapped else _unknown(name, columns)
+    name, unit = _parts(label)
+    if mapped:
+        unknown = _unknown_meaning(label, mapped, columns)
+    else:
+        unknown = _unknown(name, unit or below, columns)
     raise _UnknownColumnError(columns.interface_problem(name) or unknown)
 
 
@@ -465,15 +477,31 @@ def _keys(labels: Sequence[str]) -> set[str]:
     return {_key(key) for label in labels for key in (label, _parts(label)[0])}
 
 
-def _unknown(name: str, columns: Columns) -> str:
-    """Return a message on an unknown column with the nearest known one."""
-    near = difflib.get_close_matches(name.lower(), (*columns.numbers, *TEXTS), n=1, cutoff=0.6)
-    hint = f"; did you mean {near[0]}? Write units in brackets: fx [N]" if near else ""
+def _unknown(name: str, unit: str, columns: Columns) -> str:
+    """Return a message on an unknown column with the nearest known one and an example of its unit.
+
+    A text column is near only by a slip of letters: Force is no source.
+    """
+    near = difflib.get_close_matches(name.lower(), columns.numbers, n=1, cutoff=0.6)
+    near = near or difflib.get_close_matches(name.lower(), TEXTS, n=1, cutoff=_SLIP)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    if near and not unit and near[0] not in TEXTS:
+        hint += f" Write units in brackets: {columns.examples(near[0]).split(', ')[0]}"
     return (
-        f"is not a known column{hint}. Rename it, map it with mapping (--column '{name}=fz [N]'), "
-        f"or skip it with ignore (--ignore '{name}'). Known are {' '.join(columns.wrench)} "
-        f"{' '.join(columns.displacement)}"
+        f"is not a known column{hint}. Rename it, map it with mapping (--column '{name}="
+        f"{_example(unit, columns)}'), or skip it with ignore (--ignore '{name}'). Known are "
+        f"{' '.join(columns.wrench)} {' '.join(columns.displacement)}"
     )
+
+
+def _example(unit: str, columns: Columns) -> str:
+    """Return a load or displacement along z that `unit` measures; a force if none is."""
+    names = [name for name in (*columns.loads, *columns.displacement) if name.endswith("z")]
+    for name in names:
+        with suppress(UnitError):
+            if unit and columns.factor(name, unit):
+                return f"{name} [{unit}]"
+    return columns.examples(names[0]).split(", ")[0]
 
 
 def _unknown_meaning(meaning: str, mapped: str, columns: Columns) -> str:
@@ -484,7 +512,7 @@ def _unknown_meaning(meaning: str, mapped: str, columns: Columns) -> str:
     written = f"{column} [{unit}]" if unit else column
     hint = "Did you mean" if near else "Write for example"
     return (
-        f"has the meaning '{meaning}' by mapping (--column), which is not a known column. {hint} "
+        f"has the meaning '{meaning}' {_BY_MAPPING}, which is not a known column. {hint} "
         f"--column '{_parts(mapped)[0]}={written}'{'?' if near else ''}"
     )
 

@@ -67,6 +67,7 @@ _HINTS = {
     "g": "g is a mass; write gf or N",
     "oz": "oz is a mass; write ozf",
     "mil": "mil is an angle to a unit library; write thou or um",
+    "mils": "mils are angles to a unit library; write thou or um",
 }
 # Newton metres without a sign between them: Nm, kNm, Nmm, mNm, daNcm.
 _NEWTON_METRE = re.compile(r"((?:k|m|M|d|da|c|u|µ|μ)?N)((?:m|c|d|k)?m)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import fields
 from math import isfinite
 from typing import Annotated, Any, Literal
@@ -12,16 +13,30 @@ from pydantic import AliasChoices, BeforeValidator, Field, field_validator, mode
 from pydantic_core import PydanticCustomError
 from typing_extensions import TypedDict
 
+from wrenchbook.fea.spec.problems import suggest
+from wrenchbook.fea.spec.schema import ACCELERATIONS, TEMPERATURE
 from wrenchbook.service.contract import ImportFormat
 from wrenchbook.service.formats.cells import text_problem
+from wrenchbook.service.formats.columns import columns_of
+from wrenchbook.service.formats.header import readings_of
 from wrenchbook.service.formats.options import MAX_ZERO_ROWS, Options
 from wrenchbook.service.formats.read import MAX_PREVIEW
 from wrenchbook.service.formats.rig import MAX_RIG, NAME, Rig, RigError, rig_text
 from wrenchbook.service.http.bodies import Body
 from wrenchbook.service.messages import ImportFinding, PreviewRow, RowMistake, RowMistakes
 from wrenchbook.service.mistakes import MAX_VALUE
+from wrenchbook.surrogate.table.space import Input, space_of
 
 _MAX_COLUMNS = 1000  # columns of a mapping: a logger has some hundred
+# The columns of a component with one interface and all further inputs.
+_ALL = columns_of(
+    space_of(
+        scalars=[
+            Input(TEMPERATURE, "degC", "scalar"),
+            *(Input(name, "m/s^2", "scalar") for name in ACCELERATIONS),
+        ]
+    )
+)
 _MAPPING_FORM = '{"column in the file": "fz [N]"}'
 # Options for whole files; the rows of an appended block are read one by one.
 _OF_FILES = frozenset(
@@ -149,8 +164,28 @@ def profile_of(text: str) -> ImportQuery:
     """Return a rig's profile as a query; raises RigError or ValidationError if it is wrong."""
     values = Rig.read(text).options
     if "columns" in values:
-        values["mapping"] = orjson.dumps(values.pop("columns"), default=str).decode()
+        pairs = values.pop("columns")
+        if not isinstance(pairs, dict) or not all(isinstance(name, str) for name in pairs.values()):
+            raise RigError('columns: must be a table of texts such as {"Load cell" = "fz [N]"}')
+        values["mapping"] = orjson.dumps(pairs).decode()
     return ImportQuery.model_validate(values)
+
+
+def check_meanings(profile: ImportQuery) -> None:
+    """Raise RigError for the first column of a profile whose meaning no component has."""
+    for label, meaning in _pairs(profile.mapping or "{}").items():
+        if not _is_known(meaning.lstrip("- ")):
+            near = suggest(meaning[:100].partition("[")[0].strip("- "), _ALL.numbers)
+            raise RigError(
+                f"columns: {label[:100]!r} has the meaning {meaning[:100]!r}, which is not a known "
+                f"column{near or '; write for example fz [N]'}"
+            )
+
+
+def _is_known(meaning: str) -> bool:
+    """Return whether a meaning, without the name of an interface before it, is a column's."""
+    starts = [0, *(gap.end() for gap in re.finditer(r"[\s._/-]+", meaning.partition("[")[0]))]
+    return any(readings_of(meaning[start:], _ALL) for start in starts)
 
 
 def _pairs(text: str) -> dict[str, str]:

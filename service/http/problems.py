@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from math import ceil
@@ -94,6 +95,7 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
 # Errors of a full disk, a quota and a limit of file sizes: bodies and parsed files are temporary
 # files.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_NAMED_PARAMETER = re.compile(r"([a-z_]+): ")
 _TYPE_ROOT = "urn:wrenchbook:problem:"
 
 
@@ -157,7 +159,10 @@ def plain_errors(error: ValidationError | RequestValidationError) -> list[dict[s
             path = path[1:]
         path = [name for name in path if name not in FORMS]
         loc = ".".join(map(str, path))[:MAX_PLACE] or part or "body"
-        mistakes.append({"loc": loc, "msg": mistake_of(mistake)[:MAX_TEXT]})
+        message = mistake_of(mistake)[:MAX_TEXT]
+        if loc == "query" and (named := _NAMED_PARAMETER.match(message)):
+            loc, message = named[1], message[named.end() :]  # of several parameters together
+        mistakes.append({"loc": loc, "msg": message})
     return mistakes
 
 
@@ -210,12 +215,17 @@ def install(app: FastAPI) -> None:
     def http_answer(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
         call = f"{request.method} {request.url.path[:MAX_PLACE]}"
+        headers = dict(error.headers or {})
         text = f"{call}: {error.detail}. See /openapi.json for all calls."
-        response = HttpProblemError(error.status_code, "http", str(error.detail), text).response()
-        response.headers.update(error.headers or {})
-        if error.status_code == 405:  # the error has the methods of one of the path's routes
-            response.headers["Allow"] = ", ".join(_methods_of(app, request.scope["path"]))
-        return response
+        if error.status_code == 404:
+            text = f"There is no call {call}. Correct the path; /openapi.json has all calls."
+        elif error.status_code == 405:  # the error has the methods of one of the path's routes
+            headers["Allow"] = ", ".join(_methods_of(app, request.scope["path"]))
+            text = f"There is no call {call}. The path accepts {headers['Allow']}."
+        title = str(error.detail)
+        return HttpProblemError(
+            error.status_code, "http", title, text, headers=headers or None
+        ).response()
 
     def crash(request: Request, _: Exception) -> Response:
         path = request.url.path[:MAX_PLACE]

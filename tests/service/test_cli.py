@@ -242,6 +242,15 @@ def test_import_sends_a_lag_and_prints_what_the_logs_show(stub: Stub, run: Run, 
     )
 
 
+def test_a_lag_that_is_refused_has_the_name_of_its_option(stub: Stub, run: Run, tmp_path: Path):
+    (tmp_path / "loads.csv").write_text("time [s]")
+    detail = "time_offset_s: needs two logs"
+    problem = {"type": "urn:x", "title": "Refused", "status": 422, "detail": detail}
+    stub.answers(Answer(problem, 422, "application/problem+json"))
+    _, _, err = run("import", "plate", str(tmp_path / "loads.csv"), "--lag", "auto")
+    assert "--lag: needs two logs" in err
+
+
 def test_a_refused_import_names_the_options_of_the_command_line(run: Run, tmp_path: Path):
     (tmp_path / "loads.csv").write_text("fz [N],ux [m]\n1,2\n")
     load_range = {"force": [9.0] * 3, "moment": [9.0] * 3}

@@ -52,17 +52,18 @@ class Translated:
         A new node is grouped, rotated and held as both ends of its edge are.
         """
         rows = [row for rows in self.elements.values() for row in rows]
+        points = dict(row.split(", ", 1) for row in self.nodes)
+        known = {*points, "0"}
+        for number, *nodes in rows:
+            if not known.issuperset(nodes):
+                node = next(node for node in nodes if node not in known)
+                raise MeshFileError(
+                    f"has element {number} on the undefined node {node}; add this node"
+                )
         if not any("0" in row for row in rows):
             return
         middles, blanks = _midside_nodes(rows)
-        points = dict(row.split(", ", 1) for row in self.nodes)
         lacking = dict.fromkeys(blank.ends for blank in blanks if blank.ends not in middles)
-        lost = {end for ends in lacking for end in ends} - points.keys()
-        if lost:
-            pairs = [(end, blank.row[0]) for blank in blanks for end in blank.ends & lost]
-            node, number = min(pairs)
-            raise MeshFileError(f"has element {number} on the undefined node {node}; add this node")
-
         numbers = itertools.count(max(map(int, points)) + 1)
         new = {str(next(numbers)): ends for ends in lacking}
         middles |= {ends: node for node, ends in new.items()}

@@ -10,7 +10,7 @@ from starlette.responses import Response
 
 from wrenchbook.service.formats.rig import MAX_RIG, NAME
 from wrenchbook.service.http.body import read_limited
-from wrenchbook.service.http.imports import profile_of
+from wrenchbook.service.http.imports import check_meanings, profile_of
 from wrenchbook.service.http.openapi import BYTES, TEXT, refused
 from wrenchbook.service.http.problems import bad_body
 from wrenchbook.service.http.routes import Opened
@@ -54,7 +54,7 @@ async def put_rig(name: RigName, request: Request, workspace: Opened) -> dict[st
         message = f"has {len(text)} characters, at most {MAX_RIG} are stored; shorten it"
     if message:
         raise bad_body([{"loc": "body", "msg": message}])
-    profile_of(text)  # raises if the text is no profile
+    check_meanings(profile_of(text))  # raises if the text is no profile
     await run_in_threadpool(store_rig, workspace.ledger, name, text)
     return {"stored": name}
 

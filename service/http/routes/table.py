@@ -25,7 +25,7 @@ from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.imports import Imported, ImportQuery
 from wrenchbook.service.http.openapi import BODIES, BYTES, answers, component_router, refused, takes
 from wrenchbook.service.http.permission import permission_of
-from wrenchbook.service.http.problems import HttpProblemError, bad_body
+from wrenchbook.service.http.problems import MAX_PLACE, HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, attached, holds, json_reply, naming
 from wrenchbook.service.ledger import ImportOrigin
 from wrenchbook.service.library.component import Component
@@ -290,6 +290,8 @@ async def received(request: Request, max_bytes: int = MAX_TABLE_BYTES) -> AsyncI
         uploads = [sent for name in names if isinstance(sent := form.get(name), UploadFile)]
         if len(uploads) < len(names):
             message = "send the file 'table', or both logs as 'loads' and 'displacements'"
+            if len(form):
+                message += f"; the form has {', '.join(form)[:MAX_PLACE]}"
             raise bad_body([{"loc": "form", "msg": message}])
 
         folder = Path(await run_in_threadpool(tempfile.mkdtemp, prefix="wrenchbook-"))
