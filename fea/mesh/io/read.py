@@ -172,7 +172,7 @@ def _refuse_outside(path: Path) -> None:
     searched in the program's working folder), or is no XML.
     """
     try:
-        items = list(ET.parse(path).iter("DataItem"))
+        items = list(ET.parse(path).iter())  # meshio takes an element of any name for a DataItem
     except (ET.ParseError, ValueError, LookupError) as error:
         raise MeshFileError(f"cannot be read as {path.suffix} ({error}); export it again") from None
     for item in items:
