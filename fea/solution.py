@@ -81,9 +81,10 @@ def checked_wrench(
     values = _in_order(wrench, names, further) if isinstance(wrench, Mapping) else wrench
     count = PER_INTERFACE * len(names) + len(further)
     try:
-        inputs = np.array(values, dtype=float)
-        if any(isinstance(value, str | bytes) for value in np.asarray(values, dtype=object).flat):
-            inputs = np.empty(0)  # digits in quotes: a number to numpy alone
+        # numpy alone reads digits in quotes, and drops imaginary parts.
+        items = np.asarray(values, dtype=object).flat
+        is_real = not any(isinstance(item, str | bytes | complex) for item in items)
+        inputs = np.array(values if is_real else [], dtype=float)
     except (TypeError, ValueError, OverflowError):  # words, lists of several lengths, 10**400
         inputs = np.empty(0)
     if inputs.shape == (count,) and np.isfinite(inputs).all():

@@ -29,7 +29,7 @@ from wrenchbook.fea.recovery.stress import most_used, small_stress, stress_of, y
 from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
 from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
-from wrenchbook.fea.solver.load_steps import LoadPath, at_rest, hang
+from wrenchbook.fea.solver.load_steps import LoadPath, at_rest, equilibrium_under_weight
 from wrenchbook.fea.solver.newton import Equilibrium
 from wrenchbook.fea.solver.reduction import CraigBampton, craig_bampton
 from wrenchbook.fea.solver.third_derivatives import (
@@ -208,7 +208,7 @@ class Solver:
         if self._system.preload is None:
             return None
         try:
-            tight = hang(
+            tight = equilibrium_under_weight(
                 self._tightening,
                 _check_rotation,
                 cause="the preload of bolts",
@@ -240,7 +240,7 @@ class Solver:
         self._system.undeformed.release()  # for `notes`, while no other factor is in memory
         if self._system.weight is None and self._tight is not None:
             return at_rest(self._system, self._tight)
-        return hang(self._system, _check_rotation, start=self._tight)
+        return equilibrium_under_weight(self._system, _check_rotation, start=self._tight)
 
     @property
     def compliance(self) -> np.ndarray:

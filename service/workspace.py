@@ -301,11 +301,11 @@ class Workspace:
         component = self.library[name]
         solver = self.solver_error(name)
         reply = table.packed.answer(wrench.tolist())
-        shares = {} if table.solver_error is None else {"mesh": reply.discretisation}
+        error_parts = {} if table.solver_error is None else {"mesh": reply.discretisation}
         if table.solver_error is not None and "linearity" in table.solver_error.values:
-            shares["linearity"] = reply.linearity
+            error_parts["linearity"] = reply.linearity
         shape = self.shapes.answer(
-            component, table.rows, wrench, table.hyperparameters, solver, shares
+            component, table.rows, wrench, table.hyperparameters, solver, error_parts
         )
         is_unknown = reply.coverage == "outside" and None in (reply.error or (None,))
         if is_unknown and shape.source == "rows" and shape.error is not None:

@@ -426,11 +426,8 @@ def _openapi() -> dict:
 
 def _place(path: tuple[str, dict]) -> int:
     """Put the calls of a component first, those for other protocols and operators last."""
-    return (
-        0
-        if path[0].startswith("/v1/components/{name}/displacement")
-        else (1 if path[0].startswith("/v1/") else 2)
-    )
+    starts = ("/v1/components/{name}/displacement", "/v1/", "/")
+    return next(place for place, start in enumerate(starts) if path[0].startswith(start))
 
 
 def _call(method: str, path: str, call: dict) -> str:

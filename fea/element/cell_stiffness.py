@@ -73,14 +73,6 @@ class CellStiffness(ABC):
         displacement: of these cells, shape (cells, 3, nodes), m; None for the undeformed state.
         """
 
-    @abstractmethod
-    def small_stress(self, strain: np.ndarray, part: Which) -> np.ndarray:
-        """Return the stresses of small strains times the weights, N·m.
-
-        strain: strains of a few cells, shape (k, cells, points, 3, 3), dimensionless.
-        Result: shape (k, cells, points, 3, 3), Pa times m^3.
-        """
-
     def forces(
         self, displacement: np.ndarray, step: np.ndarray | None = None
     ) -> tuple[np.ndarray, float, float]:
@@ -195,7 +187,7 @@ class CellStiffness(ABC):
         strain = 0.5 * (H + H.swapaxes(3, 4))
         thermal = self.thermal_strain(part)
         strain = strain if thermal is None else strain - thermal
-        return strain, self.small_stress(strain, part)
+        return strain, self.state(part, None).weighted_change(strain)
 
     def chunks(self, cells: int | None = None) -> Iterator[slice]:
         """Yield slices of all cells, or of the first `cells`, whose temporaries fit the cache."""

@@ -50,15 +50,6 @@ class IsotropicStiffness(CellStiffness):
         factor = stretch[:, 0, 0]
         return replace(self, first_lame=self.first_lame / factor, shear=self.shear / factor)
 
-    def small_stress(self, strain: np.ndarray, part: Which) -> np.ndarray:
-        """Return weighted stresses, Pa times m^3, of strains: shape (k, cells, points, 3, 3)."""
-        weights = self.gradients.weights[part]
-        stress = (2 * weights * self.shear[part, None])[..., None, None] * strain
-        trace = np.trace(strain, axis1=3, axis2=4)
-        volumetric = weighted(trace, weights, self.modes_of(part)) * self.first_lame[part, None]
-        stress += volumetric[..., None, None] * np.eye(3)
-        return stress
-
     def modes_of(self, part: Which) -> np.ndarray | None:
         """Return the volume modes of a few cells, shape (cells, points, modes), m^1.5."""
         return None if self.volume_modes is None else self.volume_modes[part]
@@ -102,13 +93,12 @@ class _State(CellState):
         weights = self.weights * self.shear
         if self.undeformed:
             scaled = stacked * np.repeat(weights, 3, axis=1)[..., None]
-            same = scaled.swapaxes(1, 2) @ stacked
-            return np.eye(3)[None, :, :, None, None] * same[:, None, None]
+            gram = scaled.swapaxes(1, 2) @ stacked
+            return np.eye(3)[None, :, :, None, None] * gram[:, None, None]
         products = (self.slopes.swapaxes(2, 3) @ self.slopes).reshape(cells, points, nodes**2)
-        stretch = (self.F @ self.F.swapaxes(2, 3) * weights[..., None, None]).reshape(
-            cells, points, 9
-        )
-        total = (stretch.swapaxes(1, 2) @ products).reshape(cells, 3, 3, nodes, nodes)
+        stretch = self.F @ self.F.swapaxes(2, 3) * weights[..., None, None]
+        total = stretch.reshape(cells, points, 9).swapaxes(1, 2) @ products
+        total = total.reshape(cells, 3, 3, nodes, nodes)
         geometric = self.stressed()
         for axis in range(3):
             total[:, axis, axis] += geometric
@@ -155,21 +145,13 @@ class OrthotropicStiffness(CellStiffness):
         elasticity = strains @ self.elasticity @ strains.swapaxes(2, 3)
         return replace(self, elasticity=np.linalg.det(stretch)[:, None, None, None] * elasticity)
 
-    def small_stress(self, strain: np.ndarray, part: Which) -> np.ndarray:
-        """Return weighted stresses, Pa times m^3, of strains: shape (k, cells, points, 3, 3)."""
-        return _stress(self._weighted(part), strain)
-
-    def _weighted(self, part: Which) -> np.ndarray:
-        """Return elasticities times weights, shape (cells, points, 6, 6), Pa times m^3."""
-        return self.elasticity[part] * self.gradients.weights[part][..., None, None]
-
 
 class _OrthotropicState(DenseState):
     """Strains and stresses of a few orthotropic cells at one displacement."""
 
     def __init__(self, cells: OrthotropicStiffness, part: Which, displacement: np.ndarray | None):
         super().__init__(cells.gradients, part, displacement, cells.thermal_strain(part))
-        self._moduli = cells._weighted(part)
+        self._moduli = cells.elasticity[part] * self.weights[..., None, None]
         if displacement is not None:
             self.wS = self.weighted_change(self.elastic(self.E))
 

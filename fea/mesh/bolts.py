@@ -70,13 +70,12 @@ def cut_bolts(
         entries.append(Entries(cut.copies, np.full(len(nodes), slip), ones))
         renumbered = np.arange(len(mesh.points))
         renumbered[nodes] = cut.copies
-        pairs = zip(mesh.blocks, upper, strict=True)
-        blocks = (
+        blocks = tuple(
             CellBlock(block.kind, np.where(above[:, None], renumbered[block.nodes], block.nodes))
-            for block, above in pairs
+            for block, above in zip(mesh.blocks, upper, strict=True)
         )
         points = np.vstack([mesh.points, mesh.points[nodes], mesh.points[nodes].mean(axis=0)])
-        mesh = replace(mesh, points=points, blocks=tuple(blocks))
+        mesh = replace(mesh, points=points, blocks=blocks)
     if cuts:
         dependents = Dependents.of(len(mesh.points), Entries.joined(entries))
         mesh = replace(mesh, dependents=dependents)
@@ -108,8 +107,10 @@ def _sides(mesh: Mesh, bolt: Bolt, key: str, problems: list[BundleProblem]) -> _
     heights = mesh.points @ bolt.axis
     shank = _of_region(mesh, bolt, heights) if by_region else _of_group(mesh, bolt, heights)
     above, nodes = _upper_cells(mesh, shank, heights)
-    pairs = zip(mesh.blocks, above, strict=True)
-    cells = tuple(CellBlock(block.kind, block.nodes[upper]) for block, upper in pairs)
+    cells = tuple(
+        CellBlock(block.kind, block.nodes[upper])
+        for block, upper in zip(mesh.blocks, above, strict=True)
+    )
     faces = tuple(FacetBlock(kind, facets) for kind, facets in faces_of(cells).items())
     triangles = triangles_of(facets_within(FacetGroup(faces), nodes))
     message = _why_uncut(mesh, bolt, shank, heights, above, nodes, len(triangles) > 0)
@@ -219,13 +220,13 @@ def _of_group(mesh: Mesh, bolt: Bolt, heights: np.ndarray) -> _Shank:
 
 def _pieces(mesh: Mesh, chosen: Sequence[np.ndarray], nodes: np.ndarray) -> int:
     """Return the number of pieces of cells, (m,) bool of each block, connected by some nodes."""
-    pairs = []
+    links = []  # indices of a cell and of a node of it
     first = len(mesh.points)  # indices of cells come after those of nodes
     for block, cells in zip(mesh.blocks, chosen, strict=True):
         cell, corner = np.nonzero(np.isin(block.nodes, nodes) & cells[:, None])
-        pairs.append(np.stack([first + cell, block.nodes[cell, corner]]))
+        links.append(np.stack([first + cell, block.nodes[cell, corner]]))
         first += len(block)
-    _, ends = np.unique(np.concatenate(pairs, axis=1), return_inverse=True)
+    _, ends = np.unique(np.concatenate(links, axis=1), return_inverse=True)
     rows, columns = ends.reshape(2, -1)
     return int(connected(rows, columns, int(ends.max()) + 1).max()) + 1
 

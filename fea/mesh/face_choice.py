@@ -38,10 +38,10 @@ def choose(surface: Surface, groups: Mapping[str, FaceSelector]) -> Mesh:
     """
     masks: dict[str, np.ndarray] = {}
     problems: list[BundleProblem] = []
-    there = {*surface.mesh.node_groups, *surface.mesh.facet_groups}
-    users = {n: {group for group in groups if group == c.inside} for n, c in groups.items()}
+    existing = {*surface.mesh.node_groups, *surface.mesh.facet_groups}
+    enclosing = {n: {group for group in groups if group == c.inside} for n, c in groups.items()}
     try:
-        order = [*TopologicalSorter(users).static_order()]
+        order = [*TopologicalSorter(enclosing).static_order()]
     except CycleError as error:
         message = f"{' inside '.join(error.args[1])} is circular; remove one inside key"
         _refuse(f"mesh.groups.{error.args[1][0]}.inside", message)
@@ -50,7 +50,7 @@ def choose(surface: Surface, groups: Mapping[str, FaceSelector]) -> Mesh:
         where = f"mesh.groups.{name}"
         inside = groups[name].inside
         mask = None
-        if name in there:
+        if name in existing:
             message = "the mesh file already has a group of this name; choose another name"
             problems.append(BundleProblem(where, message))
         if inside in groups:

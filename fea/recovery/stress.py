@@ -61,7 +61,8 @@ def cauchy_stress(
     """Return the Cauchy stresses of a displaced body, and their change with the inputs.
 
     displacement: shape (n, 3), m.
-    tangents: shape (n, 3, k): its change with the inputs, m per unit of each.
+    tangents: shape (n, 3, k): its change with the inputs, m per unit of each; k = 0 for the
+    stresses alone.
     temperature: K from the reference.
     loads: the number of inputs before the temperature; None where that is no input.
     Returns stresses: shape (p, 6), Pa: xx, yy, zz, xy, xz, yz. changes: shape (p, 6, k), Pa per
@@ -74,17 +75,16 @@ def cauchy_stress(
         stress, slopes = part.cauchy_stresses(gather(displacement, nodes), fields)
         stresses.append(_six(stress))
         changes.append(np.moveaxis(_six(slopes), 0, -1))
-    stress_field, slopes = np.concatenate(stresses), np.concatenate(changes)
-    if (
-        body.expands and loads is not None and slopes.shape[2]
-    ):  # per kelvin at a fixed displacement, central difference
+    slopes_of_all = np.concatenate(changes)
+    if body.expands and loads is not None and tangents.shape[2]:
+        # Per kelvin at a fixed displacement: a central difference.
         no_fields = tangents[:, :, :0]
         warmer, cooler = (
             cauchy_stress(body, displacement, no_fields, temperature + step)[0]
             for step in (_HALF_KELVIN, -_HALF_KELVIN)
         )
-        slopes[:, :, loads] += warmer - cooler
-    return stress_field, slopes
+        slopes_of_all[:, :, loads] += warmer - cooler
+    return np.concatenate(stresses), slopes_of_all
 
 
 def stress_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> np.ndarray:
@@ -109,11 +109,12 @@ def most_used(component: ComponentModel, body: ElasticBody, fields: np.ndarray) 
     `fields` has shape (n, 3, k), m over each unit, in the body's axes. The von Mises stress is a
     seminorm, so that of a sum of loads is at most the sum of theirs (triangle inequality).
     """
-    if not np.isfinite(_strengths(component)).any():
+    strengths = _strengths(component)
+    if not np.isfinite(strengths).any():
         return np.zeros(fields.shape[2])
-    strengths = _strengths(component)[integration_points(component, body.points)[1]]
+    of_points = strengths[integration_points(component, body.points)[1]]
     parts = np.split(fields, fields.shape[2], axis=2)  # in turn: stresses take much memory
-    used = [(von_mises(small_stress(body, part)[:, :, 0]) / strengths).max() for part in parts]
+    used = [(von_mises(small_stress(body, part)[:, :, 0]) / of_points).max() for part in parts]
     return np.array(used)
 
 

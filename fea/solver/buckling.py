@@ -17,8 +17,8 @@ from wrenchbook.fea.assembly.body import ElasticBody, gather
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.solver.vibration import Inertia, assembled
 
-# Number of modes of a subspace iteration, of both signs. The two extreme ones converge at the ratio
-# of the ninth eigenvalue to theirs.
+# Number of modes of a subspace iteration, of both signs. The two extreme modes converge at the
+# ratio of the ninth eigenvalue to theirs.
 _MODES = 8
 _ITERATIONS = 12  # largest number of iterations: a ratio of 0.5 leaves 2e-4 of the vectors' error
 _CONVERGED = 1e-4  # relative change: two digits of a buckling factor are significant
@@ -40,27 +40,24 @@ def buckling_factors(system: System, fields: np.ndarray, temperature: float) -> 
         return np.inf, np.inf
     stressed = Inertia(system, -matrix, np.zeros((system.coupling.freedoms,) * 2))
 
-    # Eigenvalues of K^-1 (-G), those of largest size among them.
     modes = min(_MODES, stressed.size)
     motions = np.random.default_rng(_BUCKLING_SEED).standard_normal((modes, stressed.size))
-    before = np.zeros(2)
-    values = np.zeros(modes)
+    extremes = np.zeros(2)  # smallest and largest eigenvalue of K^-1 (-G)
     for _ in range(_ITERATIONS):
         loads = np.stack([stressed.times(motion) for motion in motions])
         moved = stressed.solved(loads)
         stiffness = moved @ loads.T
         geometric = moved @ np.stack([stressed.times(motion) for motion in moved]).T
-        # The best eigenvalues in a space of motions, and those of K-length one.
-        size, vectors_of = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
-        significant = size > _DEPENDENT * size.max(initial=0.0)
-        basis = vectors_of[:, significant] / np.sqrt(size[significant])
+        # The best eigenvalues in the space of these motions, by a basis with x' K x = 1.
+        energies, axes = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
+        significant = energies > _DEPENDENT * energies.max(initial=0.0)
+        basis = axes[:, significant] / np.sqrt(energies[significant])
         values, vectors = np.linalg.eigh(basis.T @ (0.5 * (geometric + geometric.T)) @ basis)
         motions = (basis @ vectors).T @ moved
-        ends = np.array([values.min(), values.max()])
-        if (np.abs(ends - before) <= _CONVERGED * np.abs(ends).max()).all():
+        before, extremes = extremes, values[[0, -1]]
+        if (np.abs(extremes - before) <= _CONVERGED * np.abs(extremes).max()).all():
             break
-        before = ends
-    return _factor(values.max()), _factor(-values.min())
+    return _factor(extremes[1]), _factor(-extremes[0])
 
 
 def geometric_stiffness(body: ElasticBody, fields: np.ndarray) -> csr_array:

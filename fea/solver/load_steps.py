@@ -21,7 +21,7 @@ from wrenchbook.fea.solver.newton import (
 )
 from wrenchbook.fea.tensors import rotation, rotation_vector
 
-_LESS_WEIGHT = (
+_WEIGHT_REMEDY = (
     "Correct gravity under [analysis] (m/s^2), or support the part so that it carries its weight."
 )
 # Failures of a path that ends below the full load, by the kind of its `Ending`.
@@ -65,7 +65,7 @@ class LoadPath:
 
     wrench: shape (k,): the inputs, as of `Balance.wrench`; not zero.
     progress: called with the fraction done and a message.
-    unloaded: the equilibrium at no wrench, under self-weight (`hang`); None without self-weight.
+    unloaded: the equilibrium at no wrench, of `equilibrium_under_weight`; None without self-weight.
     load: the name in messages of the load that is stepped.
     history: all iterations, also those of steps taken back.
     work: external work so far, J.
@@ -258,15 +258,15 @@ class LoadPath:
         """Work of the inputs `_direction` in a step, J; see `Linearisation.conjugate_rate`."""
         ends = (self._balance.state.interface, equilibrium.balance.state.interface)
         advance: list[np.ndarray] = []
-        for before, after in zip(*(each_interface(end) for end in ends), strict=True):
-            spin = rotation_vector(rotation(after[3:]) @ rotation(before[3:]).T)
-            advance += [(after - before)[:3], spin]
+        for start, end in zip(*map(each_interface, ends), strict=True):
+            spin = rotation_vector(rotation(end[3:]) @ rotation(start[3:]).T)
+            advance += [(end - start)[:3], spin]
         if self._system.body.expands:
             both = (self._balance, equilibrium.balance)
             body = self._system.body
             middle = 0.5 * sum(self._system.temperature(motion.wrench) for motion in both)
-            before, after = (body.thermal_rates(motion.state.nodes, middle)[1] for motion in both)
-            advance.append(np.array([before - after]))
+            start, end = (body.thermal_rates(motion.state.nodes, middle)[1] for motion in both)
+            advance.append(np.array([start - end]))
         moved = equilibrium.balance.state.nodes - self._balance.state.nodes
         advance.append(contract(self._system.body_force, moved[:, :, None])[:, 0])
         return float(self._direction @ np.concatenate(advance))
@@ -283,13 +283,13 @@ class LoadPath:
         return report
 
 
-def hang(
+def equilibrium_under_weight(
     system: System,
     check: Callable[[Balance], None],
     start: CoupledState | None = None,
     cause: str = "self-weight",
     load: str = "its weight",
-    remedy: str = _LESS_WEIGHT,
+    remedy: str = _WEIGHT_REMEDY,
 ) -> Equilibrium:
     """Return the equilibrium under self-weight and no wrench.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from wrenchbook.fea.tensors import von_mises
 from wrenchbook.service.fields.record import RowFields, SurfaceGeometry
 from wrenchbook.surrogate.calibration import LEVEL, conformal_factor
-from wrenchbook.surrogate.field_weights import FieldWeights
+from wrenchbook.surrogate.field_weights import FieldWeights, nearest_rows
 from wrenchbook.surrogate.table.rows import Floats
 
 MIN_LEFT_OUT = 4  # rows with a surface: fewer do not show the size of the error
@@ -54,34 +54,34 @@ class Blend:
     ) -> Blend:
         """Return the interpolation of rows that share a geometry."""
         values = np.stack([_stacked_fields(row) for row in rows])
-        moved = 3 * len(geometry.vertices)
-        largest = float(np.abs(values[:, 0, :moved]).max(initial=0.0))
-        blank = cls(geometry, weights, values, numbers, largest, None, 0.0, None)
+        n_displacements = 3 * len(geometry.vertices)
+        largest = float(np.abs(values[:, 0, :n_displacements]).max(initial=0.0))
+        without_errors = cls(geometry, weights, values, numbers, largest, None, 0.0, None)
         if len(rows) < MIN_LEFT_OUT:
-            return blank
+            return without_errors
         errors, sigmas = weights.left_out(values)
-        lengths = np.linalg.norm(errors[:, :moved].reshape(len(rows), -1, 3), axis=2)
+        lengths = np.linalg.norm(errors[:, :n_displacements].reshape(len(rows), -1, 3), axis=2)
         ratios = lengths / sigmas[:, None]
         spread = np.sqrt((ratios**2).mean(axis=0))
         relative = ratios / np.where(spread > 0, spread, 1.0)
         factor = float(conformal_factor(np.quantile(relative, LEVEL, axis=1)[:, None])[0])
         stress_factor = None
-        if values.shape[2] > moved:
+        if values.shape[2] > n_displacements:
             # The predicted largest stress of each left-out row is compared with its true one.
-            predicted = values[:, 0, moved:] - errors[:, moved:]
+            predicted = values[:, 0, n_displacements:] - errors[:, n_displacements:]
             predicted = von_mises(predicted.reshape(len(rows), -1, 6)).max(axis=1)
             true = np.array([row.meta["largest"] for row in rows])
             stress_factor = float(conformal_factor((np.abs(predicted - true) / sigmas)[:, None])[0])
-        return cls(geometry, weights, values, numbers, largest, spread, factor, stress_factor)
+        return replace(without_errors, spread=spread, factor=factor, stress_factor=stress_factor)
 
     def at(self, wrench: Floats) -> BlendedFields:
         """Return the fields at a wrench (6,), N and N·m."""
         weights, sigma = self.weights.at(wrench)
         fields = np.tensordot(weights, self.values, axes=2)
-        moved = 3 * len(self.geometry.vertices)
-        displacement = fields[:moved].reshape(-1, 3)
+        n_displacements = 3 * len(self.geometry.vertices)
+        displacement = fields[:n_displacements].reshape(-1, 3)
         error = None if self.spread is None else self.factor * sigma * self.spread
-        stress = fields[moved:].reshape(-1, 6) if len(fields) > moved else None
+        stress = fields[n_displacements:].reshape(-1, 6) if len(fields) > n_displacements else None
         factor = self.stress_factor
         stress_error = None if factor is None else factor * sigma
         return BlendedFields(displacement, error, stress, stress_error)
@@ -91,10 +91,9 @@ class Blend:
 
         The slopes are the change of its vertices with the wrench: shape (v, 3, 6), m/N and m/(N·m).
         """
-        apart = (self.weights.wrenches - wrench) / self.weights.load_range.scale
-        place = int(np.linalg.norm(apart, axis=1).argmin())
-        moved = self.values[place, 1:, : 3 * len(self.geometry.vertices)]
-        return self.rows[place], np.moveaxis(moved.reshape(6, -1, 3), 0, -1)
+        index = nearest_rows(self.weights.wrenches, wrench, self.weights.load_range, 1)[0]
+        slopes = self.values[index, 1:, : 3 * len(self.geometry.vertices)]
+        return self.rows[index], np.moveaxis(slopes.reshape(6, -1, 3), 0, -1)
 
 
 def _stacked_fields(row: RowFields) -> Floats:

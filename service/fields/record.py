@@ -180,8 +180,8 @@ class RowFields(NamedTuple):
     meta: dict[str, Any]
 
 
-def leave(folder: Path, wrench: tuple[float, ...], fields: Any) -> None:
-    """Write the two files into an attempt's folder, each atomically and durably.
+def write_files(folder: Path, wrench: tuple[float, ...], fields: Any) -> None:
+    """Write the files `GEOMETRY` and `ROW` into a folder, each atomically and durably.
 
     `fields` is a `fea.recovery.fields.SolveFields`, not imported: readers of the files import no
     finite elements.

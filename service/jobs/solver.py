@@ -33,7 +33,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from wrenchbook.service.fields.record import leave
+from wrenchbook.service.fields.record import write_files
 from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs.attempt import (
     FREE,
@@ -210,7 +210,7 @@ def _solved(ready: Any, attempt: Attempt, report: Report) -> dict[str, Any]:
     def keep(fields: Any) -> None:
         """Write surface and stresses beside the outcome, which is useful without them too."""
         try:
-            leave(attempt.folder, attempt.wrench, fields)
+            write_files(attempt.folder, attempt.wrench, fields)
         except (OSError, ValueError, MemoryError) as error:
             with contextlib.suppress(OSError):  # on a full disk the log has no room either
                 print(f"the deformed surface was not kept: {error}", file=sys.stderr)

@@ -84,8 +84,11 @@ def entries(
     used = {term: value for term, value in terms.items() if value is not None}
     where = f"WHERE {' AND '.join(used)}" if used else ""
     select = f"SELECT id, {_COLUMNS} FROM audit {where} ORDER BY id DESC LIMIT ?"
+
+    def state(text: str | None) -> Any:
+        return None if text is None else json.loads(text)
+
     return [
-        AuditEntry(*fields, *(None if state is None else json.loads(state) for state in states))
+        AuditEntry(*fields, *map(state, (before, after)))
         for *fields, before, after in db.execute(select, (*used.values(), limit))
-        for states in [(before, after)]
     ]

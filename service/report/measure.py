@@ -18,7 +18,7 @@ from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.refine import refined
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import FREEDOMS, Bundle
-from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
+from wrenchbook.surrogate.answer import COVERED, METHODS, UnknownMethodError
 from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.packed.writer import packed_of
@@ -53,8 +53,8 @@ def measure(
 
     levels = _solve_levels(bundle, wrenches, report)
     displacements = [level.pop("displacement") for level in levels]
-    part_level = [level["level"] for level in levels].index("own")
-    solved = np.isfinite(displacements[-1] + displacements[part_level]).all(axis=1)
+    own = [level["level"] for level in levels].index("own")
+    solved = np.isfinite(displacements[-1] + displacements[own]).all(axis=1)
     if not solved.any():
         kinds = {failure["kind"] for level in levels for failure in level["failures"]}
         raise ValueError(
@@ -63,7 +63,7 @@ def measure(
             "--force FX FY FZ"
         )
 
-    references = displacements[-1][solved], displacements[part_level][solved]
+    references = displacements[-1][solved], displacements[own][solved]
     # An error is relative to the range of its output, or to a minimum if that is near zero.
     span = np.ptp(references[0], axis=0)
     scale = np.maximum(span, NEAR_ZERO * space.largest_of_kind(span))
@@ -82,10 +82,10 @@ def measure(
         locked=np.flatnonzero(locked).tolist(),
     )
     summary = make(rows).coverage_summary()
-    seconds = levels[part_level]["seconds_p50"]
+    seconds = levels[own]["seconds_p50"]
     tables = _measure_tables(rows, make, wrenches[solved], references, scale, seconds)
     limits = limit and np.where(space.is_rotation, limit.rotation, limit.translation).tolist()
-    is_finest = part_level == len(levels) - 1  # its error is unknown
+    is_finest = own == len(levels) - 1  # its error is unknown
     return {
         "component": bundle.name,
         "title": bundle.title,
@@ -101,7 +101,7 @@ def measure(
             "errors_left_out": summary["errors_left_out"],
             "full_wrench_rows": summary["full_wrench_rows"],
         },
-        "mesh_error": None if is_finest else levels[part_level]["largest_error"],
+        "mesh_error": None if is_finest else levels[own]["largest_error"],
         "fea": levels,
         "tables": tables,
         "pareto": pareto([*tables, *levels]),
@@ -202,13 +202,13 @@ def _compare_method(
 
     answers = table.batch(wrenches, method=method)
     error = np.abs(answers.outputs - same_mesh)
-    inside, ratios, missed, judged = [], [], 0, 0
+    inside, ratios, missed, compared = [], [], 0, 0
     for bars, true in zip(answers.errors.T, error.T, strict=True):
         known = np.isfinite(bars)
         bars, true = bars[known], true[known]
         median = float(np.median(true)) if len(true) else 0.0
         inside.append(float(np.mean(true <= bars)) if len(true) else None)
-        missed, judged = missed + int(np.sum(true > bars)), judged + len(true)
+        missed, compared = missed + int(np.sum(true > bars)), compared + len(true)
         # None if the error is zero.
         ratios.append(float(np.median(bars)) / median if median > 0.0 else None)
 
@@ -216,7 +216,7 @@ def _compare_method(
     of_finest = errors(np.abs(answers.outputs - finest), scale)
     of_mesh = errors(error, scale)
     return {
-        "covered": float(np.mean(answers.coverage == 0)),
+        "covered": float(np.mean(answers.coverage == COVERED)),
         "seconds": median_us * 1e-6,
         "query_us_p50": median_us,
         "query_us_p99": p99_us,
@@ -225,7 +225,7 @@ def _compare_method(
         "lookup_error": of_mesh,
         "largest_interpolation_error": _largest(of_mesh),
         "inside_error_bar": inside,
-        "beyond_error_bar": {"missed": missed, "of": judged},
+        "beyond_error_bar": {"missed": missed, "of": compared},
         "bar_over_error": ratios,
     }
 

@@ -31,6 +31,7 @@ static void widen_by_reference(const wb_table *t, const wb_group *g, wb_work *wo
         a->error[q] = g->exact_fit || g->has_kriging ? fabs(a->outputs[q] - best[q]) + error[q] : NAN;
 }
 
+/* The answer of the axes' triangulations, outside where an axis has no rows around its load. */
 static void by_axes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                     int method, const wb_composed *c, wb_result *a) {
     a->coverage = c->state >= WB_OFF_HULL ? WB_OUTSIDE : WB_COVERED;
@@ -39,6 +40,7 @@ static void by_axes(const wb_table *t, const wb_group *g, wb_work *work, const d
     widen_by_reference(t, g, work, w, a);
 }
 
+/* A reason for each input beyond the load range. */
 static void reason_beyond(const wb_table *t, const double *w, wb_result *a) {
     for (int k = 0; k < t->inputs; k++) {
         double low = t->ends[k], high = t->ends[t->inputs + k];
@@ -48,6 +50,7 @@ static void reason_beyond(const wb_table *t, const double *w, wb_result *a) {
     }
 }
 
+/* The answer of the kriging, outside where an input is beyond the load range. */
 static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                        wb_result *a) {
     wb_kriging_values(t, &g->kriging, work, w, a->outputs, a->error);
@@ -55,6 +58,8 @@ static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, cons
     reason_beyond(t, w, a);
 }
 
+/* The answer of the compliance, outside where a load acts that no row varies, or beyond the range;
+ * its error is not known in the first case, and no less than the fit's own in the others. */
 static void by_linear(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                       wb_result *a) {
     double own[WB_MAX];
@@ -95,7 +100,8 @@ static void judge_error(const wb_table *t, const wb_group *g, const wb_options *
             reason->limit = wb_allowed(g, o, output);
         }
     }
-    for (int q = 0; !known && q < m; q++) a->error[q] = NAN;
+    if (!known)
+        for (int q = 0; q < m; q++) a->error[q] = NAN;
 }
 
 /* Judge what a method answered; take the row at the wrench where that is not covered. */
@@ -105,10 +111,10 @@ static void finish(const wb_table *t, const wb_group *g, const wb_options *o, wb
     if (g->used) judge_error(t, g, o, a);
     if (a->coverage == WB_COVERED) return;
     if (!o->without_rows && wb_answer_by_row(t, g, o, w, a)) {
-        int told = 1; /* whether rows tell the noise of each of its outputs */
-        for (int q = 0; q < t->outputs; q++) told &= isnan(a->outputs[q]) || !isnan(a->error[q]);
-        a->coverage = told ? WB_COVERED : WB_THIN, a->method = WB_ROW, a->reasons = 0;
-        if (!told) wb_add_reason(a, WB_REASON_NO_ERROR);
+        int known = 1; /* whether the rows determine the noise of each of its outputs */
+        for (int q = 0; q < t->outputs; q++) known &= isnan(a->outputs[q]) || !isnan(a->error[q]);
+        a->coverage = known ? WB_COVERED : WB_THIN, a->method = WB_ROW, a->reasons = 0;
+        if (!known) wb_add_reason(a, WB_REASON_NO_ERROR);
     } else if (with_reasons && g->used && !a->reasons) {
         wb_axes_reasons(t, g, w, a);
     } else if (with_reasons && g->has_kriging
@@ -148,7 +154,8 @@ void wb_group_answer(const wb_table *t, const wb_group *g, const wb_options *o, 
 void wb_group_slopes(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                      int method, double *derivative) {
     size_t count = (size_t)t->inputs * (size_t)t->outputs;
-    for (size_t k = 0; !g->used && k < count; k++) derivative[k] = NAN;
+    if (!g->used)
+        for (size_t k = 0; k < count; k++) derivative[k] = NAN;
     if (!g->used) return;
     if (method == WB_KRIGING) wb_kriging_derivative(t, &g->kriging, work, w, derivative);
     else if (method == WB_LINEAR) memcpy(derivative, g->fit.matrix, count * sizeof(double));

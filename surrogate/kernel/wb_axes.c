@@ -47,15 +47,16 @@ static void read_slopes(const wb_composition *c, int axis, int simplex, wb_part 
 static void keep_along(const wb_composition *c, int axis, double slopes[6][3]) {
     const double *basis = c->floats[axis].basis;
     int dimension = c->ints[axis].dimension;
-    for (int q = 0; dimension < 3 && q < 6; q++) {
-        double along[3] = {0.0, 0.0, 0.0};
-        for (int j = 0; j < dimension; j++)
-            for (int i = 0; i < 3; i++) along[j] += slopes[q][i] * basis[3 * j + i];
-        for (int i = 0; i < 3; i++) {
-            slopes[q][i] = 0.0;
-            for (int j = 0; j < dimension; j++) slopes[q][i] += along[j] * basis[3 * j + i];
+    if (dimension < 3)
+        for (int q = 0; q < 6; q++) {
+            double along[3] = {0.0, 0.0, 0.0};
+            for (int j = 0; j < dimension; j++)
+                for (int i = 0; i < 3; i++) along[j] += slopes[q][i] * basis[3 * j + i];
+            for (int i = 0; i < 3; i++) {
+                slopes[q][i] = 0.0;
+                for (int j = 0; j < dimension; j++) slopes[q][i] += along[j] * basis[3 * j + i];
+            }
         }
-    }
 }
 
 /* Add the slopes off the span of the points: the fitted compliance, NaN by loads that it lacks. */
@@ -63,9 +64,10 @@ static void add_off_span(const wb_composition *c, int axis, wb_part *part) {
     const wb_axis_floats *f = &c->floats[axis];
     int dimension = c->ints[axis].dimension, inputs[3];
     inputs_of(axis, inputs);
-    for (int i = 0; dimension < 3 && i < 3; i++)
-        for (int j = 0; j < 3; j++) {
-            double off = i == j ? 1.0 : 0.0;
+    if (dimension < 3)
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 3; j++) {
+                double off = i == j ? 1.0 : 0.0;
             for (int k = 0; k < dimension; k++) off -= f->basis[3 * k + i] * f->basis[3 * k + j];
             if (!(fabs(off) > WB_ZERO_LOAD)) continue;
             for (int q = 0; q < 6; q++) {
@@ -176,8 +178,9 @@ void wb_axis_read(const wb_composition *c, int axis, const double wrench[6], con
     }
     if (with_slopes) add_off_span(c, axis, part);
     const double *scale = c->floats[axis].scale;
-    for (int q = 0; with_slopes && q < 6; q++)
-        for (int i = 0; i < 3; i++) part->slopes[q][i] /= scale[i];
+    if (with_slopes)
+        for (int q = 0; q < 6; q++)
+            for (int i = 0; i < 3; i++) part->slopes[q][i] /= scale[i];
 }
 
 void wb_axis_part(const wb_composition *c, int axis, const double wrench[6], int with_slopes,

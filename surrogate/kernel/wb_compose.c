@@ -44,7 +44,8 @@ static void read_cut(const wb_cut *cut, double along, int stretch, int with_slop
     const double *o = cut->outputs + 12 * (int64_t)stretch;
     double y = along - cut->stations[stretch];
     for (int q = 0; q < 6; q++) out->outputs[q] = o[q] + y * o[6 + q];
-    for (int q = 0; with_slopes && q < 6; q++) out->slopes[q] = o[6 + q] / cut->scale;
+    if (with_slopes)
+        for (int q = 0; q < 6; q++) out->slopes[q] = o[6 + q] / cut->scale;
 }
 
 /* The fitted compliance's part, for a moment that has no rows. */

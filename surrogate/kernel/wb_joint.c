@@ -217,11 +217,13 @@ static void members_at(double *at, int n, members *r) {
 /* The places of the loads of all interfaces that move, and their number. */
 static int places_of(const wb_table *t, int *place) {
     int n = 0;
-    for (int first = 0; first + SIX <= t->outputs && t->inputs >= t->outputs; first += SIX) {
+    if (t->inputs < t->outputs) return 0;
+    for (int first = 0; first + SIX <= t->outputs; first += SIX) {
         int moves = 0;
         for (int k = first; k < first + SIX; k++) moves |= !t->locked[k];
-        for (int k = first; moves && k < first + SIX; k++, n++)
-            if (n < FREEDOMS) place[n] = k;
+        if (moves)
+            for (int k = first; k < first + SIX; k++, n++)
+                if (n < FREEDOMS) place[n] = k;
     }
     return n;
 }
@@ -352,7 +354,8 @@ static int displacement_of(const double *axes, const double *pose, double *moved
     for (int i = 0; i < 4; i++) q[i] = pose[3 + i] / length;
     for (int j = 0; j < 3; j++) {
         along[j] = axes ? 0.0 : q[1 + j];
-        for (int i = 0; i < 3 && axes; i++) along[j] += q[1 + i] * axes[3 * i + j];
+        if (axes)
+            for (int i = 0; i < 3; i++) along[j] += q[1 + i] * axes[3 * i + j];
     }
     size = sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
     for (int i = 0; i < 3; i++) {
@@ -366,8 +369,9 @@ static int displacement_of(const double *axes, const double *pose, double *moved
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) {
             spin[3 * i + j] = axes ? 0.0 : i == j;
-            for (int k = 0; k < 3 && axes; k++)
-                spin[3 * i + j] += turned[3 * i + k] * axes[3 * j + k];
+            if (axes)
+                for (int k = 0; k < 3; k++)
+                    spin[3 * i + j] += turned[3 * i + k] * axes[3 * j + k];
         }
     return WB_OK;
 }
@@ -395,7 +399,8 @@ static int symmetric(const search *s, const double *by_vector, const double *mov
             const double *row = by_vector + n * i + first;
             for (int j = 0; j < SIX; j++) {
                 double sum = j < 3 ? row[j] : 0.0;
-                for (int k = 0; k < 3 && j >= 3; k++) sum += row[3 + k] * turn[3 * k + j - 3];
+                if (j >= 3)
+                    for (int k = 0; k < 3; k++) sum += row[3 + k] * turn[3 * k + j - 3];
                 full[n * i + first + j] = sum;
             }
         }
@@ -491,7 +496,8 @@ static void judge(const search *s, const double *loads, const double *stiffness,
         int covers = s->interfaces > 1 && answer.coverage == WB_THIN && !is_thin(s, &answer, k);
         reply->coverage[k] = covers ? WB_COVERED : answer.coverage, any |= !covers;
     }
-    for (int k = 0; k < s->interfaces && !any; k++) reply->coverage[k] = answer.coverage;
+    if (!any)
+        for (int k = 0; k < s->interfaces; k++) reply->coverage[k] = answer.coverage;
     for (int i = 0; i < s->n; i++) {
         reply->pose_error[i] = answer.error[s->place[i]];
         reply->wrench_error[i] = 0;

@@ -150,10 +150,12 @@ WB_VECTORS static void add_covariances(const double *term, int inputs, const dou
         if (term[a] > 0)
             add_product(term[a], first, apart + (int64_t)a * stride, stride, flat + (int64_t)(1 + a) * stride);
     if (has_second) add_pairs(term, inputs, apart, stride, second, flat);
-    for (int a = 0; has_second && a < inputs; a++) {
-        double *restrict out = pair_of(flat, inputs, a, a, stride), rate = term[a];
-        for (int row = 0; rate * rate > 0 && row < stride; row++) out[row] -= rate * first[row];
-    }
+    if (has_second)
+        for (int a = 0; a < inputs; a++) {
+            double *restrict out = pair_of(flat, inputs, a, a, stride), rate = term[a];
+            if (rate * rate > 0)
+                for (int row = 0; row < stride; row++) out[row] -= rate * first[row];
+        }
 }
 
 /* A triangle times covariances: panels of WB_PANEL rows, each column after column. */
@@ -239,8 +241,9 @@ static void explore(const wb_table *t, const wb_kriging *k, wb_work *work, const
     for (int s = 0; s < k->factors; s++) {
         const wb_factor *factor = &k->factor[s];
         if (!as_before(k, n, s)) covary(k, factor, n, work);
-        for (int q = 0; values && q < t->outputs; q++)
-            if (factor->outputs[q]) values[q] = value_of(t, k, work, at, q);
+        if (values)
+            for (int q = 0; q < t->outputs; q++)
+                if (factor->outputs[q]) values[q] = value_of(t, k, work, at, q);
         if (!sigma) continue;
         int anchor = nearest(k, factor, n, work->apart, work->first);
         sigma[s] = sqrt(squared_deviation(k, factor, n, anchor, at, work));
@@ -334,7 +337,8 @@ WB_VECTORS static void add_slope(const double *term, int inputs, const double *r
     for (int a = 0; a < inputs; a++) {
         const double *restrict from = apart + (int64_t)a * stride;
         double rate = term[a] * direction[a];
-        for (int row = 0; rate != 0 && row < stride; row++) along[row] += rate * from[row];
+        if (rate != 0)
+            for (int row = 0; row < stride; row++) along[row] += rate * from[row];
     }
     add_product(-1, first, along, stride, flat);
     for (int row = 0; row < stride; row++) spare[row] = second[row] * along[row];
@@ -342,12 +346,14 @@ WB_VECTORS static void add_slope(const double *term, int inputs, const double *r
         double *restrict out = flat + (int64_t)(1 + a) * stride, rate = term[a] * direction[a];
         if (!(term[a] > 0)) continue;
         add_product(-term[a], spare, apart + (int64_t)a * stride, stride, out);
-        for (int row = 0; rate != 0 && row < stride; row++) out[row] += rate * first[row];
+        if (rate != 0)
+            for (int row = 0; row < stride; row++) out[row] += rate * first[row];
     }
     if (!has_second) return;
     for (int a = 0; a < inputs; a++) {
         double *restrict out = pair_of(flat, inputs, a, a, stride);
-        for (int row = 0; term[a] > 0 && row < stride; row++) out[row] += term[a] * spare[row];
+        if (term[a] > 0)
+            for (int row = 0; row < stride; row++) out[row] += term[a] * spare[row];
         for (int b = 0; b < inputs; b++) {
             double both = (a == b ? 2 : 1) * term[a] * term[b] * direction[b];
             if (both != 0) add_product(both, second, apart + (int64_t)a * stride, stride,

@@ -98,8 +98,9 @@ static void compose_run(const wb_composition *c, int axis, size_t first, size_t 
         const entry *next = &b->order[first + i];
         if (first + i + RUN < used) wb_fetch(&c->simplex[next[RUN].key], sizeof *c->simplex);
         wb_axis_locate(c, axis, b->inputs + 6 * (size_t)next->index, &location[i]);
-        for (int corner = 0; corner < 4 && location[i].simplex >= 0; corner++)
-            wb_fetch(&c->vertex[c->simplex[location[i].simplex].vertex[corner]], sizeof *c->vertex);
+        if (location[i].simplex >= 0)
+            for (int corner = 0; corner < 4; corner++)
+                wb_fetch(&c->vertex[c->simplex[location[i].simplex].vertex[corner]], sizeof *c->vertex);
     }
     for (size_t i = 0; i < count; i++) {
         wb_part part;
@@ -173,9 +174,10 @@ static int run(void *whole, size_t first, size_t step) {
     if (wrong) return wrong;
     for (size_t start = BLOCK * first; start < job->n; start += BLOCK * step) {
         size_t count = job->n - start < BLOCK ? job->n - start : BLOCK;
-        for (size_t i = start; job->derivatives && i < start + count; i++)
-            wb_answer_slopes(t, job->o, &b.work, job->inputs + i * n,
-                             job->derivatives + i * n * (size_t)t->outputs);
+        if (job->derivatives)
+            for (size_t i = start; i < start + count; i++)
+                wb_answer_slopes(t, job->o, &b.work, job->inputs + i * n,
+                                 job->derivatives + i * n * (size_t)t->outputs);
         if (job->derivatives) continue;
         for (size_t i = 0; i < count; i++)
             for (size_t k = 0; k < n; k++) {

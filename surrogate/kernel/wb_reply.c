@@ -8,7 +8,8 @@ static double larger(double a, double b) { return a > b ? a : b; }
 
 static const wb_options DEFAULTS = {WB_DEFAULT, NULL, 0};
 
-static void begin(const wb_table *t, const double *inputs, wb_reply *reply) {
+/* A reply without outputs, at the inputs that act. */
+static void clear_reply(const wb_table *t, const double *inputs, wb_reply *reply) {
     reply->coverage = WB_COVERED, reply->within = -1, reply->method = WB_ESTIMATE;
     reply->exact = reply->reasons = reply->group = 0;
     reply->row = reply->index = -1, reply->missing = 0, reply->solved = 0;
@@ -21,7 +22,7 @@ static void begin(const wb_table *t, const double *inputs, wb_reply *reply) {
     }
 }
 
-/* Whether the words of a reason tell of the rows of its group: those of another differ. */
+/* Whether the text of a reason depends on the rows of its group. */
 static int is_of_group(int code) {
     return code == WB_REASON_AXIS_OFF_HULL || code == WB_REASON_BEYOND_SPAN;
 }
@@ -38,8 +39,8 @@ static int is_reason_of(const wb_reply *reply, const wb_reason *reason, int grou
 }
 
 /* Take a group's outputs. The worst group decides; an answer is a row's only if all are. */
-static void merge(const wb_table *t, const wb_group *g, const wb_result *result, wb_work *work,
-                  wb_reply *reply, int *worst) {
+static void take_group(const wb_table *t, const wb_group *g, const wb_result *result, wb_work *work,
+                       wb_reply *reply, int *worst) {
     const int32_t *held = g->held ? g->held : g->outputs;
     int number = (int)(g - t->group), read = 0;
     for (int q = 0; q < t->outputs; q++) {
@@ -86,12 +87,15 @@ void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
         for (int q = 0; q < m; q++)
             if (g->outputs[q]) memcpy(derivative + n * q, slopes + n * q, (size_t)n * sizeof(double));
     }
-    for (int k = 0; k < n; k++) /* a scene's table has not all axes */
-        for (int q = 0; t->scene_slopes && !t->scene_slopes[k] && q < m; q++)
-            derivative[n * q + k] = NAN;
-    for (int k = 0; k < n; k++) /* a guide carries these loads: no displacement depends on them */
-        for (int q = 0; t->locked[k] && q < m; q++)
-            if (!isnan(derivative[n * q + k])) derivative[n * q + k] = 0.0;
+    for (int k = 0; k < n; k++) {
+        int absent = t->scene_slopes && !t->scene_slopes[k]; /* a scene's table has not all axes */
+        for (int q = 0; q < m; q++) {
+            double *slope = derivative + n * q + k;
+            if (absent) *slope = NAN;
+            /* A guide carries this load: no displacement depends on it. */
+            if (t->locked[k] && !isnan(*slope)) *slope = 0.0;
+        }
+    }
 }
 
 /* What the mesh lacks: |T D u| by the answer's tangent T, with its displacement u and what the mesh
@@ -116,7 +120,7 @@ static void lacking_of(const wb_table *t, const wb_options *o, wb_work *work, co
 }
 
 /* No error of a solver: measured rows, or rows whose solver's error is not known. */
-static void keep(const wb_table *t, wb_reply *reply) {
+static void without_solver_error(const wb_table *t, wb_reply *reply) {
     const wb_solver *s = &t->solver;
     for (int q = 0; q < t->outputs; q++) {
         reply->error[q] = reply->interpolation[q];
@@ -142,7 +146,7 @@ static double neglected(const wb_table *t, int q, const double *acting, double l
 
 /* Add what the solver of the rows may itself be wrong by: what its mesh lacks by the answer's tangent,
  * and no less than by the compliance at small loads. */
-static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
+static void add_solver_error(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     const wb_solver *s = &t->solver;
     double largest = 0, lacking[WB_MAX], by_loads[WB_MAX], acting[WB_MAX], size[WB_MAX];
     for (int k = 0; k < t->inputs; k++) {
@@ -162,7 +166,7 @@ static void widen(const wb_table *t, const wb_options *o, wb_work *work, wb_repl
 }
 
 /* Whether the total error is within the tolerance; outputs without a value are left out. */
-static int within(const wb_table *t, const wb_options *o, const wb_reply *reply) {
+static int is_within(const wb_table *t, const wb_options *o, const wb_reply *reply) {
     int known = -1, open = 0;
     if (!t->solver.whole) return -1; /* a part of the error is not known */
     for (int q = 0; q < t->outputs; q++) {
@@ -216,14 +220,15 @@ static void judge_scene(const wb_table *t, wb_reply *reply) {
 /* Add the errors of solver and rig; take an estimate away that no table could hold. */
 void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     if (t->scene_ends) judge_scene(t, reply);
-    if (t->solver.none) keep(t, reply);
-    else widen(t, o, work, reply);
+    if (t->solver.none) without_solver_error(t, reply);
+    else add_solver_error(t, o, work, reply);
     for (int q = 0; q < t->outputs; q++) {
         reply->measurement[q] = t->rig_error ? t->rig_error[q] : 0.0;
         reply->error[q] += reply->measurement[q];
     }
-    for (int q = 0; !t->solver.whole && q < t->outputs; q++) /* the solver's error is all there is */
-        if (reply->solved >> q & 1) reply->error[q] = NAN;
+    if (!t->solver.whole) /* the solver's error is all there is */
+        for (int q = 0; q < t->outputs; q++)
+            if (reply->solved >> q & 1) reply->error[q] = NAN;
     if (reply->coverage != WB_COVERED && beyond_limits(t, reply->outputs)) {
         for (int q = 0; q < t->outputs; q++) {
             reply->outputs[q] = reply->error[q] = reply->interpolation[q] = NAN;
@@ -261,13 +266,13 @@ static void count_unknown(const wb_table *t, wb_reply *reply) {
 void wb_reply_of(const wb_table *t, const wb_options *o, wb_work *work, const double *inputs,
                  const wb_composed *composed, int with_reasons, wb_reply *reply) {
     int worst = -1;
-    begin(t, inputs, reply);
+    clear_reply(t, inputs, reply);
     work->of = NULL;
     for (int q = 0; q < t->outputs; q++) work->moved[q] = NAN;
     for (int i = 0; i < t->groups; i++) {
         wb_result result;
         wb_group_answer(t, &t->group[i], o, work, reply->inputs, composed, with_reasons, &result);
-        merge(t, &t->group[i], &result, work, reply, &worst);
+        take_group(t, &t->group[i], &result, work, reply, &worst);
     }
 }
 
@@ -279,7 +284,7 @@ int wb_answer(const wb_table *t, const wb_options *options, const double *inputs
     if (wrong) return wrong;
     wb_reply_of(t, o, &work, inputs, NULL, 1, reply);
     wb_conclude(t, o, &work, reply);
-    reply->within = within(t, o, reply);
+    reply->within = is_within(t, o, reply);
     count_unknown(t, reply);
     return WB_OK;
 }
@@ -290,7 +295,7 @@ void wb_answer_slopes(const wb_table *t, const wb_options *o, wb_work *work, con
                       double *derivative) {
     wb_reply reply;
     int near = !o->without_rows;
-    begin(t, inputs, &reply);
+    clear_reply(t, inputs, &reply);
     for (int i = 0; near && i < t->groups; i++)
         near = wb_find_row(t, &t->group[i], reply.inputs) >= 0;
     if (near) wb_reply_of(t, o, work, inputs, NULL, 0, &reply);

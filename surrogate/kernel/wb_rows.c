@@ -35,9 +35,10 @@ int wb_is_beyond(const wb_table *t, const double *w) {
  * load that the scene holds at another value. */
 int wb_leaves_scene(const wb_table *t, const double *w) {
     int leaves = 0;
-    for (int k = 0; t->scene_ends && k < t->inputs; k++)
-        if (w[k] < t->scene_ends[k] || w[k] > t->scene_ends[t->inputs + k])
-            leaves = leaves > 1 || !t->scene_varying[k] ? 2 : 1;
+    if (t->scene_ends)
+        for (int k = 0; k < t->inputs; k++)
+            if (w[k] < t->scene_ends[k] || w[k] > t->scene_ends[t->inputs + k])
+                leaves = leaves > 1 || !t->scene_varying[k] ? 2 : 1;
     return leaves;
 }
 

@@ -327,18 +327,20 @@ def _of_kind(kind: Kind, neighbours: Neighbourhoods, leave_one_out: LeftOutRows)
     return Calibration(factors, max_sigma)
 
 
-def of_posterior(factor: KrigingFactor, table: Floats, settings: KrigingSettings) -> Calibration:
+def of_posterior(
+    factor: KrigingFactor, covariances: Floats, settings: KrigingSettings
+) -> Calibration:
     """Return the factors of a kriging through inducing wrenches: those of a normal distribution.
 
     The posterior deviation of many noisy rows is itself certain, and left-out rows show little but
     noise. Errors are known where no more of the prior is left than would be at an inducing wrench
     without it.
 
-    `table` (m, m), dimensionless, is the covariance of the inducing wrenches.
+    `covariances` (m, m), dimensionless, are those of the inducing wrenches.
     """
     x, known = factor.equations.x, factor.equations.known
-    nugget = factor.nugget * np.diag(np.diag(table))
-    without = 1 / np.diag(np.linalg.inv(table + nugget))
+    nugget = factor.nugget * np.diag(np.diag(covariances))
+    without = 1 / np.diag(np.linalg.inv(covariances + nugget))
     at = factor.variance_of(*factor.explained_at(x, known), factor.mean_covariance)
     far = float(np.quantile(np.sqrt(at + without), LEVEL))
     return Calibration(np.full(len(factor.variance), settings.half_width), far)

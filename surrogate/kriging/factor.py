@@ -212,19 +212,19 @@ def factorise(
     hyperparameters: Hyperparameters,
     group: OutputGroup,
     settings: KrigingSettings = DEFAULTS,
-    table: Floats | None = None,
+    covariances: Floats | None = None,
 ) -> KrigingFactor:
     """Return the factor of an output group of a table.
 
-    `table` (a, a), dimensionless, is the covariance of all a equations, if the caller has it
+    `covariances` (a, a), dimensionless, are those of all a equations, if the caller has them
     already.
     """
     subset = equations.take(group.rows)
-    if table is None:
+    if covariances is None:
         matrix = covariance(subset.x, subset.known, subset.x, subset.known, hyperparameters)
     else:
         indices = numbers(equations.known)[group.rows][subset.known]
-        matrix = table[np.ix_(indices, indices)]
+        matrix = covariances[np.ix_(indices, indices)]
     inverse = _factored(subset, group.noise, matrix, hyperparameters, settings.nugget, settings)
     precision = inverse.TF.T @ inverse.TF + np.eye(inverse.TF.shape[1]) / settings.mean_variance
     mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
@@ -315,12 +315,12 @@ class Neighbourhoods:
         self,
         equations: Equations,
         factor: KrigingFactor,
-        table: Floats,
+        covariances: Floats,
         settings: KrigingSettings = DEFAULTS,
         *,
         of_all_rows: bool = False,
     ) -> None:
-        """Take the table's equations, and `table` (a, a), the covariance of all a of them.
+        """Take the table's equations, and `covariances` (a, a), those of all a of them.
 
         `of_all_rows`: sigma is that of all rows, however many.
         """
@@ -342,7 +342,9 @@ class Neighbourhoods:
             parts = factor.hyperparameters, factor.nugget, factor.T, factor.TF
             self.local_factors = (LocalFactor(*parts, columns, self._numbers[:, 0]),)
         else:
-            self.local_factors = tuple(self.local_factor(near, table) for near in self.members(x))
+            self.local_factors = tuple(
+                self.local_factor(near, covariances) for near in self.members(x)
+            )
 
     @property
     def is_global(self) -> bool:
@@ -375,10 +377,10 @@ class Neighbourhoods:
             lists.append(near[np.cumsum(size) <= max_equations])
         return lists
 
-    def local_factor(self, near: Indices, table: Floats) -> LocalFactor:
+    def local_factor(self, near: Indices, covariances: Floats) -> LocalFactor:
         """Return the factor over some rows (k,), nearest first.
 
-        `table` (a, a), dimensionless, is the covariance of all a equations of the table.
+        `covariances` (a, a), dimensionless, are those of all a equations of the table.
         """
         factor = self.factor
         subset = factor.equations.take(near)
@@ -390,7 +392,7 @@ class Neighbourhoods:
         )[known]
         number = self._numbers[near][known]
         noise = factor.output_group.noise[near]
-        within = table[np.ix_(number, number)]
+        within = covariances[np.ix_(number, number)]
         model = factor.hyperparameters
         inverse = _factored(subset, noise, within, model, factor.nugget, self.settings)
         return LocalFactor(model, inverse.nugget, inverse.T, inverse.TF, columns, number)

@@ -119,22 +119,22 @@ class Kriging:
         deviation, rounding = np.empty((2, n_outputs))
         errors = np.full(equations.measured.shape, np.nan)
         neighbourhoods, calibrations = list[Neighbourhoods](), list[Calibration]()
-        for factor, table in model.factors(settings):
+        for factor, covariances in model.factors(settings):
             rows, outputs = factor.output_group.rows, factor.output_group.outputs
             group_weights = np.zeros((*known.shape, len(outputs)))
             group_weights[known & np.isin(np.arange(n_rows), rows)[:, None]] = factor.weights
             weights[:, :, outputs], coefficients[:, outputs] = group_weights, factor.coefficients
             deviation[outputs] = np.sqrt(factor.variance)
-            value_rows = np.abs(table[np.nonzero(known)[1] == 0])
+            value_rows = np.abs(covariances[np.nonzero(known)[1] == 0])
             losses = ROUNDING_LOSS * value_rows @ np.abs(group_weights[known])
             rounding[outputs] = losses.max(axis=0)
 
             leave_one_out = left_out(factor, np.arange(len(rows)))
             errors[np.ix_(rows, outputs)] = leave_one_out.errors
-            near = Neighbourhoods(equations, factor, table, settings, of_all_rows=is_inducing)
+            near = Neighbourhoods(equations, factor, covariances, settings, of_all_rows=is_inducing)
             neighbourhoods.append(near)
             if is_inducing:
-                calibration = of_posterior(factor, table, settings)
+                calibration = of_posterior(factor, covariances, settings)
             else:
                 widening = model.estimate.widening[outputs]
                 calibration = calibrated(near, leave_one_out, data.scaling, data.kinds, widening)
@@ -361,10 +361,10 @@ class _Model(NamedTuple):
         if values_alone:
             sample = equations.take(evenly(len(equations), CANDIDATES))
             estimate = estimated(sample, scaling, queries, settings)
-            through = induced(equations, estimate, settings, dependence)
+            by_inducing = induced(equations, estimate, settings, dependence)
         else:
-            estimate, through = estimated(equations, scaling, queries, settings), None
-        noise = estimate.noise if through is None else through.noise
+            estimate, by_inducing = estimated(equations, scaling, queries, settings), None
+        noise = estimate.noise if by_inducing is None else by_inducing.noise
 
         observed = (equations.observations > 0).any(axis=0)
         readings = np.maximum(equations.observations, equations.measured).sum(axis=0)
@@ -374,10 +374,10 @@ class _Model(NamedTuple):
 
         is_part = equations.count < data.total
         of_rows = f" of {len(data.rows)}" if is_part else ""
-        if through is not None:
+        if by_inducing is not None:
             detail = f"kriging of {len(equations)}{of_rows} rows through "
-            detail += f"{len(through.equations)} inducing wrenches"
-            equations, inducing = through.equations, through.factors
+            detail += f"{len(by_inducing.equations)} inducing wrenches"
+            equations, inducing = by_inducing.equations, by_inducing.factors
         else:
             if values_alone:
                 equations = equations_of(data.rows, scaling, data.observations, settings)
@@ -395,16 +395,16 @@ class _Model(NamedTuple):
         groups = [factor.output_group for factor in self.inducing]
         groups = groups or output_groups(equations, estimate.variance, settings, estimate.kernels)
         previous: Hyperparameters | None = None
-        table = np.empty((0, 0))
+        covariances = np.empty((0, 0))
         for number, group in enumerate(groups):
             kernel = estimate.kernels[group.outputs[0]]
             if kernel is not previous:
-                table = covariance(x, known, x, known, kernel)
+                covariances = covariance(x, known, x, known, kernel)
                 previous = kernel
             if self.inducing:
-                yield self.inducing[number], table
+                yield self.inducing[number], covariances
                 continue
-            factor = factorise(equations, kernel, group, settings, table)
+            factor = factorise(equations, kernel, group, settings, covariances)
             if group.noise.any():  # with it the mean's coefficients are integrated out
                 factor = replace(factor, variance=estimate.variance[group.outputs])
-            yield factor, table
+            yield factor, covariances

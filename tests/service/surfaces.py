@@ -10,7 +10,7 @@ import numpy as np
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.recovery.fields import SolveFields
 from wrenchbook.fea.solve import Solver
-from wrenchbook.service.fields.record import leave
+from wrenchbook.service.fields.record import write_files
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.library.component import Component, component_of
 from wrenchbook.surrogate.table.rows import Rows
@@ -93,5 +93,5 @@ def keep(store: FieldStore, component: Component, wrench: np.ndarray, fields: So
     attempt = component.folder.parent / "attempt"
     attempt.mkdir(exist_ok=True)
     numbers = tuple(wrench.tolist())
-    leave(attempt, numbers, fields)
+    write_files(attempt, numbers, fields)
     assert store.take(attempt, component.name, component.fingerprint, numbers)

@@ -17,10 +17,10 @@ from wrenchbook.service.fields.record import (
     Column,
     DamagedFieldsError,
     SurfaceGeometry,
-    leave,
     pack,
     read_meta,
     unpack,
+    write_files,
 )
 from wrenchbook.service.fields.shape import Deformed, LargestStress
 from wrenchbook.service.fields.store import FieldStore, key_of
@@ -57,7 +57,7 @@ def attempt(tmp_path):
 
 
 def kept(store, attempt, wrench=WRENCH, fingerprint="f1", **changes):
-    leave(attempt, wrench, fields(**changes))
+    write_files(attempt, wrench, fields(**changes))
     return store.take(attempt, "plate", fingerprint, wrench)
 
 
@@ -96,7 +96,7 @@ def test_a_folder_that_cannot_be_written_costs_a_row_its_fields_only(tmp_path, a
 
 
 def test_it_never_takes_more_than_its_share(tmp_path, attempt):
-    leave(attempt, WRENCH, fields())
+    write_files(attempt, WRENCH, fields())
     size = sum(path.stat().st_size for path in attempt.iterdir())
     store = FieldStore(tmp_path / "fields", most_bytes=int(2.5 * size))
     taken = [kept(store, attempt, (float(i),) * 6) for i in range(10)]
@@ -107,7 +107,7 @@ def test_it_never_takes_more_than_its_share(tmp_path, attempt):
 
 
 def test_older_set_ups_make_room_for_the_present_one(tmp_path, attempt):
-    leave(attempt, WRENCH, fields())
+    write_files(attempt, WRENCH, fields())
     size = sum(path.stat().st_size for path in attempt.iterdir())
     store = FieldStore(tmp_path / "fields", most_bytes=int(1.5 * size))
     assert kept(store, attempt, fingerprint="f1")

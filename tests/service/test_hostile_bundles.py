@@ -202,6 +202,13 @@ def test_an_xdmf_mesh_with_numbers_elsewhere_is_refused_before_they_are_read(tmp
         read_mesh(tmp_path / "a.xdmf", "mm")
 
 
+def test_an_xdmf_mesh_with_numbers_elsewhere_under_another_element_is_refused(tmp_path):
+    item = '<Other Dimensions="4 3" Format="HDF">../mesh.h5:/x</Other>'
+    (tmp_path / "a.xdmf").write_text(f"<Xdmf><Grid><Geometry>{item}</Geometry></Grid></Xdmf>")
+    with pytest.raises(BundleError, match="has its numbers"):
+        read_mesh(tmp_path / "a.xdmf", "mm")
+
+
 def test_an_xdmf_mesh_with_its_numbers_beside_it_is_read(tmp_path):
     tet = meshio.Mesh(np.vstack([np.zeros(3), np.eye(3)]), [("tetra", np.arange(4)[None])])
     tet.write(tmp_path / "a.xdmf")  # and a.h5

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import io
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import meshio
 import numpy as np
@@ -17,6 +19,8 @@ from wrenchbook.fea.mesh.io.raw import Block, RawMesh, to_mesh
 from wrenchbook.fea.mesh.mesh import NODES_PER_CELL, Mesh
 from wrenchbook.fea.spec.mesh_source import UNITS
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, MeshFileError
+
+Named = TypeVar("Named")
 
 MESHIO_KINDS = {
     "hexahedron": "hex8",
@@ -43,6 +47,7 @@ _mesh.topological_dimension.update({"wedge15": 3, "pyramid13": 3})
 
 # An integer array with more values than this is a numbering, not groups.
 _MAX_GROUPS = 1000
+_XDMF_ENDINGS = (".xdmf", ".xmf")
 
 
 def read_mesh(path: Path, unit: str) -> Mesh:
@@ -65,8 +70,8 @@ def read_mesh(path: Path, unit: str) -> Mesh:
         raw, content = read_deck(path)
         mesh = to_mesh(raw, UNITS[unit])
         cells = sum(len(nodes) for kind, nodes in raw.blocks if kind in NODES_PER_CELL)
-        if twins := cells - sum(mesh.cell_counts.values()):
-            message = f"has {twins} elements on the nodes of others, left out here; remove them"
+        if n_doubled := cells - sum(mesh.cell_counts.values()):
+            message = f"has {n_doubled} elements on the nodes of others, left out here; remove them"
             for line in content.taken["ELEMENT"]:
                 content.missing.setdefault(f"line {line}: *ELEMENT", message)
         return replace(mesh, deck=content)
@@ -75,7 +80,10 @@ def read_mesh(path: Path, unit: str) -> Mesh:
 
 
 def _read_meshio(path: Path) -> RawMesh:
-    """Return the content of a file in a format of meshio."""
+    """Return the content of a file in a format of meshio.
+
+    Raises MeshFileError if it cannot be read, refers to files elsewhere, or is flat.
+    """
     if path.suffix.lower() in _XDMF_ENDINGS:
         _refuse_outside(path)
     read = _read_silently(path)
@@ -94,22 +102,22 @@ def _read_meshio(path: Path) -> RawMesh:
             name = names.get((tag, block.dim), str(tag))
             parts = groups.setdefault(name, [_as_numbers(None) for _ in read.cells])
             parts[i] = np.flatnonzero(numbers == tag)
-    sets = {**groups, **_array_groups(read)}
-    sets |= {name: s for name, s in read.cell_sets.items() if not name.startswith("gmsh:")}
+    for array, values in _without_tags(read.cell_data).items():
+        parts = list(map(np.asarray, values))
+        for name, value in _group_values(array, parts):
+            groups[name] = [np.flatnonzero(part == value) for part in parts]
+    sets = {**groups, **_without_tags(read.cell_sets)}
     element_sets = {name: [_as_numbers(part) for part in parts] for name, parts in sets.items()}
 
-    # Groups by integer point arrays.
-    point_groups = {}
-    for array, values in read.point_data.items():
-        if array.startswith("gmsh:"):
-            continue
-        for name, value in _group_values(array, np.asarray(values)):
-            point_groups[name] = np.flatnonzero(values == value)
-    node_sets = {**point_groups, **read.point_sets}
+    node_groups = {}
+    for array, values in _without_tags(read.point_data).items():
+        for name, value in _group_values(array, [np.asarray(values)]):
+            node_groups[name] = np.flatnonzero(values == value)
+    node_groups |= read.point_sets
     points = np.asarray(read.points, dtype=float)
     if points.shape[1] != 3:
         raise MeshFileError("is flat; export a mesh of solid cells in three dimensions")
-    nodes = {name: _as_numbers(ids) for name, ids in node_sets.items()}
+    nodes = {name: _as_numbers(ids) for name, ids in node_groups.items()}
     return RawMesh(points, blocks, element_sets, nodes)
 
 
@@ -136,30 +144,24 @@ def _as_numbers(part: object) -> np.ndarray:
     return np.asarray([] if part is None else part, dtype=np.int64).ravel()
 
 
-def _array_groups(read: meshio.Mesh) -> dict[str, list[np.ndarray]]:
-    """Return the groups by integer cell arrays."""
-    groups = {}
-    for array, parts in read.cell_data.items():
-        if array.startswith("gmsh:"):
-            continue
-        for name, value in _group_values(array, np.concatenate([np.asarray(p) for p in parts])):
-            groups[name] = [np.flatnonzero(np.asarray(part) == value) for part in parts]
-    return groups
+def _without_tags(named: Mapping[str, Named]) -> dict[str, Named]:
+    """Return arrays or sets by name, but for gmsh's numbering of its geometry."""
+    return {name: value for name, value in named.items() if not name.startswith("gmsh:")}
 
 
-def _group_values(array: str, values: np.ndarray) -> list[tuple[str, int]]:
-    """Return name and value of each group in an array of integers, one value per node or cell."""
-    if values.ndim != 1 or values.dtype.kind not in "iu":
+def _group_values(array: str, parts: Sequence[np.ndarray]) -> list[tuple[str, int]]:
+    """Return name and value of each group in an array of integers, one value per node or cell.
+
+    Its parts belong to the blocks of cells; a file without cells has none.
+    """
+    if any(part.ndim != 1 or part.dtype.kind not in "iu" for part in parts):
         return []
-    distinct = np.unique(values).tolist()
+    distinct = sorted({value for part in parts for value in np.unique(part).tolist()})
     if distinct in ([0, 1], [1]):
         return [(array, 1)]
     if len(distinct) > _MAX_GROUPS:
         return []
     return [(f"{array}_{value}", value) for value in distinct]
-
-
-_XDMF_ENDINGS = (".xdmf", ".xmf")
 
 
 def _refuse_outside(path: Path) -> None:
@@ -172,7 +174,7 @@ def _refuse_outside(path: Path) -> None:
     searched in the program's working folder), or is no XML.
     """
     try:
-        items = list(ET.parse(path).iter("DataItem"))
+        items = list(ET.parse(path).iter())  # meshio takes an element of any name for a DataItem
     except (ET.ParseError, ValueError, LookupError) as error:
         raise MeshFileError(f"cannot be read as {path.suffix} ({error}); export it again") from None
     for item in items:

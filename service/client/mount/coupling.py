@@ -43,7 +43,7 @@ DERIVED = 1e-3  # part of the largest answer so far: the tolerance if none is gi
 
 # A limit cycle: in a span of 64 syncs answers have a period of 12 syncs or less, that is two turns,
 # and swing by more than 2 tolerances; more than 3 spans in a row do not become smaller.
-SPAN, SHORTEST, SWING, SPANS = 64, 12, 2.0, 3
+SPAN, LONGEST_PERIOD, SWING, SPANS = 64, 12, 2.0, 3
 UNEXPLAINED = 0.5  # part of the variance of answers in a cycle; noise leaves 0.7 and more
 BEYOND = 16  # syncs in a row with an answer beyond the limit: the load causes it, and no overshoot
 LAGS = 4  # earlier answers in the autoregression of a cycle: enough for two oscillations
@@ -224,7 +224,7 @@ class CycleWatch:
 
     def __init__(self) -> None:
         self._answers: Vector = np.empty((SPAN, 6))
-        self._count = self._rows = 0
+        self._count = self._swings = 0
         self._spread = 0.0
 
     def see(self, answer: Vector) -> None:
@@ -242,7 +242,7 @@ class CycleWatch:
         answers = self._answers[:, output]
         slopes = np.diff(answers)
         turns = int((slopes[1:] * slopes[:-1] < 0.0).sum())
-        swings = self._spread > SWING and SHORTEST * turns >= 2 * SPAN
+        swings = self._spread > SWING and LONGEST_PERIOD * turns >= 2 * SPAN
         if swings:
             # Answers of a cycle follow from earlier ones, unlike noise: by an autoregression.
             earlier = [answers[k : k - LAGS] for k in range(LAGS)]
@@ -251,10 +251,10 @@ class CycleWatch:
             unexplained = answers[LAGS:] - model @ factors
             swings = float(unexplained.var()) < UNEXPLAINED * float(answers.var())
 
-        self._rows = self._rows + 1 if swings and self._spread >= STEADY * before else 0
-        if self._rows > SPANS:
+        self._swings = self._swings + 1 if swings and self._spread >= STEADY * before else 0
+        if self._swings > SPANS:
             raise CouplingDiverged(
-                f"the coupling does not settle: for {self._rows * SPAN} syncs the answers have "
+                f"the coupling does not settle: for {self._swings * SPAN} syncs the answers have "
                 f"oscillated by {self._spread:.3g} tolerances. Use a shorter sync, or for parts in "
                 f"contact or motion wrenchbook.MujocoJoint. {REMEDY}"
             )

@@ -245,10 +245,10 @@ class MujocoMount:
 
     def _write(self, R: Vector, p: Vector) -> None:
         """Give the mocap body the pose that belongs to the interface's, (3, 3) and (3,), m."""
-        rotation, away = self._offset
+        rotation, offset = self._offset
         quaternion = np.empty(4)
         engine.mju_mat2Quat(quaternion, (R @ rotation).ravel())
-        self._position[:], self._quaternion[:] = p + R @ away, quaternion
+        self._position[:], self._quaternion[:] = p + R @ offset, quaternion
 
 
 @dataclass(frozen=True)
@@ -312,16 +312,16 @@ def _check_mounted(model: Model, mocap: int, mounted: int) -> None:
 
 def _reaction_at_rest(model: Model, data: Data, division: _Division) -> Vector:
     """Return the force that the sensor reads at rest, without contacts, (3,), N, in the world."""
-    aside = engine.MjData(model)  # the scene's own data do not change
-    aside.qpos[:], aside.mocap_pos[:] = data.qpos, data.mocap_pos
-    aside.mocap_quat[:] = data.mocap_quat
+    scratch = engine.MjData(model)  # the scene's own data do not change
+    scratch.qpos[:], scratch.mocap_pos[:] = data.qpos, data.mocap_pos
+    scratch.mocap_quat[:] = data.mocap_quat
     flags = model.opt.disableflags
     try:
         model.opt.disableflags |= _DISABLE.mjDSBL_CONSTRAINT
-        engine.mj_inverse(model, aside)
+        engine.mj_inverse(model, scratch)
     finally:
         model.opt.disableflags = flags
-    return aside.site_xmat[division.site].reshape(3, 3) @ aside.sensordata[division.force]
+    return scratch.site_xmat[division.site].reshape(3, 3) @ scratch.sensordata[division.force]
 
 
 def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector | None:
@@ -332,12 +332,13 @@ def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector
     """
     if gravcomp is not None and gravcomp not in ("motors", "float"):
         raise InvalidArgument(f"gravcomp must be 'motors' or 'float', not {gravcomp!r}")
-    borne = np.where(_hangs_on(model, division.mounted), model.body_gravcomp * model.body_mass, 0.0)
-    if not borne.any() or gravcomp == "motors":
+    hanging = _hangs_on(model, division.mounted)
+    masses = model.body_gravcomp * model.body_mass * hanging
+    if not masses.any() or gravcomp == "motors":
         return None
     if gravcomp is None:
         raise SensorError(
-            f"gravcomp is set on {_names(model, borne)}, but the sensors read the full weight. "
+            f"gravcomp is set on {_names(model, masses)}, but the sensors read the full weight. "
             "Write gravcomp='motors' if joints carry the weight and the mount feels it, or "
             "gravcomp='float' if something outside carries it"
         )
@@ -346,13 +347,13 @@ def _floating(model: Model, division: _Division, gravcomp: str | None) -> Vector
             "gravcomp='float' needs the positions at the sensor reading, which RK4 overwrites; use "
             "the integrator Euler, implicit or implicitfast"
         )
-    return borne
+    return masses
 
 
 def _check_forces(model: Model, body: int, mounted: int) -> None:
     """Refuse equality constraints at the mocap body; warn of forces that no sensor reads."""
-    kinds = [int(kind) for kind in (engine.mjtEq.mjEQ_WELD, engine.mjtEq.mjEQ_CONNECT)]
-    for number in np.flatnonzero(np.isin(model.eq_type, kinds)).tolist():
+    holding = [int(kind) for kind in (engine.mjtEq.mjEQ_WELD, engine.mjtEq.mjEQ_CONNECT)]
+    for number in np.flatnonzero(np.isin(model.eq_type, holding)).tolist():
         name = _name(model, number, _OBJECT.mjOBJ_EQUALITY)
         ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
         if model.eq_objtype[number] == _OBJECT.mjOBJ_SITE:

@@ -58,28 +58,28 @@ const goTo = (name) => { location.hash = `#/c/${encodeURIComponent(name)}`; };
 function bundle(root, signal) {
   const state = el("div", { "aria-live": "polite" }), faces = el("div", { class: "stack" });
   const input = el("input", { type: "file", accept: ".zip,.toml", id: "bundle", required: true, "aria-label": "A bundle's zip, or a component.toml" });
-  const take = (file) => { // as if it had been chosen
-    const carried = new DataTransfer();
-    if (file) carried.items.add(file);
-    input.files = carried.files;
+  const choose = (file) => { // a dropped file, as if it had been chosen
+    const files = new DataTransfer();
+    if (file) files.items.add(file);
+    input.files = files.files;
   };
   const add = async (event) => {
     event.preventDefault();
-    const body = new FormData(), looks = event.submitter?.value === "faces";
+    const body = new FormData(), wantsFaces = event.submitter?.value === "faces";
     const [file] = input.files;
     put(faces);
     try {
       body.append("bundle", file.name.endsWith(".toml") ? await zipped(file, "component.toml") : file);
-      put(state, working(looks ? "The mesh is read and its faces are numbered …" : "The bundle is checked: mesh, groups, supports …"));
-      const reply = await (await send("POST", `v1/components${looks ? "?faces=true" : ""}`, { body, signal })).json();
+      put(state, working(wantsFaces ? "The mesh is read and its faces are numbered …" : "The bundle is checked: mesh, groups, supports …"));
+      const reply = await (await send("POST", `v1/components${wantsFaces ? "?faces=true" : ""}`, { body, signal })).json();
       put(state);
-      if (!looks) { goTo(reply.name); return; }
+      if (!wantsFaces) { goTo(reply.name); return; }
       root.append(faces);
       await facesIn(faces, reply, signal);
       faces.scrollIntoView({ block: "nearest" });
     } catch (error) { if (!signal.aborted) put(state, trouble(error)); }
   };
-  return el("form", { class: "stack", onsubmit: add }, dropPlace(take, el("strong", {}, "Drop a zip or a component.toml here, or choose it"), input),
+  return el("form", { class: "stack", onsubmit: add }, dropPlace(choose, el("strong", {}, "Drop a zip or a component.toml here, or choose it"), input),
     el("div", { class: "line" }, el("button", { class: "first" }, "Add the bundle"), el("button", { value: "faces" }, "Show its faces")), state);
 }
 
@@ -106,18 +106,18 @@ function tableOnly(signal) {
   const add = async (event) => {
     event.preventDefault();
     put(state);
-    const range = { force: force.map((one) => Number(one.value)), moment: moment.map((one) => Number(one.value)) };
+    const range = { force: force.map(({ value }) => Number(value)), moment: moment.map(({ value }) => Number(value)) };
     try {
       goTo((await post("v1/components", { name: name.value.trim(), title: title.value.trim() || name.value.trim(), range }, signal)).name);
     } catch (error) {
       if (signal.aborted) return;
       const { errors = [], type = "" } = error.body || {};
-      const ofName = type.endsWith(":component-exists") ? error.message : errors.find((one) => one.loc === "name")?.msg;
+      const ofName = type.endsWith(":component-exists") ? error.message : errors.find(({ loc }) => loc === "name")?.msg;
       mark(ofName ? sentence(ofName) : "");
       if (!ofName || errors.length > 1) put(state, trouble(error)); // further mistakes are listed
     }
   };
-  const three = (inputs, kind) => el("div", { class: "three" }, inputs.map((one, place) => field(symbol(kind + "xyz"[place]), one)));
+  const three = (inputs, kind) => el("div", { class: "three" }, inputs.map((input, axis) => field(symbol(kind + "xyz"[axis]), input)));
   return el("form", { class: "stack", onsubmit: add },
     el("div", { class: "stack tight" }, field("Name", name), el("span", { class: "muted small", id: "name-rule" }, "1 to 64 characters: a-z, 0-9, _ and -; the first is a letter or digit"), wrong), field("Title", title),
     el("fieldset", {}, el("legend", {}, "Largest force in either direction, N"), three(force, "f")),

@@ -63,15 +63,15 @@ export async function post(path, json, signal) {
 
 // All components of the library, page after page.
 export async function listed(signal, archived = false) {
-  const found = { components: [], broken: [] };
+  const library = { components: [], broken: [] };
   let url = `v1/components${archived ? "?archived=true" : ""}`;
   while (url) {
     const page = await get(url, signal);
-    found.components.push(...page.components);
-    found.broken = page.broken;
+    library.components.push(...page.components);
+    library.broken = page.broken;
     url = page.next?.slice(1);
   }
-  return found;
+  return library;
 }
 
 export const of = (name) => `v1/components/${encodeURIComponent(name)}`;
@@ -79,19 +79,20 @@ export const of = (name) => `v1/components/${encodeURIComponent(name)}`;
 // Waits until a table answers with all rows there are.
 export const caughtUp = (name, signal) => get(`${of(name)}/drawing?most=1`, signal);
 
-// What is shown where a call has failed: the server's own words, which say what to do.
+// The note in the place of a failed call: the server's message, which says what to do.
 export function trouble(error) {
-  const gone = error.status === 0 || /module|Failed to fetch|could not be loaded/.test(error.message) && !(error instanceof Problem);
-  if (gone) {
+  // Browsers name a script that cannot be fetched differently.
+  if (error instanceof Problem ? error.status === 0 : /module|Failed to fetch|could not be loaded/.test(error.message)) {
     window.dispatchEvent(new Event("no-connection"));
     return note("outside", el("strong", {}, "No connection"), el("span", {}, "The server does not answer. Start it again, or check the network."), el("div", {}, el("button", { type: "button", onclick: () => location.reload() }, "Retry")));
   }
   const title = error instanceof Problem ? error.body.title : "Error in the page";
   const mistakes = error.body?.errors || [];
-  // A message that contains all mistakes is cut where their list begins.
-  const listed_ = mistakes.length > 1 && mistakes.every((one) => error.message.includes(one.msg));
-  const text = listed_ ? error.message.slice(0, error.message.indexOf(`${mistakes[0].loc}: `)).trim() : error.message.replace(/; list [^;]*GET \S+$/, ".").replace(/^[a-z]/, (first) => first.toUpperCase()); // views list what a call would
+  // A message that contains all mistakes is cut where their list begins; views list what a call would.
+  const texts = mistakes.map(({ loc, msg }) => `${loc}: ${msg}`);
+  const hasAll = texts.length > 1 && texts.every((one) => error.message.includes(one));
+  const text = hasAll ? error.message.slice(0, error.message.indexOf(texts[0])).trim() : error.message.replace(/; list [^;]*GET \S+$/, ".").replace(/^[a-z]/, (first) => first.toUpperCase());
   return note("outside",
     el("strong", {}, title || "The call failed"), el("span", {}, text),
-    mistakes.length > 1 ? el("ul", {}, mistakes.slice(0, 20).map((one) => el("li", {}, `${one.loc}: ${one.msg}`))) : null);
+    texts.length > 1 ? el("ul", {}, texts.slice(0, 20).map((one) => el("li", {}, one))) : null);
 }

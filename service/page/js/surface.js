@@ -1,60 +1,57 @@
 // What is drawn of a surface: its outline, its displaced points, the size of both.
 
-const SHARP = Math.cos(Math.PI / 6); // facets that meet at less are one smooth face to the eye
-
-const FOLDED = -0.999; // the simplification of a surface turns small facets of a flat face over
+const SHARP = Math.cos(Math.PI / 6); // cosine between normals: above it two facets look like one smooth face
+const FOLDED = -0.999; // cosine between normals: the simplification of a surface turns small facets of a flat face over
 
 export function normals(vertices, triangles) {
   return triangles.map(([a, b, c]) => {
     const [p, q, r] = [vertices[a], vertices[b], vertices[c]];
-    const u = q.map((one, k) => one - p[k]), v = r.map((one, k) => one - p[k]);
+    const u = q.map((value, k) => value - p[k]), v = r.map((value, k) => value - p[k]);
     const n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
     const length = Math.hypot(...n) || 1;
-    return n.map((one) => one / length);
+    return n.map((value) => value / length);
   });
 }
 
 // The edges at which the surface ends or bends sharply, as pairs of vertices.
 export function outline(vertices, triangles) {
-  const facing = normals(vertices, triangles), seen = new Map(), count = vertices.length;
+  const facing = normals(vertices, triangles), facetsAt = new Map(), count = vertices.length;
+  const edgesOf = ([a, b, c]) => [[a, b], [b, c], [c, a]].map((ends) => Math.min(...ends) * count + Math.max(...ends));
   triangles.forEach((corners, number) => {
-    for (let k = 0; k < 3; k += 1) {
-      const [a, b] = [corners[k], corners[(k + 1) % 3]].sort((one, other) => one - other);
-      const edge = a * count + b, found = seen.get(edge);
-      if (found) found.push(number); else seen.set(edge, [number]);
-    }
+    for (const edge of edgesOf(corners)) facetsAt.set(edge, [...(facetsAt.get(edge) ?? []), number]);
   });
-  const hasArea = (number) => facing[number].some((one) => one), edgesOf = ([a, b, c]) => [[a, b], [b, c], [c, a]].map(([one, other]) => Math.min(one, other) * count + Math.max(one, other));
-  const isSharp = (one, other) => {
-    const dot = facing[one].reduce((sum, value, k) => sum + value * facing[other][k], 0);
-    return dot < SHARP && dot > FOLDED;
+  const hasArea = (number) => facing[number].some((value) => value);
+  const isSharp = (first, second) => {
+    const cosine = facing[first].reduce((sum, value, k) => sum + value * facing[second][k], 0);
+    return cosine < SHARP && cosine > FOLDED;
   };
-  const edges = [];
-  for (const [edge, numbers] of seen) {
-    // The simplification of a surface leaves triangles without an area: a facet meets the facets at their other edges.
-    const [one, other] = numbers.filter(hasArea), flat = numbers.filter((number) => !hasArea(number));
-    const beyond = () => flat.flatMap((number) => edgesOf(triangles[number]).flatMap((key) => seen.get(key))).filter((number) => number !== one && hasArea(number));
-    const sharp = one === undefined ? false : other !== undefined ? isSharp(one, other) : !flat.length || beyond().some((number) => isSharp(one, number));
-    if (sharp) edges.push([Math.floor(edge / count), edge % count]);
-  }
-  return edges;
+  const isDrawn = (facets) => {
+    const [first, second] = facets.filter(hasArea);
+    if (first === undefined) return false;
+    if (second !== undefined) return isSharp(first, second);
+    // The simplification of a surface leaves triangles without an area: the facets at their other edges are the neighbours.
+    const flat = facets.filter((number) => !hasArea(number));
+    const neighbours = flat.flatMap((number) => edgesOf(triangles[number])).flatMap((edge) => facetsAt.get(edge));
+    return !flat.length || neighbours.some((number) => number !== first && hasArea(number) && isSharp(first, number));
+  };
+  return [...facetsAt].filter(([, facets]) => isDrawn(facets)).map(([edge]) => [Math.floor(edge / count), edge % count]);
 }
 
 // Lines through pairs of points, with a gap after each, by coordinate.
 export function lines(points, edges, scale) {
-  const found = { x: [], y: [], z: [] };
+  const coordinates = { x: [], y: [], z: [] };
   for (const [a, b] of edges) {
-    ["x", "y", "z"].forEach((name, k) => found[name].push(points[a][k] * scale, points[b][k] * scale, null));
+    ["x", "y", "z"].forEach((name, k) => coordinates[name].push(points[a][k] * scale, points[b][k] * scale, null));
   }
-  return found;
+  return coordinates;
 }
 
 export function moved(vertices, displacement, factor) {
-  return vertices.map((point, place) => point.map((one, k) => one + factor * displacement[place][k]));
+  return vertices.map((point, number) => point.map((value, k) => value + factor * displacement[number][k]));
 }
 
 export const column = (points, k, scale) => points.map((point) => point[k] * scale);
-export const lengths = (vectors) => vectors.map((one) => Math.hypot(...one));
+export const lengths = (vectors) => vectors.map((vector) => Math.hypot(...vector));
 
 export function spansOf(vertices) {
   return [0, 1, 2].map((k) => {

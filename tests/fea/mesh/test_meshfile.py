@@ -197,6 +197,12 @@ def test_a_file_that_meshio_cannot_read_is_a_mistake_and_prints_nothing(tmp_path
     assert capsys.readouterr() == ("", "")
 
 
+def test_a_file_of_points_alone_is_refused(tmp_path):
+    (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\n")
+    with pytest.raises(BundleError, match="has no solid cells"):
+        read_mesh(tmp_path / "points.obj", "m")
+
+
 def test_a_group_of_facets_off_the_solid_is_named(tmp_path):
     def cells(nodes, tip):
         return [("hexahedron20", nodes), ("quad", np.array([[0, 1, 2, 3]]))]

@@ -298,3 +298,8 @@ def test_an_unknown_interface_is_named_with_those_there_are():
             solver.solve({"left": loads, "right": [1.0] * (12 - len(loads))})
     with pytest.raises(ValueError, match=r"12 finite numbers.*not .*'push'"):
         solver.solve({"left": ["push", 0, 0, 0, 0, 0]})
+
+
+def test_complex_loads_are_refused():
+    with pytest.raises(ValueError, match="12 finite numbers"):
+        Solver(link()).solve(np.full(12, 1j))

@@ -1924,6 +1924,15 @@ def test_triangles_without_an_area_draw_no_edges_on_a_flat_face(browser, client)
     assert {tuple(edge) for edge in edges} == {(0, 3), (0, 5), (1, 2), (1, 5), (2, 3)}
 
 
+def test_a_message_that_names_the_first_of_equal_mistakes_is_not_cut_before_it(browser, client):
+    errors = [{"loc": f"range.force.{k}", "msg": "must be 0 or more"} for k in range(2)]
+    detail = "Nothing was changed. 2 mistakes; the first is range.force.0: must be 0 or more."
+    browser.visit("#/terms")
+    script = """const { Problem, trouble } = await import("/page/js/api.js");
+    return trouble(new Problem(422, arguments[0])).querySelector("span").textContent"""
+    assert browser.run(script, {"detail": detail, "errors": errors}) == detail
+
+
 # -- outputs that no row has ----------------------------------------------------------------------
 
 
