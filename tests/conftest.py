@@ -3,6 +3,7 @@
 import os
 import secrets
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 
 import pytest
@@ -149,7 +150,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Have the longest files begin first, the others in their order; mark slow ones."""
     place = {Path(__file__).parent / name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path, len(place)))
-    slow = [Path(__file__).parent / name for name in (*LONGEST, *LONG, *STARTING)]
-    for item in items:
-        if any(item.path.is_relative_to(path) for path in slow):
-            item.add_marker(pytest.mark.slow)
+    slow = {Path(__file__).parent / name for name in (*LONGEST, *LONG, *STARTING)}
+    for path, own in groupby(items, key=lambda item: item.path):  # 235 paths, 9,000 items
+        if not slow.isdisjoint((path, *path.parents)):
+            for item in own:
+                item.add_marker(pytest.mark.slow)
