@@ -90,7 +90,7 @@ function curves(report, width, found, along, text, label) {
           tag("title", {}, `${one.name}: ${percentText(100 * one.largest_error)}, ${timeText(one.seconds)}`))));
     }),
     level ? [rule(BOX.left, y(level), width - BOX.right, y(level), { stroke: "var(--ink)", "stroke-dasharray": "7 5", "stroke-width": 1.5 }),
-      words(width - BOX.right, y(level) - 7, width < 500 ? "mesh error" : "mesh error: more rows cannot go below it", { "text-anchor": "end", fill: "var(--ink)", stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke" })] : []);
+      words(width - BOX.right, y(level) - 7, width < 500 ? "mesh error" : "mesh error: more rows approach it", { "text-anchor": "end", fill: "var(--ink)", stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke" })] : []);
 }
 
 function calibration(report, width) {

@@ -85,7 +85,7 @@ def test_tables_and_meshes_of_a_report_are_drawn_against_one_reference(browser, 
     browser.named("strong", told["advice"])
     browser.one("#plot-front[data-drawn]")
     assert "all errors against the finest mesh" in browser.named("p", "random full wrenches").text
-    assert "mesh error: more rows cannot go below it" in browser.one("#plot-front svg").text
+    assert "mesh error: more rows approach it" in browser.one("#plot-front svg").text
     named = browser.run("return document.querySelector('#plot-front path title').textContent")
     entry = next(e for e in told["tables"] if named.startswith(f"{e['method']}, {e['rows']} rows"))
     share = float(f"{100 * max(entry['error']['rms_relative']):.2g}")
