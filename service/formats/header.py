@@ -37,6 +37,7 @@ _SLIP = 0.8  # similarity of a word with one letter of five or six wrong: notes,
 _MAX_LISTED = 200  # characters of the file's labels in a message
 _SURE_DELIMITERS, _OTHER_DELIMITERS = ";\t", ",|"  # delimiters that no label contains, and others
 POSITION = re.compile(r"[1-9]\d{0,3}")
+_CLOCK_FORM = re.compile(r"(?i)h:mm?(:ss?)?")  # of times of day, in place of a unit
 _BOOKKEEPING = re.compile(r"(status.*|rdt sequence|f/t sequence)", re.IGNORECASE)
 _BY_MAPPING = "by mapping (--column)"
 _ALONE = (
@@ -426,6 +427,8 @@ def _reading(
             return Reading(name, "", 1.0)
         counted = preamble.unit_of(name) if not (written or below) else None
         unit, count = counted or (written or below, 1.0)
+        if name == TIME_COLUMN and _CLOCK_FORM.search(unit):
+            unit = ""
         if not unit and name != TIME_COLUMN:
             example = columns.examples(name)
             if mapped:
