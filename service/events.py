@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import orjson
 from starlette.concurrency import run_in_threadpool
 
-from wrenchbook.service.actors import CALLER
+from wrenchbook.service.actors import ANONYMOUS, CALLER, LOCAL
 from wrenchbook.service.jobs.attempt import read_progress
 from wrenchbook.service.ledger import JobRecord, LedgerBusyError, LedgerError
 from wrenchbook.service.tables.mapped import TableBehindError
@@ -29,6 +29,7 @@ _log = logging.getLogger(__name__)
 
 MAX_EVENTS = 2_000  # stored events, for listeners that are slow or reconnect: 0.6 MB
 MAX_LISTENERS = 64  # listeners, each with a connection
+MAX_OF_ACTOR = 32  # of one key or user: half, so that no single one locks out the others
 
 POLL_S = 0.25  # s between polls of progress and tables, which no commit announces
 FIRST_POLL_S = (
@@ -41,7 +42,7 @@ Notice = tuple[str, str | None, dict[str, Any]]  # kind, component (None for all
 
 
 class TooManyListenersError(Exception):
-    """The server already has `MAX_LISTENERS` listeners."""
+    """The server already has `MAX_LISTENERS` listeners, or `MAX_OF_ACTOR` of this caller."""
 
 
 class Listener:
@@ -50,6 +51,7 @@ class Listener:
     def __init__(self, feed: Feed, component: str | None, number: int, greeting: bytes) -> None:
         self._component = component
         self._caller = CALLER.get()
+        self.actor = self._caller.actor
         self.number = number  # number of the last event that was read
         self.ended = False
         self._feed = feed
@@ -116,12 +118,20 @@ class Feed:
     def listen(self, component: str | None, last_id: str | None, hello: dict[str, Any]) -> Listener:
         """Add a listener, which reads the events after `last_id` and then new ones.
 
-        Raises TooManyListenersError if there are `MAX_LISTENERS` already.
+        Raises TooManyListenersError if there are `MAX_LISTENERS` already, or `MAX_OF_ACTOR` of the
+        caller's key or user.
         """
         if len(self._listeners) >= MAX_LISTENERS:
             raise TooManyListenersError(
                 f"{MAX_LISTENERS} listeners are connected, the limit of this server; close one, or "
                 "poll GET /v1/jobs and GET /v1/components. Nothing was changed."
+            )
+        actor = CALLER.get().actor
+        held = sum(listener.actor == actor for listener in self._listeners)
+        if held >= MAX_OF_ACTOR and actor not in (ANONYMOUS, LOCAL):
+            raise TooManyListenersError(
+                f"{held} listeners of {actor!r} are connected, the limit of a key or user; close "
+                "one, or poll GET /v1/jobs and GET /v1/components. Nothing was changed."
             )
         mark, _, number = (last_id or self._newest()).partition(".")
         known = mark == self._mark and number.isdecimal()

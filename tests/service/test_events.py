@@ -13,10 +13,10 @@ from tests.service.ledger_rows import claim
 from tests.service.live import add_rows, add_table, as_rows, clean_wrenches, moved, served
 from tests.until import until
 from wrenchbook.service import events as feed_module
-from wrenchbook.service.actors import CALLER, Caller
+from wrenchbook.service.actors import CALLER, Caller, acting_as
 from wrenchbook.service.client import Client, ProblemError, ServerUnreachable
 from wrenchbook.service.client.client import EventParser
-from wrenchbook.service.events import Feed
+from wrenchbook.service.events import Feed, TooManyListenersError
 from wrenchbook.service.http.access import AccessControl, SecuritySettings
 from wrenchbook.service.http.permission import Permission
 from wrenchbook.service.http.problems import problem_of
@@ -315,6 +315,17 @@ def test_one_listener_too_many_is_503_and_a_place_is_free_when_one_goes(tmp_path
         held[1].close()
     with pytest.raises(ServerUnreachable):
         next(client.events())
+
+
+def test_one_key_leaves_places_of_listeners_to_others():
+    feed = Feed()
+    with acting_as("rig"):
+        for _ in range(32):
+            feed.listen(None, None, {})
+        with pytest.raises(TooManyListenersError, match="32 listeners of 'rig' are connected"):
+            feed.listen(None, None, {})
+    with acting_as("other"):
+        assert not feed.listen(None, None, {}).ended
 
 
 def test_heartbeats_come_while_nothing_happens(tmp_path, monkeypatch):
