@@ -425,10 +425,7 @@ def _reading(
     for name, written, factor in meanings:
         if name in TEXTS:
             return Reading(name, "", 1.0)
-        counted = preamble.unit_of(name) if not (written or below) else None
-        unit, count = counted or (written or below, 1.0)
-        if name == TIME_COLUMN and _CLOCK_FORM.search(unit):
-            unit = ""
+        unit, count = _unit_and_count(name, written or below, preamble)
         if not unit and name != TIME_COLUMN:
             example = columns.examples(name)
             if mapped:
@@ -473,6 +470,18 @@ def _parts(label: str) -> tuple[str, str]:
 
 def _key(label: str) -> str:
     return " ".join(label.split()).lower()
+
+
+def _unit_and_count(name: str, unit: str, preamble: Preamble) -> tuple[str, float]:
+    """Return a column's unit, by the preamble if it has none, and the counts in a unit.
+
+    The form of a clock's times, such as hh:mm:ss, is no unit.
+    """
+    counted = None if unit else preamble.unit_of(name)
+    if counted:
+        return counted
+    is_clock = name == TIME_COLUMN and _CLOCK_FORM.search(unit)
+    return "" if is_clock else unit, 1.0
 
 
 def _keys(labels: Sequence[str]) -> set[str]:
