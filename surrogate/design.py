@@ -282,7 +282,9 @@ class _Refinement:
         unit = "the tolerance" if self.tolerance is not None else "the outputs' range"
         unit += " or a joint's share of the load range" if self.joint is not None else ""
         reason = f"95 % of the interpolation errors are at most {worst:.3g} times {unit}"
-        if self.tolerance is not None and not self.span.space.is_default:
+        if not known.any():
+            reason = "the rows are too few to show the interpolation error"
+        elif self.tolerance is not None and not self.span.space.is_default:
             reason += self._estimate_of_solves(sample, worst, budget)
         if len(self.indefinite):
             reason += f"; not positive definite: the compliance at {len(self.indefinite)} wrenches"

@@ -79,6 +79,17 @@ def test_bars_of_the_first_design_hold_between_its_values_of_the_main_load() -> 
     assert (np.abs(reported.displacement - true.displacement) <= reported.error).mean(0).min() > 0.9
 
 
+def test_a_fill_names_no_error_that_its_rows_do_not_show() -> None:
+    alone = LoadRange(-HIGH * [0, 0, 1, 0, 0, 0], HIGH * [0, 0, 1, 0, 0, 0])
+    few, asked = build(Rows.empty(), alone), np.empty((0, 6))
+    while (first := next_wrenches(few, 100)).stage == "first":
+        asked = np.concatenate((asked, first.wrenches))
+        few = build(solved(coupled, asked / HIGH), alone)
+    assert few.answer(alone.high / 2).error is None
+    further = next_wrenches(few, 1, tolerance=Tolerance(1e-9, 1e-9))
+    assert further.reason == "the rows are too few to show the interpolation error"
+
+
 def test_rows_and_pending_wrenches_are_not_asked_again() -> None:
     surrogate = build(table(smooth, FIRST[:5] / HIGH), RANGE)
     rest = next_wrenches(surrogate, 1000, pending=FIRST[5:12])
