@@ -1120,13 +1120,18 @@ def test_thin_and_outside_loads_of_the_coverage_have_different_marks(browser, pl
     browser.one(".key-of-marks .hollow.diamond")
 
 
-def test_outside_queries_of_the_demand_are_grey_in_the_key_too(browser, plate):
+def show_demand_outside(browser):
+    """Open the demand of one query outside."""
     cell = {"wrench": [0] * 6, "count": 1, "coverage": "outside", "thin": 0, "outside": 1}
     reply = {"cells": [cell], "asked": 1, "cell_size": [1] * 6, "elsewhere": 0, "latest": []}
     browser.visit("#/terms")
     browser.one("h1")
     browser.run(STUB, json.dumps([["/demand", reply]]))
     browser.go(f"{PLATE}/demand")
+
+
+def test_outside_queries_of_the_demand_are_grey_in_the_key_too(browser, plate):
+    show_demand_outside(browser)
     browser.drawn("#demand")
     drawn, key = browser.run(
         "const key = document.querySelector('.key-of-marks .diamond'); return ["
@@ -1251,12 +1256,7 @@ def test_the_time_left_of_a_job_takes_at_most_two_lines(browser, plate):
 
 
 def test_the_key_of_the_demand_names_what_is_drawn_alone(browser, plate):
-    cell = {"wrench": [0] * 6, "count": 1, "coverage": "outside", "thin": 0, "outside": 1}
-    reply = {"cells": [cell], "asked": 1, "cell_size": [1] * 6, "elsewhere": 0, "latest": []}
-    browser.visit("#/terms")
-    browser.one("h1")
-    browser.run(STUB, json.dumps([["/demand", reply]]))
-    browser.go(f"{PLATE}/demand")
+    show_demand_outside(browser)
     assert "thin" not in browser.one(".key-of-marks").text
 
 
