@@ -83,7 +83,8 @@ def checked_wrench(
     try:
         # numpy alone reads digits in quotes, and drops imaginary parts.
         items = np.asarray(values, dtype=object).flat
-        is_real = not any(isinstance(item, str | bytes | complex) for item in items)
+        others = str | bytes | complex | np.complexfloating
+        is_real = not any(isinstance(item, others) for item in items)
         inputs = np.array(values if is_real else [], dtype=float)
     except (TypeError, ValueError, OverflowError):  # words, lists of several lengths, 10**400
         inputs = np.empty(0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from itertools import combinations_with_replacement, product
@@ -205,6 +206,15 @@ class Columns:
         if name in self._curvatures:
             return f"{name} [{self.unit_of_curvature(name)}]"
         return ", ".join(f"{name} [{unit}]" for unit in self.quantity(name).examples[:3])
+
+    def example_in(self, unit: str) -> str:
+        """Return a load or displacement along z that `unit` measures; a force if none is."""
+        names = [name for name in (*self.loads, *self.displacement) if name.endswith("z")]
+        for name in names:
+            with suppress(UnitError):
+                if unit and self.factor(name, unit):
+                    return f"{name} [{unit}]"
+        return self.examples(names[0]).split(", ")[0]
 
 
 @cache

@@ -477,9 +477,8 @@ def _unit_and_count(name: str, unit: str, preamble: Preamble) -> tuple[str, floa
 
     The form of a clock's times, such as hh:mm:ss, is no unit.
     """
-    counted = None if unit else preamble.unit_of(name)
-    if counted:
-        return counted
+    if not unit:
+        return preamble.unit_of(name) or ("", 1.0)
     is_clock = name == TIME_COLUMN and _CLOCK_FORM.search(unit)
     return "" if is_clock else unit, 1.0
 
@@ -501,19 +500,9 @@ def _unknown(name: str, unit: str, columns: Columns) -> str:
         hint += f" Write units in brackets: {columns.examples(near[0]).split(', ')[0]}"
     return (
         f"is not a known column{hint}. Rename it, map it with mapping (--column '{name}="
-        f"{_example(unit, columns)}'), or skip it with ignore (--ignore '{name}'). Known are "
+        f"{columns.example_in(unit)}'), or skip it with ignore (--ignore '{name}'). Known are "
         f"{' '.join(columns.wrench)} {' '.join(columns.displacement)}"
     )
-
-
-def _example(unit: str, columns: Columns) -> str:
-    """Return a load or displacement along z that `unit` measures; a force if none is."""
-    names = [name for name in (*columns.loads, *columns.displacement) if name.endswith("z")]
-    for name in names:
-        with suppress(UnitError):
-            if unit and columns.factor(name, unit):
-                return f"{name} [{unit}]"
-    return columns.examples(names[0]).split(", ")[0]
 
 
 def _unknown_meaning(meaning: str, mapped: str, columns: Columns) -> str:

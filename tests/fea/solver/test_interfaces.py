@@ -300,6 +300,7 @@ def test_an_unknown_interface_is_named_with_those_there_are():
         solver.solve({"left": ["push", 0, 0, 0, 0, 0]})
 
 
-def test_complex_loads_are_refused():
+@pytest.mark.parametrize("loads", [np.full(12, 1j), [np.complex64(1j)] * 12])
+def test_complex_loads_are_refused(loads):
     with pytest.raises(ValueError, match="12 finite numbers"):
-        Solver(link()).solve(np.full(12, 1j))
+        Solver(link()).solve(loads)
