@@ -1,5 +1,6 @@
 """A component.toml edited under a running server is a new setup at once: jobs, rows and table."""
 
+import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -8,6 +9,7 @@ from starlette.testclient import TestClient
 from tests.until import until
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.service.http.app import create_app
+from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.ops.doctor import examine
 from wrenchbook.service.workspace import Settings
 
@@ -138,6 +140,26 @@ def test_solved_rows_do_not_leave_the_table_in_silence(served, toml, folder):
     assert about["another_setup"] == {"rows": 0, "wrenches": 0}
     assert not [item for item in about["warnings"] if item["where"] == "rows"]
     assert not [item for item in examine(folder) if "another setup" in item.problem]
+
+
+def test_a_component_is_told_from_one_table(served, toml, monkeypatch):
+    """A table replaced between two reads gave rows of another setup without their warning."""
+    solve_many(served, 3)
+    workspace = served.app.state.workspace
+    before = (tables := workspace.tables).surrogate("mine")
+    edit(toml, stiffer=STIFFER)
+    settled(served, lambda one: one["another_setup"]["rows"])
+    after = tables.surrogate("mine")
+    this, reads = threading.get_ident(), iter([before])
+    monkeypatch.setattr(
+        tables,
+        "surrogate",
+        lambda *_, **__: next(reads, after) if threading.get_ident() == this else after,
+    )
+    for rows in (0, 3):
+        about = component_body(workspace, workspace.library["mine"])
+        assert about["another_setup"]["rows"] == rows
+        assert any(item["where"] == "rows" for item in about["warnings"]) == (rows == 3)
 
 
 def test_one_call_solves_them_again_each_once(served, toml):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict
+from functools import partial
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
@@ -74,13 +75,16 @@ def list_components(
         if is_listed and all(word in text for word in searched):
             components.append(component)
 
+    read = partial(workspace.tables.surrogate, or_empty=True)
     next_url = None
     if len(components) > limit:
         last = components[limit - 1].name
         query = {"q": q, "archived": archived, "limit": limit, "after": last}
         next_url = next_page(response, "/v1/components", query)
     return {
-        "components": [_summary(workspace, component) for component in components[:limit]],
+        "components": [
+            _summary(workspace, component, read(component.name)) for component in components[:limit]
+        ],
         "next": next_url,
         "broken": [
             {"name": name, "reason": redact(reason)}
@@ -186,7 +190,7 @@ def component_body(workspace: Workspace, component: Component) -> dict[str, Any]
     elif component.has_fea:
         solver_error = {"mesh": None, "mesh_basis": UNKNOWN}
     return {
-        **_summary(workspace, component),
+        **_summary(workspace, component, table),
         "fingerprint": component.fingerprint,
         "contract": CONTRACT,
         "interface": interface_of(component),
@@ -220,9 +224,8 @@ def _warnings(
     return warnings
 
 
-def _summary(workspace: Workspace, component: Component) -> dict[str, Any]:
-    """Return the facts of a component that a list shows."""
-    table = workspace.tables.surrogate(component.name, or_empty=True)
+def _summary(workspace: Workspace, component: Component, table: ServedTable) -> dict[str, Any]:
+    """Return the facts of a component and its table that a list shows."""
     space, limit = component.space, component.tolerance
     card = workspace.catalogue[component.name]
     solved = table.sources.get("fea", 0)
