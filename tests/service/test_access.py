@@ -200,6 +200,41 @@ def test_the_last_key_is_not_revoked_over_http_since_the_server_would_be_open(tm
         assert client.delete("/v1/keys/only", headers=admin).status_code == 200
 
 
+@pytest.fixture
+def keyed(tmp_path):
+    """A server whose access needs no keys, and its keys."""
+    ring = Keyring(tmp_path)
+    ring.add("first", "admin")
+    secret = ring.add("second", "admin")
+    security = security_settings("127.0.0.1", "lab.example", None)
+    app = create_app(Settings(tmp_path, solvers=0), security)
+    with TestClient(app, base_url="http://127.0.0.1:8000") as client:
+        yield client, secret
+
+
+def test_of_two_keys_that_are_revoked_at_once_one_stays(keyed, monkeypatch):
+    """Each call saw the other's key, and the server was open to everybody."""
+    client, secret = keyed
+    keyring = client.app.state.access.keyring
+    both = keyring.listed()
+    monkeypatch.setattr(keyring, "listed", lambda: both)
+    assert client.delete("/v1/keys/first", headers=bearer(secret)).status_code == 200
+    reply = client.delete("/v1/keys/second", headers=bearer(secret))
+    assert (reply.status_code, reply.json()["type"][-8:]) == (409, "last-key")
+    assert client.get("/v1/jobs").status_code == 401
+
+
+def test_the_last_key_is_not_revoked_while_it_has_two_secrets(keyed):
+    """A rotated key counted as two."""
+    client, secret = keyed
+    assert client.delete("/v1/keys/first", headers=bearer(secret)).status_code == 200
+    rotated = client.post("/v1/keys/second/rotate", json={}, headers=bearer(secret))
+    assert rotated.status_code == 201
+    reply = client.delete("/v1/keys/second", headers=bearer(secret))
+    assert (reply.status_code, reply.json()["type"][-8:]) == (409, "last-key")
+    assert client.get("/v1/jobs").status_code == 401
+
+
 @pytest.mark.parametrize(
     ("call", "body"),
     [("POST", {"name": "tom"}), ("POST /reader/rotate", {}), ("DELETE /reader", None)],
