@@ -289,20 +289,23 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
     with part(tmp_path, MappedTables) as late:
         assert isinstance(late.tables, MappedTables)
         assert late.tables.catch_up("new", 600)
-        may_map, map_new = threading.Event(), late.tables._map_new
+        waits, may_map, map_new = threading.Event(), threading.Event(), late.tables._map_new
 
         def slow():
+            waits.set()
             assert may_map.wait(600)
             map_new()
 
         monkeypatch.setattr(late.tables, "_map_new", slow)
+        late.tables.wake()
+        assert waits.wait(600)  # no earlier call is still mapping
         insert(reader.ledger, "new", "", new_rows(2, 4))
         until(lambda: len(reader.tables.surrogate("new").rows) == 6)
         assert not reader.tables.catch_up("new", 0)
         may_map.set()
         assert reader.tables.catch_up("new", 600)
         assert len(late.tables.surrogate("new").rows) == 6
-    assert reader.tables.catch_up("new", 20)  # a worker that has ended is not waited for
+    assert reader.tables.catch_up("new", 600)  # a worker that has ended is not waited for
 
 
 # -- tables that are built beside each other and beside the answers ------------------------------
