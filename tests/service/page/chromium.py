@@ -130,6 +130,19 @@ class Browser:
             f"{css} with {text!r}",
         )
 
+    def text(self, css: str, part: str = "") -> str:
+        """Return the text of the first seen element with a part in it, waiting for it.
+
+        An element that is drawn anew before its text is read is looked up again.
+        """
+        return self.until(lambda: [self.named(css, part).text], f"{css} with {part!r}")[0]
+
+    def attribute(self, css: str, name: str, part: str = "") -> str | None:
+        """Return an attribute of the first seen element with a part in its text, as `text`."""
+        return self.until(
+            lambda: [self.named(css, part).get_attribute(name)], f"{css} with {part!r}"
+        )[0]
+
     def click(self, css: str, text: str = "") -> None:
         """Click the first seen element with a text in it; one drawn anew is looked up again."""
 
