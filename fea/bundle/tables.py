@@ -32,27 +32,27 @@ def _kind_of_mesh(mesh: Mapping[str, Any]) -> type:
     """Return the class of a parsed ``[mesh]``: by its generator, or by its file's ending."""
     if "generator" in mesh:
         name = mesh["generator"]
-        return GENERATORS.get(name if isinstance(name, str) else "", Bar)
+        return GENERATORS.get(name if isinstance(name, str) else "", Bar)  # Bar reports a wrong one
     file = mesh.get("file")
     is_geometry = isinstance(file, str) and Path(file).suffix.lower() in GEOMETRY_ENDINGS
     return GeometryFile if is_geometry else MeshFile
+
+
+def _kind_of_material(material: Mapping[str, Any]) -> type:
+    """Return the class of a parsed ``[[material]]`` by its law."""
+    return Orthotropic if material.get("law") == "orthotropic" else Material
 
 
 Mesh = Annotated[
     MeshFile | GeometryFile | Bar | Plate | Spring,
     union(_kind_of_mesh, MeshFile, GeometryFile, Bar, Plate, Spring),
 ]
-MaterialTable = Annotated[
-    AnyMaterial,
-    union(
-        lambda m: Orthotropic if m.get("law") == "orthotropic" else Material, Material, Orthotropic
-    ),
-]
+MaterialTable = Annotated[AnyMaterial, union(_kind_of_material, Material, Orthotropic)]
 
 
 @table
 class ComponentFile:
-    """A ``component.toml``."""
+    """The tables and keys of a ``component.toml``."""
 
     name: Name = key("", '"bracket"')
     """a folder's and URL's name: a-z, 0-9, _ and -, at most 64"""

@@ -1,4 +1,4 @@
-"""Geometry files (STEP): their faces, and their mesh; needs the optional extra ``cad``.
+"""Faces and meshes of geometry files (STEP), by gmsh, which the optional extra ``cad`` brings.
 
 A bundle names the file, the cell size, facet groups by face and cell groups by body; the keys are
 in ``fea/README.md``. Bodies that touch are glued to each other. ``wrenchbook check`` lists every
