@@ -55,7 +55,7 @@ def joint(
         bool, typer.Option("--linear", help="bend by springs in the scene, without MujocoJoint")
     ] = False,
     damping: Annotated[
-        float, typer.Option(min=0.0, help="of --linear: share of critical damping of each mode")
+        float, typer.Option(min=0.0, help="of --linear: fraction of critical damping of each mode")
     ] = DAMPING,
     force: _Force = ZERO,
     moment: _Moment = ZERO,
@@ -161,7 +161,7 @@ def stiffness(
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Show a component's 6x6 stiffness about a load, its mass, and the error of being linear.
+    """Show a component's 6x6 stiffness about a load, its mass, and its error of linearity.
 
     With --between: that of its measured rows.
     """
