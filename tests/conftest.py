@@ -3,7 +3,6 @@
 import os
 import secrets
 from collections.abc import Iterator
-from itertools import groupby
 from pathlib import Path
 
 import pytest
@@ -55,53 +54,7 @@ LONGEST = (
     "service/test_client_async.py",
     "fuzz/test_document.py",
 )
-# Files of 5 s or more, which `make test-fast` leaves out with the longest.
-LONG = (
-    "fea/solver/test_tangents.py",
-    "service/test_durable_tables.py",
-    "service/test_http_recording.py",
-    "service/test_recording_killed.py",
-    "surrogate/test_rows_near_each_other.py",
-    "service/test_doctor.py",
-    "service/test_dispatcher.py",
-    "validation/test_shipped.py",
-    "fea/deck/test_deck.py",
-    "service/test_kill.py",
-    "service/fmu/test_export.py",
-    "service/test_table_roundtrip.py",
-    "service/test_http_scenes.py",
-    "fea/recovery/test_fields.py",
-    "service/test_http_queue.py",
-    "fuzz/test_formats.py",
-    "validation/test_calculix.py",
-    "service/test_http_deformed.py",
-    "service/test_warm_solver.py",
-    "service/test_client_recorder.py",
-    "surrogate/test_contradicting.py",
-    "service/test_deformed.py",
-    "service/test_table_files.py",
-    "service/test_ledger_machine.py",
-    "surrogate/scene/test_plan.py",
-    "surrogate/test_surrogate.py",
-    "fea/test_failures.py",
-    "service/test_sample_tables.py",
-    "service/test_report.py",
-    "service/test_events.py",
-    "surrogate/test_scatter.py",
-    "service/test_http_library.py",
-    "service/test_submission.py",
-    "surrogate/test_design.py",
-    "service/test_mapped_tables.py",
-    "service/test_http_solver_error.py",
-    "surrogate/test_properties.py",
-    "service/test_limits.py",
-    "fea/accuracy/test_accuracy.py",
-    "service/test_client_table.py",
-    "service/test_http_protocol.py",
-)
 MOVER = pytest.StashKey["Mover"]()
-# Folders of which each test starts servers, a browser or a cluster.
-STARTING = ("acceptance", "service/engines", "service/page")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -147,11 +100,6 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Have the longest files begin first, the others in their order; mark slow ones."""
+    """Have the longest files begin first, the others in their order."""
     place = {Path(__file__).parent / name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path, len(place)))
-    slow = {Path(__file__).parent / name for name in (*LONGEST, *LONG, *STARTING)}
-    for path, own in groupby(items, key=lambda item: item.path):  # 235 paths, 9,000 items
-        if not slow.isdisjoint((path, *path.parents)):
-            for item in own:
-                item.add_marker(pytest.mark.slow)

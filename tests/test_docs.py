@@ -24,6 +24,7 @@ import typer
 import wrenchbook
 from data.docs import generated, licences
 from tests.service.live import served
+from tests.slow import slow
 from wrenchbook.service.cli.local import PROGRAMS
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.files.program import child_command
@@ -298,13 +299,14 @@ def test_the_reference_has_every_public_name():
     assert modules <= set(wrenchbook.__all__)
 
 
-@pytest.mark.slow
-def test_the_site_builds_without_a_warning_and_loads_nothing_from_another_host(tmp_path):
+@pytest.mark.parametrize("notebooks", ["off", slow("force")])  # run by the test above too
+def test_the_site_builds_without_a_warning_and_loads_nothing_from_another_host(tmp_path, notebooks):
     missing = [name for name in ("sphinx", "myst_nb", "furo") if not importlib.util.find_spec(name)]
     if missing and not os.environ.get("CI"):
         pytest.skip(f"{', '.join(missing)} not installed: make docs installs them")
     subprocess.run(
         [sys.executable, "-m", "sphinx", "-q", "-W", "-c", DOCS, ROOT, tmp_path / "site"],
+        env=os.environ | {"WRENCHBOOK_NOTEBOOKS": notebooks},
         check=True,
     )
     loaded = re.compile(
