@@ -5,6 +5,7 @@ import re
 import shutil
 import zipfile
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from selenium.webdriver.common.keys import Keys
 
 from tests.service.page.test_browser import LOADS, PLATE, add, ask, bundle
 from tests.service.test_import_findings import logs_of
+from tests.slow import slow, slow_but
 from tests.surrogate.findings.rigs import Rig
 from tests.until import until
 from wrenchbook.fea.check.commands import main as check
@@ -749,8 +751,13 @@ def test_arrows_follow_the_loads_that_are_typed(browser):
     browser.until(lambda: any(item["v"][0] > 0.1 for item in browser.run(arrows)))
 
 
-@pytest.mark.parametrize("name", ["link", "hot_bracket"])
-@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize(
+    ("name", "view"),
+    slow_but(
+        {("hot_bracket", "query"), *(("link", view) for view in VIEWS)},
+        product(("link", "hot_bracket"), VIEWS),
+    ),
+)
 def test_each_view_of_such_a_component_is_drawn_without_a_mistake(browser, name, view):
     browser.visit(f"#/c/{name}/{view}")
     browser.one("nav.tabs [aria-current]")
@@ -1168,7 +1175,7 @@ return [place.clientWidth, place.clientHeight].map((length, k) =>
   spans[k] * length / 2 * (1 - Math.max(...corners.map((one) => Math.abs(one[k] / one[3])))));"""
 
 
-@pytest.mark.parametrize("width", [390, 1400])
+@pytest.mark.parametrize("width", [390, slow(1400)])
 @pytest.mark.parametrize(
     ("view", "place", "names"),
     [
