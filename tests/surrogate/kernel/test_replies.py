@@ -111,7 +111,7 @@ def test_derivatives_are_differences_of_values(kind, method):
         assert (apart <= limit)[known].all()
 
 
-@pytest.mark.parametrize("kind", sorted(KINDS))
+@pytest.mark.parametrize("kind", slow_but({*QUICK, "repeated"} & {*KINDS}, sorted(KINDS)))
 def test_a_reply_of_a_row_names_it_and_its_sources(kind):
     table, packed = table_of(kind), packed_of(kind)
     for wrench in table.rows.wrench[:10]:
