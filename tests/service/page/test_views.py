@@ -18,6 +18,7 @@ from tests.service.test_import_findings import logs_of
 from tests.slow import slow, slow_but
 from tests.surrogate.findings.rigs import Rig
 from tests.until import until
+from wrenchbook.fea.check import reporting
 from wrenchbook.fea.check.commands import main as check
 from wrenchbook.service.client.errors import ProblemError
 
@@ -386,7 +387,8 @@ def test_the_faces_of_a_deck_are_those_of_its_mesh(browser, client):
     assert browser.mistakes() == []
 
 
-def test_a_click_on_the_page_of_check_gives_the_lines_of_the_face(browser, client, tmp_path):
+def test_a_click_on_the_page_of_check_gives_the_lines_of_the_face(browser, tmp_path, monkeypatch):
+    monkeypatch.setattr(reporting, "_MAX_SECONDS", 0.0)  # no estimate, which takes 8 s
     folder, page = ROOT / "data/components/plate_thin", tmp_path / "faces.html"
     check(["check", str(folder), "--plot", str(page), "--json"])
     browser.driver.get(page.as_uri())
