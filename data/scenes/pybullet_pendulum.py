@@ -1,8 +1,8 @@
-"""A pendulum in PyBullet on a bar that bends.
+"""Example: a pendulum in PyBullet on a bar that bends.
 
-Start ``wrenchbook serve``, then ``python data/scenes/pybullet_pendulum.py``. The rigid system has a
-fixed base, which takes the deformed pose; its first link is held by a fixed joint with a
-force-torque sensor.
+Start ``wrenchbook serve``, then ``python data/scenes/pybullet_pendulum.py``. The base of the rigid
+system is set to the deformed pose of the bar's interface. A fixed joint with a force-torque sensor
+holds the first link to the base.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ import pybullet as _pybullet
 
 from wrenchbook import Client, Mount, conventions
 
-pybullet: Any = _pybullet  # compiled: it tells no types
-P0 = np.array([0.0, 0.0, 1.0])  # m: the undeformed interface
+pybullet: Any = _pybullet  # a compiled module without types
+STEP_S = 1e-3
+POINT = np.array([0.0, 0.0, 1.0])  # m: the undeformed interface point
 URDF = """<robot name="pendulum">
   <link name="base"><inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0"
     iyz="0"/></inertial></link>
@@ -38,7 +39,7 @@ class PybulletMount:
 
     def __init__(self, mount: Mount, robot: int, joint: int, engine: int) -> None:
         self.mount, self._robot, self._joint, self._engine = mount, robot, joint, engine
-        # Forces about the joint, in the child's axes; otherwise about its centre of mass.
+        # Moments about the joint, in the child's axes; by default about its centre of mass.
         pybullet.setPhysicsEngineParameter(
             jointFeedbackMode=pybullet.JOINT_FEEDBACK_IN_JOINT_FRAME, physicsClientId=engine
         )
@@ -47,24 +48,26 @@ class PybulletMount:
     def read(self) -> np.ndarray:
         """Return the wrench on the component, shape (6,), N and N·m, for `Mount.step`."""
         state = pybullet.getJointState(self._robot, self._joint, physicsClientId=self._engine)
-        on_component = conventions.from_pybullet(state[2], component="parent")
-        base = pybullet.getBasePositionAndOrientation(self._robot, physicsClientId=self._engine)
-        axes = np.array(pybullet.getMatrixFromQuaternion(base[1])).reshape(3, 3)
-        turned = conventions.moved(on_component, rotation=axes)
-        return self.mount.wrench_of(turned[:3], turned[3:], base[0])
+        in_link = conventions.from_pybullet(state[2], component="parent")
+        point, orientation = pybullet.getBasePositionAndOrientation(
+            self._robot, physicsClientId=self._engine
+        )
+        axes = np.array(pybullet.getMatrixFromQuaternion(orientation)).reshape(3, 3)
+        in_world = conventions.moved(in_link, rotation=axes)
+        return self.mount.wrench_of(in_world[:3], in_world[3:], point)
 
     def step(self) -> np.ndarray:
-        """Read, ask and set the new pose after a ``stepSimulation``; return the wrench."""
+        """Read the wrench after a ``stepSimulation``, set the new pose; return the wrench."""
         wrench = self.read()
-        R, p = self.mount.step(wrench)
+        axes, point = self.mount.step(wrench)
         pybullet.resetBasePositionAndOrientation(
-            self._robot, p.tolist(), _quaternion(R).tolist(), physicsClientId=self._engine
+            self._robot, point.tolist(), _quaternion(axes).tolist(), physicsClientId=self._engine
         )
         return wrench
 
 
 def _quaternion(R: np.ndarray) -> np.ndarray:
-    """Return (x, y, z, w) of a rotation, shape (3, 3): the eigenvector of Bar-Itzhack's matrix."""
+    """Return (x, y, z, w) of a rotation (3, 3), by the method of Bar-Itzhack (2000)."""
     K = np.zeros((4, 4))
     K[:3, :3] = R + R.T - np.trace(R) * np.eye(3)
     K[:3, 3] = K[3, :3] = [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]
@@ -74,10 +77,10 @@ def _quaternion(R: np.ndarray) -> np.ndarray:
 
 
 def scene(mount: Mount, angle: float = 0.5) -> tuple[PybulletMount, int]:
-    """Make the pendulum, hanging at an angle, rad; return its mount and PyBullet's engine."""
+    """Make the pendulum at an angle from its rest, rad; return its mount and PyBullet's engine."""
     engine = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -9.81, physicsClientId=engine)
-    pybullet.setTimeStep(1e-3, physicsClientId=engine)
+    pybullet.setTimeStep(STEP_S, physicsClientId=engine)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "pendulum.urdf"
         path.write_text(URDF)
@@ -92,7 +95,7 @@ def scene(mount: Mount, angle: float = 0.5) -> tuple[PybulletMount, int]:
     pybullet.changeDynamics(
         robot, -1, linearDamping=0, angularDamping=0, jointDamping=0, physicsClientId=engine
     )
-    pybullet.setJointMotorControl2(  # PyBullet brakes its joints unless told not to
+    pybullet.setJointMotorControl2(  # by default PyBullet brakes its joints
         robot, 1, pybullet.VELOCITY_CONTROL, force=0, physicsClientId=engine
     )
     pybullet.resetJointState(robot, 1, angle, physicsClientId=engine)
@@ -100,15 +103,17 @@ def scene(mount: Mount, angle: float = 0.5) -> tuple[PybulletMount, int]:
 
 
 def main(server: str, seconds: float) -> None:
-    """Let it swing, every step answered by the downloaded table."""
+    """Simulate the pendulum with answers from the downloaded table; print the last ones."""
     with Client(server, timeout=120) as client:
-        client.displacement("bar", [0, 0, -20.0], on_thin="wait", wait_s=100)  # its one solve
-        client.component("bar", wait_s=60)  # which waits for the row to be in use
-        mount = Mount(client.download("bar"), "bar", np.eye(3), P0)
-    on, engine = scene(mount)
-    for _ in range(round(seconds / 1e-3)):
+        # The bar is linear: one solve determines its table.
+        client.displacement("bar", [0, 0, -20.0], on_thin="wait", wait_s=100)
+        client.component("bar", wait_s=60)  # once the table has the row
+        mount = Mount(client.download("bar"), "bar", np.eye(3), POINT)
+    pendulum, engine = scene(mount)
+    wrench = np.zeros(6)
+    for _ in range(round(seconds / STEP_S)):
         pybullet.stepSimulation(physicsClientId=engine)
-        wrench = on.step()
+        wrench = pendulum.step()
     print(f"wrench at the end: {wrench.round(2).tolist()} N and N·m")
     print(f"translation: {(1e3 * mount.displacement[:3]).round(3).tolist()} mm")
     print(mount.coverage)

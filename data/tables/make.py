@@ -1,148 +1,156 @@
-"""Make the sample files of this folder, and the reply that each gets.
+"""Write the sample tables of this folder.
 
 Run it in a checkout with `python data/tables/make.py`. The rig is made up: a stiff bracket that
-moves by 1 µm a newton and turns by 10 µrad a newton metre. `replies.json` names for each file the
-query it is sent with and what the server says; a test sends all of them.
+moves by 1 µm a newton and turns by 10 µrad a newton metre. `replies.json` has the query of each
+file and the server's expected reply; a test uploads all of them.
 """
 
 from __future__ import annotations
 
 import gzip
-import json
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import pyarrow as arrow
+import pyarrow.parquet as parquet
+from openpyxl import Workbook
+
+from wrenchbook.surrogate.table.meta import TableMeta
+from wrenchbook.surrogate.table.rows import LoadRange
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent.parent))  # started by its path, it is beside no room
-
-LOADS = ["fx", "fy", "fz", "mx", "my", "mz"]
-MOVES = ["ux", "uy", "uz", "rx", "ry", "rz"]
-SI = [f"{name} [N]" for name in LOADS[:3]] + [f"{name} [N*m]" for name in LOADS[3:]]
-SI += [f"{name} [m]" for name in MOVES[:3]] + [f"{name} [rad]" for name in MOVES[3:]]
-LBF, INCH, DEGREE = 4.4482216152605, 0.0254, np.pi / 180
-ALL_IN = {"status": 200, "inserted": 20, "read": 20, "loaded": 20}
-ZERO = {"missing_loads": "zero"}
+sys.path.insert(0, str(HERE.parents[1]))  # a script finds only its own folder; `tests` is above
 
 
-def measured(count: int = 20, seed: int = 1) -> np.ndarray:
-    """Rows of the rig, (count, 12), SI."""
-    rng = np.random.default_rng(seed)
-    loads = rng.uniform(-1, 1, (count, 6)) * [500, 500, 800, 40, 40, 20]
-    moves = loads * [1e-6, 1e-6, 1e-6, 1e-5, 1e-5, 1e-5]
-    return np.hstack([loads.round(3), (moves + rng.normal(0, 1e-8, moves.shape)).round(10)])
+def axis_labels(*templates: str) -> list[str]:
+    """Return each template with the axes x, y and z in place of its braces."""
+    return [template.format(axis) for template in templates for axis in "xyz"]
 
 
-def lines(labels: list[str], rows: Any, mark: str = ",") -> list[str]:
-    """Lines of a CSV."""
-    cells = [[repr(cell) if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
-    return [mark.join(labels), *(mark.join(row) for row in cells)]
+SI = axis_labels("f{} [N]", "m{} [N*m]", "u{} [m]", "r{} [rad]")
+LBF, INCH, DEGREE = 4.4482216152605, 0.0254, np.pi / 180  # N, m, rad
 
 
-def text(name: str, content: list[str], encoding: str = "utf-8", end: str = "\n") -> None:
-    """Write lines."""
-    (HERE / name).write_bytes((end.join(content) + end).encode(encoding))
+def rig_rows() -> np.ndarray:
+    """Return the rig's rows, shape (20, 12): loads, N and N·m, and displacements, m and rad."""
+    rng = np.random.default_rng(1)
+    loads = rng.uniform(-1, 1, (20, 6)) * [500, 500, 800, 40, 40, 20]
+    exact = loads * np.repeat([1e-6, 1e-5], 3)
+    return np.hstack([loads.round(3), (exact + rng.normal(0, 1e-8, exact.shape)).round(10)])
 
 
-def plain() -> None:
-    """CSV in several units and spellings."""
-    rows = measured().tolist()
-    text("plain_si.csv", lines(SI, rows))
-    (HERE / "gzipped.csv.gz").write_bytes(
-        gzip.compress("\n".join(lines(SI, rows)).encode(), mtime=0)
-    )
-    imperial = [f"F{axis} [lbf]" for axis in "xyz"] + [f"M{axis} [in-lbf]" for axis in "xyz"]
-    imperial += [f"u{axis} [thou]" for axis in "xyz"] + [f"r{axis} [deg]" for axis in "xyz"]
-    scale = [LBF] * 3 + [LBF * INCH] * 3 + [1e-3 * INCH] * 3 + [DEGREE] * 3
-    text("pounds_and_thou.csv", lines(imperial, (measured() / scale).round(6).tolist()))
-    names = [f"Force_{axis}/N" for axis in "xyz"] + [f"Torque_{axis}_Nm" for axis in "xyz"]
-    names += [f"disp_{axis}_um" for axis in "xyz"] + [f"rot_{axis} (mrad)" for axis in "xyz"]
-    micro = measured() * ([1.0] * 6 + [1e6] * 3 + [1e3] * 3)
-    text("spelled.csv", lines(names, micro.round(4).tolist()))
-    bare = ["Fx", "Fy", "Fz", "Mx", "My", "Mz", "ux", "uy", "uz", "rx", "ry", "rz"]
-    units = ["[N]"] * 3 + ["[Nm]"] * 3 + ["[mm]"] * 3 + ["[deg]"] * 3
-    scaled = (measured() / ([1.0] * 6 + [1e-3] * 3 + [DEGREE] * 3)).round(8).tolist()
-    head, *body = lines(bare, scaled, "\t")
-    text("units_row.txt", [head, "\t".join(units), *body])
-    german = lines(
-        [f"{name} [N]" for name in LOADS[:3]] + ["uz [mm]", "Note"],
-        [(*row[:3], round(1e3 * row[8], 6), "Prüfstand") for row in rows],
+def csv_lines(
+    labels: Sequence[str], rows: Iterable[Iterable[object]], delimiter: str = ","
+) -> list[str]:
+    """Return the header and a line for each row; floats have all their digits."""
+    return [delimiter.join(labels), *(delimiter.join(map(str, row)) for row in rows)]
+
+
+def write_lines(name: str, lines: list[str], encoding: str = "utf-8", end: str = "\n") -> None:
+    """Write lines to a file of this folder."""
+    (HERE / name).write_bytes((end.join(lines) + end).encode(encoding))
+
+
+def write_units_and_headers() -> None:
+    """Write CSV files in several units and spellings."""
+    rows = rig_rows()
+    lines = csv_lines(SI, rows.tolist())
+    write_lines("plain_si.csv", lines)
+    (HERE / "gzipped.csv.gz").write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
+
+    labels = axis_labels("F{} [lbf]", "M{} [in-lbf]", "u{} [thou]", "r{} [deg]")
+    units = np.repeat([LBF, LBF * INCH, 1e-3 * INCH, DEGREE], 3)
+    write_lines("pounds_and_thou.csv", csv_lines(labels, (rows / units).round(6).tolist()))
+
+    labels = axis_labels("Force_{}/N", "Torque_{}_Nm", "disp_{}_um", "rot_{} (mrad)")
+    small = rows * np.repeat([1.0, 1.0, 1e6, 1e3], 3)
+    write_lines("spelled.csv", csv_lines(labels, small.round(4).tolist()))
+
+    labels = axis_labels("F{}", "M{}", "u{}", "r{}")
+    units_row = "\t".join(np.repeat(["[N]", "[Nm]", "[mm]", "[deg]"], 3))
+    scaled = (rows / np.repeat([1.0, 1.0, 1e-3, DEGREE], 3)).round(8).tolist()
+    header, *body = csv_lines(labels, scaled, "\t")
+    write_lines("units_row.txt", [header, units_row, *body])
+
+    header, *body = csv_lines(
+        [*SI[:3], "uz [mm]", "Note"],
+        [(*row[:3], round(1e3 * row[8], 6), "Prüfstand") for row in rows.tolist()],
         ";",
     )
-    comma = [german[0], *(line.replace(".", ",") for line in german[1:])]
-    text("german.csv", ["# Messung 3. Mai", *comma], "cp1252", "\r\n")
+    body = [line.replace(".", ",") for line in body]
+    write_lines("german.csv", ["# Messung 3. Mai", header, *body], "cp1252", "\r\n")
+
     titles = ["Rig 3: stiffness of the mounting plate", "Ann, 5 May", ""]
-    text("titled.csv", [*titles, *("|" + line for line in lines(SI, measured().tolist(), "|"))])
+    lines = csv_lines(SI, rows.tolist(), "|")
+    write_lines("titled.csv", [*titles, *("|" + line for line in lines)])
 
 
-def mistakes() -> None:
-    """Files that are refused, or loaded in part."""
-    good = lines(SI, measured().tolist())
-    bad = list(good)
-    bad[4] = bad[4].replace(bad[4].split(",")[8], "n/a")
-    bad[11] = ",".join([*bad[11].split(",")[:9], "0.9", "0", "0"])
-    text("two_bad_rows.csv", bad)
-    text("two_bad_rows_partial.csv", bad)
-    text(
-        "extra_columns.csv",
-        [good[0] + ",Temp [C],Operator", *(f"{row},21.5,KL" for row in good[1:])],
+def write_mistakes() -> None:
+    """Write files that are refused, or loaded in part."""
+    rows = rig_rows().tolist()
+    bad_rows = [list(row) for row in rows]
+    bad_rows[3][8] = "n/a"
+    bad_rows[10][9:] = [0.9, 0, 0]
+    bad = csv_lines(SI, bad_rows)
+    write_lines("two_bad_rows.csv", bad)
+    write_lines("two_bad_rows_partial.csv", bad)
+    extra = csv_lines([*SI, "Temp [C]", "Operator"], [[*row, 21.5, "KL"] for row in rows])
+    write_lines("extra_columns.csv", extra)
+    extra = csv_lines([*SI, "Temp"], [[*row, 21.5] for row in rows])
+    write_lines("extra_columns_named.csv", extra)
+    short = csv_lines(SI[:3] + SI[6:], [row[:3] + row[6:] for row in rows])
+    write_lines("no_moments.csv", short)
+    write_lines("no_moments_zero.csv", short)
+    write_lines("thousands.csv", ["fz [N];uz [um]", "1,250;2,500", "1,500;3,000"])
+    write_lines(
+        "open_quote.csv", ["fz [N],uz [um],note", '100,1,"left open', "200,2,fine", "300,3,fine"]
     )
-    text("extra_columns_named.csv", [good[0] + ",Temp", *(f"{row},21.5" for row in good[1:])])
-    short = [",".join(line.split(",")[:3] + line.split(",")[6:]) for line in good]
-    text("no_moments.csv", short)
-    text("no_moments_zero.csv", short)
-    text("thousands.csv", ["fz [N];uz [um]", "1,250;2,500", "1,500;3,000"])
-    text("open_quote.csv", ["fz [N],uz [um],note", '100,1,"left open', "200,2,fine", "300,3,fine"])
     (HERE / "report.pdf").write_bytes(b"%PDF-1.4\nno table at all\n")
 
 
-def tests_and_logs() -> None:
-    """Uncertainties, notes, a tare, and two logs of one test."""
-    rows = measured().tolist()
+def write_measurements() -> None:
+    """Write tables with uncertainties, notes and a tare, and two logs of one test."""
+    table = rig_rows()
+    rows = table.tolist()
     labels = [*SI, "uz_err [um]", "ux_std [um]", "source", "note"]
-    stated = [[*row, 0.5, 0.1, "measured", f"run {at}"] for at, row in enumerate(rows)]
-    text("uncertainty.csv", lines(labels, stated))
-    notes = [[*row, "'=HYPERLINK(0)" if at % 2 else "-"] for at, row in enumerate(rows)]
-    text("formula_notes.csv", lines([*SI, "note"], notes))
+    stated = [[*row, 0.5, 0.1, "measured", f"run {number}"] for number, row in enumerate(rows)]
+    write_lines("uncertainty.csv", csv_lines(labels, stated))
+    noted = [[*row, "'=HYPERLINK(0)" if at % 2 else "-"] for at, row in enumerate(rows)]
+    write_lines("formula_notes.csv", csv_lines([*SI, "note"], noted))
     offset = np.array([12.0, -7.0, 30.0, 0.5, 0.2, -0.1] + [1e-5] * 6)
     unloaded = np.tile(offset, (5, 1))
-    text("tare.csv", lines(SI, np.vstack([unloaded, measured() + offset]).round(12).tolist()))
-    time = np.arange(0, 2.0, 0.01)
-    force = 400 * np.sin(np.pi * time)
+    with_tare = np.vstack([unloaded, table + offset]).round(12)
+    write_lines("tare.csv", csv_lines(SI, with_tare.tolist()))
+
+    force = 400 * np.sin(np.pi * np.arange(0, 2.0, 0.01))
     counts = np.rint(force * 1e6).astype(int)
-    head = ["Start Time: 3/5/2026 10:15:10 AM", "RDT Sample Rate: 100", "Force Units: N"]
-    head += ["Counts per Unit Force: 1000000.0", "Torque Units: Nm"]
-    head += ["Counts per Unit Torque: 1000000.0"]
-    head += ["Status (hex),RDT Sequence,F/T Sequence,Fx,Fy,Fz,Tx,Ty,Tz,Time"]
+    header = ["Start Time: 3/5/2026 10:15:10 AM", "RDT Sample Rate: 100", "Force Units: N"]
+    header += ["Counts per Unit Force: 1000000.0", "Torque Units: Nm"]
+    header += ["Counts per Unit Torque: 1000000.0"]
+    header += ["Status (hex),RDT Sequence,F/T Sequence,Fx,Fy,Fz,Tx,Ty,Tz,Time"]
     body = [f"0,{n},{4000 + n},0,0,{count},0,0,0,10:15:10" for n, count in enumerate(counts)]
-    text("ati_loads.csv", [*head, *body])
-    when = np.arange(0.005, 2.1, 0.05)
-    gauge = [f"{t:.3f},{0.4 * np.sin(np.pi * t):.6f}" for t in when]
-    text("gauge.csv", ["time [s],uz [mm]", *gauge])
+    write_lines("ati_loads.csv", [*header, *body])
+    times = np.arange(0.005, 2.1, 0.05)
+    gauge = [f"{time:.3f},{0.4 * np.sin(np.pi * time):.6f}" for time in times]
+    write_lines("gauge.csv", ["time [s],uz [mm]", *gauge])
 
 
-def binary() -> None:
-    """Workbooks, a data frame's file, and exports."""
-    import pyarrow as arrow
-    import pyarrow.parquet as parquet
-    from openpyxl import Workbook
-
+def write_binary() -> None:
+    """Write workbooks, Parquet files and exports."""
     from tests.service.table_files import read_csv, write_hdf5, write_json
-    from wrenchbook.surrogate.table.meta import TableMeta
-    from wrenchbook.surrogate.table.rows import LoadRange
 
-    rows = measured().tolist()
-    for name, spoilt in (("workbook.xlsx", False), ("workbook_errors.xlsx", True)):
+    rows = rig_rows().tolist()
+    for name, bad_row in (("workbook.xlsx", None), ("workbook_errors.xlsx", 6)):
         book = Workbook()
-        sheet = book.active
+        sheet = book.worksheets[0]
         sheet.title = "Run 3"
         sheet.append(["Fz", "uz", "Remark"])
         sheet.append(["kN", "µm", ""])
         for at, row in enumerate(rows):
-            broken = spoilt and at == 6
-            sheet.append([row[2] / 1e3, "#DIV/0!" if broken else 1e6 * row[8], f"point {at}"])
+            uz = "#DIV/0!" if at == bad_row else 1e6 * row[8]
+            sheet.append([row[2] / 1e3, uz, f"point {at}"])
         book.save(HERE / name)
     columns = {label: np.array([row[at] for row in rows]) for at, label in enumerate(SI)}
     parquet.write_table(arrow.table(columns), HERE / "frame.parquet")
@@ -152,107 +160,15 @@ def binary() -> None:
         "T": columns["fx [N]"],
     }
     parquet.write_table(arrow.table(renamed), HERE / "mapped.parquet")
-    table = read_csv("\n".join(lines(SI, rows)))
+    table = read_csv("\n".join(csv_lines(SI, rows)))
     (HERE / "export.json").write_text(write_json(table, {"component": "rig", "table_version": 20}))
-    span = np.array([900.0] * 3 + [90.0] * 3)
+    span = np.repeat([900.0, 90.0], 3)
     meta = TableMeta("rig", 20, LoadRange(-span, span))
     (HERE / "export.h5").write_bytes(write_hdf5(table, range(1, 21), meta))
 
 
-REPLIES: dict[str, dict[str, Any]] = {
-    "plain_si.csv": {**ALL_IN, "format": "csv"},
-    "pounds_and_thou.csv": {**ALL_IN, "format": "csv"},
-    "spelled.csv": {**ALL_IN, "format": "csv"},
-    "units_row.txt": {**ALL_IN, "format": "csv"},
-    "german.csv": {**ALL_IN, "format": "csv", "query": ZERO},
-    "titled.csv": {
-        **ALL_IN,
-        "format": "csv",
-        "above": ["Rig 3: stiffness of the mounting plate", "Ann, 5 May"],
-    },
-    "gzipped.csv.gz": {**ALL_IN, "format": "csv", "gzip": True},
-    "uncertainty.csv": {**ALL_IN, "format": "csv"},
-    "formula_notes.csv": {**ALL_IN, "format": "csv"},
-    "tare.csv": {**ALL_IN, "read": 25, "tare": 5, "query": {"tare": 5}},
-    "ati_loads.csv": {
-        "status": 200,
-        "displacements": "gauge.csv",
-        "query": ZERO,
-        "read": 42,
-        "loaded": 40,
-        "inserted": 40,
-        "unmatched": 2,
-        "ignored": ["Status (hex)", "RDT Sequence", "F/T Sequence"],
-    },
-    "workbook.xlsx": {
-        **ALL_IN,
-        "format": "xlsx",
-        "query": {**ZERO, "ignore": "Remark", "sheet": "Run 3"},
-        "ignored": ["Remark"],
-        "sheets": ["Run 3"],
-        "sheet": "Run 3",
-    },
-    "workbook_errors.xlsx": {
-        "status": 422,
-        "query": {**ZERO, "ignore_extra": "true"},
-        "errors": [[9, "uz", "is a spreadsheet's error"]],
-    },
-    "frame.parquet": {**ALL_IN, "format": "parquet"},
-    "mapped.parquet": {
-        **ALL_IN,
-        "format": "parquet",
-        "query": {
-            **ZERO,
-            "ignore": "T",
-            "mapping": '{"Load cell": "-fz [N]", "LVDT 1": "uz [mm]"}',
-        },
-        "ignored": ["T"],
-    },
-    "export.json": {**ALL_IN, "format": "json"},
-    "export.h5": {**ALL_IN, "format": "hdf5"},
-    "two_bad_rows.csv": {
-        "status": 422,
-        "errors": [[5, "uz [m]", "'n/a' is not a number"], [12, "rx [rad]", "a table ends at 20"]],
-    },
-    "two_bad_rows_partial.csv": {
-        "status": 200,
-        "query": {"partial": "true"},
-        "read": 20,
-        "loaded": 18,
-        "refused": 2,
-        "inserted": 18,
-        "errors": [[5, "uz [m]", "'n/a' is not a number"], [12, "rx [rad]", "a table ends at 20"]],
-    },
-    "extra_columns.csv": {
-        "status": 422,
-        "errors": [
-            [1, "Temp [C]", "is not a column of a table"],
-            [1, "Operator", "is not a column of a table"],
-        ],
-    },
-    "extra_columns_named.csv": {**ALL_IN, "query": {"ignore": "Temp"}, "ignored": ["Temp"]},
-    "no_moments.csv": {"status": 422, "errors": [[1, "header", "say missing_loads=zero"]]},
-    "no_moments_zero.csv": {**ALL_IN, "query": ZERO},
-    "thousands.csv": {
-        "status": 422,
-        "query": ZERO,
-        "errors": [[2, "fz [N]", "say decimal=, (--decimal ,) for 1.250"]],
-    },
-    "open_quote.csv": {
-        "status": 422,
-        "query": ZERO,
-        "errors": [[2, "line", "is a quotation mark left open?"]],
-    },
-    "report.pdf": {"status": 422, "errors": [[0, "file", "is a PDF"]]},
-}
-
-
-def main() -> None:
-    """Write all files."""
-    for step in (plain, mistakes, tests_and_logs, binary):
-        step()
-    (HERE / "replies.json").write_text(json.dumps(REPLIES, indent=1, ensure_ascii=False) + "\n")
-
-
 if __name__ == "__main__":
-    main()
+    write_units_and_headers()
+    write_mistakes()
+    write_measurements()
+    write_binary()

@@ -85,9 +85,10 @@ def report(
         ``mesh_file`` (see `fea.check.deck_differences`); ``materials``, ``section`` (of several
         interfaces ``sections``, with their names), ``supports``, ``ties``, ``temperature`` and
         ``acceleration`` where there are any; ``estimate`` (`fea.check.cost.Cost`), ``trial``,
-        ``vibration`` (`Trial` and `Swing` of `fea.check.trial`) and ``strength`` (`LargestStress`);
-        for meshes that solve in seconds ``solver_error`` (see `fea.accuracy.estimate`). Lengths in
-        m. Instead of all from ``faces`` on, ``deck`` (see `fea.deck.running`).
+        ``vibration`` (`Trial`, `Oscillation` of `fea.check.trial`) and ``strength``
+        (`LargestStress`); for meshes that solve in seconds ``solver_error`` (see
+        `fea.accuracy.estimate`). Lengths in m. Instead of all from ``faces`` on, ``deck`` (see
+        `fea.deck.running`).
     """
     summary: dict[str, Any] = {"ok": False, "problems": [], "warnings": []}
     folder = Path(folder)

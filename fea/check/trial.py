@@ -21,8 +21,14 @@ _MAX_BYTES = 4e9  # bytes, estimated memory of it; the server's other solvers ru
 
 _GRAVITY = 9.81  # m/s^2, as the message proposes
 
-# The key of component.toml to change after a failure of each kind; "mesh" for all other kinds.
-_WHERE = {"locking_material": "material", "inverted_elements": "mesh", "mechanism": "supports"}
+# The key of component.toml to change after a failure of each kind; "mesh" for other kinds.
+_KEYS = {"locking_material": "material", "mechanism": "supports"}
+
+
+_UNITS = (  # the remedy of a deflection that is too large or too small
+    "If you did not expect this, check the units: unit of the mesh, youngs_modulus in Pa, force in "
+    "N, moment in N·m"
+)
 
 
 class Trial(TypedDict):
@@ -41,7 +47,7 @@ class Trial(TypedDict):
     by_acceleration: NotRequired[list[float]]
 
 
-class Swing(TypedDict, total=False):
+class Oscillation(TypedDict, total=False):
     """First natural oscillation; without keys if nothing has a mass or no mode converged."""
 
     mass: float | None  # mass of the component, kg; None without any density
@@ -105,25 +111,26 @@ def trial(solver: Solver, cost: Cost) -> tuple[Trial, list[BundleProblem]]:
 
 def largest(compliance: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return max |C w| over a box of inputs, for each output, shape (6 i,), m and rad."""
-    ends = np.stack([compliance * low, compliance * high])
-    most, least = ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)
-    return np.maximum(np.abs(most), np.abs(least))
+    at_low, at_high = compliance * low, compliance * high
+    highest = np.maximum(at_low, at_high).sum(axis=1)
+    lowest = np.minimum(at_low, at_high).sum(axis=1)
+    return np.maximum(np.abs(highest), np.abs(lowest))
 
 
 def deflection_warnings(
     component: ComponentModel, deflection: list[float] | None
 ) -> Iterator[BundleProblem]:
-    """Yield warnings if the full load range moves the part not at all, or too much.
+    """Yield warnings if the full load range moves the part too much or too little.
 
     deflection: shape (6 i,), m and rad; None for no warning.
     """
     if deflection is None:
         return
-    moved = np.array(deflection)
-    degrees = float(np.degrees(largest_rotation(moved)))
+    displacement = np.array(deflection)
+    degrees = float(np.degrees(largest_rotation(displacement)))
     if degrees > MAX_DEGREES:
-        several = len(component.interfaces) > 1
-        place = "the range of its [[interface]]" if several else "[range]"
+        has_several = len(component.interfaces) > 1
+        place = "the range of its [[interface]]" if has_several else "[range]"
         message = (
             f"rotates the interface by {degrees:.3g} degrees at the full range (linear estimate), "
             f"but solves of more than {MAX_DEGREES:g} degrees are refused; narrow {place}. {_UNITS}"
@@ -141,35 +148,28 @@ def deflection_warnings(
             "it to rad"
         )
         yield BundleProblem("tolerance.rotation", message)
-    both = each_interface(moved)
+    by_interface = each_interface(displacement)
     allowed = np.repeat([limit.translation, limit.rotation], 3)
     free = component.active
-    if free.size and (both <= allowed).ravel()[free].all():
+    if free.size and (by_interface <= allowed).ravel()[free].all():
+        translation, rotation = by_interface[:, :3].max(), by_interface[:, 3:].max()
         message = (
-            f"moves the interface by at most {both[:, :3].max():.2g} m and {both[:, 3:].max():.2g} "
-            f"rad, less than the tolerance, so the part is practically rigid. {_UNITS}"
+            f"moves the interface by at most {translation:.2g} m and {rotation:.2g} rad, less than "
+            f"the tolerance, so the part is practically rigid. {_UNITS}"
         )
         yield BundleProblem("range", message)
 
 
-_UNITS = (
-    "If you did not expect this, check the units: unit of the mesh, youngs_modulus in Pa, force in "
-    "N, moment in N·m"
-)
-
-
 def _problem(failure: SolveFailed) -> BundleProblem:
-    where = _WHERE.get(failure.kind, "mesh")
-    return BundleProblem(
-        where, f"every solve would fail ({failure.kind}): {failure.message} {failure.remedy}"
-    )
+    message = f"every solve would fail ({failure.kind}): {failure.message} {failure.remedy}"
+    return BundleProblem(_KEYS.get(failure.kind, "mesh"), message)
 
 
-def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[BundleProblem]]:
-    """Return mass and first natural frequency of the component, and warnings.
+def frequency(solver: Solver, riding: Riding | None) -> tuple[Oscillation, list[BundleProblem]]:
+    """Return the first natural oscillation of a component, and warnings.
 
     riding: the rigid mass on the interface; None for none.
-    Warnings give the reason of a missing frequency, or the materials that count as weightless.
+    The warnings give the reason of a missing frequency, and materials without a density.
     """
     component = solver.component
     without_density = [
@@ -188,12 +188,12 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[Bundle
         vibration = solver.vibration(carried)
     except SolveFailed as failure:
         why = f"the natural frequency is unknown: {failure.message} {failure.remedy}"
-        return {}, [*warnings, BundleProblem(_WHERE.get(failure.kind, "mesh"), why)]
+        return {}, [*warnings, BundleProblem(_KEYS.get(failure.kind, "mesh"), why)]
     except ValueError as error:
         where = "material" if riding is None else "interface"
         why = f"the natural frequency is unknown: {error}"
         return {}, [*warnings, BundleProblem(where, why)]
-    result: Swing = {
+    result: Oscillation = {
         "mass": vibration.mass if len(without_density) < len(component.materials) else None,
         "first_frequency": vibration.frequency,
         "motion": vibration.interface.tolist(),
@@ -204,10 +204,10 @@ def frequency(solver: Solver, riding: Riding | None) -> tuple[Swing, list[Bundle
 
 
 def sag_per_gravity(solver: Solver) -> np.ndarray:
-    """Return the interfaces' displacement by gravity, (6 i, 3), m and rad over m/s^2, first order.
+    """Return the linear displacement of the interfaces by gravity, (6 i, 3), m and rad per m/s^2.
 
-    By reciprocity: the work of the weight on the fields of the unit loads. Gravity is in the frame
-    of the first interface; materials without a density weigh nothing.
+    By reciprocity it is the work of the weight on the fields of the unit loads. Gravity is in the
+    frame of the first interface; materials without a density weigh nothing.
     """
     masses = nodal_masses(solver.component, solver.body)
     loads = len(solver.compliance)
@@ -218,22 +218,23 @@ def weight_warnings(solver: Solver) -> list[BundleProblem]:
     """Return a warning if self-weight exceeds the tolerance in a bundle without ``gravity``."""
     component = solver.component
     limit = component.bundle.tolerance
-    known = all(material.density is not None for material in component.materials)
-    if component.analysis.gravity or component.accelerated or limit is None or not known:
+    is_known = all(material.density is not None for material in component.materials)
+    if component.analysis.gravity or component.accelerated or limit is None or not is_known:
         return []
-    # The worst direction of gravity for each interface: the largest singular value of 3x3 matrices.
+    # The worst direction of gravity of each interface is that of the largest singular value.
     by_gravity = _GRAVITY * sag_per_gravity(solver).reshape(-1, PER_INTERFACE, 3)
     _, translations, directions = np.linalg.svd(by_gravity[:, :3])
     _, rotations, _ = np.linalg.svd(by_gravity[:, 3:])
-    moved, turned = translations.max(), rotations.max()
-    if moved <= limit.translation and turned <= limit.rotation:
+    translation, rotation = translations.max(), rotations.max()
+    if translation <= limit.translation and rotation <= limit.rotation:
         return []
     direction = directions[translations[:, 0].argmax(), 0] @ component.axes
+    # Both signs are as bad; the largest component is written as pointing down.
     down = -np.sign(direction[np.abs(direction).argmax()]) * direction * _GRAVITY
     gravity = ", ".join(f"{number + 0.0:.3g}" for number in np.round(down, 6))
     message = (
-        f"is missing: self-weight moves an interface by up to {moved:.2g} m and {turned:.2g} rad "
-        f"(worst under [{gravity}] m/s^2), more than the tolerance. Write gravity = [0, 0, -9.81] "
-        "under [analysis], or [inputs.acceleration] for a rotating part"
+        f"is missing: self-weight moves an interface by up to {translation:.2g} m and "
+        f"{rotation:.2g} rad (worst under [{gravity}] m/s^2), more than the tolerance. Write "
+        "gravity = [0, 0, -9.81] under [analysis], or [inputs.acceleration] for a rotating part"
     )
     return [BundleProblem("analysis.gravity", message)]

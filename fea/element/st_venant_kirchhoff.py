@@ -29,11 +29,10 @@ from wrenchbook.fea.tensors import COLUMNS, ROWS
 class IsotropicStiffness(CellStiffness):
     """Isotropic cells of one block."""
 
-    # first_lame, shear: shape (cells,), Pa: lambda and mu
-    first_lame: np.ndarray
-    shear: np.ndarray
-    # Shape (cells, points, modes), m^1.5: orthonormal functions onto which the volumetric strain is
-    # projected, times the weights; None without projection.
+    first_lame: np.ndarray  # shape (cells,), Pa: lambda
+    shear: np.ndarray  # shape (cells,), Pa: mu
+    # Shape (cells, points, modes), m^1.5: orthonormal functions, times the weights, onto which the
+    # volumetric strain is projected; None without projection.
     volume_modes: np.ndarray | None = None
 
     @property
@@ -43,7 +42,7 @@ class IsotropicStiffness(CellStiffness):
 
     def state(self, part: Which, displacement: np.ndarray | None) -> CellState:
         """Return strains and stresses; `displacement` has shape (cells, 3, nodes), m."""
-        return _State(self, part, displacement)
+        return _IsotropicState(self, part, displacement)
 
     def stretched(self, stretch: np.ndarray) -> IsotropicStiffness:
         """Return the cells after a stress-free stretch (cells, 3, 3), equal in all directions."""
@@ -51,12 +50,12 @@ class IsotropicStiffness(CellStiffness):
         return replace(self, first_lame=self.first_lame / factor, shear=self.shear / factor)
 
     def modes_of(self, part: Which) -> np.ndarray | None:
-        """Return the volume modes of a few cells, shape (cells, points, modes), m^1.5."""
+        """Return the volume modes of a few cells, shape (cells, points, modes), m^1.5, or None."""
         return None if self.volume_modes is None else self.volume_modes[part]
 
 
-class _State(CellState):
-    """Strains and stresses of a few cells at one displacement (None: undeformed)."""
+class _IsotropicState(CellState):
+    """Strains and stresses of a few isotropic cells at one displacement; None: undeformed."""
 
     def __init__(
         self, cells: IsotropicStiffness, part: Which, displacement: np.ndarray | None
@@ -109,8 +108,8 @@ def weighted(trace: np.ndarray, weights: np.ndarray, modes: np.ndarray | None) -
     """Return weights times the trace, or its projection, m^3: shape (..., cells, points)."""
     if modes is None:
         return weights * trace
-    parts = modes.swapaxes(1, 2) @ trace[..., None]
-    return (modes @ parts)[..., 0]
+    coefficients = modes.swapaxes(1, 2) @ trace[..., None]
+    return (modes @ coefficients)[..., 0]
 
 
 def projected_gram(modes: np.ndarray, g: np.ndarray) -> np.ndarray:
@@ -118,11 +117,13 @@ def projected_gram(modes: np.ndarray, g: np.ndarray) -> np.ndarray:
 
     Shapes (cells, points, modes), m^1.5, and (cells, points, size), 1/m: (cells, size, size), m.
     """
-    parts = modes.swapaxes(1, 2) @ g
-    return parts.swapaxes(1, 2) @ parts
+    coefficients = modes.swapaxes(1, 2) @ g
+    return coefficients.swapaxes(1, 2) @ coefficients
 
 
-_SHEARS_TWICE = (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
+# Factors of xx, yy, zz, xy, xz, yz: the elasticity takes the shears 2 E_ij (Voigt).
+_VOIGT = (1.0, 1.0, 1.0, 2.0, 2.0, 2.0)
+_SQUARE = (0, 3, 4, 3, 1, 5, 4, 5, 2)  # indices of these in the nine entries of a tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,14 +141,13 @@ class OrthotropicStiffness(CellStiffness):
     def stretched(self, stretch: np.ndarray) -> OrthotropicStiffness:
         """Return the cells after a stress-free stretch, shape (cells, 3, 3)."""
         inverse = np.linalg.inv(stretch)[:, None]
-        strains = (inverse @ UNIT_STRAINS @ inverse)[..., ROWS, COLUMNS] * _SHEARS_TWICE
-        strains = strains[:, None]
+        strains = ((inverse @ UNIT_STRAINS @ inverse)[..., ROWS, COLUMNS] * _VOIGT)[:, None]
         elasticity = strains @ self.elasticity @ strains.swapaxes(2, 3)
         return replace(self, elasticity=np.linalg.det(stretch)[:, None, None, None] * elasticity)
 
 
 class _OrthotropicState(DenseState):
-    """Strains and stresses of a few orthotropic cells at one displacement."""
+    """Strains and stresses of a few orthotropic cells at one displacement; None: undeformed."""
 
     def __init__(self, cells: OrthotropicStiffness, part: Which, displacement: np.ndarray | None):
         super().__init__(cells.gradients, part, displacement, cells.thermal_strain(part))
@@ -163,20 +163,19 @@ class _OrthotropicState(DenseState):
 
 
 def turned_elasticity(elasticity: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Return an elasticity in other axes.
+    """Return an elasticity in other axes, shape (..., 6, 6), Pa.
 
     elasticity: shape (6, 6), Pa: in the material's directions, as in `OrthotropicStiffness`.
     directions: shape (..., 3, 3): row i is the material's direction i in the target axes.
-    Result: shape (..., 6, 6), Pa.
     """
-    rows = directions[..., None, :, :]
-    stresses = _stress(elasticity, rows @ UNIT_STRAINS @ rows.swapaxes(-1, -2))
-    back = rows.swapaxes(-1, -2) @ stresses @ rows
-    return np.ascontiguousarray(back[..., ROWS, COLUMNS].swapaxes(-1, -2))
+    turn = directions[..., None, :, :]
+    back = turn.swapaxes(-1, -2)
+    stresses = back @ _stress(elasticity, turn @ UNIT_STRAINS @ back) @ turn
+    return np.ascontiguousarray(stresses[..., ROWS, COLUMNS].swapaxes(-1, -2))
 
 
 def _stress(elasticity: np.ndarray, strain: np.ndarray) -> np.ndarray:
-    """Return C : E, shapes (..., 6, 6) and (..., 3, 3)."""
-    six = strain[..., ROWS, COLUMNS] * _SHEARS_TWICE
+    """Return S = C : E, Pa, of C (..., 6, 6), Pa, and E (..., 3, 3)."""
+    six = strain[..., ROWS, COLUMNS] * _VOIGT
     stress = (elasticity @ six[..., None])[..., 0]
-    return stress[..., (0, 3, 4, 3, 1, 5, 4, 5, 2)].reshape(strain.shape)
+    return stress[..., _SQUARE].reshape(strain.shape)

@@ -1,4 +1,4 @@
-"""The isoparametric map of real cells: folded ones, shape gradients and areas."""
+"""The isoparametric map of cells: its determinants, folded cells, shape gradients and areas."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from wrenchbook.fea.mesh.reference_cell import node_coordinates, reference_eleme
 from wrenchbook.fea.spec.problems import BundleProblem, point_text
 from wrenchbook.fea.tensors import determinant
 
-_FLAT = 1e-9
-"""Part of the largest determinant of a cell: below it a cell is flat but for roundoff."""
+_FLAT = 1e-9  # part of a cell's largest determinant: a smaller one is zero but for roundoff
 _MAX_LISTED = 5  # cells in a message: more would hide its remedy
 
 
@@ -42,8 +41,8 @@ def extreme_determinants(points: np.ndarray, block: CellBlock) -> tuple[np.ndarr
     """
     _, slopes = tabulate(block.kind, node_coordinates(block.kind))
     at_nodes = determinant(jacobians(points[block.nodes], slopes))
-    every = np.concatenate([determinants(points, block), at_nodes], axis=1)
-    return every.min(axis=1), np.abs(every).max(axis=1)
+    at_all = np.concatenate([determinants(points, block), at_nodes], axis=1)
+    return at_all.min(axis=1), np.abs(at_all).max(axis=1)
 
 
 def folded_cells(points: np.ndarray, block: CellBlock) -> np.ndarray:
@@ -58,16 +57,17 @@ def folded_cells(points: np.ndarray, block: CellBlock) -> np.ndarray:
 def right_way_round(points: np.ndarray, block: CellBlock) -> CellBlock:
     """Return the block, renumbered if all its cells are mirrored.
 
-    Only a complete block is renumbered: a few mirrored cells among others are an error of the mesh.
+    Only a whole block is renumbered: a few mirrored cells among others are an error of the mesh.
 
     points: shape (n, 3), in m or any other unit.
     """
     if not len(block) or not (determinants(points, block) < 0.0).all():
         return block
     reference = node_coordinates(block.kind)
-    mirrored = reference[:, [1, 0, 2]]
     if block.kind.startswith(("hex", "wedge")):
         mirrored = reference * [1, 1, -1] + [0, 0, 1]
+    else:  # a tetrahedron or pyramid is its own mirror image by x and y exchanged
+        mirrored = reference[:, [1, 0, 2]]
     distance = np.abs(mirrored[:, None, :] - reference[None, :, :]).max(axis=2)
     return CellBlock(block.kind, block.nodes[:, distance.argmin(axis=1)])
 
@@ -78,10 +78,10 @@ def cell_problems(mesh: Mesh) -> list[BundleProblem]:
     for block in mesh.blocks:
         bad = folded_cells(mesh.points, block)
         if bad.size:
-            at = point_text(mesh.points[block.nodes[bad[0]]].mean(axis=0))
+            centre = point_text(mesh.points[block.nodes[bad[0]]].mean(axis=0))
             message = (
                 f"{bad.size} of {len(block)} {block.kind} cells are inverted or flat, one "
-                f"near {at} m. Mesh more finely there, with nodes in the format's order and "
+                f"near {centre} m. Mesh more finely there, with nodes in the format's order and "
                 "midside nodes in the middle; write collapsed cells as wedges"
             )
             problems.append(BundleProblem("mesh", message))
@@ -94,7 +94,7 @@ class Gradients:
 
     slopes: np.ndarray  # shape (cells, points, 3, nodes), 1/m: dN_a/dX_J at each quadrature point
     weights: np.ndarray  # shape (cells, points), m^3: the volume of each point
-    # Shape (points, nodes), or (cells, points, nodes) if they differ: the shape functions
+    # Shape (points, nodes), or (cells, points, nodes) if they differ by cell: the shape functions
     values: np.ndarray
 
     def of_outer(self, weights: np.ndarray) -> Gradients:

@@ -1,4 +1,4 @@
-"""Stresses at the integration points, in the first interface's frame, and yielding."""
+"""Stresses at the integration points, in the first interface's frame, and yielding by them."""
 
 from __future__ import annotations
 
@@ -11,39 +11,40 @@ from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.solution import Solution
 from wrenchbook.fea.tensors import COLUMNS, ROWS, von_mises
 
-_HALF_KELVIN = 0.5  # K: the difference's error is the square of the thermal strain in it, 1e-10
+# K, half the step of a difference by the temperature: its relative error is the square of the
+# thermal strain in it, 1e-10.
+_HALF_STEP = 0.5
 
 
 def integration_points(
     component: ComponentModel, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points and materials of the integration, in the order of `ElasticBody.parts`.
+    """Return coordinates and material of each integration point, by `ElasticBody.parts`.
 
-    component: its mesh's cells and their materials.
     points: shape (n, 3), m: the mesh's points, in the frame of the result.
-    Returns coordinates: shape (p, 3), m, undeformed. materials: shape (p,), int32: index
-    of each point's material.
+    Returns coordinates: shape (p, 3), m, undeformed. materials: shape (p,), int32: index of each
+    point's material.
     """
     coordinates, materials = [], []
-    of_cells = component.materials, component.material_of_cells
-    for block, numbers, chosen, _, _ in sorted_cells(component.mesh, *of_cells):
+    cells = sorted_cells(component.mesh, component.materials, component.material_of_cells)
+    for block, numbers, of_part, _, _ in cells:
         element = reference_element(block.kind, component.analysis.integration)
-        coordinates.append((element.values @ points[block.nodes[chosen]]).reshape(-1, 3))
-        materials.append(np.repeat(numbers[chosen], len(element.values)))
+        coordinates.append((element.values @ points[block.nodes[of_part]]).reshape(-1, 3))
+        materials.append(np.repeat(numbers[of_part], len(element.values)))
     return np.concatenate(coordinates), np.concatenate(materials).astype(np.int32)
 
 
 def small_stress(body: ElasticBody, fields: np.ndarray, loads: int | None = None) -> np.ndarray:
     """Return the stresses of small displacement fields: xx, yy, zz, xy, xz, yz.
 
-    fields: shape (n, 3, k), m over some unit.
+    fields: shape (n, 3, k), m per unit of each input.
     loads: the number of fields before that of one kelvin; None if there is none.
-    Result: shape (p, 6, k), Pa over that unit.
+    Returns stresses: shape (p, 6, k), Pa per unit.
     """
     if body.expands and loads is not None:
-        parts = np.split(fields, [loads, loads + 1], axis=2)
-        bodies = body, body.at(1.0, finite=False), body
-        return np.concatenate(list(map(small_stress, bodies, parts)), axis=2)
+        before, thermal, after = np.split(fields, [loads, loads + 1], axis=2)
+        warm = small_stress(body.at(1.0, finite=False), thermal)
+        return np.concatenate([small_stress(body, before), warm, small_stress(body, after)], axis=2)
     stresses = []
     for part, nodes in zip(body.parts, body.cells, strict=True):
         stress = part.small_stresses(np.moveaxis(gather(fields, nodes), -1, 0))
@@ -72,19 +73,19 @@ def cauchy_stress(
     heated = body.at(temperature)
     for part, nodes in zip(heated.parts, body.cells, strict=True):
         fields = np.moveaxis(gather(tangents, nodes), -1, 0)
-        stress, slopes = part.cauchy_stresses(gather(displacement, nodes), fields)
+        stress, change = part.cauchy_stresses(gather(displacement, nodes), fields)
         stresses.append(_six(stress))
-        changes.append(np.moveaxis(_six(slopes), 0, -1))
-    slopes_of_all = np.concatenate(changes)
+        changes.append(np.moveaxis(_six(change), 0, -1))
+    slopes = np.concatenate(changes)
     if body.expands and loads is not None and tangents.shape[2]:
-        # Per kelvin at a fixed displacement: a central difference.
+        # The part of the change at a fixed displacement, by a central difference.
         no_fields = tangents[:, :, :0]
         warmer, cooler = (
             cauchy_stress(body, displacement, no_fields, temperature + step)[0]
-            for step in (_HALF_KELVIN, -_HALF_KELVIN)
+            for step in (_HALF_STEP, -_HALF_STEP)
         )
-        slopes_of_all[:, :, loads] += warmer - cooler
-    return np.concatenate(stresses), slopes_of_all
+        slopes[:, :, loads] += warmer - cooler
+    return np.concatenate(stresses), slopes
 
 
 def stress_of(component: ComponentModel, body: ElasticBody, solution: Solution) -> np.ndarray:
@@ -97,7 +98,7 @@ def stress_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
 
 
 def _six(stress: np.ndarray) -> np.ndarray:
-    """Return six numbers a point: (k, cells, points, 3, 3), or without k, to (k, p, 6)."""
+    """Return the six components of stresses (..., cells, points, 3, 3): shape (..., p, 6)."""
     six = stress[..., ROWS, COLUMNS]
     *before, cells, points, _ = six.shape
     return six.reshape(*before, cells * points, 6)
@@ -106,16 +107,19 @@ def _six(stress: np.ndarray) -> np.ndarray:
 def most_used(component: ComponentModel, body: ElasticBody, fields: np.ndarray) -> np.ndarray:
     """Return the largest part of the yield strength that each unit load uses, shape (k,).
 
-    `fields` has shape (n, 3, k), m over each unit, in the body's axes. The von Mises stress is a
-    seminorm, so that of a sum of loads is at most the sum of theirs (triangle inequality).
+    The von Mises stress is a seminorm, so that of a sum of loads is at most the sum of theirs.
+
+    fields: shape (n, 3, k), m per unit load, in the body's axes.
     """
     strengths = _strengths(component)
     if not np.isfinite(strengths).any():
         return np.zeros(fields.shape[2])
-    of_points = strengths[integration_points(component, body.points)[1]]
-    parts = np.split(fields, fields.shape[2], axis=2)  # in turn: stresses take much memory
-    used = [(von_mises(small_stress(body, part)[:, :, 0]) / of_points).max() for part in parts]
-    return np.array(used)
+    _, materials = integration_points(component, body.points)
+    largest = np.empty(fields.shape[2])
+    for load in range(fields.shape[2]):  # in turn, as the stresses take much memory
+        stress = small_stress(body, fields[:, :, load : load + 1])[:, :, 0]
+        largest[load] = (von_mises(stress) / strengths[materials]).max()
+    return largest
 
 
 def _strengths(component: ComponentModel) -> np.ndarray:
@@ -124,14 +128,14 @@ def _strengths(component: ComponentModel) -> np.ndarray:
 
 
 def yielding(component: ComponentModel, body: ElasticBody, solution: Solution) -> str:
-    """Return a text with the fraction of the volume beyond its yield strength; empty if none is.
+    """Return a warning with the part of the volume above its yield strength; empty if none is.
 
-    By the von Mises stress at the integration points.
+    The von Mises stresses at the integration points decide.
     """
     strengths = _strengths(component)
     if not np.isfinite(strengths).any():
         return ""
-    materials = integration_points(component, body.points)[1]
+    _, materials = integration_points(component, body.points)
     used = von_mises(stress_of(component, body, solution)) / strengths[materials]
     worst = int(used.argmax())
     if not used[worst] > 1.0:

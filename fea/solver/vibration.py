@@ -1,4 +1,4 @@
-"""The first natural frequency of a component; a rigid mass may ride on the interface."""
+"""The mass matrix and the first natural frequency of a component, with a mass on its interface."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.reference_cell import reference_element
 from wrenchbook.fea.tensors import determinant, skew
 
-# Part of the largest moment of inertia: a rod's least is 0 but for roundoff.
+# Part of the largest moment of inertia: a rod's least moment is 0 but for roundoff.
 _MOMENT_ROUNDOFF = 1e-9
-# Part of the largest moment of inertia: a plate's is the sum of the others but for typed digits.
+# Part of the largest moment of inertia: a plate's largest is the sum of the others, but for the two
+# digits to which moments are typed.
 _TYPED_DIGITS = 0.01
 _SEED = 20170726  # seed of the first mode's start vector: the same bundle gives the same digits
 
@@ -49,9 +50,11 @@ class Riding:
             raise ValueError("the inertia must be symmetric; give its xx, yy, zz, xy, xz, yz")
         moments = np.linalg.eigvalsh(self.inertia)
         if moments[0] < -_MOMENT_ROUNDOFF * max(moments[2], 0.0):
-            least = f"the least principal moment of inertia is {moments[0]:.4g} kg·m^2"
-            remedy = "give positive xx,yy,zz and, if there are six, smaller xy, xz, yz"
-            raise ValueError(f"{least}, but none may be negative; in --inertia {remedy}")
+            raise ValueError(
+                f"the least principal moment of inertia is {moments[0]:.4g} kg·m^2, but none may "
+                "be negative; in --inertia give positive xx,yy,zz and, if there are six, smaller "
+                "xy, xz, yz"
+            )
         if moments[2] * (1 - _TYPED_DIGITS) > moments[0] + moments[1]:
             low, middle, high = (f"{moment:.4g}" for moment in moments)
             raise ValueError(
@@ -63,16 +66,17 @@ class Riding:
     def of(
         cls, mass: float = 0.0, inertia: np.ndarray | None = None, centre: np.ndarray | None = None
     ) -> Riding:
-        """Return a rigid mass with three principal moments or six (xx, yy, zz, xy, xz, yz), kg·m^2.
+        """Return a rigid mass by three moments of inertia or six (xx, yy, zz, xy, xz, yz), kg·m^2.
 
-        Raises ValueError if the inertia has other than none, three or six moments, or as the class
-        does.
+        Raises ValueError for another number of moments or coordinates, or as the class does.
         """
         moments = np.zeros(3) if inertia is None else np.asarray(inertia, dtype=float)
         position = np.zeros(3) if centre is None else np.asarray(centre, dtype=float)
         if moments.shape not in ((3,), (6,)):
-            wanted = "xx, yy, zz or xx, yy, zz, xy, xz, yz, in kg·m^2"
-            raise ValueError(f"the inertia must be {wanted}, not {moments.size} numbers")
+            raise ValueError(
+                "the inertia must be xx, yy, zz or xx, yy, zz, xy, xz, yz, in kg·m^2, not "
+                f"{moments.size} numbers"
+            )
         if position.shape != (3,):
             raise ValueError(
                 f"the centre of mass must be 3 numbers x,y,z in m, not {position.size} numbers"
@@ -129,8 +133,8 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     elif riding.matrix.any():
         raise ValueError("a mass cannot be put on one of several interfaces; leave the mass out")
     inertia = Inertia(system, mass, interface_mass)
-    cells = 1.0 - system.body.slips
-    mass_of_part = float(cells @ (mass @ cells))
+    is_moved = 1.0 - system.body.slips  # nodes that a translation of the part moves
+    mass_of_part = float(is_moved @ (mass @ is_moved))
     start = np.random.default_rng(_SEED).standard_normal(inertia.size)
     if mass.nnz and inertia.times(start).any():
         x = lowest_modes(inertia, inertia.solved, start, 1)[1][:, 0]
@@ -145,8 +149,9 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     frequency = float(np.sqrt(square) / (2 * np.pi))
 
     without_riding = Inertia(system, mass, np.zeros((count, count)))
-    if length := float(np.linalg.norm(interface)):  # length 1, its largest component positive
-        interface = interface / (length * np.sign(interface[np.abs(interface).argmax()]))
+    if length := float(np.linalg.norm(interface)):
+        largest = interface[np.abs(interface).argmax()]  # made positive: a mode has no sign
+        interface = interface / (length * np.sign(largest))
     return Vibration(mass_of_part, frequency, interface, condensed_mass(without_riding))
 
 
@@ -185,19 +190,14 @@ def _lowest_mode_of_massless(inertia: Inertia) -> np.ndarray:
             "nothing that can move has a mass; give materials a density in kg/m^3, or the "
             "interface a mass along a freedom that is not locked"
         )
-    active = inertia.active.size
-    rows = slice(inertia.first, inertia.first + active)
-    units = np.zeros((active, inertia.size))
-    units[:, rows] = np.eye(active)
-    moved = inertia.solved(units).T
-    compliance = moved[rows]
+    moved, compliance = _motions_by_unit_loads(inertia)
     try:
         lower = np.linalg.cholesky(0.5 * (compliance + compliance.T))
     except np.linalg.LinAlgError as error:
         raise SolveFailed(
             "ill_conditioned",
-            f"The compliance of the {active} free freedoms of the interface is not positive "
-            f"definite: its diagonal is {compliance.diagonal()} (m/N, then rad/(N·m)).",
+            f"The compliance of the {len(compliance)} free freedoms of the interface is not "
+            f"positive definite: its diagonal is {compliance.diagonal()} (m/N, then rad/(N·m)).",
         ) from error
     _, vectors = np.linalg.eigh(lower.T @ carried @ lower)
     return np.linalg.solve(compliance, lower @ vectors[:, -1]) @ moved.T
@@ -220,16 +220,23 @@ def condensed_mass(inertia: Inertia) -> np.ndarray:
 
 
 def static_shapes(inertia: Inertia) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unknowns by unit motions of each active interface freedom, shape (size, k).
+    """Return the unknowns by unit motions of the k active interface freedoms, shape (size, k).
 
-    The second result is the compliance of these freedoms, shape (k, k), m/N and so on.
+    The second result is the compliance of these freedoms, shape (k, k), m/N to rad/(N·m).
     """
-    rows = inertia.first + np.arange(inertia.active.size)
-    units = np.zeros((rows.size, inertia.size))
-    units[np.arange(rows.size), rows] = 1.0
-    moved = inertia.solved(units).T
-    compliance = 0.5 * (moved[rows] + moved[rows].T)
-    return np.linalg.solve(moved[rows].T, moved.T).T, compliance
+    moved, compliance = _motions_by_unit_loads(inertia)
+    return np.linalg.solve(compliance.T, moved.T).T, 0.5 * (compliance + compliance.T)
+
+
+def _motions_by_unit_loads(inertia: Inertia) -> tuple[np.ndarray, np.ndarray]:
+    """Return the unknowns by unit loads on the active freedoms, (size, k), and their rows of these.
+
+    The rows are the compliance, (k, k), m/N to rad/(N·m), symmetric but for roundoff.
+    """
+    count = inertia.active.size
+    loads = np.eye(count, inertia.size, k=inertia.first)
+    moved = inertia.solved(loads).T
+    return moved, moved[inertia.first : inertia.first + count]
 
 
 class Inertia:
@@ -256,7 +263,7 @@ class Inertia:
         self.size = self.first + self._motions
 
     def fields(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return all nodes' motion (n, 3), m, and the interfaces' (6 i,), m and rad."""
+        """Return the motion of all nodes (n, 3), m, and of the interfaces (6 i,), m and rad."""
         border = x[self.first :]
         nodes = self._constraint @ border
         moved = np.zeros_like(nodes)
@@ -267,11 +274,11 @@ class Inertia:
         return nodes, interface
 
     def border(self, x: np.ndarray) -> np.ndarray:
-        """Return the motion of the whole border, shape (border, 1); its multipliers are zero."""
+        """Return the motion of the whole border, shape (border, 1), with zero multipliers."""
         return np.append(x[self.first :], np.zeros(self._multipliers))[:, None]
 
     def times(self, x: np.ndarray) -> np.ndarray:
-        """Multiply by the mass matrix: shape (size,) to (size,), kg times the unit given."""
+        """Return M x, shape (size,): kg times the units of `x`."""
         nodes, interface = self.fields(np.asarray(x).reshape(-1))
         forces = np.asarray(self._mass @ nodes)
         border = contract(self._constraint, forces[:, :, None])[:, 0]
@@ -290,7 +297,7 @@ class Inertia:
 
 
 class Applied(LinearOperator):
-    """A linear map in SciPy's form."""
+    """A symmetric linear map as the operator that SciPy's `eigsh` takes."""
 
     def __init__(self, size: int, apply: Callable[[np.ndarray], np.ndarray]) -> None:
         super().__init__(np.dtype(float), (size, size))
@@ -303,7 +310,7 @@ class Applied(LinearOperator):
 def consistent_mass(mesh: Mesh, density: Sequence[np.ndarray]) -> csr_array:
     """Integrate density N_a N_b over all cells.
 
-    It is the same for each of the three components of a displacement, so it stands once.
+    It is the same for the three components of a displacement.
 
     mesh: the cells, in any frame.
     density: for each block of the mesh, shape (cells,), kg/m^3.
@@ -312,23 +319,22 @@ def consistent_mass(mesh: Mesh, density: Sequence[np.ndarray]) -> csr_array:
     count = len(mesh.points)
     total = csr_array((count, count))
     for block, densities in zip(mesh.blocks, density, strict=True):
-        # The mass matrix of each cell, shape (cells, nodes, nodes), kg.
         element = reference_element(block.kind, "mass")
         volumes = determinant(jacobians(mesh.points[block.nodes], element.slopes))
         weights = volumes * element.weights * densities[:, None]
         products = element.values[:, :, None] * element.values[:, None, :]
-        entries = weights @ products.reshape(len(products), -1)
-        total = total + assembled(block.nodes, entries, count)
+        of_cells = weights @ products.reshape(len(products), -1)
+        total = total + assembled(block.nodes, of_cells, count)
     if mesh.dependents is not None:
-        follow = mesh.dependents.map
-        total = follow.T @ total @ follow
+        of_free = mesh.dependents.map
+        total = of_free.T @ total @ of_free
     return csr_array(total)
 
 
 def assembled(nodes: np.ndarray, matrices: np.ndarray, size: int) -> csr_array:
-    """Return the sum of cells' matrices, (cells, s^2) in any shape, of nodes (cells, s).
+    """Return the sum of the matrices of cells, shape (size, size), in their unit.
 
-    Result: shape (size, size), in the unit of the matrices.
+    nodes: shape (cells, s). matrices: shape (cells, s, s), or any other with its entries.
     """
     count = nodes.shape[1]
     indices = np.repeat(nodes, count, axis=1).ravel(), np.tile(nodes, (1, count)).ravel()

@@ -1,11 +1,10 @@
-"""``wrenchbook jobs``, the list of jobs or a line for each change of one, and ``audit``."""
+"""The commands ``jobs`` (a list of jobs, or their changes) and ``audit`` (who wrote what)."""
 
 from __future__ import annotations
 
 import json
 import time
 from typing import Annotated
-from urllib.parse import urlencode
 
 import typer
 from rich.console import Console
@@ -16,7 +15,7 @@ from wrenchbook.service.cli.render import Screen, job_table, plain, show
 from wrenchbook.service.client import Client, Event
 from wrenchbook.service.contract import counted
 
-MAX_SHOWN = 50  # open jobs in the table before the first event: a screen
+MAX_SHOWN = 50  # open jobs in the table before the first event: they fill a terminal
 
 
 def jobs(
@@ -43,13 +42,14 @@ def jobs(
             follow_jobs(Screen(), client, component, as_json=as_json)
             return
         listed = client.jobs(component, status, limit, after)
-    last = listed[-1:] if len(listed) == limit else []
-    older = [f"Older ones: wrenchbook jobs --after {job.id}" for job in last]
-    show([job.raw for job in listed], as_json, lambda: [job_table(listed), *older])
+    shown: list[Table | str] = [job_table(listed)]
+    if len(listed) == limit:
+        shown.append(f"Older ones: wrenchbook jobs --after {listed[-1].id}")
+    show([job.raw for job in listed], as_json, lambda: shown)
 
 
 def audit(
-    component: Annotated[str | None, typer.Option(help="only of this component")] = None,
+    component: Annotated[str | None, typer.Option(help="only writes about this component")] = None,
     actor: Annotated[
         str | None, typer.Option(help="only of this actor: a key, or user:NAME")
     ] = None,
@@ -63,41 +63,43 @@ def audit(
     data: Data = None,
 ) -> None:
     """List writes with their actors, newest first; --json has the states before and after."""
-    options = {"component": component, "actor": actor, "action": action, "since": since}
-    options |= {"until": until, "limit": limit, "after": after}
-    query = urlencode({name: value for name, value in options.items() if value is not None})
+    query = {"component": component, "actor": actor, "action": action, "since": since}
+    query |= {"until": until, "limit": limit, "after": after}
     with connected(server, data) as client:
-        entries = client.call_json("GET", f"/v1/audit?{query}")["entries"]
-    names = ("id", "time", "actor", "action", "component", "object")
-    table = Table(*(Column(name, no_wrap=name in ("id", "time")) for name in names))
+        entries = client.call_json("GET", "/v1/audit", query=query)["entries"]
+    names = ("actor", "action", "component", "object")
+    table = Table(Column("id", no_wrap=True), Column("time", no_wrap=True), *names)
     for entry in entries:
-        table.add_row(*(str(entry[name] or "") for name in names))
+        table.add_row(str(entry["id"]), entry["time"], *(entry[name] for name in names))
     show(entries, as_json, lambda: [table])
 
 
 def follow_jobs(
     out: Console, client: Client, component: str | None, *, as_json: bool = False
 ) -> None:
-    """Print the open jobs, then a line for each event, until Ctrl-C; as JSON only the events."""
-    shown = False
+    """Print a table of open jobs, then a line for each event, until Ctrl-C.
+
+    As JSON only the events are printed, an object a line.
+    """
+    has_table = False
     for event in client.events(component):
         if as_json:
             print(json.dumps({"event": event.kind, **event.body}), flush=True)
             continue
-        if not shown:  # events arrive from now on, so that none is missed after the list
+        if not has_table:  # after the first event, so that no change between both is missed
             # Waiting ones first: a job that starts in between is in both, and not in neither.
             waiting = client.jobs(component, "waiting", limit=MAX_SHOWN)
             running = client.jobs(component, "running", limit=MAX_SHOWN)
             listed = {job.id: job for job in running}
             listed |= {job.id: job for job in waiting if job.id not in listed}
             out.print(job_table([*listed.values()][:MAX_SHOWN]))
-            shown = True
+            has_table = True
         if line := event_line(event):
             plain(out, f"{time.strftime('%H:%M:%S')} {line}")
 
 
 def event_line(event: Event) -> str:
-    """Return an event as a line; empty for an event without a message."""
+    """Return the text of an event; empty for an event without a message."""
     body = event.body
     if event.kind == "jobs":
         return f"{counted(body['count'], 'job')} of {body['component']} changed"

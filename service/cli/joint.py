@@ -1,4 +1,4 @@
-"""``wrenchbook joint`` and ``stiffness``: a part in a simulator's scene, and as a matrix."""
+"""The commands ``joint`` (a part in a MuJoCo scene) and ``stiffness`` (a part as a matrix)."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.table import Table
 
 from wrenchbook.service.cli.connect import (
     DEFAULT_SERVER,
@@ -55,7 +56,7 @@ def joint(
         bool, typer.Option("--linear", help="bend by springs in the scene, without MujocoJoint")
     ] = False,
     damping: Annotated[
-        float, typer.Option(min=0.0, help="of --linear: share of critical damping of each mode")
+        float, typer.Option(min=0.0, help="of --linear: fraction of critical damping of each mode")
     ] = DAMPING,
     force: _Force = ZERO,
     moment: _Moment = ZERO,
@@ -68,20 +69,21 @@ def joint(
     data: Data = None,
 ) -> None:
     """Write a MuJoCo scene in which a component can bend between two bodies, for MujocoJoint."""
-    if not linear:  # MujocoJoint takes damping and inputs itself
-        springs_only = {"--damping": damping != DAMPING, "--input": further}
-        loads = {"--force": force != ZERO, "--moment": moment != ZERO}
-        refuse_alone("--linear", springs_only | loads)
+    if not linear:  # MujocoJoint takes damping, inputs and loads itself
+        of_springs = {"--damping": damping != DAMPING, "--input": further}
+        of_springs |= {"--force": force != ZERO, "--moment": moment != ZERO}
+        refuse_alone("--linear", of_springs)
+    # Imported on use: no other command needs MuJoCo's scenes.
     from wrenchbook.service.client.joint.mujoco_model import scene_with_joint, scene_with_springs
 
     with connected(server, data) as client:
         facts = client.component(name)
         table = client.download(name) if linear else None
-    part, mass = _moving(name, facts, interface)
+    moving, mass = _moving(name, facts, interface)
     if massless:
         mass = None
     if table is None:
-        locked = part.get("locked", ())
+        locked = moving.get("locked", ())
         text = scene_with_joint(scene, base, tip, locked=locked, site=site, mass=mass)
     else:
         springs = LinearPart.of(table, (*force, *moment), further_inputs(further))
@@ -101,41 +103,43 @@ def joint(
 
 
 def _mass_note(name: str, facts: dict[str, Any], mass: list[list[float]] | None, tip: str) -> str:
-    """Return a text on the mass that moves with the tip; `mass` as of `_moving`."""
+    """Return a text on the mass that moves with the tip; `mass` is the result of `_moving`."""
     if mass is None:
         return f"{name} has no known mass, so {tip!r} has none of it; give its materials a density"
     total = facts["vibration"]["mass"]
-    moving = sum(mass[k][k] for k in range(3)) / 3
+    at_tip = sum(mass[k][k] for k in range(3)) / 3
     return (
-        f"{moving:.4g} kg of the part's {total:.4g} kg move with {tip!r}. Add the mass that moves "
+        f"{at_tip:.4g} kg of the part's {total:.4g} kg move with {tip!r}. Add the mass that moves "
         "with no tip to the base's body"
     )
 
 
-def _moving(name: str, facts: dict[str, Any], interface: str | None = None) -> tuple[Any, Any]:
-    """Return the facts of an interface that moves, and its condensed mass.
+def _moving(
+    name: str, facts: dict[str, Any], interface: str | None = None
+) -> tuple[dict[str, Any], list[list[float]] | None]:
+    """Return the body of an interface that moves, and the mass condensed to it.
 
-    The mass is (6, 6), kg to kg·m^2, or None if unknown.
+    The mass has shape (6, 6), kg to kg·m^2; None if it is unknown. A single interface has no name.
 
     Raises BadParameter if the interface does not move, or several do and none is named.
     """
-    parts = facts.get("interfaces") or {"": facts.get("interface") or {}}
-    moving = [end for end, part in parts.items() if not part.get("held")]
-    at = moving[0] if interface is None and len(moving) == 1 else interface
+    interfaces = facts.get("interfaces") or {"": facts.get("interface") or {}}
+    moving = [end for end, body in interfaces.items() if not body.get("held")]
     if interface is not None and moving == [""]:
         raise typer.BadParameter(
             f"{name} has a single interface, which has no name; leave --interface {interface} out"
         )
+    at = moving[0] if interface is None and len(moving) == 1 else interface
     if at is None or at not in moving:
-        has = f"{name} has no interface {at!r} that moves; it" if interface else name
+        subject = f"{name} has no interface {at!r} that moves; it" if interface else name
         raise typer.BadParameter(
-            f"{has} moves at {', '.join(moving)}; name the interface of the tip, for example: "
+            f"{subject} moves at {', '.join(moving)}; name the interface of the tip, for example: "
             f"--interface {moving[0]}"
         )
-    first = FREEDOMS * list(parts).index(at)
+    first = FREEDOMS * list(interfaces).index(at)
     freedoms = slice(first, first + FREEDOMS)
     matrix = (facts.get("vibration") or {}).get("condensed_mass") or []
-    return parts[at], [row[freedoms] for row in matrix[freedoms]] or None
+    return interfaces[at], [row[freedoms] for row in matrix[freedoms]] or None
 
 
 def stiffness(
@@ -161,28 +165,28 @@ def stiffness(
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Show a component's 6x6 stiffness about a load, its mass, and the error of being linear.
+    """Show a component's 6x6 stiffness about a load, its mass, and its error of linearity.
 
     With --between: that of its measured rows.
     """
     if between is None:
         refuse_alone("--between LOW HIGH", {"--axis": axis, "--of": of, "--import": number})
+    shown: list[Table | str]
     with connected(server, data) as client:
         if between is not None:
             body = client.stiffness(name, between, axis, of, number)
-            shown: list[Any] = list(stiffness_lines(body))
+            shown = [*stiffness_lines(body)]
         else:
             facts = client.component(name)
-            table = client.download(name)
             wrench = (*force, *moment)
-            part = LinearPart.of(table, wrench, further_inputs(further))
+            part = LinearPart.of(client.download(name), wrench, further_inputs(further))
             body = part.to_dict(_moving(name, facts)[1])
-            loads = body["loads"]
             freedoms = part.freedoms
-            mass = body["mass"]
             shown = [
-                matrix_table("stiffness, N/m to N·m/rad", loads, freedoms, body["stiffness"]),
-                matrix_table("condensed mass, kg to kg·m^2", freedoms, freedoms, mass),
+                matrix_table(
+                    "stiffness, N/m to N·m/rad", body["loads"], freedoms, body["stiffness"]
+                ),
+                matrix_table("condensed mass, kg to kg·m^2", freedoms, freedoms, body["mass"]),
                 part.error,
             ]
     if out is not None:

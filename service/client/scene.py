@@ -1,4 +1,4 @@
-"""A scene: the requirements of one simulation on its components."""
+"""A scene: the loads, outputs and tolerances that one simulation needs of its components."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from .wrenches import tolerance_body
 if TYPE_CHECKING:
     from .async_client import AsyncClient
 
-_FIELDS = ("force", "moment", "loads", "inputs", "outputs", "tolerance")
-_RANGE_FIELDS = _FIELDS[:4]  # the part of the load range that a scene needs
-_SPANS = "[[-100, 100], [0, 0], [-600, 0]]"  # three loads, in the syntax of TOML and of Python
+_RANGE_FIELDS = ("force", "moment", "loads", "inputs")  # the part of the load range
+_FIELDS = (*_RANGE_FIELDS, "outputs", "tolerance")
+_EXAMPLE = "[[-100, 100], [0, 0], [-600, 0]]"  # three loads, in the syntax of TOML and of Python
 
 
 class SceneError(InvalidArgument):
@@ -64,20 +64,20 @@ class Scene:
         if not isinstance(components, Mapping) or not components:
             raise SceneError(
                 "the scene has no component; add [components.NAME] with force and moment, each "
-                f"such as {_SPANS}, or in Python Scene({{NAME: {{'force': ..., 'moment': ...}}}})"
+                f"such as {_EXAMPLE}, or in Python Scene({{NAME: {{'force': ..., 'moment': ...}}}})"
             )
-        self.components = {str(name): _checked(name, need) for name, need in components.items()}
+        self.components = {str(name): _body(name, needs) for name, needs in components.items()}
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
-        """Return the scene of a TOML file: a table ``[components.NAME]`` each.
+        """Return the scene of a TOML file, which has a table ``[components.NAME]`` for each.
 
         Raises
         ------
         OSError
             If the file cannot be read.
         SceneError
-            If it is no TOML or no scene; the text names the file.
+            If it is not TOML or not a scene; the message names the file.
         """
         try:
             with Path(path).open("rb") as file:
@@ -105,11 +105,11 @@ class Scene:
         SceneError
             If the scene has no such component.
         """
-        need = self.component(name)
+        needs = self.component(name)
         return {
-            "range": {field: need[field] for field in _RANGE_FIELDS if field in need},
-            "outputs": need.get("outputs"),
-            "tolerance": need.get("tolerance"),
+            "range": {field: needs[field] for field in _RANGE_FIELDS if field in needs},
+            "outputs": needs.get("outputs"),
+            "tolerance": needs.get("tolerance"),
         }
 
     def component(self, name: str) -> Document:
@@ -131,7 +131,7 @@ class Scene:
     def plan(self, client: Connection | AsyncClient) -> object:
         """Return the plan of each component: the rows that the scene needs, and those it saves.
 
-        The call of an `AsyncClient` is awaited.
+        With an `AsyncClient` the result is awaited.
 
         Raises
         ------
@@ -159,35 +159,35 @@ class Scene:
         return json.dumps(self.component(name), sort_keys=True)
 
 
-def _checked(name: str, need: Json) -> Document:
-    """Return one component's requirements in the form of the request."""
+def _body(name: str, needs: Json) -> Document:
+    """Return one component's needs in the form of the request; raises SceneError."""
     where = f"components.{name}"
-    if not isinstance(need, Mapping):
+    if not isinstance(needs, Mapping):
         raise SceneError(
-            f"{where} is {need!r}, but must be a table; write [{where}] with force and moment"
+            f"{where} is {needs!r}, but must be a table; write [{where}] with force and moment"
         )
-    _refuse_unknown(where, need, _FIELDS)
-    loads, further, outputs = (need.get(field) for field in ("loads", "inputs", "outputs"))
-    if loads is None:
-        body: Document = _wrench(where, need, ("force", "moment"))
+    _refuse_unknown(where, needs, _FIELDS)
+    body: Document = {}
+    if needs.get("loads") is None:
+        body = _wrench(where, needs, ("force", "moment"))
     else:
-        by_name = _named(f"{where}.loads", loads).items()
-        body = {"loads": {k: _wrench(f"{where}.loads.{k}", load, load) for k, load in by_name}}
-    if further is not None:
-        spans = _named(f"{where}.inputs", further).items()
-        body["inputs"] = {k: _span(f"{where}.inputs.{k}", span) for k, span in spans}
-    if outputs is not None:
-        body["outputs"] = _ordered_outputs(f"{where}.outputs", outputs)
-    if need.get("tolerance") is not None:
+        loads = _table(f"{where}.loads", needs["loads"])
+        body["loads"] = {k: _wrench(f"{where}.loads.{k}", load, load) for k, load in loads.items()}
+    if needs.get("inputs") is not None:
+        inputs = _table(f"{where}.inputs", needs["inputs"])
+        body["inputs"] = {k: _span(f"{where}.inputs.{k}", span) for k, span in inputs.items()}
+    if needs.get("outputs") is not None:
+        body["outputs"] = _ordered_outputs(f"{where}.outputs", needs["outputs"])
+    if needs.get("tolerance") is not None:
         try:
-            body["tolerance"] = tolerance_body(need["tolerance"])
+            body["tolerance"] = tolerance_body(needs["tolerance"])
         except ValueError as error:
             raise SceneError(f"{where}.{error}") from None
     return body
 
 
 def _refuse_unknown(where: str, keys: Iterable[object], known: Sequence[str]) -> None:
-    """Raise SceneError if a key at a place of the scene is not among the known ones."""
+    """Raise SceneError if a key is not a known one; `where` is its table, "" for the whole file."""
     unknown = [str(key) for key in keys if key not in known]
     if unknown:
         place = f"{where}: " if where else ""
@@ -195,10 +195,10 @@ def _refuse_unknown(where: str, keys: Iterable[object], known: Sequence[str]) ->
 
 
 def _ordered_outputs(where: str, outputs: Json) -> list[str]:
-    """Return the names of outputs, ``uz`` or ``left.uz``, by interface and in table order."""
+    """Return names of outputs, ``uz`` or ``left.uz``, by interface, then in the table's order."""
     if not isinstance(outputs, Sequence) or isinstance(outputs, str) or not outputs:
         raise SceneError(f'{where} is {outputs!r}; write a list of outputs, such as ["uz", "ry"]')
-    places = set()
+    indices = set()
     for name in map(str, outputs):
         interface, _, output = name.rpartition(".")
         if output not in OUTPUTS:
@@ -206,33 +206,34 @@ def _ordered_outputs(where: str, outputs: Json) -> list[str]:
                 f"{where}: {name!r} is not an output; use {', '.join(OUTPUTS)}, with several "
                 "interfaces in the form INTERFACE.uz"
             )
-        places.add((interface, OUTPUTS.index(output)))
-    return [f"{k}.{OUTPUTS[place]}".lstrip(".") for k, place in sorted(places)]
+        indices.add((interface, OUTPUTS.index(output)))
+    return [f"{interface}.{OUTPUTS[k]}".removeprefix(".") for interface, k in sorted(indices)]
 
 
-def _named(where: str, value: Json) -> Mapping[str, Json]:
+def _table(where: str, value: Json) -> Mapping[str, Json]:
+    """Return the value; raise SceneError if it is not a table."""
     if not isinstance(value, Mapping):
         raise SceneError(f"{where} is {value!r}, but must be a table of values, {{NAME = VALUE}}")
     return value
 
 
-def _wrench(where: str, need: Json, parts: Iterable[str]) -> Document:
-    """Return the spans of force and moment; `parts`: those that must be present."""
+def _wrench(where: str, needs: Json, parts: Iterable[str]) -> Document:
+    """Return the spans of the three loads of each part, ``force`` or ``moment``."""
     _refuse_unknown(where, parts, ("force", "moment"))
     body: Document = {}
     for part in parts:
-        spans = need.get(part)
+        spans = needs.get(part)
         place = f"{where}.{part}"
         if spans is None:
             raise SceneError(
-                f"{place} is missing; write a range [low, high] for x, y and z, such as {_SPANS}, "
-                "with [0, 0] where no load can occur"
+                f"{place} is missing; write a range [low, high] for x, y and z, such as "
+                f"{_EXAMPLE}, with [0, 0] where no load can occur"
             )
-        listed = isinstance(spans, Sequence | np.ndarray) and not isinstance(spans, str)
-        if not listed or len(spans) != 3:
+        is_list = isinstance(spans, Sequence | np.ndarray) and not isinstance(spans, str)
+        if not is_list or len(spans) != 3:
             raise SceneError(
                 f"{place} is {spans!r}, but must have three loads (x, y, z), each [low, high] or "
-                f"a number, such as {_SPANS}"
+                f"a number, such as {_EXAMPLE}"
             )
         body[part] = [_span(f"{place}.{k}", span) for k, span in enumerate(spans)]
     return body
@@ -243,7 +244,7 @@ def _span(where: str, span: Json) -> list[float]:
     try:
         ends = np.asarray(span)
     except ValueError:  # lists of different lengths
-        ends = np.asarray("")
+        ends = np.empty(0)
     if ends.dtype.kind not in "fiu" or ends.shape not in ((), (2,)) or not np.isfinite(ends).all():
         raise SceneError(f"{where} must be [low, high] or one finite number, not {span!r}")
     if ends.shape == () and ends < 0.0:
@@ -254,4 +255,4 @@ def _span(where: str, span: Json) -> list[float]:
     low, high = (-ends, ends) if ends.shape == () else ends
     if low > high:
         raise SceneError(f"{where}: the low end {low:g} is above the high end {high:g}; swap them")
-    return [float(low) + 0.0, float(high) + 0.0]
+    return [float(low) + 0.0, float(high) + 0.0]  # + 0.0: -0.0 is written as 0.0

@@ -1,8 +1,8 @@
-"""XLSX and XLS tables: a sheet of a workbook to records of text, and XLSX back.
+"""Readers of XLSX and XLS workbooks, and the writer of XLSX.
 
-openpyxl gives the cells row by row, so that neither a sheet that claims a billion cells nor a
-million rows are in memory. Formulas give the value that the spreadsheet saved. Numbers are written
-as digits: openpyxl writes 16 of them, too few for every third float.
+openpyxl yields a sheet row by row, so that neither a million rows nor a sheet that claims a billion
+cells are in memory. A formula has the value that the spreadsheet program stored. Numbers are
+written as digits: openpyxl writes 16 of them, too few for every third float.
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ MAX_MEMBERS = 1000  # files in a workbook: sheets, styles and pictures are some 
 MAX_CELL = 32_767  # characters of a cell (limit of Excel): it repairs a file with more
 MAX_SHEET_ROWS = 1_048_575  # rows of a sheet below the header (ECMA-376)
 ABOUT_SHEET = "about"  # sheet of an export's metadata; it has no rows
-_BLOCK = 1 << 20  # bytes of a member in memory at once
-_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_BLOCK = 1 << 20  # bytes of a member that are in memory at once
+_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # the two of OPC (ECMA-376-2, annex C)
 _SAVE_AGAIN = "save it again from a spreadsheet program"
 _ENCRYPTED = 1  # the flag of an encrypted member (APPNOTE.TXT, 4.4.4)
+_NUMBER, _TEXT = "n", "s"  # data types of a cell in openpyxl
 # ST_Xstring (ECMA-376, 22.9.2.19): characters that XML 1.0 lacks, and texts that look like escapes.
-_UNFIT = re.compile("[\x00-\x08\x0b-\x0d\x0e-\x1f\ufffe\uffff]|_(?=x[0-9A-Fa-f]{4}_)")
-_CLOCK_DAY = datetime(1900, 1, 1)
-_ESCAPE = re.compile(r"_x([0-9A-Fa-f]{4})_")
+_TO_ESCAPE = re.compile("[\x00-\x08\x0b-\x0d\x0e-\x1f\ufffe\uffff]|_(?=x[0-9A-Fa-f]{4}_)")
+_ESCAPED = re.compile(r"_x([0-9A-Fa-f]{4})_")
+_DAY_ZERO = datetime(1900, 1, 1)  # a clock time of 24 h or more is saved as days since this one
 
 
 class SheetFullError(ValueError):
@@ -83,11 +84,11 @@ def write_xlsx(
         _write_book(book, path, pieces, layout, metadata)
     except Exception as error:
         # openpyxl removes the temporary file of a sheet only after a complete save.
-        written = [(sheet, getattr(sheet, "_writer", None)) for sheet in book.worksheets]
-        for sheet, writer in written:
+        for sheet in book.worksheets:
+            writer = getattr(sheet, "_writer", None)
             if writer is not None:
                 for close in (sheet.close, writer.xf.close):
-                    with suppress(Exception):  # the end of its file cannot be written either
+                    with suppress(Exception):  # the disk that is full stays full
                         close()
                 writer.cleanup()
         # Error names of lxml: IO_ENOSPC.
@@ -105,7 +106,7 @@ def _write_book(
     metadata: Mapping[str, str],
 ) -> None:
     sheet = book.create_sheet("table")
-    sheet.append([_write_cell(sheet, label, "s") for label in layout.labels()])
+    sheet.append([_cell(sheet, label, _TEXT) for label in layout.labels()])
     count = 0
     for piece in pieces:
         numbers = [column.digits(piece) for column in layout.numbers]
@@ -116,29 +117,29 @@ def _write_book(
                 f"the table has more than {MAX_SHEET_ROWS:,} rows, the limit of a sheet; export it "
                 "as CSV, Parquet or HDF5"
             )
-        kinds = ["n"] * len(numbers) + ["s"] * len(texts)
+        types = [_NUMBER] * len(numbers) + [_TEXT] * len(texts)
         for cells in zip(*numbers, *texts, strict=True):
-            sheet.append([_write_cell(sheet, *pair) for pair in zip(cells, kinds, strict=True)])
-    notes = book.create_sheet(ABOUT_SHEET)
-    for name, meaning in metadata.items():
-        notes.append([_write_cell(notes, name, "s"), _write_cell(notes, meaning, "s")])
+            sheet.append([_cell(sheet, *typed) for typed in zip(cells, types, strict=True)])
+    about = book.create_sheet(ABOUT_SHEET)
+    for entry in metadata.items():
+        about.append([_cell(about, text, _TEXT) for text in entry])
     book.save(path)
 
 
-def _write_cell(sheet: Any, text: str, kind: str) -> Any:
-    """Return a cell of a text, which is no formula, or of a number's digits; None if empty."""
+def _cell(sheet: Any, text: str, data_type: str) -> Any:
+    """Return a cell of a text, or of a number's digits; None if it is empty."""
     from openpyxl.cell import WriteOnlyCell
 
     if not text:
         return None
-    value = text if kind == "n" else escape(text)
+    value = text if data_type == _NUMBER else escape(text)
     if len(value) > MAX_CELL:  # openpyxl would cut it
         raise SheetFullError(
             f"the table has a text of {len(value):,} characters, more than {MAX_CELL:,}, the limit "
             "of a cell; shorten it, or export the table as CSV, Parquet or HDF5"
         )
     cell = WriteOnlyCell(sheet, value)
-    cell.data_type = kind  # no formula, no error, and digits as they are
+    cell.data_type = data_type  # openpyxl takes "=1" for a formula and "#N/A" for an error
     return cell
 
 
@@ -147,7 +148,7 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 
     calamine keeps a sheet in memory: 65,536 rows of 256 columns at most.
     """
-    # Imported on first use, from the extra `rig`.
+    # Imported on use, as the extra `rig` has it.
     from python_calamine import CalamineWorkbook
 
     with path.open("rb") as content:
@@ -166,18 +167,17 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
 def chosen_sheet(
     names: Sequence[str], wanted: str | None, is_filled: Callable[[str], bool], report: ReadReport
 ) -> str:
-    """Return the sheet with a name, or the first with rows, and report it; raises ContentError."""
+    """Return `wanted`, or the first sheet with rows, and report it; raises ContentError."""
     report.sheets = list(names)
-    fitting = [name for name in names if wanted is None or name == wanted]
-    if not fitting:
-        if not names:
-            raise ContentError("there is no sheet with data; export the file again")
+    if not names:
+        raise ContentError("there is no sheet with data; export the file again")
+    if wanted is not None and wanted not in names:
         known = ", ".join(names)
         raise ContentError(
             f"there is no sheet {wanted!r}; choose {known} with sheet=NAME (--sheet NAME)"
         )
-    filled = (name for name in fitting if name != ABOUT_SHEET and is_filled(name))
-    report.sheet = next(filled, fitting[0])
+    filled = (name for name in names if name != ABOUT_SHEET and is_filled(name))
+    report.sheet = wanted if wanted is not None else next(filled, names[0])
     return report.sheet
 
 
@@ -193,7 +193,10 @@ def _sheets(file: BinaryIO, *, values: bool) -> dict[str, Any]:
 
 
 def _records(sheet: Any, formulas: Callable[[], Any], max_count: int) -> Iterator[Record]:
-    """Yield number and cells of each row with text; for a formula without a value its place."""
+    """Yield number and cells of each row with text; a formula without a value as `NO_VALUE`.
+
+    `formulas` opens the same sheet with formulas in place of values, when the first is needed.
+    """
     formula_rows = None
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > MAX_SHEET_ROWS + 1:
@@ -219,7 +222,7 @@ def _records(sheet: Any, formulas: Callable[[], Any], max_count: int) -> Iterato
 
 
 def _text(value: Any) -> str:
-    """Return a cell's value as the text that CSV would have."""
+    """Return a cell's value as text, as CSV has it."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -230,19 +233,19 @@ def _text(value: Any) -> str:
         return unescape(value)
     if isinstance(value, timedelta) and value.days:  # a shorter one is a clock time already
         with suppress(OverflowError):
-            value = _CLOCK_DAY + value
+            value = _DAY_ZERO + value
     return str(value)  # dates and times as ISO 8601, with a space between them
 
 
 def escape(text: str) -> str:
-    """Return a text in a form that the XML of a sheet allows."""
-    return _UNFIT.sub(lambda match: f"_x{ord(match[0]):04X}_", text)
+    """Return a text without characters that the XML of a sheet cannot have."""
+    return _TO_ESCAPE.sub(lambda match: f"_x{ord(match[0]):04X}_", text)
 
 
 def unescape(text: str) -> str:
-    """Return the argument of `escape` from its result."""
-    units = _ESCAPE.sub(lambda match: chr(int(match[1], 16)), text)
-    # The escapes are of UTF-16: two may be one character. Readers of texts refuse one alone.
+    """Return the text whose `escape` is given; it may have a lone surrogate."""
+    units = _ESCAPED.sub(lambda match: chr(int(match[1], 16)), text)
+    # An escape is a unit of UTF-16, and two may be one character.
     return units.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "surrogatepass")
 
 
@@ -261,12 +264,15 @@ def _check_entries(entries: Sequence[zipfile.ZipInfo]) -> None:
         names.add(name)
         if entry.flag_bits & _ENCRYPTED:
             raise ContentError(f"is encrypted ({name}); save it without a password")
-        if method not in _METHODS:
+        if method not in _COMPRESSIONS:
             raise ContentError(f"packs {name} by the unknown method {method}; {_SAVE_AGAIN}")
 
 
 def entry_sizes(path: Path, max_bytes: int) -> dict[str, int]:
-    """Return the unpacked bytes of each member, since directories may lie; raises ContentError."""
+    """Return the unpacked bytes of each member, by unpacking, as a directory may be wrong.
+
+    Raises ContentError if the members have more than `max_bytes`, or for a damaged file.
+    """
     too_large = f"unpacks to more than {max_bytes >> 20} MiB; send the table in parts"
     try:
         with zipfile.ZipFile(path) as archive:

@@ -37,18 +37,20 @@ from .response import RobustFit
 
 # Rows used: they determine slopes to a tenth of the noise of a reading, in half a second.
 MAX_ROWS = 300
-JOINT_WEIGHTS = np.exp([-3.0, 1.0])  # of the term of all loads over that of an axis
+# Variance of the term of all loads over that of a load group: a weak and a strong coupling.
+JOINT_WEIGHTS = np.exp([-3.0, 1.0])
 RATIOS = np.exp(np.arange(-14.0, 8.0))  # noise over process variance: from 1e-6 to 1e3
 USUAL_STEP = 90  # percentile of an output's changes from row to row that counts as its usual step
 MIN_STEP = 0.05  # part of the usual step: smaller steps have no sure direction
-# Deviation of a direction of the terms that the readings do not determine, in ranges of them.
+# Deviation of a direction of the terms that the readings do not determine, in ranges of them: the
+# largest load may move the output by twice the range seen.
 PRIOR = 2.0
 # Part of the largest singular value of the terms: smaller ones are the scatter of repeated levels.
 DETERMINED = 1e-3
 EXACT = 1e-9  # part of an output's range: smaller deviations are rounding
 # Degrees of freedom that must remain for a noise: the variance of Student's t is finite above 2.
 MIN_FREEDOM = 3
-N_SLOPES = 12  # numbers of an output: six slopes, then the jumps of six loads
+N_SLOPES = 12  # coefficients of an output: slopes of six loads, then their jumps
 
 
 class Slopes(NamedTuple):
@@ -70,30 +72,30 @@ def slopes_at_zero(rows: Rows, load_range: LoadRange, response: RobustFit) -> Sl
 
     `response`: the robust response at these rows, which shows the direction of the motion.
     """
-    chosen = evenly(len(rows), MAX_ROWS)
-    loads = rows.wrench[chosen] / load_range.scale
-    time = np.linspace(-0.5, 0.5, len(rows))[chosen]
+    used = evenly(len(rows), MAX_ROWS)
+    loads = rows.wrench[used] / load_range.scale
+    time = np.linspace(-0.5, 0.5, len(rows))[used]
     mean = np.zeros((6, N_SLOPES))
     covariances = np.zeros((6, N_SLOPES, N_SLOPES))
-    measured = np.isfinite(rows.displacement[chosen])
+    measured = np.isfinite(rows.displacement[used])
     # Outputs that the same rows have share the decomposition of the kernel.
     for pattern in np.unique(measured, axis=1).T:
         if not pattern.any():
             continue
         outputs = np.flatnonzero((measured == pattern[:, None]).all(axis=0))
         x = loads[pattern]
-        y = rows.displacement[np.ix_(chosen[pattern], outputs)]
+        y = rows.displacement[np.ix_(used[pattern], outputs)]
         signs = np.sign(np.where(np.abs(x) > ZERO_LOAD, x, 0.0))
         columns = []
         for output in outputs:
-            loop = _directions(response.expected[:, output])[chosen[pattern]]
-            load = x[:, output]  # a cubic response and one of 5th degree are no jump
-            further = np.ones(len(x)), time[pattern], loop, load**3, load**5
-            columns.append(np.column_stack((x, signs, *further)))
-        size = np.maximum(np.ptp(y, axis=0), np.finfo(float).tiny)
-        scaled_mean, scaled = _posterior(x, (y - y.mean(axis=0)) / size, columns)
-        mean[outputs] = scaled_mean * size[:, None]
-        covariances[outputs] = scaled * size[:, None, None] ** 2
+            direction = _directions(response.expected[:, output])[used[pattern]]
+            own = x[:, output]  # its powers: a response of 3rd or 5th degree is no jump
+            others = np.ones(len(x)), time[pattern], direction, own**3, own**5
+            columns.append(np.column_stack((x, signs, *others)))
+        spans = np.maximum(np.ptp(y, axis=0), np.finfo(float).tiny)
+        means, spreads = _posterior(x, (y - y.mean(axis=0)) / spans, columns)
+        mean[outputs] = means * spans[:, None]
+        covariances[outputs] = spreads * spans[:, None, None] ** 2
     is_varied = np.ptp(loads, axis=0) > ZERO_LOAD
     mean[:, :6][:, ~is_varied] = 0.0
     scale = load_range.scale
@@ -109,7 +111,7 @@ def slopes_at_zero(rows: Rows, load_range: LoadRange, response: RobustFit) -> Sl
 
 
 def _directions(expected: Floats) -> Floats:
-    """Return the sign of an output's change from the row before, (n,); 0 of a small change."""
+    """Return the sign of an output's change since the row before, (n,); 0 for a small change."""
     if not len(expected):
         return expected
     steps = np.diff(expected, prepend=expected[0])
@@ -136,14 +138,14 @@ def _posterior(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Flo
     negative_log_likelihoods = np.empty(shape)
     means = np.empty((*shape, N_SLOPES))
     covariances = np.empty((*shape, N_SLOPES, N_SLOPES))
-    terms = covariances_of_values(x, DEFAULT.kriging_groups, INVERSE_SQUARES)
+    of_lengths = covariances_of_values(x, DEFAULT.kriging_groups, INVERSE_SQUARES)
     kernels = (
         (axes + weight * joint, Hyperparameters(np.full(6, inverse_square), np.array([weight])))
-        for inverse_square, (axes, joint) in zip(INVERSE_SQUARES, terms, strict=True)
+        for inverse_square, (axes, joint) in zip(INVERSE_SQUARES, of_lengths, strict=True)
         for weight in JOINT_WEIGHTS
     )
     for number, (matrix, kernel) in enumerate(kernels):
-        roots, vectors = np.linalg.eigh(matrix)
+        roots, vectors = np.linalg.eigh(matrix)  # L and U
         inverse = 1 / (np.maximum(roots, 0.0) + RATIOS[:, None])  # D of each noise
         across, prior = np.zeros((n, N_SLOPES)), np.zeros((N_SLOPES, N_SLOPES))
         across[:, :6] = vectors.T @ covariance(x, values, zero_load, slopes, kernel)
@@ -151,16 +153,16 @@ def _posterior(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Flo
         for output, of_terms in enumerate(means_of_terms):
             data = vectors.T @ np.column_stack((of_terms.basis, of_terms.residual))
             factors = np.column_stack((data[:, :-1], across, data[:, -1]))
-            result = _posterior_by_noise(factors, inverse, prior, of_terms)
-            negative_log_likelihoods[number, :, output] = result[0]
-            means[number, :, output], covariances[number, :, output] = result[1:]
+            likelihood, mean, spread = _posterior_by_noise(factors, inverse, prior, of_terms)
+            negative_log_likelihoods[number, :, output] = likelihood
+            means[number, :, output], covariances[number, :, output] = mean, spread
 
     # The average over kernels and noises; letters: kernel, ratio, output, entry, entry.
     weights = np.exp(negative_log_likelihoods.min(axis=(0, 1)) - negative_log_likelihoods)
     weights /= weights.sum(axis=(0, 1))
     mean = np.einsum("kro,kroe->oe", weights, means)
-    off = means - mean
-    spread = np.einsum("kro,kroe,krof->oef", weights, off, off)
+    deviation = means - mean
+    spread = np.einsum("kro,kroe,krof->oef", weights, deviation, deviation)
     spread += np.einsum("kro,kroef->oef", weights, covariances)
     spread += np.stack([of_terms.undetermined for of_terms in means_of_terms])
     variances = np.einsum("oee->oe", spread)
@@ -169,7 +171,7 @@ def _posterior(x: Floats, y: Floats, columns: list[Floats]) -> tuple[Floats, Flo
 
 
 class _Mean(NamedTuple):
-    """The terms of an output's mean, in an orthonormal basis that keeps the digits of the data."""
+    """The terms of an output's mean in an orthonormal basis, which keeps rounding small."""
 
     basis: Floats  # (n, t): of the terms that the readings determine
     along: Floats  # (t,): the readings in this basis
@@ -186,28 +188,28 @@ class _Mean(NamedTuple):
         is_wide = terms.shape[0] < terms.shape[1]
         left, sizes, right = np.linalg.svd(terms / largest, full_matrices=is_wide)
         known = np.count_nonzero(sizes > DETERMINED * sizes[0])
-        basis, parts = left[:, :known], right[:known].T / sizes[:known]
+        basis, coefficients = left[:, :known], right[:known].T / sizes[:known]
         along = basis.T @ y
         scale = largest[:N_SLOPES]
-        slopes = parts[:N_SLOPES] / scale[:, None]
-        others = PRIOR * right[known:, :N_SLOPES] / scale
-        undetermined = others.T @ others
-        return cls(basis, along, y - basis @ along, slopes, undetermined)
+        slopes = coefficients[:N_SLOPES] / scale[:, None]
+        unknown = PRIOR * right[known:, :N_SLOPES] / scale
+        return cls(basis, along, y - basis @ along, slopes, unknown.T @ unknown)
 
 
 def _posterior_by_noise(
     factors: Floats, inverse: Floats, prior: Floats, of_terms: _Mean
 ) -> tuple[Floats, Floats, Floats]:
-    """Return half the negative log likelihood, (r,), mean and covariance of slopes and jumps.
+    """Return the results of one output by one kernel for each of r noises.
 
-    They are those of one output by one kernel for each of r noises, (r, 12) and (r, 12, 12).
+    These are the negative log likelihood, (r,), and mean, (r, 12), and covariance, (r, 12, 12), of
+    slopes and jumps.
 
     `factors` (n, t + 13): B, k and U' y side by side, of the basis and the residual of the terms.
     `inverse` (r, n): D of each noise; `prior` (12, 12): P.
     """
     n = len(factors)
     count = factors.shape[1] - N_SLOPES - 1
-    # (B, k, U' y)' D (B, k, U' y); `b`, `k` and -1 are the positions of the three.
+    # (B, k, U' y)' D (B, k, U' y), with the three at `b`, `k` and -1.
     weighted = weighted_products(factors, inverse)
     b = slice(0, count)
     k = slice(count, count + N_SLOPES)
@@ -219,12 +221,12 @@ def _posterior_by_noise(
     free = n - count
     variance = np.maximum(residual / max(free, 1), EXACT**2)
     determinants = np.linalg.slogdet(normal)[1] - np.log(inverse).sum(axis=1)
-    value = 0.5 * (free * np.log(variance) + determinants)
+    likelihood = 0.5 * (free * np.log(variance) + determinants)
 
     by_mean = of_terms.slopes - weighted[:, k, b]  # R'
     mean = of_terms.slopes @ of_terms.along + weighted[:, k, -1]
     mean += np.einsum("rkb,rb->rk", by_mean, estimate)
     spread = prior - weighted[:, k, k] + by_mean @ covariances @ by_mean.transpose(0, 2, 1)
     # The variance of Student's t; the range of the readings where no noise can be estimated.
-    certain = variance * free / (free - 2) if free >= MIN_FREEDOM else np.ones(len(inverse))
-    return value, mean, certain[:, None, None] * spread
+    scale = variance * free / (free - 2) if free >= MIN_FREEDOM else np.ones(len(inverse))
+    return likelihood, mean, scale[:, None, None] * spread

@@ -1,4 +1,4 @@
-"""Temperatures that vary over the part, from a file of points.
+"""Reader of a temperature field that varies over the part, from a CSV file of points.
 
 A thermal analysis gives temperatures at points. Their rise over the reference, as a part of the
 largest, is the shape of the field; the input is the temperature where the rise is the largest.
@@ -15,12 +15,13 @@ from scipy.spatial import KDTree
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 
 _COLUMNS = 4  # x, y, z, m, and the temperature
-# A name of the head, and its unit in brackets, such as "x [m]".
+# A name of the header and its unit in brackets, such as "x [m]".
 _NAME = re.compile(r"\s*\"?\s*(?P<name>\w*)[^[(]*(?:[\[(]\s*(?P<unit>[^])]*?)\s*[\])])?")
 _ENCODING = "utf-8-sig"  # spreadsheets write a mark of the encoding before the first name
-_SAME_POINT = (
-    1e-6  # part of the mesh's size: a node this near to a point of the file has its temperature
-)
+# Part of the size: a node this near to a point has its temperature, and points this near to a plane
+# or line lie in it. Files of six digits are rounded to this part.
+_SAME_POINT = 1e-6
+_MAX_QUOTED = 60  # characters of a line in a message
 _KEY = "inputs.temperature.field"
 
 
@@ -33,10 +34,10 @@ def shape_on(nodes: np.ndarray, field: Path, reference: float) -> np.ndarray:
     nodes: shape (n, 3), m.
     field: a CSV file with one line of names, then x, y, z (m, in the mesh's axes) and the
     temperature.
-    reference: the temperature without strain, in the unit of the file's.
+    reference: the temperature without strain, in the file's unit of temperature.
 
-    Raises BundleError if the file has not four finite numbers a line below a line of names, gives a
-    point two temperatures or lies far from the part, or if nothing is heated.
+    Raises BundleError if the file has a line without four finite numbers below the header, has two
+    temperatures for a point, lies far from the part, or equals the reference everywhere.
     """
     table = _table(field)
     points = table[:, :3]
@@ -48,9 +49,11 @@ def shape_on(nodes: np.ndarray, field: Path, reference: float) -> np.ndarray:
         )
 
     order = np.lexsort(points.T)
-    same = (points[order][1:] == points[order][:-1]).all(axis=1)
-    if (rise[order][1:] != rise[order][:-1])[same].any():
-        x, y, z = points[order][1:][same][0].tolist()
+    ordered = points[order]
+    repeated = (ordered[1:] == ordered[:-1]).all(axis=1)
+    contradicts = repeated & (np.diff(rise[order]) != 0.0)
+    if contradicts.any():
+        x, y, z = ordered[1:][contradicts][0].tolist()
         raise _wrong(f"has the point ({x:g}, {y:g}, {z:g}) twice, with two temperatures; keep one")
 
     values = rise / largest
@@ -64,37 +67,42 @@ def shape_on(nodes: np.ndarray, field: Path, reference: float) -> np.ndarray:
         )
 
     between = distance > _SAME_POINT * size
-    if between.any() and not same.all():  # more than one point
+    if between.any() and not repeated.all():  # more than one point
         inside = _interpolated(points, values, nodes[between])
         shape[between] = np.where(np.isnan(inside), shape[between], inside)
     return shape
 
 
 def _interpolated(points: np.ndarray, values: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Interpolate linearly in the space, plane or line of points, to nodes (n, 3); NaN outside."""
+    """Interpolate values (p,) linearly in the space, plane or line of points (p, 3).
+
+    The result has shape (n,) for nodes (n, 3); it is NaN outside the points.
+    """
     centre = points.mean(axis=0)
     _, sizes, axes = np.linalg.svd(points - centre, full_matrices=False)
     axes = axes[sizes > _SAME_POINT * sizes[0]]
-    here = (points - centre) @ axes.T
-    there = (nodes - centre) @ axes.T
+    known = (points - centre) @ axes.T
+    wanted = (nodes - centre) @ axes.T
     if len(axes) == 1:
-        order = np.argsort(here[:, 0])
-        return np.interp(there[:, 0], here[order, 0], values[order], np.nan, np.nan)
+        order = np.argsort(known[:, 0])
+        return np.interp(wanted[:, 0], known[order, 0], values[order], np.nan, np.nan)
     # Imported here, as it takes 20 ms of a solve's start.
     from scipy.interpolate import LinearNDInterpolator
 
-    return np.asarray(LinearNDInterpolator(here, values)(there))
+    return np.asarray(LinearNDInterpolator(known, values)(wanted))
 
 
 def _table(field: Path) -> np.ndarray:
     """Return x, y, z and temperature of each point, (p, 4); raise BundleError for a wrong file."""
     with field.open(encoding=_ENCODING, errors="replace") as file:
-        head = file.readline().strip()
-    names = [each for name in head.split(",")[:3] if (each := _NAME.match(name))]
-    if [each["name"].lower()[:1] for each in names] != ["x", "y", "z"]:
-        example = "such as x,y,z,temperature"
-        raise _wrong(f'must begin with a line of names, {example}, but begins with "{head[:60]}"')
-    if units := [each["unit"] for each in names if each["unit"] not in (None, "m")]:
+        header = file.readline().strip()
+    columns = [match for name in header.split(",")[:3] if (match := _NAME.match(name))]
+    if [column["name"].lower()[:1] for column in columns] != ["x", "y", "z"]:
+        raise _wrong(
+            "must begin with a line of names, such as x,y,z,temperature, but begins with "
+            f'"{header[:_MAX_QUOTED]}"'
+        )
+    if units := [column["unit"] for column in columns if column["unit"] not in (None, "m")]:
         raise _wrong(f"its first line has {units[0]} as the unit of a point; write x, y and z in m")
     try:
         table = np.loadtxt(field, delimiter=",", skiprows=1, ndmin=2, encoding=_ENCODING)
@@ -103,11 +111,13 @@ def _table(field: Path) -> np.ndarray:
         table = np.empty(0)
         is_complete = False
     if not is_complete:
+        bad = "no such line"
         with field.open(encoding=_ENCODING, errors="replace") as file:
-            lines = ((number, line.strip()) for number, line in enumerate(file, 1) if number > 1)
-            bad = (f'"{line[:60]}" in line {number}' for number, line in lines if _is_bad(line))
-            first = next(bad, "no such line")
-        raise _wrong(f"must have four finite numbers a line, x, y, z (m) and T, but has {first}")
+            for number, line in enumerate(file, 1):
+                if number > 1 and _is_bad(line):
+                    bad = f'"{line.strip()[:_MAX_QUOTED]}" in line {number}'
+                    break
+        raise _wrong(f"must have four finite numbers a line, x, y, z (m) and T, but has {bad}")
     return table
 
 
@@ -115,7 +125,7 @@ def _is_bad(line: str) -> bool:
     """Return whether a line, less its comment, has text other than four finite numbers."""
     text = line.partition("#")[0].strip()
     try:
-        numbers = [float(each) for each in text.split(",")]
+        numbers = [float(number) for number in text.split(",")]
     except ValueError:
         return bool(text)
     return len(numbers) != _COLUMNS or not np.isfinite(numbers).all()

@@ -1,4 +1,4 @@
-"""The audit: who wrote which change, and when."""
+"""The route of the audit: which actor wrote which change, and when."""
 
 from __future__ import annotations
 
@@ -28,15 +28,21 @@ def list_audit(
     after: Annotated[int | None, Query(ge=1, lt=2**63)] = None,
 ) -> dict[str, Any]:
     """List writes, newest first, in pages; needs an admin key."""
-    filters: dict[str, Any] = {"component": component, "actor": actor, "action": action}
-    times = {"since": since, "until": until}
-    ends: dict[str, Any] = {name: time and time.timestamp() for name, time in times.items()}
-    page = workspace.ledger.audit(**filters, **ends, limit=limit + 1, below=after)
+    page = workspace.ledger.audit(
+        component=component,
+        actor=actor,
+        action=action,
+        since=since and since.timestamp(),
+        until=until and until.timestamp(),
+        limit=limit + 1,
+        below=after,
+    )
     next_url = None
     if len(page) > limit:
         page.pop()
-        filters |= {name: time and time.isoformat() for name, time in times.items()}
-        query = {**filters, "limit": limit, "after": page[-1].id}
+        query = {"component": component, "actor": actor, "action": action}
+        query |= {"since": since and since.isoformat(), "until": until and until.isoformat()}
+        query |= {"limit": limit, "after": page[-1].id}
         next_url = next_page(response, "/v1/audit", query)
     entries = [
         {**vars(entry), "time": iso_time(entry.time), "actor": entry.actor or None}

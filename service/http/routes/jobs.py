@@ -1,4 +1,4 @@
-"""Jobs: list, long-poll, cancel, retry; the attempt's folder as a zip, the end of its log."""
+"""Routes of jobs: list, show or wait, cancel, retry, and the files and log of the last attempt."""
 
 from __future__ import annotations
 
@@ -28,43 +28,51 @@ from wrenchbook.service.tables.rows import iso_time
 from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.space import DEFAULT
 
+MAX_LOG_BYTES = 64 * 1024  # of the end of a log, which has the cause of a failure
+MAX_ID = 2**63 - 1  # the largest integer of SQLite
+PROGRAM = pathlib.Path(__file__).parents[3]
 
-async def _touched(request: Request, workspace: Opened) -> None:
-    """Refuse the job of a component that the key may not use, as if it did not exist."""
+
+async def _check_access(request: Request, workspace: Opened) -> None:
+    """Raise UnknownJobError for a job that the key may not use or that does not exist."""
     caller = CALLER.get()
     job_id = request.path_params.get("job_id", "")
-    if caller.components != ANY and job_id:
-        if job_id.isdecimal() and len(job_id) < 19:
-            with suppress(UnknownJobError):  # the same refusal as for another key's job
-                job = await run_in_threadpool(workspace.ledger.job, int(job_id))
-                if caller.touches(job.component):
-                    return
-        raise UnknownJobError("the key does not allow this job; list its jobs with GET /v1/jobs")
+    if caller.components == ANY or not job_id:
+        return
+    # Checked before FastAPI has parsed the number. Both refusals are the same text, so that a key
+    # cannot learn which other jobs exist.
+    if job_id.isdecimal() and len(job_id) < len(str(MAX_ID)):
+        with suppress(UnknownJobError):
+            job = await run_in_threadpool(workspace.ledger.job, int(job_id))
+            if caller.touches(job.component):
+                return
+    raise UnknownJobError("the key does not allow this job; list its jobs with GET /v1/jobs")
 
 
 router = APIRouter(
-    prefix="/v1/jobs", tags=["jobs"], responses=refused(404, 422), dependencies=[Depends(_touched)]
+    prefix="/v1/jobs",
+    tags=["jobs"],
+    responses=refused(404, 422),
+    dependencies=[Depends(_check_access)],
 )
-# The end of a log, which has the cause of a failure; the attempt's files have the whole log.
-MAX_LOG_BYTES = 64 * 1024
-CODE = pathlib.Path(__file__).parents[3]
 
 
-def _within(job_id: int) -> int:
-    if job_id >= 2**63:  # beyond SQLite's integers
+def _check_id(job_id: int) -> int:
+    """Raise UnknownJobError for a number that the ledger cannot have."""
+    if job_id > MAX_ID:
         raise UnknownJobError(f"there is no job {str(job_id)[:30]}; list all with GET /v1/jobs")
     return job_id
 
 
-JobId = Annotated[int, Path(ge=1), AfterValidator(_within)]
+JobId = Annotated[int, Path(ge=1), AfterValidator(_check_id)]
 
 
 def job_body(
     workspace: Workspace, job: JobRecord, rows: Mapping[int, LedgerRow] | None = None
 ) -> dict[str, Any]:
-    """Return the full form of a job, with its progress and, when done, its displacement.
+    """Return the fields of a job, with its progress while it runs and its displacement when done.
 
-    `rows`: the rows of many jobs, read together; without them the job's row is read.
+    `rows`: the rows of a list of jobs by row number; None to read the row of this job.
     """
     component = workspace.library.get(job.component)
     space = component.space if component is not None else DEFAULT
@@ -94,7 +102,7 @@ def job_body(
             parts = by_part(row.displacement, space.several if space else ())
             if space and space.several:
                 parts = {"displacements": parts}
-            elif len(row.displacement) != len(OUTPUTS):  # of several unknown interfaces
+            elif len(row.displacement) != len(OUTPUTS):  # of interfaces whose names are unknown
                 parts = {"displacement": row.displacement}
             body |= parts
     return body
@@ -116,8 +124,8 @@ def list_jobs(
     next_url = None
     if len(jobs) > limit:
         jobs.pop()
-        query = {"component": component, "status": status, "actor": actor, "limit": limit}
-        query["after"] = jobs[-1].id
+        query = {"component": component, "status": status, "actor": actor}
+        query |= {"limit": limit, "after": jobs[-1].id}
         next_url = next_page(response, "/v1/jobs", query)
     rows = workspace.ledger.rows_of([job.row for job in jobs if job.row is not None])
     return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": next_url}
@@ -129,7 +137,7 @@ async def get_job(job_id: JobId, workspace: Opened, wait_s: WaitSeconds = 0.0) -
     (job,) = await workspace.polls.wait_all([job_id], wait_s)
 
     def body() -> dict[str, Any]:
-        """Return a job with fields that lists leave out: its notes, and why it waits."""
+        """Return the job's fields with those that lists omit: its notes, and why it waits."""
         waiting = None
         if job.status == "waiting":
             trouble = workspace.tables.trouble()
@@ -188,9 +196,13 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
     job = workspace.ledger.job(job_id)
     path = _attempt_files(workspace, job) / LOG
     if path.is_symlink() or not path.is_file():  # a deck's command may have made a link there
-        why = f"Attempt {job.attempt} of job {job.id}, which is {job.status}, has no log.txt. Read "
-        rest = f"its other files: GET /v1/jobs/{job.id}/files."
-        raise HttpProblemError(404, "no-files", "No log", why + rest)
+        raise HttpProblemError(
+            404,
+            "no-files",
+            "No log",
+            f"Attempt {job.attempt} of job {job.id}, which is {job.status}, has no log.txt. Read "
+            f"its other files: GET /v1/jobs/{job.id}/files.",
+        )
     with path.open("rb") as log:
         size = log.seek(0, 2)
         log.seek(max(0, size - MAX_LOG_BYTES))
@@ -206,37 +218,38 @@ def _attempt_files(workspace: Workspace, job: JobRecord) -> pathlib.Path:
     folder = workspace.attempt_folder(job)
     if folder.is_dir():
         return folder
-    title = "No files yet"
     state = f"Job {job.id} is {job.status}"
     retry = f"To have files, retry it: POST /v1/jobs/{job.id}/retry."
+    title = "No files yet"
     if not job.is_final:
-        why = f"{state}, and no solver has begun it; ask again later."
+        detail = f"{state}, and no solver has begun it; ask again later."
     elif not job.attempt:
-        why = f"{state}, and no solver began it. {retry}"
+        detail = f"{state}, and no solver began it. {retry}"
     else:
         title = "The files are gone"
-        place = f"jobs/{folder.parent.name}/{folder.name}"
-        remedy = "Its row needs no files." if job.status == "done" else retry
-        gone = f"{state}, but its folder {place} was pruned (--keep-days), deleted or not copied. "
-        why = gone + remedy
-    raise HttpProblemError(404, "no-files", title, why)
+        detail = (
+            f"{state}, but its folder jobs/{folder.parent.name}/{folder.name} was pruned "
+            "(--keep-days), deleted or not copied. "
+            + ("Its row needs no files." if job.status == "done" else retry)
+        )
+    raise HttpProblemError(404, "no-files", title, detail)
 
 
 def _without_paths(text: str, data: pathlib.Path) -> str:
-    """Return a log without folders of this machine; those of the program keep a name."""
-    known = {
+    """Return a log without paths of this machine; known folders are replaced by a name."""
+    names = {
         str(data.absolute()): "<data>",
-        str(CODE): "<wrenchbook>",
+        str(PROGRAM): "<wrenchbook>",
         sys.prefix: "<python>",
         sys.base_prefix: "<python>",
     }
-    for place in sorted(known, key=len, reverse=True):
-        text = text.replace(place, known[place])
+    for folder in sorted(names, key=len, reverse=True):  # one may be inside another
+        text = text.replace(folder, names[folder])
     return cut_paths(text)
 
 
 def _check_known(workspace: Workspace, component: str | None) -> None:
-    """Refuse an unknown component, whose list of jobs would be empty without a reason."""
+    """Raise UnknownComponentError, as an empty list of jobs would hide a wrong name."""
     if component is not None:
         _ = workspace.library[component]
 

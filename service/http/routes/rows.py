@@ -1,4 +1,4 @@
-"""One row of a component's table: its provenance; withdraw it, restore it."""
+"""Routes of one row of a table: show it with its provenance, withdraw it, restore it."""
 
 from __future__ import annotations
 
@@ -17,9 +17,8 @@ from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
 router = component_router("table", "/table/{row}")
 
-# The ledger's numbers are SQLite's: 64 bits with a sign.
-RowId = Annotated[int, Path(ge=1, lt=2**63)]
-_EDITS = refused(s409="the row is already withdrawn, or already in the table")
+RowId = Annotated[int, Path(ge=1, lt=2**63)]  # SQLite's integers have 64 bits with a sign
+_CONFLICTS = refused(s409="the row is already withdrawn, or already in the table")
 
 
 @router.get("", response_model=dict[str, Any])
@@ -47,8 +46,9 @@ def get_row(name: str, row: RowId, workspace: Opened) -> Response:
             "when": iso_time(stored.created),
             "note": stored.origin,
             "import": file_fields(loaded) if loaded else None,
-            "job": job
-            and {
+            "job": None
+            if job is None
+            else {
                 "id": job.id,
                 "url": f"/v1/jobs/{job.id}",
                 "log": f"/v1/jobs/{job.id}/files",
@@ -64,32 +64,33 @@ def get_row(name: str, row: RowId, workspace: Opened) -> Response:
     return json_reply(fields)
 
 
-@router.delete("", responses=_EDITS)
+@router.delete("", responses=_CONFLICTS)
 def withdraw_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     """Withdraw a row."""
     return _edited(workspace, name, row, withdrawn=True)
 
 
-@router.post("/restore", responses=_EDITS)
+@router.post("/restore", responses=_CONFLICTS)
 def restore_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     """Restore a withdrawn row."""
     return _edited(workspace, name, row, withdrawn=False)
 
 
 def _edited(workspace: Workspace, name: str, row: int, *, withdrawn: bool) -> dict[str, Any]:
+    """Write a row's new state, wait for the table, and return the reply."""
     workspace.ledger.withdraw(workspace.library[name].name, row, withdrawn=withdrawn)
-    current = workspace.tables.catch_up(name, CATCH_UP_S)
+    is_current = workspace.tables.catch_up(name, CATCH_UP_S)
     return {
         "component": name,
         "row": row,
         "status": "withdrawn" if withdrawn else "restored",
         "table_version": workspace.tables.surrogate(name).version,
-        "current": current,
+        "current": is_current,
     }
 
 
 def file_fields(record: ImportRecord) -> dict[str, Any]:
-    """Return the fields of `FileImport` in library.py: sender and file of imported rows."""
+    """Return the fields of an import's file and sender, as `FileImport` in library.py."""
     return {
         "id": record.id,
         "who": record.who,
@@ -102,14 +103,14 @@ def file_fields(record: ImportRecord) -> dict[str, Any]:
 
 
 def _setup(component: Component, row: LedgerRow) -> dict[str, Any]:
-    """Return the setup of a solved row; of an earlier setup only the fingerprint is known."""
+    """Return the setup of a solved row; the fingerprint alone if it is not the present one."""
     is_present = row.fingerprint == component.fingerprint
     body: dict[str, Any] = {"fingerprint": row.fingerprint, "present": is_present}
     if not is_present:
         return body
     try:
         bundle = read_bundle(component.folder)
-    except (BundleError, OSError):
+    except (BundleError, OSError):  # the files have been changed or removed since they were read
         return body
     mesh = bundle.mesh
     return body | {

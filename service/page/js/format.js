@@ -115,5 +115,5 @@ export function wrench(force, moment, digits = 3, written = (value) => number(va
   return `F\u00a0(${said(force, 0)})\u00a0N, M\u00a0(${said(moment, 3)})\u00a0N·m`;
 }
 
-export const count = (value) => value.toLocaleString("en").replaceAll(",", "\u202f");
+export const count = (value) => value.toLocaleString("en");
 export const counted = (value, noun) => `${count(value)} ${noun}${value === 1 ? "" : "s"}`;

@@ -29,6 +29,9 @@ OPTIONS = (
     # Drawings in space without a graphics card.
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    # Debian's default is to paint everything by the graphics card, which is the processor here.
+    "--disable-gpu-rasterization",
+    "--disable-gpu-compositing",
 )
 
 
