@@ -87,9 +87,12 @@ def follow_jobs(
             print(json.dumps({"event": event.kind, **event.body}), flush=True)
             continue
         if not has_table:  # after the first event, so that no change between both is missed
-            running = client.jobs(component, "running", limit=MAX_SHOWN)
+            # Waiting ones first: a job that starts in between is in both, and not in neither.
             waiting = client.jobs(component, "waiting", limit=MAX_SHOWN)
-            out.print(job_table([*running, *waiting][:MAX_SHOWN]))
+            running = client.jobs(component, "running", limit=MAX_SHOWN)
+            listed = {job.id: job for job in running}
+            listed |= {job.id: job for job in waiting if job.id not in listed}
+            out.print(job_table([*listed.values()][:MAX_SHOWN]))
             has_table = True
         if line := event_line(event):
             plain(out, f"{time.strftime('%H:%M:%S')} {line}")

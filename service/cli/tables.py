@@ -372,6 +372,9 @@ def compare(
     with connected(server, data) as client:
         reply = client.comparison(name, number, against)
         text = client.comparison(name, number, against, "csv") if csv else ""
+        # The table may have changed between the two calls: the file is of the version shown.
+        while csv and (now := client.comparison(name, number, against)) != reply:
+            reply, text = now, client.comparison(name, number, against, "csv")
     if csv:
         write_atomically(csv, text.encode())
     show(reply, as_json, lambda: comparison_shown(reply))

@@ -228,7 +228,7 @@ class MappedTables:
         self._state = state
         self._memory = memory
         self._method = method
-        self.written = files.written
+        self.written, self.written_version = files.written, files.written_version
         # The following thread writes these; `surrogate` adds empty tables. Requests read.
         self._tables: dict[str, ServedTable] = {}
         self._mapped: dict[str, tuple[PackedFile, Component]] = {}

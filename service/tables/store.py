@@ -184,6 +184,12 @@ class TableStore:
             return None
         return meta.last_seq if meta.fingerprint == component.fingerprint else 0
 
+    def written_version(self, component: Component) -> int | None:
+        """Return the version of the rows in a component's HDF5 file; None without a usable file."""
+        content = self._read_usable(component, lambda path: (None, read_meta(path)))
+        is_present = content is not None and content[1].fingerprint == component.fingerprint
+        return content[1].last_seq if content is not None and is_present else None
+
     def rows(self, component: Component, version: int) -> Rows:
         """Return the rows of a version, from its HDF5 file or the ledger: 0.05 s for 20,000.
 

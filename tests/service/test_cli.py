@@ -375,10 +375,38 @@ def test_followed_jobs_are_listed_and_then_told_a_line_an_event(stub: Stub, run:
     monkeypatch.setattr(Client, "events", lambda *_, **__: iter(happened))
     waiting = {"id": 8, "component": "plate", "status": "waiting", "attempt": 1}
     loads = {"force": [1, 2, 3], "moment": [0, 0, 0]}
-    stub.answers(Answer({"jobs": []}), Answer({"jobs": [waiting | loads]}))
+    stub.answers(Answer({"jobs": [waiting | loads]}), Answer({"jobs": []}))
     status, out, _ = run("jobs", "--follow")
     assert (status, "waiting" in out) == (0, True)
     assert "job 7 of plate: done, row 9" in out
+
+
+def test_a_job_that_starts_between_the_two_lists_of_followed_jobs_is_listed_once(
+    stub: Stub, run: Run, monkeypatch
+):
+    """It was in neither list."""
+    monkeypatch.setattr(Client, "events", lambda *_, **__: iter([Event("hello", {"tables": {}})]))
+    job = {"id": 8, "component": "plate", "attempt": 1, "force": [1, 2, 3], "moment": [0, 0, 0]}
+
+    def respond(seen) -> Answer:
+        status = "waiting" if len(stub.seen) == 1 else "running"
+        return Answer({"jobs": [job | {"status": status}] if status in seen.path else []})
+
+    stub.respond = respond
+    _, out, _ = run("jobs", "--follow")
+    assert (out.count("plate"), "running" in out) == (1, True)
+
+
+def test_the_file_of_a_comparison_is_of_the_table_that_is_shown(
+    stub: Stub, run: Run, tmp_path: Path
+):
+    first, second = ({"component": "plate", "table_version": number} for number in (1, 2))
+    csv = [Answer(text, kind="text/csv") for text in (b"of version 2", b"again")]
+    stub.answers(Answer(first), csv[0], Answer(second), csv[1], Answer(second))
+    file = tmp_path / "rows.csv"
+    _, out, _ = run("compare", "plate", "--csv", str(file), "--json")
+    assert json.loads(out)["table_version"] == 2
+    assert file.read_text() == "again"
 
 
 # -- Ctrl-C --------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.service.ledger_rows import claim, insert, new_rows
+from tests.until import until
 from wrenchbook.service.demand import QueryStatistics
 from wrenchbook.service.events import poll
 from wrenchbook.service.fields.deformed import TooFarError
@@ -377,6 +378,24 @@ def test_a_report_that_ends_between_two_reads_is_shown(http, workspace, monkeypa
     reports = workspace.reports
     between(monkeypatch, end, (reports, "file"), (reports, "state"))
     assert http.get(f"{BAR}/report").json() == {"made": "now"}
+
+
+def test_a_report_is_of_the_rows_that_its_order_has_waited_for(http, workspace, monkeypatch):
+    """It read the table's file of before, to which rows are written a second later."""
+    component = workspace.library["plate_thin"]
+    solved = [replace(row, source="fea", compliance=[[1e-6] * 6] * 6) for row in new_rows(2, 1)]
+    insert(workspace.ledger, component.name, component.fingerprint, solved[:1])
+    until(lambda: workspace.tables.written(component.name))
+    insert(workspace.ledger, component.name, component.fingerprint, solved[1:])
+    versions = []
+
+    def make(component, *_):
+        versions.append(workspace.tables.written_version(component))
+        return False
+
+    monkeypatch.setattr(workspace.reports, "make", make)
+    assert http.post(f"{PLATE}/report").status_code == 200
+    assert versions == [workspace.ledger.last_seq(component.name)]
 
 
 def test_the_state_of_a_report_is_not_that_of_one_begun_meanwhile(workspace, monkeypatch):

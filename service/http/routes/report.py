@@ -47,17 +47,21 @@ def make_report(
             f"{name!r} has no finite-element setup, so a report has no reference. GET "
             f"/v1/components/{name}/coverage shows what its rows cover."
         )
-    # The builder writes the file of a table after its rows.
+    # The builder writes the file of a table a second after its last rows; the report reads it.
     deadline = time.monotonic() + CATCH_UP_S
-    tables = workspace.tables
-    rows = tables.caught_up(name, CATCH_UP_S).row_count
-    while rows and tables.written(name) is None:
+    table = workspace.tables.caught_up(name, CATCH_UP_S)
+    while table.row_count:
+        written = workspace.tables.written_version(component)
+        if written is not None and written >= table.version:
+            break
         if time.monotonic() > deadline:
+            if written is not None:  # rows arrive all the time: the report names its version
+                break
             why = f"the table of {name!r} is still being written after {CATCH_UP_S:g} s"
             raise TableBehindError(why + "; send the request again in a minute")
         time.sleep(POLL_S)
     try:
-        begun = workspace.reports.make(component, rows, wrenches, seed)
+        begun = workspace.reports.make(component, table.row_count, wrenches, seed)
     except FileNotFoundError as error:
         raise HttpProblemError(409, "no-rows", "The table has no rows", str(error)) from None
     if begun:
