@@ -49,11 +49,17 @@ demo: setup  ## query, solve and fill of a plate with finite elements, 1 to 3 mi
 serve: setup  ## the server and its solvers on 127.0.0.1:8000
 	$(BIN)/wrenchbook serve
 
-test: $(VENV)/.installed-dev  ## the test suite
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+# The file that begins first is chosen by tests/conftest.py.
+PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
-test-fast: $(VENV)/.installed-dev  ## the tests without the slow ones: servers, browser, engines
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow"
+test: $(VENV)/.installed-dev  ## the tests that are not marked slow
+	$(PYTEST) -m "not slow"
+
+test-slow: $(VENV)/.installed-dev $(VENV)/.installed-docs  ## the tests marked slow: many seeds, all platforms, whole sweeps
+	$(PYTEST) -m slow
+
+test-fast: $(VENV)/.installed-dev  ## tests of solver and tables: no server, browser or engine
+	$(PYTEST) -m "not slow" tests/fea tests/surrogate
 
 # branches of service, surrogate and fea that the tests take, by file
 coverage: $(VENV)/.installed-dev

@@ -80,6 +80,8 @@ class QueryStatistics:
     def __init__(self, ledger: Ledger) -> None:
         self._ledger = ledger
         self._lock = threading.Lock()
+        # Held from the taking of counts to their commit: they are in neither place in between.
+        self._saving = threading.Lock()
         self._unsaved: dict[str, QueryCounts] = {}
         self._refused = False
         self._stopping = threading.Event()
@@ -167,14 +169,19 @@ class QueryStatistics:
 
         Raises LedgerUnavailableError if the ledger cannot be written.
         """
-        with self._ledger.writing(durable=False) as db:
-            db.execute("DELETE FROM demand WHERE component = ?", (name,))
-            note(db, "demand.forget", name, name)
-        with self._lock:
-            self._unsaved.pop(name, None)
+        with self._saving:
+            with self._ledger.writing(durable=False) as db:
+                db.execute("DELETE FROM demand WHERE component = ?", (name,))
+                note(db, "demand.forget", name, name)
+            with self._lock:
+                self._unsaved.pop(name, None)
 
     def save(self) -> None:
         """Add the counts of this process to the database."""
+        with self._saving:
+            self._save()
+
+    def _save(self) -> None:
         with self._lock:
             counted = self._unsaved
             self._unsaved = {}

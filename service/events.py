@@ -290,8 +290,11 @@ def poll(workspace: Workspace, last: Snapshot | None) -> tuple[Snapshot, list[No
                 tables.append(("table", name, {"component": name, **body}))
     changed: list[JobRecord] = []
     if now.ledger != before.ledger:
+        # At first the newest job is read before the open ones: a job that is accepted between the
+        # two and ends before the next poll is newer, so that its end is an event.
+        newest = [] if last else ledger.jobs(limit=1)
         jobs = ledger.unfinished(before.newest_job if last else None)
-        newest = jobs if last else ledger.jobs(limit=1)
+        newest = jobs if last else newest
         now.newest_job = max([before.newest_job, *(job.id for job in newest)])
         if last:
             ended = before.jobs.keys() - {job.id for job in jobs}

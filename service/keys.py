@@ -77,6 +77,10 @@ class UnknownKeyError(KeysError, LookupError):
     """No valid key has this name."""
 
 
+class LastKeyError(KeysError):
+    """Without this key the server would need none."""
+
+
 class KeysBusyError(KeysError):
     """Another process is changing the keys."""
 
@@ -254,15 +258,22 @@ class Keyring:
             keys[digest] = replace(newest, digest=digest, created=now)
         return secret
 
-    def revoke(self, name: str) -> None:
+    def revoke(self, name: str, *, may_be_last: bool = True) -> None:
         """Revoke a key, which servers notice within a second.
 
-        Raises UnknownKeyError if there is no such key.
+        Raises UnknownKeyError if there is no such key, and LastKeyError if there is no other one
+        and it must not be the last.
         """
         with self._changing() as keys:
             digests = [digest for digest, key in keys.items() if key.name == name]
             if not digests:
                 raise _unknown_key(name, keys.values(), self._option)
+            if len(digests) == len(keys) and not may_be_last:
+                raise LastKeyError(
+                    f"{name!r} is the last key: without keys every user of this machine, and every "
+                    "client of a proxy before it, could call the server. Add another key first "
+                    "with POST /v1/keys."
+                )
             for digest in digests:
                 del keys[digest]
 

@@ -284,7 +284,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     if placement.job is None:
         set_it = "to solve it nevertheless, set beyond_range to true (--beyond-range)"
         unqueued = f"{beyond}; no solve is queued for it: {set_it}"
-        why = unqueued if beyond else submission.refusal(component)
+        why = unqueued if beyond else placement.refusal
         reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
         outcome.reply = outcome.reply._replace(reason=_also(reason, why))
         return outcome
@@ -297,7 +297,7 @@ def _uncovered(workspace: Workspace, component: Component, query: Query, outcome
     Returns the rows that no table has yet.
     """
     table, reply = outcome.table, outcome.reply
-    count, rows = workspace.unbuilt(component.name, table)
+    count, rows = workspace.unbuilt(component, table)
     soon = _being_built(component, table, count)
     reason = _also(reply.reason if table.row_count or not soon else "", soon)
     workspace.query_counts.note(component.name, component.load_range, query.wrench, reply.coverage)
@@ -406,7 +406,7 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
     if not len(uncovered):
         return outcome
     component = workspace.library[name]
-    count, new = workspace.unbuilt(name, table)
+    count, new = workspace.unbuilt(component, table)
     soon = _being_built(component, table, count)
     acting = component.acting(wrenches)
     workspace.query_counts.note_batch(name, component.load_range, acting, coverage)
@@ -480,23 +480,24 @@ def _rows_at(component: Component, rows: Rows, wrenches: Floats) -> list[Rows | 
     return [None if place < 0 else rows.take([place]) for place in positions.tolist()]
 
 
-def _table_of_row(workspace: Workspace, name: str, row: Rows | int) -> ServedTable:
+def _table_of_row(
+    workspace: Workspace, component: Component, newest: ServedTable, row: Rows | int
+) -> ServedTable:
     """Return a table of one row, or of a row's number, from which the kernel answers as usual."""
-    component = workspace.library[name]
-    newest = workspace.tables.surrogate(name)
     if isinstance(row, int):
         stored = workspace.ledger.row(row)
         names = ("seq", "compliance", "curvature", "uncertainty", "source", "fingerprint")
         values = {name: getattr(stored, name) for name in names}
         columns = {name: [value] for name, value in values.items() if value is not None}
         row = Rows.of(stored.wrench, stored.displacement, component.space, **columns)
-    return mapped.row_table(component, row, workspace.solver_error(name), newest)
+    return mapped.row_table(component, row, workspace.solver_error(component, newest), newest)
 
 
 def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: Rows | int) -> Outcome:
     """Return the answer of a row that no table has yet."""
     name, job = outcome.component, outcome.job
-    table = _table_of_row(workspace, name, row)
+    component, newest = workspace.library[name], workspace.tables.surrogate(name)
+    table = _table_of_row(workspace, component, newest, row)
     query = query._replace(method=None)
     notes = workspace.notes(job) if job else []
     reply = answer(table, query)
@@ -573,7 +574,9 @@ def _take_rows(
 
     `rows` are by the wrench's index; `jobs` have the newest state of the outcome's, after a wait.
     """
-    wrenches = workspace.library[outcome.component].acting(wrenches)
+    component = workspace.library[outcome.component]
+    near = workspace.tables.surrogate(outcome.component)
+    wrenches = component.acting(wrenches)
     newest = {job.id: job for job in jobs}
     by_place = dict(rows)
     for place, placement in outcome.jobs.items():
@@ -584,7 +587,7 @@ def _take_rows(
                 by_place[place] = job.row
     replies = outcome.replies
     for place, row in by_place.items():
-        table = _table_of_row(workspace, outcome.component, row)
+        table = _table_of_row(workspace, component, near, row)
         wrench = wrenches[place, None]
         limits = table.limits(query.tolerance)
         new = table.packed.batch(wrench, limits)

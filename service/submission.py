@@ -36,12 +36,14 @@ class NoSetupError(ValueError):
 class Placement:
     """The job of a wrench, or the reason why it has none: ``queue-limit`` or ``beyond-range``.
 
-    `exact`: the job solves this wrench (as rounded), not one nearby.
+    `exact`: the job solves this wrench (as rounded), not one nearby. `refusal` is the reason as a
+    text with the remedy.
     """
 
     job: JobRecord | None
     exact: bool
     reason: str = ""
+    refusal: str = ""
 
 
 class _Open:
@@ -176,14 +178,6 @@ class Submission:
             )
         return component
 
-    def refusal(self, component: Component) -> str:
-        """Return the reason why `queue` has placed no job: its limit, or the caller's quota."""
-        setup = (component.name, component.fingerprint)
-        why = "the caller's quota is used up"
-        if self._open(*setup, component.load_range.scale).queries >= self.queue_limit:
-            why = f"{self.queue_limit} jobs of queries are open (serve --queue-limit)"
-        return f"no solve is queued: {why}; ask again when jobs have ended"
-
     def _place(self, component: Component, wrenches: Floats, radius: float) -> list[Placement]:
         """Place wrenches without rounding: their jobs, open ones within `radius`, new ones.
 
@@ -214,6 +208,10 @@ class Submission:
                 joined[place] = job = candidates.jobs[near]
                 if job.id not in records:
                     records[job.id] = self._ledger.job(job.id)
+        why = "the caller's quota is used up"
+        if candidates.queries >= self.queue_limit:
+            why = f"{self.queue_limit} jobs of queries are open (serve --queue-limit)"
+        refusal = f"no solve is queued: {why}; ask again when jobs have ended"
         placements = []
         for place, key in enumerate(keys):
             if key in jobs:
@@ -222,7 +220,7 @@ class Submission:
                 job = joined[place]
                 placements.append(Placement(records[job.id], exact=job.wrench == key))
             else:
-                placements.append(Placement(None, exact=False, reason="queue-limit"))
+                placements.append(Placement(None, False, "queue-limit", refusal))
         return placements
 
     def _accept_new(

@@ -245,20 +245,19 @@ class Workspace:
             self._ask_compliance(name, table)
         return table
 
-    def solver_error(self, name: str) -> SolverError | None:
-        """Return the solver error of a component, for a row that was added just now.
+    def solver_error(self, component: Component, table: ServedTable) -> SolverError | None:
+        """Return the solver error of a component and its table, for a row that was added just now.
 
         The estimate is stored before the row; the table's version with both may still be building.
         """
-        known = self.tables.surrogate(name).solver_error
-        return known or self.errors.read(name, self.library[name].fingerprint)
+        return table.solver_error or self.errors.read(component.name, component.fingerprint)
 
-    def unbuilt(self, name: str, table: ServedTable) -> tuple[int, Rows]:
+    def unbuilt(self, component: Component, table: ServedTable) -> tuple[int, Rows]:
         """Return how many rows the next version adds, and the first `MAX_UNBUILT` of them.
 
         No rows if the ledger cannot be read: an answer needs no ledger.
         """
-        component = self.library[name]
+        name = component.name
         setup = {"space": component.space, "fingerprint": component.fingerprint}
         with suppress(LedgerUnavailableError):
             changes = self.ledger.row_changes(name, table.version, MAX_UNBUILT, **setup)
@@ -291,15 +290,15 @@ class Workspace:
             await asyncio.sleep(POLL_S)
         return caught_up is True
 
-    def deformed(self, name: str, wrench: NDArray[np.float64]) -> Deformed:
+    def deformed(
+        self, component: Component, table: ServedTable, wrench: NDArray[np.float64]
+    ) -> Deformed:
         """Return a component's deformed surface under a wrench (6,), N and N·m, from files.
 
-        Raises UnknownComponentError if there is no such component, NoFieldsError if no row has a
-        surface, and TooFarError for a wrench far beyond the load range.
+        Raises NoFieldsError if no row has a surface, and TooFarError for a wrench far beyond the
+        load range.
         """
-        table = self.surrogate(name)
-        component = self.library[name]
-        solver = self.solver_error(name)
+        solver = self.solver_error(component, table)
         reply = table.packed.answer(wrench.tolist())
         error_parts = {} if table.solver_error is None else {"mesh": reply.discretisation}
         if table.solver_error is not None and "linearity" in table.solver_error.values:
@@ -373,7 +372,7 @@ class Workspace:
         if losses := self.ledger.losses():
             damaged["(ledger)"] = f"{'; '.join(losses)}. Note it with: wrenchbook doctor --repair "
             damaged["(ledger)"] += f"--data {self.settings.data}"
-        for seq, name in self.ledger.damaged.items():
+        for seq, name in self.ledger.damaged.copy().items():  # others add to it
             damaged[name] = f"row {seq} is damaged on the disk and left out of the table"
         broken = {**damaged, **self.tables.faults()}
         touches = CALLER.get().touches

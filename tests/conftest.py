@@ -3,7 +3,6 @@
 import os
 import secrets
 from collections.abc import Iterator
-from itertools import groupby
 from pathlib import Path
 
 import pytest
@@ -20,88 +19,54 @@ settings.register_profile(
 )
 settings.load_profile("shared-ci" if os.environ.get("CI") else "shared")
 
-# Files of 15 s or more, the longest first: one that begins last leaves the other workers of
-# `make test` with nothing to do. They hold few tests, by which xdist would have them last.
+# Files of 15 s or more in `make test` or `make test-slow`, the longest first: one that begins last
+# leaves the other workers with nothing to do. They hold few tests, by which xdist would have them
+# last.
 LONGEST = (
-    "surrogate/findings/test_find.py",
     "test_docs.py",
-    "service/page/test_browser.py",
     "service/page/test_views.py",
+    "service/page/test_browser.py",
+    "surrogate/findings/test_find.py",
     "surrogate/test_error_bars.py",
     "acceptance/test_main_job.py",
     "acceptance/test_nothing_lost.py",
     "acceptance/test_one_law.py",
+    "acceptance/test_demo.py",
+    "acceptance/test_paper.py",
+    "fea/check/test_proposal.py",
+    "service/fmu/test_platforms.py",
+    "service/test_workers.py",
+    "surrogate/test_rig_error.py",
+    "surrogate/packed/test_format.py",
     "surrogate/kernel/test_kernel.py",
     "surrogate/kernel/test_replies.py",
     "surrogate/kernel/test_same_bits.py",
     "service/engines/test_conformance.py",
-    "acceptance/test_paper.py",
+    "service/test_import_findings.py",
+    "fea/accuracy/test_accuracy.py",
+    "fea/accuracy/test_rounded.py",
+    "fea/check/test_deck_springs.py",
+    "fea/check/test_load_cases.py",
+    "surrogate/kriging/test_inducing.py",
+    "surrogate/kriging/test_bars.py",
+    "surrogate/test_scatter.py",
     "acceptance/test_mount.py",
     "service/test_kept_component.py",
-    "service/test_workers.py",
     "service/test_http_table.py",
     "acceptance/test_wheel.py",
-    "surrogate/packed/test_format.py",
     "service/engines/test_dask_deaths.py",
     "acceptance/test_bundles_from_files.py",
     "fea/deck/test_deck_ccx.py",
     "service/test_http_rows.py",
     "service/test_http_displacement.py",
     "surrogate/test_honesty.py",
-    "surrogate/kriging/test_bars.py",
     "surrogate/findings/test_clock.py",
     "surrogate/test_composition.py",
     "service/test_http_components.py",
     "service/test_client_async.py",
     "fuzz/test_document.py",
 )
-# Files of 5 s or more, which `make test-fast` leaves out with the longest.
-LONG = (
-    "fea/solver/test_tangents.py",
-    "service/test_durable_tables.py",
-    "service/test_http_recording.py",
-    "service/test_recording_killed.py",
-    "surrogate/test_rows_near_each_other.py",
-    "service/test_doctor.py",
-    "service/test_dispatcher.py",
-    "validation/test_shipped.py",
-    "fea/deck/test_deck.py",
-    "service/test_kill.py",
-    "service/fmu/test_export.py",
-    "service/test_table_roundtrip.py",
-    "service/test_http_scenes.py",
-    "fea/recovery/test_fields.py",
-    "service/test_http_queue.py",
-    "fuzz/test_formats.py",
-    "validation/test_calculix.py",
-    "service/test_http_deformed.py",
-    "service/test_warm_solver.py",
-    "service/test_client_recorder.py",
-    "surrogate/test_contradicting.py",
-    "service/test_deformed.py",
-    "service/test_table_files.py",
-    "service/test_ledger_machine.py",
-    "surrogate/scene/test_plan.py",
-    "surrogate/test_surrogate.py",
-    "fea/test_failures.py",
-    "service/test_sample_tables.py",
-    "service/test_report.py",
-    "service/test_events.py",
-    "surrogate/test_scatter.py",
-    "service/test_http_library.py",
-    "service/test_submission.py",
-    "surrogate/test_design.py",
-    "service/test_mapped_tables.py",
-    "service/test_http_solver_error.py",
-    "surrogate/test_properties.py",
-    "service/test_limits.py",
-    "fea/accuracy/test_accuracy.py",
-    "service/test_client_table.py",
-    "service/test_http_protocol.py",
-)
 MOVER = pytest.StashKey["Mover"]()
-# Folders of which each test starts servers, a browser or a cluster.
-STARTING = ("acceptance", "service/engines", "service/page")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -147,11 +112,6 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Have the longest files begin first, the others in their order; mark slow ones."""
+    """Have the longest files begin first, the others in their order."""
     place = {Path(__file__).parent / name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: place.get(item.path, len(place)))
-    slow = {Path(__file__).parent / name for name in (*LONGEST, *LONG, *STARTING)}
-    for path, own in groupby(items, key=lambda item: item.path):  # 235 paths, 9,000 items
-        if not slow.isdisjoint((path, *path.parents)):
-            for item in own:
-                item.add_marker(pytest.mark.slow)

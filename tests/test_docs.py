@@ -23,10 +23,13 @@ import typer
 
 import wrenchbook
 from data.docs import generated, licences
+from tests.service import remembered
 from tests.service.live import served
+from tests.slow import slow
 from wrenchbook.service.cli.local import PROGRAMS
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.files.program import child_command
+from wrenchbook.service.jobs.solver import SOLVE_VARIABLE
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "data/docs"
@@ -199,7 +202,17 @@ def float32_of_jax():
         sys.modules["jax"].config.update("jax_enable_x64", False)
 
 
-@pytest.mark.usefixtures("float32_of_jax")
+@pytest.fixture(scope="module")
+def solves(tmp_path_factory):
+    """Solve each wrench once, though many pages fill the same table from empty."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(remembered.FOLDER, str(tmp_path_factory.mktemp("solves")))
+        patch.setenv(SOLVE_VARIABLE, f"{remembered.__name__}:solve")
+        patch.setenv("PYTHONPATH", str(ROOT), prepend=os.pathsep)
+        yield
+
+
+@pytest.mark.usefixtures("float32_of_jax", "solves")
 @pytest.mark.parametrize("page", RUN, ids=shown)
 def test_the_python_of_a_page_runs_in_order_and_prints_what_the_page_shows(
     page, tmp_path, monkeypatch, capsys
@@ -227,7 +240,7 @@ def test_the_python_of_a_page_runs_in_order_and_prints_what_the_page_shows(
 
 
 @pytest.fixture(scope="module")
-def filled(tmp_path_factory):
+def filled(tmp_path_factory, solves):
     """The table of `plate_thin`, filled from empty."""
     with served(tmp_path_factory.mktemp("filled"), solvers=2) as client:
         for _ in client.fill_until("plate_thin"):
@@ -298,13 +311,14 @@ def test_the_reference_has_every_public_name():
     assert modules <= set(wrenchbook.__all__)
 
 
-@pytest.mark.slow
-def test_the_site_builds_without_a_warning_and_loads_nothing_from_another_host(tmp_path):
+@pytest.mark.parametrize("notebooks", ["off", slow("force")])  # run by the test above too
+def test_the_site_builds_without_a_warning_and_loads_nothing_from_another_host(tmp_path, notebooks):
     missing = [name for name in ("sphinx", "myst_nb", "furo") if not importlib.util.find_spec(name)]
     if missing and not os.environ.get("CI"):
         pytest.skip(f"{', '.join(missing)} not installed: make docs installs them")
     subprocess.run(
         [sys.executable, "-m", "sphinx", "-q", "-W", "-c", DOCS, ROOT, tmp_path / "site"],
+        env=os.environ | {"WRENCHBOOK_NOTEBOOKS": notebooks},
         check=True,
     )
     loaded = re.compile(

@@ -1,6 +1,7 @@
-"""The reference of ``component.toml``, generated from its models: JSON schema, README's tables.
+"""The reference of ``component.toml``, generated from its models: JSON schema, tables of a page.
 
-As a program this module rewrites the tables of fea/README.md, each below the heading of its table.
+As a program this module rewrites the tables of data/docs/reference/component.md, each below the
+heading of its table.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from pydantic.fields import FieldInfo
 from wrenchbook.fea.bundle.tables import ComponentFile
 from wrenchbook.fea.spec.keys import extra_of, keys_of, tables_in
 
-README = Path(__file__).parents[1] / "README.md"
+PAGE = Path(__file__).resolve().parents[2] / "data/docs/reference/component.md"
 
 
 def json_schema() -> dict[str, Any]:
@@ -133,15 +134,15 @@ def _default(info: FieldInfo) -> str:
 
 
 def page(text: str) -> str:
-    """Return README's text with its tables of the reference regenerated from the models."""
+    """Return the page's text with its tables regenerated from the models."""
     for heading, classes in tables().items():
-        pattern = rf"(?m)(^### {re.escape(heading)}\n(?:(?!^[|#]).*\n)*)(?:^\|.*\n)*"
+        pattern = rf"(?m)(^## {re.escape(heading)}\n(?:(?!^[|#]).*\n)*)(?:^\|.*\n)*"
         table = "".join(f"{line}\n" for line in rows(classes))
         text, count = re.subn(pattern, lambda match, table=table: match[1] + table, text)
         if count != 1:
-            raise ValueError(f"README must have the heading ### {heading} once")
+            raise ValueError(f"the page must have the heading ## {heading} once")
     return text
 
 
 if __name__ == "__main__":
-    README.write_text(page(README.read_text(encoding="utf-8")), encoding="utf-8")
+    PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -57,7 +57,7 @@ class ComponentFile:
     name: Name = key("", '"bracket"')
     """a folder's and URL's name: a-z, 0-9, _ and -, at most 64"""
     title: Text = key("", '"Gripper bracket, 6061-T6"')
-    """for people"""
+    """a title for readers"""
     mesh: Mesh | None = key(
         "", '{generator = "bar", length = 1.0, width = 0.02, height = 0.02}', default=None
     )
@@ -68,9 +68,9 @@ class ComponentFile:
         default=None,
         name="material",
     )
-    """one `[[material]]` a region; with a mesh a must"""
+    """one `[[material]]` a region; required with a mesh"""
     supports: Supports | None = key("", '{fixed = ["rim"]}', default=None)
-    """the table `[supports]`; with a mesh a must, unless an interface is `held`"""
+    """the table `[supports]`; required with a mesh, unless an interface is `held`"""
     ties: Annotated[tuple[Tie, ...], Field(min_length=1)] = key(
         "", '[{secondary = "pin", main = "hole"}]', default=(), default_text="none", name="tie"
     )
@@ -78,7 +78,7 @@ class ComponentFile:
     interface: Interface | tuple[NamedInterface, ...] | tuple[MeasuredInterface, ...] | None = key(
         "", '{section = "tip", coupling = "rigid"}', default=None
     )
-    """the table `[interface]`, or `[[interface]]` of each of several; with a mesh a must; several
+    """the table `[interface]`, or `[[interface]]` of each of several; required with a mesh; several
     of a measured part have `name` and `range` alone"""
     bolts: Annotated[tuple[Bolt, ...], Field(min_length=1)] = key(
         "", '[{region = "shank", axis = [0, 0, 1], force = 12e3}]', default=(), name="bolt"
@@ -96,7 +96,7 @@ class ComponentFile:
     )
     """the table `[inputs]`: inputs besides the loads"""
     analysis: Analysis | None = key("", "{nonlinear = true}", default=None)
-    """the table `[analysis]`; with a mesh a must"""
+    """the table `[analysis]`; required with a mesh"""
     range: Range | None = key(
         "", "{force = [100, 100, 500], moment = [5, 5, 5]}", default=None, default_text="-"
     )

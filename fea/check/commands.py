@@ -263,7 +263,7 @@ def _parser() -> argparse.ArgumentParser:
     add("folder", type=Path, help="folder of the component bundle")
     add("out", type=Path, help="the file to write: .npz, .pch (Nastran) or .mtx (Abaqus)")
 
-    add = command(new, "Propose a component for an input deck, check it, and print what is open.")
+    add = command(new, "Propose a component for an input deck, and print its open points.")
     add("--unit", choices=tuple(UNITS), help="length unit; by default guessed from the constants")
     add("--case", help="step, load case or subcase to take over; by default the last")
     add("deck", type=Path, help="Abaqus or CalculiX (.inp), Nastran (.bdf), Ansys (.cdb)")

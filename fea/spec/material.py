@@ -88,7 +88,7 @@ class Solid:
     region: Text = key("", '"all"')
     """a cell group of the mesh; `all` is the cells without another material"""
     density: Positive | None = key("kg/m^3", "2700.0", default=None, kw_only=True)
-    """for mass and natural frequency; a must with `gravity` and `[inputs.acceleration]`"""
+    """for mass and natural frequency; required with `gravity` and `[inputs.acceleration]`"""
     yield_strength: Positive | None = key("Pa", "240e6", default=None, kw_only=True)
     """compared with the von Mises stress; `check` prints the largest under the full range"""
 
@@ -110,7 +110,7 @@ class Material(Solid):
     """`isotropic`, `neo-hookean` (rubber; the constants are those of small strains) or
     `orthotropic`"""
     thermal_expansion: Expansion | None = key("1/K", "23e-6", default=None, kw_only=True)
-    """a must with `[inputs.temperature]`; orthotropic: three, along 1, 2, 3"""
+    """required with `[inputs.temperature]`; orthotropic: three, along 1, 2, 3"""
 
     @property
     def orthotropic(self) -> Orthotropic | None:

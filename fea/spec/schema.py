@@ -444,7 +444,7 @@ class Analysis:
     """How to solve."""
 
     nonlinear: Flag = key("", "true")
-    """large displacements, and of rubber large strains; false: the 6x6 compliance is all"""
+    """`true`: large displacements, and of rubber large strains; `false`: a linear analysis"""
     integration: Literal["reduced", "full"] = key(
         "", '"full"', default="reduced", default_text='the deck\'s, else `"reduced"`'
     )

@@ -165,7 +165,7 @@ def stiffness(
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Show a component's 6x6 stiffness about a load, its mass, and the error of being linear.
+    """Show a component's 6x6 stiffness about a load, its mass, and its error of linearity.
 
     With --between: that of its measured rows.
     """

@@ -66,7 +66,7 @@ def serve(
     as_json: AsJson = False,
     **options: Any,
 ) -> None:
-    """Serve the API and solve what is queued."""
+    """Serve the API and solve the queued jobs."""
     from wrenchbook.service.http.proxy import proxy_trust
     from wrenchbook.service.workers.supervisor import AddressError, supervise
 
@@ -200,7 +200,7 @@ def demo(
 
 # Programs with their own argument parser: this process never imports the finite elements.
 PROGRAMS = {
-    "new": "Propose a component for an input deck, check it, and print what is open.",
+    "new": "Propose a component for an input deck, and print its open points.",
     "check": "Check a component bundle before its upload: mesh, supports, cost.",
     "converge": "Solve a part on finer meshes: order, limit, error of its own mesh.",
     "condense": "Write stiffness and mass of frames and modes (Craig-Bampton).",
@@ -346,7 +346,7 @@ def add(
         list[str] | None,
         typer.Option(help="components it may touch: a name, or plate_*; repeatable; default all"),
     ] = None,
-    days: Annotated[float | None, typer.Option(help="days that it is valid; default ever")] = None,
+    days: Annotated[float | None, typer.Option(help="days of validity; default: no end")] = None,
     as_json: AsJson = False,
     data: Folder = DEFAULT_DATA,
 ) -> None:

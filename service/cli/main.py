@@ -292,7 +292,7 @@ def plan(
     server: Server = DEFAULT_SERVER,
     data: Data = None,
 ) -> None:
-    """Print what a scene needs of each component, what it leaves out, and what that saves."""
+    """Print the part of each table that a scene needs, and the savings."""
     needs = Scene.read(scene)
     with connected(server, data) as client:
         plans = needs.plan(client)

@@ -75,7 +75,7 @@ class DisplacementCalls(Connection):
         tolerance : mapping or pair, optional
             ``{"translation": m, "rotation": rad}``; the component's own otherwise.
         method : str, optional
-            How the table shall answer, such as ``griddata``; the component's own choice otherwise.
+            The method of the answer, such as ``griddata``; the component's own choice otherwise.
         detail : bool
             Whether ``raw`` shall have ``error_parts``, the parts of the error bar, and ``axes``,
             the displacement by the loads of each axis.

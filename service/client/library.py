@@ -342,7 +342,7 @@ class LibraryCalls(Connection):
         return content.decode() if format in _TEXTS else content
 
     def invalidate_row(self, name: str, row: int) -> None:
-        """Take a row out of a component's table; it stays in the ledger, see `restore_row`.
+        """Withdraw a row from a component's table; it stays in the ledger, see `restore_row`.
 
         Parameters
         ----------
@@ -359,7 +359,7 @@ class LibraryCalls(Connection):
         self.call("DELETE", component_path(name, f"table/{int(row)}"))
 
     def restore_row(self, name: str, row: int) -> None:
-        """Take a row back into a component's table; parameters and errors as `invalidate_row`."""
+        """Restore a withdrawn row of a table; parameters and errors as `invalidate_row`."""
         self.call("POST", component_path(name, f"table/{int(row)}/restore"))
 
     def withdraw_import(
@@ -430,7 +430,7 @@ class LibraryCalls(Connection):
         return self.call_json("GET", path, query=query | {"import": number})
 
     def make_report(self, name: str, wrenches: int = 24, seed: int = 1) -> Document:
-        """Start making a report of error against run time; it takes minutes.
+        """Start a report of error against run time; it takes minutes.
 
         Parameters
         ----------

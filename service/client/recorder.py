@@ -133,7 +133,7 @@ class Recorder:
         return None if self._trouble is None else str(self._trouble)
 
     def add(self, wrench: ArrayLike) -> None:
-        """Take one wrench, shape (inputs,), N and N·m; the server is not waited for.
+        """Add one wrench, shape (inputs,), N and N·m, without waiting for the server.
 
         Raises
         ------

@@ -66,6 +66,7 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     keys.KeyExistsError: (409, "key-exists", "The name is taken"),
     keys.UnknownKeyError: (404, "unknown-key", "No valid key has this name"),
     keys.KeysBusyError: (503, "busy", "The keys are being changed"),
+    keys.LastKeyError: (409, "last-key", "The last key cannot be revoked"),
     keys.KeysFullError: (409, "keys-full", "The server has as many keys as it can"),
     keys.KeysUnavailableError: (507, "disk", "The keys cannot be read or written"),
     UnknownRigError: (404, "unknown-rig", "No such rig"),

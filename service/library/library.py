@@ -95,10 +95,14 @@ class Library:
         for folder in _bundle_folders(local):
             self._try(folder, shipped=False)
 
+    def all(self) -> list[Component]:
+        """Return all components, by name."""
+        found = [self.get(name) for name in sorted(self._components)]
+        return [component for component in found if component is not None]
+
     def names(self) -> list[str]:
         """Return the names of all components, sorted."""
-        touches = CALLER.get().touches
-        return sorted(name for name in self._components if self._find(name) and touches(name))
+        return [component.name for component in self.all()]
 
     def version(self) -> int:
         """Return a number that differs after a component was added, changed or broken.
@@ -128,12 +132,16 @@ class Library:
         return {folder.name: reason for folder, reason in broken if touches(folder.name)}
 
     def __contains__(self, name: str) -> bool:
-        return self._find(name) is not None and CALLER.get().touches(name)
+        return self.get(name) is not None
+
+    def get(self, name: str) -> Component | None:
+        """Return a component; None if there is none."""
+        return self._find(name) if CALLER.get().touches(name) else None
 
     def __getitem__(self, name: str) -> Component:
-        component = self._find(name)
-        if component is None or not CALLER.get().touches(name):
-            if component is None and name in (broken := self.broken()):
+        component = self.get(name)
+        if component is None:
+            if name in (broken := self.broken()):
                 raise BrokenComponentError(name, self.names(), broken[name])
             raise UnknownComponentError(name, self.names())
         return component

@@ -113,7 +113,7 @@ class Metrics(Collector):
     def _of_ledger(self) -> Iterator[Metric]:
         """Yield the metrics of jobs, solves and the ledger's files; one without a usable ledger."""
         ledger = self._workspace.ledger
-        usable = False
+        read: Statistics | None = None
         with self._lock, contextlib.suppress(LedgerUnavailableError):
             if time.monotonic() - self._read_at >= FRESH_S:
                 self._read_at = time.monotonic()
@@ -123,10 +123,9 @@ class Metrics(Collector):
                     self._read = None
                     self._read = ledger.statistics()
                     self._version = version
-            usable = self._read is not None
-        read = self._read
-        yield _gauge("ledger_usable", "1 if the ledger can be used now", int(usable))
-        if not usable or read is None:
+            read = self._read
+        yield _gauge("ledger_usable", "1 if the ledger can be used now", int(read is not None))
+        if read is None:
             return
         yield _gauges("jobs", "jobs as they stand", "status", read.jobs)
         yield _gauges("failed_jobs", "failed jobs", "kind", read.failures)

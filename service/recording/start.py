@@ -176,13 +176,14 @@ def _start_linear(
     if not workspace.tables.caught_up(component.name, CATCH_UP_S).needs_compliance:
         reason = "the component is linear and its compliance known: it answers every wrench"
         return StartedSolves([], covered=inside, beyond_range=beyond, reason=reason)
-    workspace.fill(component.name, len(component.space.inputs), None)
-    queued = workspace.ledger.open_jobs(component.name, component.fingerprint)
+    design, accepted = workspace.fill(component.name, len(component.space.inputs), None)
+    queued = {job.id for job in accepted}  # some may have been solved meanwhile
+    queued |= {job.id for job in workspace.ledger.open_jobs(component.name, component.fingerprint)}
     reason = "the component is linear: its compliance, once solved, answers every wrench"
-    if not queued:
+    if not queued and design.stage != "met":
         reason = (
             "the component is linear and the solves of its compliance have failed; see GET "
             "/v1/jobs?status=failed and retry them"
         )
-    jobs = [workspace.ledger.job(job.id) for job in queued]
+    jobs = [workspace.ledger.job(number) for number in sorted(queued)]
     return StartedSolves(jobs, beyond_range=beyond, reason=reason)

@@ -169,8 +169,10 @@ class RecordingStore:
                 del self._subsets[next(iter(self._subsets))]
         return BlockResult(after, known=False, outside=outside)
 
-    def widen(self, name: str, wrenches: Floats, block: BlockKey | None) -> BlockResult:
-        """Add wrenches, shape (n, inputs), to a component's envelope; as `record`."""
+    def widen(
+        self, name: str, wrenches: Floats, block: BlockKey | None
+    ) -> tuple[BlockResult, EnvelopeState]:
+        """Add wrenches, shape (n, inputs), to a component's envelope and return it; as `record`."""
         component = self._library[name]
         acting = component.acting(wrenches)
         keys = packed(acting)
@@ -178,7 +180,8 @@ class RecordingStore:
         with self._ledger.writing() as db:
             before = _tally(db, name, "envelope")
             if block is not None and not _claim_block(db, name, "envelope", block, wrenches):
-                return BlockResult(before, known=True, outside=outside)
+                known = BlockResult(before, known=True, outside=outside)
+                return known, _envelope(db, component)
             after = replace(
                 before,
                 revision=before.revision + 1,
@@ -190,7 +193,8 @@ class RecordingStore:
                 [(name, *extreme) for extreme in _wider(acting, keys, _extremes(db, name))],
             )
             _save(db, name, "envelope", after)
-        return BlockResult(after, known=False, outside=outside)
+            envelope = _envelope(db, component)
+        return BlockResult(after, known=False, outside=outside), envelope
 
     def recording(self, name: str) -> RecordingState:
         """Return a component's recording; raises UnknownComponentError if there is none."""
@@ -202,16 +206,9 @@ class RecordingStore:
 
     def envelope(self, name: str) -> EnvelopeState:
         """Return a component's envelope; raises UnknownComponentError if there is none."""
-        count = len(self._library[name].load_range.low)
+        component = self._library[name]
         with self._ledger.reading() as db:
-            tally = _tally(db, name, "envelope")
-            extremes = _extremes(db, name)
-        current = _of_width(extremes.values(), count)
-        if len(current) != 2 * count:
-            return EnvelopeState(tally, unpacked([], count), unpacked([], count))
-        lowest = unpacked([extremes[load] for load in range(count)], count)
-        highest = unpacked([extremes[count + load] for load in range(count)], count)
-        return EnvelopeState(tally, lowest, highest)
+            return _envelope(db, component)
 
     def clear(self, name: str, kind: Kind) -> Tally:
         """Empty a component's recording or envelope, and return its earlier counts.
@@ -318,6 +315,18 @@ def _claim_block(
 def _recorded(db: Connection, component: str, inputs: int) -> list[bytes]:
     rows = db.execute("SELECT wrench FROM recorded WHERE component = ? ORDER BY id", (component,))
     return _of_width((wrench for (wrench,) in rows), inputs)
+
+
+def _envelope(db: Connection, component: Component) -> EnvelopeState:
+    count = len(component.load_range.low)
+    tally = _tally(db, component.name, "envelope")
+    extremes = _extremes(db, component.name)
+    current = _of_width(extremes.values(), count)
+    if len(current) != 2 * count:
+        return EnvelopeState(tally, unpacked([], count), unpacked([], count))
+    lowest = unpacked([extremes[load] for load in range(count)], count)
+    highest = unpacked([extremes[count + load] for load in range(count)], count)
+    return EnvelopeState(tally, lowest, highest)
 
 
 def _extremes(db: Connection, component: str) -> dict[int, bytes]:

@@ -103,10 +103,12 @@ class Reports:
 
     def state(self, name: str) -> ReportState:
         """Return how far a component's report is."""
+        with self._lock:  # no report is begun or cancelled while its files are read
+            return self._state(name)
+
+    def _state(self, name: str) -> ReportState:
         folder = self._folder / name
-        with self._lock:
-            alive = self._is_alive(name)
-        if alive:
+        if self._is_alive(name):
             progress = _read(folder / "progress.json") or {}
             order = _read(folder / "order.json") or {}
             return ReportState(

@@ -123,6 +123,9 @@ class TableBuilder:
         self._faults: dict[str, str] = {}
         self._failed_at: dict[str, int] = {}
         self._unwritten: dict[str, str] = {}
+        # Held while a packed file and its version are replaced, so that no earlier version of the
+        # files' thread is written after it.
+        self._replacing = threading.Lock()
         self._behind: set[str] = set()  # tables to build; used by the following thread alone
         # The following thread adds a name, the end of a build removes it.
         self._running: set[str] = set()
@@ -278,22 +281,23 @@ class TableBuilder:
         started = time.monotonic()
         name = component.name
         before = self._versions.get(name)
-        origin = self._store.origin(component, number)
         error = self._store.solver_error(component)
+        origin = self._store.origin(component, number, error)
         table = build_table(component, rows, number, error, before and before.table)
         content = packed_bytes(table, component, origin)
         save_at = SAVE_AFTER_QUIET_S
-        try:
-            self._store.write_packed(name, number, content)
-            content = b""
-        except OSError as failure:  # the earlier version answers; `_write` tries again
-            why = with_remedy(failure)
-            log.warning("the packed table of %s cannot be written: %s", name, why)
-            save_at = 0.0
-            self._unwritten[name] = why
-            self._failed_at[name] = number
-        now = time.monotonic()
-        self._versions[name] = _Version(component, number, table, now + save_at, content, now)
+        with self._replacing:
+            try:
+                self._store.write_packed(name, number, content)
+                content = b""
+            except OSError as failure:  # the earlier version answers; `_write` tries again
+                why = with_remedy(failure)
+                log.warning("the packed table of %s cannot be written: %s", name, why)
+                save_at = 0.0
+                self._unwritten[name] = why
+                self._failed_at[name] = number
+            now = time.monotonic()
+            self._versions[name] = _Version(component, number, table, now + save_at, content, now)
         log.debug("%s: version %d, %.3f s", name, number, now - started)
 
     def _take_up(self, name: str) -> None:
@@ -301,7 +305,8 @@ class TableBuilder:
         component = self._library[name]
         with suppress(LedgerUnavailableError):
             number = self._ledger.last_seq(name)
-            origin = self._store.origin(component, number)
+            error = self._store.solver_error(component)
+            origin = self._store.origin(component, number, error)
             current = self._store.is_current(component, number, origin)
             saved = self._store.saved(component, number, origin["ledger"]) if current else None
             if saved is None:
@@ -318,7 +323,8 @@ class TableBuilder:
         table = version.table
         rows = table.rows if table else self._store.rows(version.component, version.number)
         self._store.save(version.component, rows, version.number)
-        if version.packed:
-            self._store.write_packed(name, version.number, version.packed)
-            version.packed = b""
+        with self._replacing:
+            if version.packed and self._versions[name] is version:
+                self._store.write_packed(name, version.number, version.packed)
+                version.packed = b""
         version.save_at = None

@@ -294,10 +294,6 @@ class MappedTables:
             return "the process that runs them has ended; it is started again"
         return self._status.trouble
 
-    def building(self) -> list[str]:
-        """Return the components that have no table yet: they answer 503 if they have rows."""
-        return [name for name in self._library.names() if name not in self._tables]
-
     def progress(self, name: str) -> Callable[[], bool | None]:
         """Return a function that shows whether every web worker's table has all present rows.
 
@@ -311,12 +307,13 @@ class MappedTables:
             return table is not None and table.version >= goal and table.setup == wanted
 
         def progress() -> bool | None:
+            status = self._status  # another thread replaces it
             table, failed = self._tables.get(name), False
             if table is not None and is_current(published_table(table)):
                 if all(is_current(mapped.get(name)) for mapped in self._state.others()):
                     return True
             else:  # a table of another setup is built again, as of a component that was just added
-                failed = name in self._status.faults and self._status.failed.get(name, -1) >= goal
+                failed = name in status.faults and status.failed.get(name, -1) >= goal
             return False if failed or self._stopping.is_set() else None
 
         return progress
@@ -375,8 +372,8 @@ class MappedTables:
         status = self._state.read()
         failed = None
         for name, files in self._store.packed_files().items():
-            if name in self._library:
-                component = self._library[name]
+            component = self._library.get(name)
+            if component is not None:
                 try:
                     for file in files:
                         if self._map(component, file):
@@ -406,7 +403,8 @@ class MappedTables:
         level = logging.ERROR
         try:
             packed = PackedTable.open(file.path)
-            if not is_of(packed, name, self._store.origin(component, file.version)):
+            error = self._store.solver_error(component)
+            if not is_of(packed, name, self._store.origin(component, file.version, error)):
                 level = logging.INFO  # as after an upgrade: the builder replaces the file
                 raise PackedTableError(f"{file.path} is not version {file.version} of table {name}")
             rows_of = partial(self._store.rows, component, file.version)

@@ -72,13 +72,14 @@ class TableStore:
             return None
         return self._errors.read(component.name, component.fingerprint)
 
-    def origin(self, component: Component, version: int) -> dict[str, str]:
+    def origin(
+        self, component: Component, version: int, error: SolverError | None
+    ) -> dict[str, str]:
         """Return digests of all inputs of a table's version; a packed file has them.
 
-        ``ledger`` is missing if the ledger cannot be read: then no file is known to have these
-        rows.
+        `error`: the component's `solver_error`. ``ledger`` is missing if the ledger cannot be read:
+        then no file is known to have these rows.
         """
-        error = self.solver_error(component)
         program = [np.__version__, scipy.__version__, code_digest("surrogate")]
         origin = {
             "setup": setup_of(component),

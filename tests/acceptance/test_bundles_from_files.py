@@ -141,6 +141,7 @@ def test_a_bracket_from_a_step_file_becomes_a_covered_table(server, tmp_path):
     assert client.wait(first.job).status == "done"
     for round_ in client.fill_until("bracket", budget=40, round_size=40):
         assert {job.status for job in round_.jobs} <= {"done"}
+    client.component("bracket", wait_s=60)  # until the table has the last round
     reported = client.displacement("bracket", [50.0, 40.0, -120.0], [1.0, 2.0, -1.0])
     assert (reported.coverage, reported.source) == ("covered", "table"), reported.reason
     true = client.solve("bracket", [50.0, 40.0, -120.0], [1.0, 2.0, -1.0], wait_s=60)

@@ -25,6 +25,7 @@ def test_a_thin_table_is_solved_filled_and_then_covers(server):
     assert answer.source == "fea"
     for round_ in client.fill_until("plate_thin", budget=18, round_size=18):
         assert {job.status for job in round_.jobs} <= {"done"}  # none once the tolerance is met
+    client.component("plate_thin", wait_s=60)  # until the table has the last round
     tolerance = {"translation": 2e-3, "rotation": 2e-2}
     reported = client.displacement("plate_thin", [0, 0, -500.0], [10.0, 0, 0], tolerance=tolerance)
     assert (reported.coverage, reported.source) == ("covered", "table")

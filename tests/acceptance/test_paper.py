@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from scipy.stats import linregress
 
+from data.paper.bar import tip_load
+from data.paper.part import QUICK
 from data.paper.spring import line_through
+from tests.service.live import served
 
 ROOT = Path(__file__).parents[2]
 
@@ -25,6 +28,7 @@ def quick(tmp_path_factory):
     return done.stdout, json.loads((folder / "paper.json").read_text()), folder
 
 
+@pytest.mark.slow
 def test_every_band_holds_and_the_table_says_so(quick):
     printed, body, _ = quick
     assert body["bands"]["missed"] == 0
@@ -32,6 +36,7 @@ def test_every_band_holds_and_the_table_says_so(quick):
     assert "FAIL" not in printed
 
 
+@pytest.mark.slow
 def test_the_third_level_of_the_spring_is_the_second(quick):
     levels = quick[1]["parts"]["spring"]["numbers"]["levels"]
     solved, looped = levels["finite elements"], levels["MuJoCo and service"]
@@ -43,6 +48,7 @@ def test_the_third_level_of_the_spring_is_the_second(quick):
     assert small == pytest.approx(0.582, abs=0.001)
 
 
+@pytest.mark.slow
 def test_the_arm_is_told_output_by_output_by_both_methods(quick):
     plate = quick[1]["parts"]["arm"]["numbers"]["plate_thin"]
     methods = plate["methods"]
@@ -51,11 +57,21 @@ def test_the_arm_is_told_output_by_output_by_both_methods(quick):
     assert max(methods["default"]["rms_over_range"]) < max(methods["griddata"]["rms_over_range"])
 
 
+@pytest.mark.slow
 def test_the_page_needs_nothing_but_itself(quick):
     page = (quick[2] / "paper.html").read_text()
     assert 'src="http' not in page
     for figure in ("Figure 2", "Figure 8", "Figure 10a", "Figure 10b", "Figure 11", "Figure 12"):
         assert figure in page
+
+
+def test_the_bands_of_the_bar_hold(tmp_path):
+    """The quickest part of the paper's; the others are above."""
+    with served(tmp_path, solvers=1) as client:
+        findings = tip_load(client, QUICK, lambda *_: None).as_body()["findings"]
+    verdicts = [finding["verdict"] for finding in findings]
+    assert "pass" in verdicts
+    assert "FAIL" not in verdicts
 
 
 # -- a line through points ------------------------------------------------------------------------

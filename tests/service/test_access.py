@@ -3,13 +3,13 @@
 import errno
 import io
 import os
-import time
 import zipfile
 from pathlib import Path
 
 import pytest
 from starlette.testclient import TestClient
 
+from tests.service.expired import add_expired_key
 from wrenchbook.service import keys
 from wrenchbook.service.client import Client
 from wrenchbook.service.files.lock import take
@@ -200,6 +200,41 @@ def test_the_last_key_is_not_revoked_over_http_since_the_server_would_be_open(tm
         assert client.delete("/v1/keys/only", headers=admin).status_code == 200
 
 
+@pytest.fixture
+def keyed(tmp_path):
+    """A server whose access needs no keys, and its keys."""
+    ring = Keyring(tmp_path)
+    ring.add("first", "admin")
+    secret = ring.add("second", "admin")
+    security = security_settings("127.0.0.1", "lab.example", None)
+    app = create_app(Settings(tmp_path, solvers=0), security)
+    with TestClient(app, base_url="http://127.0.0.1:8000") as client:
+        yield client, secret
+
+
+def test_of_two_keys_that_are_revoked_at_once_one_stays(keyed, monkeypatch):
+    """Each call saw the other's key, and the server was open to everybody."""
+    client, secret = keyed
+    keyring = client.app.state.access.keyring
+    both = keyring.listed()
+    monkeypatch.setattr(keyring, "listed", lambda: both)
+    assert client.delete("/v1/keys/first", headers=bearer(secret)).status_code == 200
+    reply = client.delete("/v1/keys/second", headers=bearer(secret))
+    assert (reply.status_code, reply.json()["type"][-8:]) == (409, "last-key")
+    assert client.get("/v1/jobs").status_code == 401
+
+
+def test_the_last_key_is_not_revoked_while_it_has_two_secrets(keyed):
+    """A rotated key counted as two."""
+    client, secret = keyed
+    assert client.delete("/v1/keys/first", headers=bearer(secret)).status_code == 200
+    rotated = client.post("/v1/keys/second/rotate", json={}, headers=bearer(secret))
+    assert rotated.status_code == 201
+    reply = client.delete("/v1/keys/second", headers=bearer(secret))
+    assert (reply.status_code, reply.json()["type"][-8:]) == (409, "last-key")
+    assert client.get("/v1/jobs").status_code == 401
+
+
 @pytest.mark.parametrize(
     ("call", "body"),
     [("POST", {"name": "tom"}), ("POST /reader/rotate", {}), ("DELETE /reader", None)],
@@ -235,9 +270,8 @@ def test_more_keys_than_there_can_be_are_a_conflict(locked, secrets_, monkeypatc
 
 
 def test_a_key_that_is_missing_malformed_unknown_or_expired_is_refused_by_its_cause(place, locked):
-    secret = Keyring(place).add("late", "read", expires=time.time() + 0.2)
+    secret = add_expired_key(place, "late", "read")
     locked.app.state.access.keyring.refresh(0.0)
-    time.sleep(0.3)
     for headers, why in (
         ({}, "the request has none"),
         ({"Authorization": secret}, "is not of the form Bearer KEY"),

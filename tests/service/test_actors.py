@@ -7,6 +7,7 @@ import time
 import pytest
 from starlette.testclient import TestClient
 
+from tests.service.expired import add_expired_key
 from tests.service.ledger_rows import claim
 from tests.service.test_access import CALLS, TABLE_ONLY, bearer
 from wrenchbook.service.actors import CALLER, Caller, NotPermittedError, acting_as
@@ -42,10 +43,7 @@ def keys(place):
     }
     keys["all"] = keyring.add("root", "admin")
     keys["bob"] = keyring.add("bob", "write")
-    over = time.time() + 2.0  # later than it is made, however busy the machine
-    keys["over"] = keyring.add("over", "admin", expires=over)
-    while time.time() <= over:
-        time.sleep(0.05)
+    keys["over"] = add_expired_key(place, "over", "admin")
     return keys
 
 

@@ -143,8 +143,8 @@ def test_a_call_that_must_not_be_repeated_is_sent_to_a_busy_server_once(
 
 
 def test_a_busy_server_is_not_waited_for_beyond_the_timeout(stub: Stub, pauses):
-    stub.answers(BUSY)
-    with Client(stub.url, timeout=1.0) as client, pytest.raises(ProblemError, match="503"):
+    stub.answers(Answer({}, status=503, headers={"Retry-After": "1000"}))
+    with Client(stub.url, timeout=600) as client, pytest.raises(ProblemError, match="503"):
         client.job(1)
     assert (len(stub.seen), pauses) == (1, [])
 

@@ -168,7 +168,7 @@ def test_an_interpreter_that_cannot_start_is_no_dead_solver(bench, monkeypatch):
 
 
 def test_a_dispatcher_killed_right_after_its_solver_has_not_seen_it_die(bench, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.OUTLIVE_SECONDS", 5.0)
+    monkeypatch.setattr("wrenchbook.service.jobs.dispatcher.OUTLIVE_SECONDS", 3600.0)
     job = bench.accept()
     for attempt in range(1, 6):
         dispatcher = bench.start("endless")

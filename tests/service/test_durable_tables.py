@@ -328,9 +328,11 @@ def test_a_packed_file_built_while_the_ledger_could_not_be_read_is_not_current(s
     with monkeypatch.context() as patch:
         patch.setattr(site.ledger, "digest", unreadable)
         content = packed_bytes(
-            site.tables.surrogate("rig").surrogate(), component, files.origin(component, version)
+            site.tables.surrogate("rig").surrogate(),
+            component,
+            files.origin(component, version, None),
         )
-    origin = files.origin(component, version)
+    origin = files.origin(component, version, None)
     assert files.is_current(component, version, origin)
     files.write_packed("rig", version, content)
     assert not files.is_current(component, version, origin)
@@ -344,7 +346,7 @@ def test_a_packed_file_without_an_origin_is_written_again(site):
     files.write_packed(
         "rig", version, packed_bytes(site.tables.surrogate("rig").surrogate(), component)
     )
-    assert not files.is_current(component, version, files.origin(component, version))
+    assert not files.is_current(component, version, files.origin(component, version, None))
 
 
 def test_a_packed_file_of_another_ledger_is_not_answered_from(site):

@@ -3,7 +3,6 @@
 import io
 import json
 import os
-import socket
 import subprocess
 import sys
 import threading
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
+from tests.ports import reserved_port
 from tests.service.ledger_rows import NewRow, insert, stored
 from tests.service.test_http_components import TABLE_ONLY, bar_text
 from tests.until import until
@@ -29,9 +29,7 @@ ROOT = Path(__file__).parents[2]
 @pytest.fixture
 def unused():
     """A port of this machine that nobody listens on."""
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
+    return reserved_port()
 
 
 @pytest.fixture

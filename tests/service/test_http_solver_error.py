@@ -277,10 +277,11 @@ def test_nobody_is_told_that_a_bar_without_the_solvers_share_is_within_the_toler
 
 def test_a_row_that_came_just_now_has_the_solvers_share_though_its_table_is_not_built(tmp_path):
     workspace = Workspace(Settings(tmp_path, solvers=0))
-    assert workspace.solver_error("plate") is None
-    workspace.errors.record("plate", workspace.library["plate"].fingerprint, TOLD)
+    plate, table = workspace.library["plate"], workspace.surrogate("plate")
+    assert workspace.solver_error(plate, table) is None
+    workspace.errors.record("plate", plate.fingerprint, TOLD)
     assert workspace.surrogate("plate").solver_error is None
-    assert workspace.solver_error("plate").values == TOLD
+    assert workspace.solver_error(plate, table).values == TOLD
     workspace.close()
 
 

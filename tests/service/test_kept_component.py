@@ -50,7 +50,7 @@ class Site:
         spec = Attempt(self.attempts, 1, "block", str(bundle), wanted, tuple(map(float, wrench)))
         prepare(replace(spec, folder=folder))
         engine.submit(asked(folder))
-        until(lambda: engine.poll(asked(folder)) == "finished", seconds=60)
+        until(lambda: engine.poll(asked(folder)) == "finished")
         outcome = read_outcome(read_attempt(folder))
         outcome.further.pop("seconds", None)
         if outcome.status == "done":  # its surface and stresses too

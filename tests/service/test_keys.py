@@ -3,11 +3,11 @@
 import errno
 import os
 import stat
-import time
 
 import pytest
 from typer.testing import CliRunner
 
+from tests.service.expired import add_expired_key
 from wrenchbook.service.cli.local import make_first_key
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.keys import FILE, PREFIX, Keyring, KeysError, KeysNeededError
@@ -84,11 +84,10 @@ def test_a_name_is_one_keys(keyring):
         keyring.revoke("bob")
 
 
-def test_a_key_is_rotated_while_it_is_valid(keyring):
+def test_a_key_is_rotated_while_it_is_valid(keyring, tmp_path):
     with pytest.raises(KeysError, match="create it with: wrenchbook keys add ann --data"):
         keyring.rotate("ann", 0.0)
-    keyring.add("ann", "read", expires=time.time() + 0.05)
-    time.sleep(0.1)
+    add_expired_key(tmp_path, "ann", "read")
     with pytest.raises(
         KeysError, match=r"expired, so .* keys revoke ann --data .*; wrenchbook keys add ann --data"
     ):

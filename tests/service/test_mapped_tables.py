@@ -1,5 +1,6 @@
 """Tables that one part of a server builds and another maps: what is seen, when, and what if not."""
 
+import errno
 import os
 import threading
 from contextlib import contextmanager
@@ -17,8 +18,11 @@ from wrenchbook.service.tables import build as builds
 from wrenchbook.service.tables.build import TableBuilder
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, PublishedTable, Status
 from wrenchbook.service.tables.mapped import MappedTables, TableBehindError
-from wrenchbook.service.tables.store import TableStore
+from wrenchbook.service.tables.store import TableStore, is_of
 from wrenchbook.service.workspace import Watcher
+from wrenchbook.surrogate.kernel.binding import PackedTable
+from wrenchbook.surrogate.solver_error import SolverError
+from wrenchbook.surrogate.table.rows import Rows
 
 RANGE = [[-10.0, 10.0]] * 3
 
@@ -285,20 +289,23 @@ def test_rows_are_in_use_only_once_every_web_worker_answers_from_them(both, tmp_
     with part(tmp_path, MappedTables) as late:
         assert isinstance(late.tables, MappedTables)
         assert late.tables.catch_up("new", 600)
-        may_map, map_new = threading.Event(), late.tables._map_new
+        waits, may_map, map_new = threading.Event(), threading.Event(), late.tables._map_new
 
         def slow():
+            waits.set()
             assert may_map.wait(600)
             map_new()
 
         monkeypatch.setattr(late.tables, "_map_new", slow)
+        late.tables.wake()
+        assert waits.wait(600)  # no earlier call is still mapping
         insert(reader.ledger, "new", "", new_rows(2, 4))
         until(lambda: len(reader.tables.surrogate("new").rows) == 6)
         assert not reader.tables.catch_up("new", 0)
         may_map.set()
         assert reader.tables.catch_up("new", 600)
         assert len(late.tables.surrogate("new").rows) == 6
-    assert reader.tables.catch_up("new", 20)  # a worker that has ended is not waited for
+    assert reader.tables.catch_up("new", 600)  # a worker that has ended is not waited for
 
 
 # -- tables that are built beside each other and beside the answers ------------------------------
@@ -349,13 +356,13 @@ def test_small_tables_answer_before_a_large_one_is_built_at_the_start(open_table
     tables, _ = open_tables({"big": 60, **small})
     for name in small:
         assert len(tables.surrogate(name).rows) == 3
-    assert "big" in tables.building()
+    assert "big" not in tables.present()
     with pytest.raises(TableBehindError, match="cannot answer yet"):
         tables.surrogate("big")
     may_build.set()
     assert tables.catch_up("big", 600)
     assert len(tables.surrogate("big").rows) == 60
-    assert "big" not in tables.building()
+    assert "big" in tables.present()
 
 
 def test_a_row_of_one_table_does_not_wait_for_the_build_of_another(open_tables, slow_build):
@@ -411,3 +418,47 @@ def test_two_large_tables_are_built_one_after_the_other_and_small_ones_beside_th
         [(name, step) for name in order for step in ("starts", "ends")]
         for order in (("big1", "big2"), ("big2", "big1"))
     )
+
+
+def test_an_earlier_version_that_is_written_late_does_not_remove_the_newer_file(
+    tmp_path, monkeypatch
+):
+    """Its file could not be written before, as on a full disk, and it removed all others."""
+    one = Part(tmp_path, TableBuilder)  # its threads are not started
+    one.add("new", 4)
+    files = one.tables._store
+    save = files.save
+
+    def fail(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def save_while_a_newer_one_is_built(*arguments):
+        save(*arguments)
+        insert(one.ledger, "new", "", new_rows(1, 4))
+        one.tables._build_newest("new")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "write_packed", fail)
+        one.tables._build_newest("new")
+    monkeypatch.setattr(files, "save", save_while_a_newer_one_is_built)
+    one.tables._write("new")
+    assert [file.version for file in files.packed_files()["new"]] == [5]
+    one.state.release()
+    one.ledger.close()
+
+
+def test_a_file_names_the_solvers_error_with_which_it_was_built(tmp_path, monkeypatch):
+    """An estimate that came between two reads gave a file that no web worker mapped."""
+    values = {"loads": [10.0] * 6, "mesh": [[1e-9] * 6] * 6}
+    estimates = iter([SolverError(values), None])
+    one = Part(tmp_path, TableBuilder)
+    library = Library(tmp_path / "components")
+    files = one.tables._store
+    monkeypatch.setattr(files, "solver_error", lambda _: next(estimates))
+    one.tables._build(library["bar"], Rows.empty(library["bar"].space), 0)
+    (file,) = files.packed_files()["bar"]
+    packed = PackedTable.open(file.path)
+    built_with = SolverError.read(packed.meta["solver_error"])
+    assert is_of(packed, "bar", files.origin(library["bar"], 0, built_with))
+    one.state.release()
+    one.ledger.close()

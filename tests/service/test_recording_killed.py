@@ -5,7 +5,6 @@ WRENCHBOOK_SOAK=60 makes a long run of it.
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.ports import reserved_port
 from tests.until import until
 from wrenchbook.service.client import Client, Recorder
 
@@ -28,8 +28,7 @@ class Site:
 
     def __init__(self, folder):
         self.folder = folder
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
+        self.port = reserved_port()
         self.url = f"http://127.0.0.1:{self.port}"
         self.start()
 

@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from tests.slow import slow, slow_but
 from tests.surrogate.calibrating import (
     INSIDE,
     PIECEWISE,
@@ -33,6 +34,7 @@ from wrenchbook.surrogate.kernel.reasons import ERRORS_UNKNOWN
 from wrenchbook.surrogate.table.rows import Rows, Tolerance
 
 SEEDS = (31, 32, 33)
+QUICK = {"kinked"}  # of the responses: in `make test`
 
 # What does not meet the contract yet, for every run to see.
 NOT_SHARP = {
@@ -63,26 +65,26 @@ def of_sixty_solves(name: str) -> list[Calibration]:
     return [synthetic(response, row) for row in rows]
 
 
-@pytest.mark.parametrize("name", RESPONSES)
+@pytest.mark.parametrize("name", slow_but(QUICK, RESPONSES))
 def test_bars_of_sixty_solves_hold(name: str) -> None:
     assert together(of_sixty_solves(name)).min() >= INSIDE
 
 
-@pytest.mark.parametrize("name", RESPONSES)
+@pytest.mark.parametrize("name", slow_but(QUICK, RESPONSES))
 def test_bars_of_a_filled_table_hold(name: str) -> None:
     response = RESPONSES[name]
     result = [synthetic(response, filled(response, 39, seed)) for seed in SEEDS]
     assert together(result).min() >= INSIDE
 
 
-@pytest.mark.parametrize("name", RESPONSES)
+@pytest.mark.parametrize("name", slow_but(QUICK, RESPONSES))
 def test_bars_without_tangents_hold_with_forty_full_wrenches(name: str) -> None:
     response = RESPONSES[name]
     rows = [table(response, spread_wrenches(30, 40, seed)) for seed in SEEDS]
     assert together([synthetic(response, row) for row in rows]).min() >= INSIDE
 
 
-@pytest.mark.parametrize("name", but(NOT_SHARP))
+@pytest.mark.parametrize("name", slow_but(QUICK, but(NOT_SHARP)))
 def test_bars_are_sharp(name: str) -> None:
     texts = [
         text
@@ -94,12 +96,7 @@ def test_bars_are_sharp(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "clean"),
-    [
-        ("plate_thin", 0),
-        ("plate_thin", 24),
-        ("plate_thin", None),
-        *[(name, clean) for name in ("plate", "spring") for clean in (0, 24, None)],
-    ],
+    slow_but({("plate_thin", 24)}, product(("plate_thin", "plate", "spring"), (0, 24, None))),
 )
 def test_bars_hold_on_the_shipped_components(name: str, clean: int | None) -> None:
     component = shipped(name, 40 if name == "plate_thin" else 20, clean)
@@ -108,7 +105,7 @@ def test_bars_hold_on_the_shipped_components(name: str, clean: int | None) -> No
     assert result.inside.min() >= INSIDE
 
 
-@pytest.mark.parametrize(("full", "worst"), [(15, 0.003), (30, 0.0015), (60, 0.0008)])
+@pytest.mark.parametrize(("full", "worst"), [(15, 0.003), slow((30, 0.0015)), slow((60, 0.0008))])
 def test_few_solves_of_a_shipped_component_answer_within_sharp_bars(
     full: int, worst: float
 ) -> None:
@@ -139,7 +136,7 @@ def test_what_is_called_covered_is_inside_under_a_tolerance_too() -> None:
 
 
 @pytest.mark.parametrize("told", [True, False])
-@pytest.mark.parametrize("per_axis", [30, 100])
+@pytest.mark.parametrize("per_axis", [30, slow(100)])
 def test_bars_hold_under_noise(per_axis: int, told: bool) -> None:
     """Against the response itself: what the rows' noise makes of an answer, not of a new row."""
     result = [synthetic(smooth, noisy(per_axis, 40, seed, told)) for seed in SEEDS]
@@ -147,7 +144,7 @@ def test_bars_hold_under_noise(per_axis: int, told: bool) -> None:
 
 
 @pytest.mark.parametrize("method", ["kriging", "griddata"])
-@pytest.mark.parametrize("size", [1e-3, 1e-2])
+@pytest.mark.parametrize("size", [slow(1e-3), 1e-2])
 def test_bars_hold_under_noise_that_nobody_stated(size: float, method: str) -> None:
     """Of 0.1 and 1 % of the range, each wrench read three times."""
     scaled = np.repeat(spread_wrenches(15, 30, 7), 3, axis=0)

@@ -7,6 +7,7 @@ judges more of them on fresh seeds.
 import numpy as np
 import pytest
 
+from tests.slow import slow
 from tests.surrogate.kriging.responses import RESPONSES
 from tests.surrogate.scenarios import (
     SCENARIOS,
@@ -26,7 +27,7 @@ def verdict(name: str, scenario: str, seed: int) -> Verdict:
     return judged(truth, SCENARIOS[scenario](truth, seed), asked_of(scenario, seed))
 
 
-@pytest.mark.parametrize("apart", ["1e-5", "1e-4", "1e-3", "1e-2"])
+@pytest.mark.parametrize("apart", [slow("1e-5"), "1e-4", slow("1e-3"), slow("1e-2")])
 def test_twins_of_solves_hold_their_errors(apart: str) -> None:
     """Of 15 solves with twins 1e-4 of the range away all 220 answers were covered and outside."""
     result = verdict("plate_thin", f"15 and twins {apart}", 3)
@@ -34,8 +35,8 @@ def test_twins_of_solves_hold_their_errors(apart: str) -> None:
     assert result.covered > 0.1
 
 
-@pytest.mark.parametrize("name", ["plate_thin", "hardening", "strongly_coupled"])
-@pytest.mark.parametrize("scenario", ["motion 60", "motion 150"])
+@pytest.mark.parametrize("name", ["plate_thin", slow("hardening"), slow("strongly_coupled")])
+@pytest.mark.parametrize("scenario", ["motion 60", slow("motion 150")])
 def test_rows_along_a_motion_alone_cover_nothing_wrongly(name: str, scenario: str) -> None:
     """Of 60 solves along a motion all answers were covered, and 89 % over the tolerance.
 
@@ -46,7 +47,7 @@ def test_rows_along_a_motion_alone_cover_nothing_wrongly(name: str, scenario: st
     assert outside <= OUTSIDE * sum(result.covered for result in results)
 
 
-@pytest.mark.parametrize(("scenario", "covered"), [("spread 13", 0.6), ("spread 40", 0.8)])
+@pytest.mark.parametrize(("scenario", "covered"), [("spread 13", 0.6), slow(("spread 40", 0.8))])
 def test_spread_rows_besides_a_motion_make_it_covered(scenario: str, covered: float) -> None:
     result = verdict("plate_thin", f"motion 60, {scenario}", 1)
     assert result.outside <= OUTSIDE

@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from tests.slow import slow, slow_but
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.packed.writer import packed_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
@@ -57,7 +58,9 @@ def test_scattered_sweeps_of_single_loads_cover_no_several_loads(
 
 
 @pytest.mark.parametrize("method", ["griddata", "additive"])
-@pytest.mark.parametrize(("values", "noise", "seed"), [(21, 1e-5, 1), (21, 3e-6, 1), (9, 1e-5, 2)])
+@pytest.mark.parametrize(
+    ("values", "noise", "seed"), [slow((21, 1e-5, 1)), slow((21, 3e-6, 1)), (9, 1e-5, 2)]
+)
 def test_error_bars_of_noisy_sweeps_hold_the_noise(
     method: str, values: int, noise: float, seed: int
 ) -> None:
@@ -77,8 +80,17 @@ def cubic(loads: np.ndarray) -> np.ndarray:
     return 1e-3 * (loads + 0.15 * loads**3 + 0.1 * loads * np.roll(loads, 2, axis=1))
 
 
-@pytest.mark.parametrize(("count", "interfaces"), [(20, 1), (30, 1), (40, 1), (60, 1), (40, 2)])
-@pytest.mark.parametrize("noise", [0.001, 0.005])
+@pytest.mark.parametrize(
+    ("count", "interfaces", "noise"),
+    slow_but(
+        {(20, 1, 0.005)},
+        [
+            (count, interfaces, noise)
+            for count, interfaces in ((20, 1), (30, 1), (40, 1), (60, 1), (40, 2))
+            for noise in (0.001, 0.005)
+        ],
+    ),
+)
 def test_bars_of_few_measured_rows_hold_their_readings(
     count: int, interfaces: int, noise: float
 ) -> None:

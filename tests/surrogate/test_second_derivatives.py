@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from tests.slow import slow
 from tests.surrogate.energies import PARTS, Part, part
 from tests.surrogate.responses import HIGH
 from tests.surrogate.tables.write import HERE
@@ -193,7 +194,7 @@ def test_answers_at_rows_have_their_values_slopes_and_second_derivatives(stiffen
 
 
 @pytest.mark.parametrize("name", PARTS)
-@pytest.mark.parametrize("count", [6, 15, 30])
+@pytest.mark.parametrize("count", [6, slow(15), slow(30)])
 def test_second_derivatives_lower_the_error(name: str, count: int) -> None:
     own = part(PARTS[name], 4)
     at = places(count, count)
@@ -203,8 +204,8 @@ def test_second_derivatives_lower_the_error(name: str, count: int) -> None:
     assert np.median(result) < 0.85 * np.median(without)
 
 
-@pytest.mark.parametrize("name", ["stiffening", "saturating", "waving"])
-@pytest.mark.parametrize("count", [15, 30])
+@pytest.mark.parametrize("name", ["stiffening", slow("saturating"), slow("waving")])
+@pytest.mark.parametrize("count", [15, slow(30)])
 def test_error_bars_hold(name: str, count: int) -> None:
     inside, ratio = [], []
     for seed in range(4):

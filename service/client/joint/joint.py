@@ -48,7 +48,7 @@ SHOWN = 0.05  # part of the largest load: messages leave out smaller loads of a 
 
 
 class Joint:
-    """A part that pulls back on the bodies that it connects.
+    """A part as a force element between the two bodies that it connects.
 
     The simulator has the relative motion of the tip, the interface's side, against the base, the
     support's side. Each step the joint returns the wrench on the part; the simulator applies its
@@ -288,8 +288,8 @@ class Joint:
             Of each interface: the tip's interface frame in its undeformed frame, which moves with
             the base: shape (3, 3), dimensionless, and shape (3,), m.
         velocity : array_like
-            Shape (6,), m/s and rad/s, in the undeformed frame: how fast the interface point and
-            frame would move against the base after the step if the part did not pull.
+            Shape (6,), m/s and rad/s, in the undeformed frame: the relative velocity of interface
+            point and frame after the step without the part.
         inverse_mass : array_like
             Shape (6 k, 6 k): the relative accelerations by a unit load on a tip and its reaction on
             the base, 1/kg to 1/(kg·m^2). Tips on a base that moves are coupled by it.

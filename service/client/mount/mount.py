@@ -134,10 +134,10 @@ class Mount:
     tolerance : mapping or pair, optional
         ``translation``, m, and ``rotation``, rad; the component's own otherwise.
     relaxation : {"aitken", "newton", "off"} or float
-        How far a pose follows its answer: by Aitken's factor, by Newton with the answer's
+        Fraction of an answer that a pose follows: by Aitken's factor, by Newton with the answer's
         derivative and the scene's stiffness, all the way, or by a fixed fraction, 0 to 1.
     on_thin : {"queue", "estimate", "reject", "wait"}
-        What the server does where its table is too thin; measured tables are only estimated.
+        Behaviour of the server where its table is thin; measured tables only estimate.
     method : str, optional
         The table's method; the component's own choice otherwise.
     stiffness : array_like, optional
@@ -145,12 +145,12 @@ class Mount:
         N·m/rad. `step` needs it with ``newton``; with ``aitken`` it gives the first factor;
         `settle` finds its own.
     unmeasured : {"refuse", "rigid"}
-        What an output does that the table does not hold, or that its scene does not read: raise,
-        or not move.
+        Behaviour of an output that the table lacks, or that its scene does not read: raise an
+        error, or stay at zero.
     natural_frequency, ramp_time : float, optional
-        The component's first, with what it carries, Hz, and the time in which loads build up, s: a
+        The component's first, with the carried mass, Hz, and the time in which loads build up, s: a
         warning says when answers at rest will miss the ringing. With a `ramp_time` alone a server
-        gives the frequency: the component's, lowered by what it carries.
+        gives the frequency: the component's, lowered by the carried mass.
     carried : float or array_like, optional
         The rigid system's mass, kg, or its mass matrix about the interface point, shape (6, 6), kg,
         kg·m, kg·m^2, for that frequency.
@@ -262,7 +262,7 @@ class Mount:
         self._undeformed = pose
 
     def restart(self) -> None:
-        """Go back to the undeformed pose, and count anew: another run begins."""
+        """Go back to the undeformed pose and reset the counts, for another run."""
         self.displacement: Vector = np.zeros(6)
         self._stepped = False
         self._beyond = 0
@@ -441,7 +441,7 @@ class Mount:
         )
 
     def start(self, **options: Any) -> Started:
-        """Have all that was saved solved (LM_start): see `Recorder.start`, also for the options.
+        """Queue the solves of the saved wrenches (LM_start); options as in `Recorder.start`.
 
         Raises
         ------

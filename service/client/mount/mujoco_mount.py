@@ -147,7 +147,7 @@ class MujocoMount:
         self._begin(float(data.time))
 
     def step(self) -> bool:
-        """Read, ask and set the new pose, if it is time to; call it after each ``mj_step``.
+        """Read the sensors and set the new pose at each sync; call it after each ``mj_step``.
 
         Returns
         -------
@@ -186,7 +186,7 @@ class MujocoMount:
         return True
 
     def settle(self, accuracy: float = 1e-3, most: int = 50) -> Settled:
-        """Let time stand still until scene and component agree (with ``solve``: DirectFEA).
+        """Hold the time until scene and component agree (with ``solve``: DirectFEA).
 
         Positions, velocities and controls stay as they are; only the mocap body moves.
 

@@ -20,7 +20,7 @@ STEP_WITHOUT_TOLERANCE = 1e-9  # m or rad: the same, and a tolerance, before ans
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """Where a static loop came to rest.
+    """The equilibrium of a static loop.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Settled:
     answer : Displacement
         The component's last answer, with its error bars and coverage.
     residuals : tuple of float
-        How far pose and answer were apart, in tolerances, answer by answer.
+        Distance of pose and answer, in tolerances, for each answer.
     spectral_radius : float or None
         Spectral radius of compliance times stiffness at the last Newton step; None without one.
     """

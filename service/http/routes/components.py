@@ -68,8 +68,8 @@ def list_components(
     """List components by name, in pages."""
     searched = q.casefold().split()
     components = []
-    for name in workspace.library.names():
-        component, card = workspace.library[name], workspace.catalogue[name]
+    for component in workspace.library.all():
+        name, card = component.name, workspace.catalogue[component.name]
         text = f"{name} {component.title} {card.notes}".casefold()
         is_listed = (after is None or name > after) and (archived or not card.archived)
         if is_listed and all(word in text for word in searched):
@@ -181,7 +181,7 @@ def fill(name: str, workspace: Opened, order: FillBody) -> Response:
 def component_body(workspace: Workspace, component: Component) -> dict[str, Any]:
     """Return all facts of a component."""
     table = workspace.tables.surrogate(component.name)
-    error = workspace.solver_error(component.name) if component.has_fea else None
+    error = workspace.solver_error(component, table) if component.has_fea else None
     solver_error = None  # a measured table has no solver
     if error is not None:
         names = ("mesh_basis", "linearity_basis", "buckling")
@@ -254,7 +254,7 @@ def _summary(workspace: Workspace, component: Component, table: ServedTable) -> 
         **({} if space.is_default else {"space": space.as_json()}),
         "tolerance": limit and asdict(limit),
         "rows": table.row_count,
-        "pending_rows": workspace.unbuilt(component.name, table)[0],
+        "pending_rows": workspace.unbuilt(component, table)[0],
         "solved": solved,
         "measured": table.row_count - solved,
         "another_setup": {"rows": table.other_rows, "wrenches": table.other_wrenches},

@@ -15,8 +15,9 @@ from wrenchbook.service.contract import Coverage
 from wrenchbook.service.fields import surface_files
 from wrenchbook.service.http.openapi import BYTES, answers, component_router
 from wrenchbook.service.http.routes import Newest, Opened, attached, json_reply
-from wrenchbook.service.library.component import interface_of, require_single_wrench
+from wrenchbook.service.library.component import Component, interface_of, require_single_wrench
 from wrenchbook.service.messages import DeformedShape, Stress
+from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.service.workspace import Workspace
 
 router = component_router("components", codes=(404, 409, 422))
@@ -39,7 +40,7 @@ _FILES = {  # by format: the writer, the media type, the ending of the name
 async def deformed(
     name: str,
     workspace: Opened,
-    _: Newest,
+    table: Newest,
     fx: _Number = 0.0,
     fy: _Number = 0.0,
     fz: _Number = 0.0,
@@ -49,18 +50,26 @@ async def deformed(
     format: Literal["json", "gltf", "vtu"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
     """Deformed surface and largest stress under a wrench."""
-    require_single_wrench(name, workspace.library.as_read(name).space)
+    component = workspace.library.as_read(name)
+    require_single_wrench(name, component.space)
     loads = np.array([fx, fy, fz, mx, my, mz])
     # In its own small pool of threads: it reads files and multiplies large arrays.
     loop = asyncio.get_running_loop()
     return await loop.run_in_executor(
-        workspace.shapes.threads, _reply, workspace, name, loads, format
+        workspace.shapes.threads, _reply, workspace, component, table, loads, format
     )
 
 
-def _reply(workspace: Workspace, name: str, loads: NDArray[np.float64], form: str) -> Response:
+def _reply(
+    workspace: Workspace,
+    component: Component,
+    table: ServedTable,
+    loads: NDArray[np.float64],
+    form: str,
+) -> Response:
     """Return the deformed surface under `loads`, shape (6,), N and N·m, in a format."""
-    shape = workspace.deformed(name, loads)
+    name = component.name
+    shape = workspace.deformed(component, table, loads)
     if form != "json":
         write, kind, ending = _FILES[form]
         headers = {
@@ -75,7 +84,7 @@ def _reply(workspace: Workspace, name: str, loads: NDArray[np.float64], form: st
     stress = None
     if shape.stress is not None:
         stress = Stress(**{**shape.stress._asdict(), "at": np.array(shape.stress.at)})
-    interface = interface_of(workspace.library[name]) or {}
+    interface = interface_of(component) or {}
     simplified: dict[Literal["from", "to"], int] = {"from": geometry.full_vertices, "to": count}
     reply = DeformedShape(
         component=name,

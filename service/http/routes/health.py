@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Iterable, Mapping
 from typing import Any, Literal
 
 from fastapi import APIRouter, Request
@@ -14,7 +14,7 @@ from wrenchbook.service.http.openapi import answers, refused
 from wrenchbook.service.http.routes import Opened
 from wrenchbook.service.ops.metrics import Metrics
 from wrenchbook.service.ops.replica import trouble_of
-from wrenchbook.service.workspace import Workspace
+from wrenchbook.service.tables.mapped import ServedTable
 
 router = APIRouter(tags=["health"])
 
@@ -35,23 +35,23 @@ async def live() -> dict[str, str]:
 )
 def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
     """Readiness of jobs and tables."""
-    faults = workspace.faults()
-    names = set(workspace.library.names())
+    faults, broken, copies = workspace.faults(), workspace.broken(), workspace.copies
+    components, present = workspace.library.all(), workspace.tables.present()
     rows = {
-        name: workspace.unbuilt(name, table)[0]
-        for name, table in workspace.tables.present().items()
-        if name in names
+        item.name: workspace.unbuilt(item, present[item.name])[0]
+        for item in components
+        if item.name in present
     }
     pending = {name: count for name, count in rows.items() if count}
-    tables = table_states(workspace, pending)
+    names = {item.name for item in components} | workspace.library.broken().keys()
+    tables = table_states(names, present, broken, pending)
     if component is not None:
         if component not in tables:
             _ = workspace.library[component]  # raises if the component does not exist
         tables = {component: tables.get(component, "building")}  # it may just have been added
 
     states = set(tables.values())
-    broken = workspace.broken()
-    trouble = trouble_of(workspace.copies, workspace.settings)
+    trouble = trouble_of(copies, workspace.settings)
     status = "ready"
     if faults:
         status = "not ready"
@@ -62,35 +62,38 @@ def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
     body = {
         "status": status,
         "ready": not faults and states <= {"ready"},
-        "components": len(names),
+        "components": len(components),
         "solvers": workspace.settings.solvers,
         "faults": faults,
         "broken": broken,
         "building": [name for name, state in tables.items() if state == "building"],
         "pending_rows": pending,
         "tables": tables,
-        "copies": {**workspace.copies, "trouble": trouble},
+        "copies": {**copies, "trouble": trouble},
         "age_s": workspace.age(),
     }
     served = not faults and (component is None or tables[component] in ("ready", "degraded"))
     return JSONResponse(redact_values(body), 200 if served else 503)
 
 
-def table_states(workspace: Workspace, pending: Mapping[str, int]) -> dict[str, TableState]:
+def table_states(
+    names: Iterable[str],
+    present: Mapping[str, ServedTable],
+    broken: Container[str],
+    pending: Mapping[str, int],
+) -> dict[str, TableState]:
     """Return the state of each component's table, by name; `pending` rows are in no table yet.
 
-    `degraded` answers although rows or files are damaged; `broken` does not answer.
+    `present` are the tables that answer, `broken` the components with a problem. `degraded` answers
+    although rows or files are damaged; `broken` does not answer.
     """
-    present = workspace.tables.present()
-    broken = workspace.broken()
-    building = workspace.tables.building()
     states: dict[str, TableState] = {}
-    for name in sorted({*workspace.library.names(), *workspace.library.broken()}):
-        is_empty = name in pending and not present[name].row_count
+    for name in sorted(names):
+        is_empty = name not in present or (name in pending and not present[name].row_count)
         if name in broken:
-            states[name] = "degraded" if name in present and not is_empty else "broken"
+            states[name] = "broken" if is_empty else "degraded"
         else:
-            states[name] = "building" if name in building or is_empty else "ready"
+            states[name] = "building" if is_empty else "ready"
     return states
 
 

@@ -74,8 +74,8 @@ def job_body(
 
     `rows`: the rows of a list of jobs by row number; None to read the row of this job.
     """
-    library, name = workspace.library, job.component
-    space = library[name].space if name in library else DEFAULT
+    component = workspace.library.get(job.component)
+    space = component.space if component is not None else DEFAULT
     if len(space.inputs) != len(job.wrench):  # its component is deleted, or has other inputs now
         space = None
     body: dict[str, Any] = {

@@ -22,6 +22,7 @@ from wrenchbook.service.http.routes import Opened, attached, json_reply
 from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import ImportOrigin, UnknownImportError, import_numbers
+from wrenchbook.service.ledger.imports import findings, import_spans, imports, withdrawn_counts
 from wrenchbook.service.messages import ImportFinding, Message, Six
 from wrenchbook.service.mistakes import MAX_VALUE
 from wrenchbook.service.tables.comparison import (
@@ -149,10 +150,12 @@ async def write_notes(name: str, request: Request) -> Response:
 @router.get("/imports", response_model=Imports)
 def list_imports(name: str, workspace: Opened) -> Response:
     """List imports, newest first."""
-    records = workspace.ledger.imports(workspace.library[name].name)
-    versions = {span.record.id: span.last for span in workspace.ledger.import_spans(name)}
-    findings: list[Any] = workspace.ledger.findings(name)
-    withdrawn = workspace.ledger.withdrawn_counts(name)
+    name = workspace.library[name].name
+    with workspace.ledger.reading() as db:
+        records = imports(db, name)
+        versions = {span.record.id: span.last for span in import_spans(db, name)}
+        stored: list[Any] = findings(db, name)
+        withdrawn = withdrawn_counts(db, name)
     return json_reply(
         Imports(
             imports=[
@@ -162,7 +165,7 @@ def list_imports(name: str, workspace: Opened) -> Response:
                     rows=record.rows,
                     withdrawn=withdrawn[record.id],
                     table_version=versions.get(record.id),
-                    findings=[item for item in findings if item["import"] == record.id],
+                    findings=[item for item in stored if item["import"] == record.id],
                 )
                 for record in records
             ]
@@ -313,13 +316,14 @@ def _edited(
 ) -> Response:
     component = workspace.library[name].name
     count = workspace.ledger.edit_import(component, number, finding, withdrawn=withdrawn)
+    version = workspace.ledger.last_seq(component)  # before the wait for it, which later ones pass
     body = {
         "component": component,
         "import": number,
         "status": "withdrawn" if withdrawn else "restored",
         "rows": count,
         "current": workspace.tables.catch_up(component, CATCH_UP_S),
-        "table_version": workspace.ledger.last_seq(component),
+        "table_version": version,
     }
     return json_reply(body)
 
@@ -340,7 +344,8 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
             f"/v1/components/{name}/copy."
         )
         raise HttpProblemError(409, "shipped", "A shipped component keeps its name", why)
-    newer = workspace.catalogue[name].renamed_to
+    card = workspace.catalogue[name]
+    newer = card.renamed_to
     if renamed and newer:
         shown = CALLER.get().visible(newer)
         now = (
@@ -353,7 +358,7 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
         now += f", or copy: POST /v1/components/{name}/copy."
         raise HttpProblemError(409, "renamed", "The component was renamed already", now)
     copy = workspace.library.add_copy(name, body.name, body.title)
-    workspace.catalogue.change(copy.name, notes=workspace.catalogue[name].notes, copied_from=name)
+    workspace.catalogue.change(copy.name, notes=card.notes, copied_from=name)
     if body.rows:
         key = permission_of(request.scope).key
         origin = ImportOrigin(key.name if key else "", format="copy")

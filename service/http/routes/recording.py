@@ -120,10 +120,9 @@ def solve_recording(name: str, request: Request, order: StartBody) -> Response:
 async def widen_envelope(name: str, request: Request) -> Response:
     """LM_max: widen the envelope by a block of wrenches."""
     wrenches, block = await _block(name, request)
-    result = await run_in_threadpool(_store(request).widen, name, wrenches, block)
-    envelope = await run_in_threadpool(_store(request).envelope, name)
+    result, envelope = await run_in_threadpool(_store(request).widen, name, wrenches, block)
     fields, (low, high) = _block_fields(name, len(wrenches), result), envelope.box
-    return json_reply(Widened(**fields, count=envelope.tally.offered, min=low, max=high))
+    return json_reply(Widened(**fields, count=result.tally.offered, min=low, max=high))
 
 
 @router.get("/envelope", response_model=messages.Envelope)

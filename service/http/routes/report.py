@@ -90,10 +90,10 @@ def get_report(
     _ = workspace.library[name]
     if format == "state":
         return _state(workspace, name)
+    latest = workspace.reports.state(name)  # before its file, which a report has at its end
     path = workspace.reports.file(name, format)
     if path is not None:
         return Response(path.read_bytes(), 200, None, _MEDIA_TYPES[format])
-    latest = workspace.reports.state(name)
     if latest.state == "running":
         return _state(workspace, name)
     why = f"The last attempt failed: {latest.message}. " if latest.state == "failed" else ""

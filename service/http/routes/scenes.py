@@ -44,13 +44,14 @@ class Plans(Message):
 @router.post("/scenes/plan", response_model=Plans)
 async def plan_scene(workspace: Opened, scene: bodies.SceneBody) -> Response:
     """Plan a scene: the tables that its components need, and the savings."""
+    components = {name: workspace.library[name] for name in scene.components}
     needs = {
-        name: _need_of(workspace.library[name], wanted, f"components.{name}")
+        name: _need_of(components[name], wanted, f"components.{name}")
         for name, wanted in scene.components.items()
     }
     plans = {}
     for name, need in needs.items():
-        component = workspace.library[name]
+        component = components[name]
         table = await workspace.newest(name, CATCH_UP_S)
         plans[name] = await run_in_threadpool(_plan, workspace, component, table, need)
     return json_reply({"components": plans})

@@ -228,9 +228,10 @@ async def import_table(
     # Rows that existed before need not wait for the next table; after an appended row the next one
     # comes soon.
     waits = loaded and (not query.append or "wait_s" in query.model_fields_set)
+    # Read before the wait, after which others may have added rows that no table has yet.
+    reply["table_version"] = await run_in_threadpool(workspace.ledger.last_seq, component.name)
     caught_up = await workspace.caught_up(component.name, query.wait_s if waits else 0.0)
     reply["in_use"] = caught_up and (loaded or not reply["inserted"])
-    reply["table_version"] = workspace.ledger.last_seq(component.name)
     return json_reply(reply)
 
 

@@ -171,9 +171,9 @@ async def output_sizes(request: Request) -> Response:
     EvaluateBody,
 )
 async def evaluate(request: Request) -> Response:
-    body, space = await _read(request, EvaluateBody)
+    body, _ = await _read(request, EvaluateBody)
     outcome = await _outcome(request, body)
-    names, reply = space.output_names, outcome.reply
+    names, reply = outcome.table.load_range.space.output_names, outcome.reply
     values = np.array(reply.outputs or (None,) * len(names), dtype=float)
     if np.isfinite(values).all():
         return _reply(outcome, [values.tolist()])

@@ -38,6 +38,10 @@ export async function show(root, _, signal, archived = false) {
   if (!archived) tour(components);
   listen(null, signal, (kind, body) => {
     if (kind === "table" && cards.has(body.component)) refresh(body.component, cards, signal, body.rows);
+    if (kind !== "hello") return;
+    for (const [name, version] of Object.entries(body.tables || {})) { // versions before this page listened
+      if (version > cards.get(name)?.about.table_version) readAgain(name, cards, signal);
+    }
   });
   const names = [...cards.keys()];
   const workers = Array.from({ length: AT_ONCE }, async () => {
@@ -64,8 +68,17 @@ function card(one) {
 
 const rowsText = (rows) => (!rows ? "" : rows === 1 ? "1 row" : `${count(rows)} rows`);
 
+async function readAgain(name, cards, signal) {
+  try {
+    const about = await get(of(name), signal);
+    cards.get(name).about = about;
+    await refresh(name, cards, signal, about.rows);
+  } catch { /* the card stays until the next version */ }
+}
+
 async function refresh(name, cards, signal, rows) {
-  const shown = cards.get(name);
+  const shown = cards.get(name), turn = shown.turn = (shown.turn || 0) + 1;
+  const late = () => signal.aborted || shown.turn !== turn; // a later call shows a newer table
   if (rows !== undefined) { shown.rows.textContent = rowsText(rows); shown.all = rows; }
   if (!shown.all) { // none, or none yet
     const to = (view, text) => el("a", { href: `#/c/${encodeURIComponent(name)}/${view}` }, text);
@@ -75,12 +88,13 @@ async function refresh(name, cards, signal, rows) {
   try {
     const glance = await get(`${of(name)}/glance`, signal), unknown = shown.has_fea && glance.error.includes(null);
     const about = unknown ? await get(of(name), signal) : shown.about; // with its open jobs, of few rows
+    if (late()) return;
     put(shown.covered, wholeError(glance, about));
     shown.covered.className = "";
     const bars = insideBars(await reportOf({ ...about, rows: shown.all }, signal).catch(() => null));
-    if (bars?.tooFew) shown.covered.append(el("a", { class: "small", href: `#/c/${encodeURIComponent(name)}/report` }, "The latest report warns of the error bars."));
+    if (bars?.tooFew && !late()) shown.covered.append(el("a", { class: "small", href: `#/c/${encodeURIComponent(name)}/report` }, "The latest report warns of the error bars."));
   } catch (error) {
-    if (signal.aborted) return;
+    if (late()) return;
     const building = error.status === 503;
     put(shown.covered, building ? "The table is being built …" : error.message);
     if (building) setTimeout(() => { if (!signal.aborted) refresh(name, cards, signal, rows); }, BUILDING_MS);

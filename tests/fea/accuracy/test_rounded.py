@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.fea.boxes import box
+from tests.slow import slow_but
 from wrenchbook.fea.accuracy import convergence, estimate
 from wrenchbook.fea.accuracy.advice import over_tolerance
 from wrenchbook.fea.accuracy.convergence import Study, finer, stored, studied, write
@@ -112,7 +113,10 @@ OF_HEXAHEDRA = [("hexahedron", cells, wall) for cells in (12, 16, 32) for wall i
 OF_OTHERS = [("tetra", 24, 0.1), ("tetra", 16, 0.3), ("wedge", 16, 0.05), ("wedge", 16, 0.3)]
 
 
-@pytest.mark.parametrize(("kind", "cells", "wall"), OF_HEXAHEDRA + OF_OTHERS)
+QUICK = {("hexahedron", 12, 0.05), ("tetra", 24, 0.1), ("wedge", 16, 0.3)}
+
+
+@pytest.mark.parametrize(("kind", "cells", "wall"), slow_but(QUICK, OF_HEXAHEDRA + OF_OTHERS))
 def test_the_change_is_that_of_a_tube_with_round_edges(tmp_path, kind, cells, wall):
     solver = Solver(tube(tmp_path, cells, wall, kind=kind))
     result = np.diag(roundness(solver).change)
@@ -129,12 +133,18 @@ def test_cells_that_it_would_turn_inside_out_are_bent_less(tmp_path, kind):
     np.testing.assert_allclose(result, truth, rtol=0.25)
 
 
-@pytest.mark.parametrize("cells", [9, 12, 16, 24])
-def test_the_bar_of_the_mesh_holds_the_error_of_a_polygon_for_a_tube(tmp_path, cells):
+@pytest.fixture(scope="module")
+def round_tube(tmp_path_factory):
+    """The compliance of a round tube, by a fine mesh."""
+    fine = tube(tmp_path_factory.mktemp("fine"), 48, 0.05, along=16)
+    return rounded(Solver(fine)).linear.compliance
+
+
+@pytest.mark.parametrize("cells", slow_but({12}, [9, 12, 16, 24]))
+def test_the_bar_of_the_mesh_holds_the_error_of_a_polygon_for_a_tube(tmp_path, round_tube, cells):
     own = Solver(tube(tmp_path, cells, 0.05))
     bars = np.diag(accuracy_of(own)["mesh"])
-    truth = np.diag(rounded(Solver(tube(tmp_path, 48, 0.05, along=16))).linear.compliance)
-    errors = np.abs(np.diag(own.linear.compliance) - truth)
+    errors = np.abs(np.diag(own.linear.compliance) - np.diag(round_tube))
     assert (errors <= bars).all()
     assert (bars <= 3 * errors).all()
 
@@ -276,7 +286,7 @@ def limit_less(order, size):
     return (5.0 - 0.1 * size**order) * np.eye(6)
 
 
-@pytest.mark.parametrize("ratio", [0.3, 0.45, 0.49])
+@pytest.mark.parametrize("ratio", slow_but({0.45}, [0.3, 0.45, 0.49]))
 def test_bars_of_a_stubby_bonded_block_hold_its_errors_and_are_not_five_times_too_large(
     tmp_path, ratio
 ):

@@ -1,4 +1,4 @@
-"""The reference of component.toml: README's tables and the JSON schema, made of the models."""
+"""The reference of component.toml: the page's tables and the JSON schema, made of the models."""
 
 import json
 import re
@@ -8,14 +8,14 @@ import jsonschema
 import pytest
 
 from wrenchbook.fea.bundle.read import bundle_of
-from wrenchbook.fea.bundle.reference import README, json_schema, page, tables
+from wrenchbook.fea.bundle.reference import PAGE, json_schema, page, tables
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check.commands import main
 from wrenchbook.fea.readers import _BUILT_IN
 from wrenchbook.fea.spec.keys import extra_of, keys_of
 from wrenchbook.fea.spec.problems import BundleError
 
-PAGE = README.read_text(encoding="utf-8")
+TEXT = PAGE.read_text(encoding="utf-8")
 FIELDS = [
     (heading, key, info)
     for heading, classes in tables().items()
@@ -25,11 +25,11 @@ FIELDS = [
 
 
 def test_the_page_is_as_the_models_are():
-    assert page(PAGE) == PAGE, "not current: run make reference"
+    assert page(TEXT) == TEXT, "not current: run make reference"
 
 
 def test_the_page_has_the_keys_of_every_reader():
-    text = PAGE.split("\n### [deck.output]\n")[1].split("\n## ")[0]
+    text = TEXT.split("\n## [deck.output]\n")[1].split("\n## ")[0]
     rows = re.findall(r"^\| `(\w+)`", text, re.M)
     assert set(rows) == {"reader"}.union(*(reader.keys for reader in _BUILT_IN.values()))
 

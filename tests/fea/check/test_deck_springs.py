@@ -25,6 +25,8 @@ from wrenchbook.fea.export.calculix import deck_of
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.schema import PLACEHOLDERS
 
+pytestmark = pytest.mark.usefixtures("estimates")
+
 SIZES = {1: 3e3, 2: 2e3, 3: 5e3, 4: 2e5, 5: 3e5, 6: 1e5}  # N/mm and N·mm
 HOLD = "*BOUNDARY\nROOT, 1, 3\n"
 AXES = "*ORIENTATION, NAME=Askew\n0.6, 0.8, 0., -0.8, 0.6, 0.1\n"

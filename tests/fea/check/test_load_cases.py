@@ -22,6 +22,8 @@ from wrenchbook.fea.check.proposal import propose
 from wrenchbook.fea.mesh.bodies import stacked_singly
 from wrenchbook.fea.solve import Solver
 
+pytestmark = pytest.mark.usefixtures("estimates")
+
 # A cantilever of 100 x 10 x 10 mm, E 70 GPa, nu 0.3, 100 N across its tip; CalculiX 2.20 has these.
 BAR = box("hex20", (10, 2, 2), (100.0, 10.0, 10.0))
 ROOT, MID, TIP = (cards.at(BAR, x, 0) for x in (0.0, 50.0, 100.0))
@@ -339,6 +341,7 @@ def test_an_arch_of_single_reduced_cells_is_refused_as_an_hourglass(tmp_path):
     assert "hourglass" in problem["message"]
 
 
+@pytest.mark.parametrize("estimates", ["estimate"], indirect=True)
 @pytest.mark.parametrize(("across", "integration"), [(1, "full"), (2, "reduced")])
 def test_full_integration_or_two_cells_across_make_it_ready_and_far_from_buckling(
     tmp_path, across, integration

@@ -27,6 +27,8 @@ from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.mesh.mapping import folded_cells
 from wrenchbook.fea.solve import Solver
 
+pytestmark = pytest.mark.usefixtures("estimates")
+
 LOAD = np.array([50.0, 0, 0, 0, 0, 0.8])
 
 

@@ -32,6 +32,8 @@ from wrenchbook.fea.mesh.refine import halved
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.material import Orthotropic
 
+pytestmark = pytest.mark.usefixtures("estimates")
+
 
 def compliance(folder):
     return Solver(read_bundle(folder)).linear.compliance

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tests.slow import slow, slow_but
 from tests.validation.clamped import shipped
 from wrenchbook.fea.solve import Solver
 
@@ -39,10 +40,10 @@ def extrapolated_difference(solver, wrench, direction, step, start):
     return fine + (fine - coarse) / 3, np.abs(fine - coarse)
 
 
-@pytest.mark.parametrize("loads", SPRING_LOADS)
-def test_the_tangent_of_the_slender_spring_is_that_of_its_answers(loads):
+@pytest.mark.parametrize(("force", "moment"), slow_but({(-8.0, 0.005)}, SPRING_LOADS))
+def test_the_tangent_of_the_slender_spring_is_that_of_its_answers(force, moment):
     solver = solver_of("spring")
-    wrench = np.array([0, 0, loads[0], 0, 0, loads[1]], dtype=float)
+    wrench = np.array([0, 0, force, 0, 0, moment], dtype=float)
     result = solver.solve(wrench)
     for column, step in ((2, 1e-2), (5, 1e-4)):
         truth, own_error = extrapolated_difference(
@@ -54,7 +55,7 @@ def test_the_tangent_of_the_slender_spring_is_that_of_its_answers(loads):
         assert reported[moving] == pytest.approx(truth[moving], rel=1e-6, abs=0)
 
 
-@pytest.mark.parametrize("name", ["plate_thin", "plate"])
+@pytest.mark.parametrize("name", ["plate_thin", slow("plate")])
 def test_the_tangent_of_a_plate_is_that_of_its_answers(name):
     solver = solver_of(name)
     scale = load_scale(solver)
@@ -70,7 +71,7 @@ def test_the_tangent_of_a_plate_is_that_of_its_answers(name):
         assert (np.abs(reported - truth) <= 1e-6 * size).all()
 
 
-@pytest.mark.parametrize("load", [-9.5, -9.9, -7.0, -3.0])
+@pytest.mark.parametrize("load", [slow(-9.5), -9.9, slow(-7.0), slow(-3.0)])
 def test_a_slender_part_s_answer_is_not_moved_by_more_newton_steps(load):
     solver = solver_of("spring")
     wrench = np.array([0, 0, load, 0, 0, 0], dtype=float)

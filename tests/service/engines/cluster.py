@@ -3,13 +3,13 @@
 import itertools
 import os
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
 
 from distributed import Client
 
+from tests.ports import reserved_port
 from tests.until import until
 
 TESTS = Path(__file__).parents[1]
@@ -23,17 +23,12 @@ SETTINGS = {
 }
 
 
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as bound:
-        return bound.getsockname()[1]
-
-
 class Cluster:
     """One scheduler and its workers, each in a session of its own."""
 
     def __init__(self, folder, solver="by_component", **settings):
         self.folder = folder
-        self.port = free_port()
+        self.port = reserved_port()
         self.address = f"tcp://127.0.0.1:{self.port}"
         self.environment = dict(os.environ) | SETTINGS | {"PYTHONPATH": PATH}
         if solver:

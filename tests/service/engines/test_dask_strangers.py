@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.service.engines.cluster import free_port
+from tests.ports import reserved_port
 from tests.until import until
 from wrenchbook.service.jobs.attempt import EngineError
 from wrenchbook.service.jobs.dask import DaskEngine
@@ -16,7 +16,7 @@ metadata.version = lambda name: "0.0.7" if name == "wrenchbook" else real(name)
 
 
 def test_an_address_where_nobody_is_is_told_and_has_no_places(tmp_path, own):
-    engine = DaskEngine(f"tcp://127.0.0.1:{free_port()}")
+    engine = DaskEngine(f"tcp://127.0.0.1:{reserved_port()}")
     with pytest.raises(EngineError, match=r"Dask scheduler at tcp://127\.0\.0\.1"):
         engine.submit(own.attempt("quick"))
     assert engine.slots == 0

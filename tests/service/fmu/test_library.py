@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from tests.service.fmu.made import cpp_compiler, need_compiler, packed, wrenches_of
 from tests.service.stub_server import Answer, running_stub
+from tests.slow import slow
 from tests.surrogate.kernel.kinds import packed_of as packed_kind
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.fmu.export import LIBRARY_FILES, make_library
@@ -77,7 +78,6 @@ def example(folder):
     return folder / "example"
 
 
-@pytest.mark.slow
 def test_the_library_compiles_by_the_readmes_line_and_has_the_bits_of_python(
     example, folder, table
 ):
@@ -87,7 +87,6 @@ def test_the_library_compiles_by_the_readmes_line_and_has_the_bits_of_python(
     assert (code, "not a packed table" in error) == (1, True)
 
 
-@pytest.mark.slow
 def test_the_example_takes_all_inputs_of_several_interfaces(example, tmp_path):
     known = packed_kind("two interfaces")
     with zipfile.ZipFile(BytesIO(make_library("ends", known))) as archive:
@@ -98,8 +97,7 @@ def test_the_example_takes_all_inputs_of_several_interfaces(example, tmp_path):
     assert tuple(float(line.split()[0]) for line in lines[1:]) == known.answer([1.0] * 12).outputs
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("shared", ["OFF", "ON"])
+@pytest.mark.parametrize("shared", ["ON", slow("OFF")])
 def test_cmake_builds_and_installs_the_library_with_the_bits_of_python(
     folder, table, tmp_path, shared
 ):
@@ -118,7 +116,6 @@ def test_cmake_builds_and_installs_the_library_with_the_bits_of_python(
     assert result == {"wrenchbook.h", f"libwrenchbook.{'so' if shared == 'ON' else 'a'}"}
 
 
-@pytest.mark.slow
 def test_the_example_in_cpp_has_the_bits_of_python(folder, table, tmp_path):
     objects = tmp_path / "objects"
     objects.mkdir()

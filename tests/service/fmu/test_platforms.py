@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from tests.service.fmu import binaries
 from tests.service.fmu.made import BARS, LOADS, OUTPUTS, Opened, packed, wrenches_of
 from tests.service.stub_server import Answer, running_stub
+from tests.slow import slow
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.fmu import export
 from wrenchbook.service.fmu.export import PLATFORMS, make_fmu, platforms_of, universal
@@ -30,34 +31,36 @@ HEADER = Path(export.__file__).parent / "c" / "fmi2Functions.h"
 FUNCTIONS = set(re.findall(r"^#define (fmi2\w+)\s+fmi2FullName", HEADER.read_text(), re.M))
 
 
-@pytest.fixture(scope="module")
-def fmu(table, tmp_path_factory):
-    """The FMU of all platforms, written by the command."""
+@pytest.fixture(scope="module", params=["linux64", slow("all")])
+def fmu(request, table, tmp_path_factory):
+    """The FMU of one platform or all, written by the command."""
     if importlib.util.find_spec("ziglang") is None:
         assert os.environ.get("CI") != "true", "ziglang is not installed"
         pytest.skip("no ziglang")
-    folder = tmp_path_factory.mktemp("all")
+    folder = tmp_path_factory.mktemp(request.param)
     path = folder / "plate_thin.fmu"
     with running_stub() as stub:
         stub.answers(Answer(b"".join(pack(table)), kind="application/octet-stream"))
-        words = ["export", "plate_thin", str(path), "--platforms", "all", "--server", stub.url]
-        run = CliRunner().invoke(app, words)
+        words = ["export", "plate_thin", str(path), "--platforms", request.param]
+        run = CliRunner().invoke(app, [*words, "--server", stub.url])
     assert run.exit_code == 0, run.output
-    assert ", ".join(PLATFORMS) in " ".join(run.output.split())
+    assert ", ".join(platforms_of(request.param)) in " ".join(run.output.split())
     return Opened(export.Fmu(path.read_bytes(), (), ""), folder, "plate_thin")
+
+
+OF_ALL = pytest.mark.parametrize("fmu", [slow("all")], indirect=True)
 
 
 def binary(fmu, place, ending):
     return (fmu.folder / "binaries" / place / f"plate_thin{ending}").read_bytes()
 
 
-@pytest.mark.slow
-def test_fmpy_finds_nothing_to_object_to_in_an_fmu_of_all_platforms(fmu):
+def test_fmpy_finds_nothing_to_object_to_in_an_fmu_of_several_platforms(fmu, request):
     assert validate_fmu(str(fmu.path)) == []
-    assert {path.name for path in (fmu.folder / "binaries").iterdir()} == set(PLATFORMS)
+    platforms = set(platforms_of(request.node.callspec.params["fmu"]))
+    assert {path.name for path in (fmu.folder / "binaries").iterdir()} == platforms
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(
     (platform.system(), platform.machine()) != ("Linux", "x86_64"), reason="runs linux64"
 )
@@ -71,7 +74,7 @@ def test_the_linux_binary_of_ziglang_has_the_bits_of_the_kernel(fmu, table):
             np.testing.assert_array_equal(instance.getReal(BARS), batch.errors[place])
 
 
-@pytest.mark.slow
+@OF_ALL
 def test_the_arm_linux_binary_is_one_of_that_processor(fmu):
     content = binary(fmu, "aarch64-linux", ".so")
     assert content[:4] == b"\x7fELF"
@@ -79,14 +82,14 @@ def test_the_arm_linux_binary_is_one_of_that_processor(fmu):
     assert all(name.encode() in content for name in FUNCTIONS)
 
 
-@pytest.mark.slow
+@OF_ALL
 def test_the_windows_binary_exports_the_functions_of_fmi_and_no_others(fmu):
     content = binary(fmu, "win64", ".dll")
     assert binaries.pe_machine(content) == 0x8664
     assert binaries.pe_exports(content) == FUNCTIONS
 
 
-@pytest.mark.slow
+@OF_ALL
 def test_the_macos_binary_has_a_signed_slice_for_each_processor_with_the_functions_of_fmi(fmu):
     slices = binaries.macho_slices(binary(fmu, "darwin64", ".dylib"))
     assert [item.processor for item in slices] == [X86_64, ARM64]
@@ -101,10 +104,9 @@ def test_the_macos_binary_has_a_signed_slice_for_each_processor_with_the_functio
     assert binaries.CODE_SIGNATURE in kinds
 
 
-@pytest.mark.slow
-def test_no_binary_holds_a_path_of_the_machine_that_compiled_it(fmu):
-    for place, (ending, _) in PLATFORMS.items():
-        content = binary(fmu, place, ending)
+def test_no_binary_holds_a_path_of_the_machine_that_compiled_it(fmu, request):
+    for place in platforms_of(request.node.callspec.params["fmu"]):
+        content = binary(fmu, place, PLATFORMS[place][0])
         assert str(HEADER.parents[3]).encode() not in content
         assert str(Path.home() / ".cache").encode() not in content
 

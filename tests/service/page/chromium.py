@@ -29,6 +29,9 @@ OPTIONS = (
     # Drawings in space without a graphics card.
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    # Debian's default is to paint everything by the graphics card, which is the processor here.
+    "--disable-gpu-rasterization",
+    "--disable-gpu-compositing",
 )
 
 
@@ -129,6 +132,19 @@ class Browser:
             lambda: next((e for e in self.all(css) if e.is_displayed() and text in e.text), None),
             f"{css} with {text!r}",
         )
+
+    def text(self, css: str, part: str = "") -> str:
+        """Return the text of the first seen element with a part in it, waiting for it.
+
+        An element that is drawn anew before its text is read is looked up again.
+        """
+        return self.until(lambda: [self.named(css, part).text], f"{css} with {part!r}")[0]
+
+    def attribute(self, css: str, name: str, part: str = "") -> str | None:
+        """Return an attribute of the first seen element with a part in its text, as `text`."""
+        return self.until(
+            lambda: [self.named(css, part).get_attribute(name)], f"{css} with {part!r}"
+        )[0]
 
     def click(self, css: str, text: str = "") -> None:
         """Click the first seen element with a text in it; one drawn anew is looked up again."""

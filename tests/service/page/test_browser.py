@@ -77,7 +77,7 @@ def test_an_uploaded_part_is_queued_solved_and_then_covered(browser, client, tmp
     browser.named(".pill", "covered")
     (job,) = client.call_json("GET", "/v1/jobs?component=rod")["jobs"]
     assert job["status"] == "done"
-    reported = browser.one("table.answer").text
+    reported = browser.text("table.answer")
     assert "± " in reported
     assert client.component("rod", wait_s=60)["rows"] >= 1
     assert browser.mistakes() == []
@@ -87,13 +87,13 @@ def test_a_failed_solve_tells_why_shows_its_log_and_is_tried_again(browser, clie
     add(browser, bundle(tmp_path, "column", nonlinear="true", force="[40000, 100, 100]"))
     browser.click("nav.tabs a", "Query")
     ask(browser, fx=-10_000)
-    assert "buckles" in browser.named(".note", "The solve failed").text
+    assert "buckles" in browser.text(".note", "The solve failed")
     browser.click(".note a", "Job")
     browser.click("button", "Log")
     browser.one("dialog h2")
     browser.click("dialog summary")
     browser.named("dialog pre", "Traceback")
-    assert "/tmp/" not in browser.one("dialog pre").text
+    assert "/tmp/" not in browser.text("dialog pre")
     browser.click("dialog button", "Close")
     browser.click("button", "Retry")
     browser.until(lambda: 2 in attempts(client))
@@ -115,7 +115,7 @@ def test_bad_rows_of_a_measured_file_are_named_mended_imported_and_exported(
     browser.named("h1", "rig")
     browser.click("nav.tabs a", "Import")
     browser.drop(".drop", "measured.csv", MEASURED)
-    reported = browser.one("#mistakes").text
+    reported = browser.text("#mistakes")
     assert "Line 4" in reported
     assert "Line 6" in reported
     assert client.component("rig")["rows"] == 0
@@ -126,7 +126,7 @@ def test_bad_rows_of_a_measured_file_are_named_mended_imported_and_exported(
     browser.named(".note", "6 rows are in the table")
     browser.click("nav.tabs a", "Query")
     ask(browser, fz=-250)
-    assert "−250" in browser.one("table.answer").text
+    assert "−250" in browser.text("table.answer")
     browser.click("nav.tabs a", "Import")
     browser.click("button", "Export")
     exported = saved(browser, "rig-v")
@@ -162,7 +162,7 @@ def test_probable_errors_of_a_measurement_are_shown_before_and_after_its_import(
     lines = [f"0,0,{20 * k},0,0,0,0,0,{one},0,0,0" for k, one in enumerate(moved, 1)]
     browser.visit("#/c/logged/table")
     browser.drop(".drop", "sentinels.csv", "\n".join([header, *lines]))
-    assert "Rows of the file: 7, 19" in browser.named(".note", "a logger writes").text
+    assert "Rows of the file: 7, 19" in browser.text(".note", "a logger writes")
     browser.click("#import")
     browser.named(".note", "24 rows are in the table")
     browser.named(".note", "a logger writes")
@@ -173,12 +173,12 @@ def test_the_axes_and_points_of_a_rig_are_drawn_while_they_are_typed(browser, ga
     browser.click("#rig-options summary")
     browser.type("#rig-frame", "x=-y,y=z,z=x")
     browser.type("#rig-load-point", "0,0,0.05")
-    text = browser.one("#rig-picture svg").get_attribute("aria-label")
+    text = browser.attribute("#rig-picture svg", "aria-label")
     assert "the rig's x axis points along −y" in text
     assert text.endswith("the load point is at 0, 0, 0.05 m")
-    assert "left-handed" in browser.one("#rig-picture").text
+    assert "left-handed" in browser.text("#rig-picture")
     browser.type("#rig-load-point", "0,0,here")
-    assert "three numbers in metres" in browser.one("#rig-picture").text
+    assert "three numbers in metres" in browser.text("#rig-picture")
 
 
 def test_where_the_point_of_the_moments_matters_an_import_asks_for_the_load_cell(browser, client):
@@ -187,13 +187,13 @@ def test_where_the_point_of_the_moments_matters_an_import_asks_for_the_load_cell
     header = "Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm],ux [mm],uy [mm],uz [mm]"
     browser.visit("#/c/cell/table")
     browser.drop(".drop", "cell.csv", f"{header}\n-100,0,5,0,-1,0,0,0,12\n")
-    assert "moves with the interface" in browser.one("#mistakes").text
+    assert "moves with the interface" in browser.text("#mistakes")
     browser.run(
         "const cell = document.querySelector('#load-cell'); cell.value = 'fixed';"
         "cell.dispatchEvent(new Event('change', {bubbles: true}));"
     )
     browser.named("#preview caption", "in SI")
-    shown = browser.one("#preview tbody tr:last-child").text.split()
+    shown = browser.text("#preview tbody tr:last-child").split()
     assert shown[1:7] == ["−100", "0", "5", "0", "0.2", "0"]  # -1 N·m less 0.012 m x -100 N
 
 
@@ -207,13 +207,13 @@ def test_a_rig_file_is_applied_drawn_and_kept_with_the_import(browser, client, t
     browser.one("#rig-file").send_keys(str(file))
     header = "Fx [N],Fy [N],Fz [N],Mx [Nm],My [Nm],Mz [Nm],ux [mm]"
     browser.drop(".drop", "bench.csv", f"{header}\n40,0,0,0,0,0,0.1\n")
-    shown = browser.one("#preview tbody tr:last-child").text.split()
+    shown = browser.text("#preview tbody tr:last-child").split()
     assert shown[1:7] == ["0", "−40", "0", "20", "0", "0"]
-    assert "x axis points along −y" in browser.one("#rig-picture svg").get_attribute("aria-label")
+    assert "x axis points along −y" in browser.attribute("#rig-picture svg", "aria-label")
     browser.click("#import")
     browser.named(".note", "1 row is in the table")
     browser.click("table.imports details summary", "rig")
-    assert "name = 'bench 3'" in browser.named("details pre", "bench").text
+    assert "name = 'bench 3'" in browser.text("details pre", "bench")
 
 
 def test_a_profile_is_remembered_and_cycles_are_left_out_and_have_a_stiffness(browser, client):
@@ -233,12 +233,12 @@ def test_a_profile_is_remembered_and_cycles_are_left_out_and_have_a_stiffness(br
     browser.type("#stiffness-low", "100")
     browser.type("#stiffness-high", "400")
     browser.click("#stiffness-ask")
-    assert browser.named("#stiffness tr", "loading").text.startswith("loading 14 1000000")
+    assert browser.text("#stiffness tr", "loading").startswith("loading 14 1000000")
     browser.visit("#/c/press/overview")
     browser.visit("#/c/press/table")
     browser.click("#rig-options summary")
     browser.one("#rig-profile option[value=ros]")
-    assert browser.one("#rig-profile").get_attribute("value") == "instron"
+    assert browser.attribute("#rig-profile", "value") == "instron"
 
 
 def test_columns_are_named_left_out_and_turned_before_an_import(browser, gauged):
@@ -249,13 +249,13 @@ def test_columns_are_named_left_out_and_turned_before_an_import(browser, gauged)
     browser.type("input[aria-label='What Strain is']", "leave out")
     browser.type("input[aria-label='What Fz is']", "-fz [kN]")
     browser.click("#check-again")
-    shown = browser.one("#preview tbody tr:last-child").text.split()
+    shown = browser.text("#preview tbody tr:last-child").split()
     assert shown[1:4] == ["0", "0", "−300"]
     browser.click("#import")
     browser.named(".note", "3 rows are in the table")
     rows = gauged.call_json("GET", "/v1/components/gauged/table")["rows"]
     assert [row["wrench"][2] for row in rows] == [-100.0, -200.0, -300.0]
-    assert "gauged.csv" in browser.one("table.imports").text
+    assert "gauged.csv" in browser.text("table.imports")
 
 
 def test_units_that_a_file_does_not_name_are_chosen_at_once(browser, gauged):
@@ -273,7 +273,7 @@ def test_units_that_a_file_does_not_name_are_chosen_at_once(browser, gauged):
         )
     browser.click("#check-again")
     browser.one("#preview")
-    head, first = browser.one("#preview thead").text, browser.one("#preview tbody tr").text
+    head, first = browser.text("#preview thead"), browser.text("#preview tbody tr")
     assert "Fx, N" in head
     assert first.split()[1:4] == ["1000", "2000", "3000"]
 
@@ -301,7 +301,7 @@ def test_a_component_is_noted_renamed_put_away_and_brought_back_by_keyboard(brow
     assert (reported["notes"], reported["rows"]) == ("gauge 7 drifts", about["rows"])
     browser.visit("#/")
     browser.click("#archived")
-    assert "archived" in browser.named(".card", "gauged\n").text
+    assert "archived" in browser.text(".card", "gauged\n")
     assert browser.mistakes() == []
 
 
@@ -314,7 +314,7 @@ def test_rows_of_another_setup_are_told_and_solved_again_by_one_button(
     file.write_text(file.read_text().replace("poisson_ratio = 0.", "poisson_ratio = 0.1"))
     browser.until(lambda: client.component("reworked")["another_setup"]["wrenches"])
     browser.visit("#/c/reworked")
-    assert "1 row belongs to another setup" in browser.named(".note", "another setup").text
+    assert "1 row belongs to another setup" in browser.text(".note", "another setup")
     browser.click(".note button", "Solve them again")
     browser.until(lambda: not client.component("reworked")["another_setup"]["wrenches"])
     assert client.component("reworked", wait_s=60)["rows"] > 0
@@ -336,13 +336,13 @@ def test_the_deformed_plate_is_magnified_and_turned(browser, plate):
     browser.resize(800, 500)
     browser.visit(f"{PLATE}/shape")
     browser.drawn("#shape")
-    assert "Largest displacement" in browser.one("dl.facts").text
+    assert "Largest displacement" in browser.text("dl.facts")
     first = browser.picture("#shape")
     height = "return Math.min(...document.querySelector('#shape').data[0].z)"
     magnified = browser.run(height)
     browser.click("button", "True scale")
     browser.until(lambda: browser.run(height) > magnified)
-    assert browser.one("#factor").text == "× 1"
+    assert browser.text("#factor") == "× 1"
     camera = "return document.querySelector('#shape')._fullLayout.scene.camera.eye.x"
     before = browser.run(camera)
     browser.click("button[aria-label='Turn right']")
@@ -355,10 +355,8 @@ def test_the_deformed_plate_shows_the_parts_of_its_error_bar(browser, plate):
     browser.visit(f"{PLATE}/shape")
     browser.drawn("#shape")
     ask(browser, "Show", fz=-900)  # the row's own wrench: between rows one row tells no bar
-    browser.until(lambda: "discretisation" in browser.one("dl.facts").text)
-    assert re.search(
-        r"interpolation (negligible|.*m), discretisation \d", browser.one("dl.facts").text
-    )
+    browser.until(lambda: "discretisation" in browser.text("dl.facts"))
+    assert re.search(r"interpolation (negligible|.*m), discretisation \d", browser.text("dl.facts"))
 
 
 def test_the_stress_of_a_shape_has_a_bar_of_two_digits_and_names_the_missing_error(browser, plate):
@@ -372,8 +370,7 @@ def test_the_stress_of_a_shape_has_a_bar_of_two_digits_and_names_the_missing_err
         " yield_strength: 240e6}); return new Response(JSON.stringify(body)); }"
     )
     browser.go(f"{PLATE}/shape")
-    browser.one("dl.facts")
-    shown = browser.one("dl.facts").text
+    shown = browser.text("dl.facts", "MPa")
     assert "123 MPa ± 12 MPa (interpolation" in shown
     assert "no (yield strength 240 MPa; the mesh's error is not included)" in shown
 
@@ -409,7 +406,7 @@ def walk(chromium, plate):
         if address.endswith("/query"):
             ask(chromium, fx=123.4567, fy=-321.7654, fz=-900.1234, mx=12.34567)
             chromium.one("table.answer")
-        chromium.until(lambda: "…" not in chromium.one("main").text, address)
+        chromium.until(lambda: "…" not in chromium.text("main"), address)
         width = chromium.run("return document.documentElement.scrollWidth")
         if width > 390:
             wide[address] = width
@@ -495,7 +492,7 @@ def test_words_stand_out_from_what_is_behind_them(browser, plate, scheme):
     assert len(results) > 20
     for address in ("#/", "#/audit", "#/scene", "#/terms", f"{PLATE}/checks"):
         browser.go(address)
-        browser.until(lambda: "…" not in browser.one("main").text)
+        browser.until(lambda: "…" not in browser.text("main"))
         results += browser.run((Path(__file__).parent / "contrast.js").read_text())
     assert [result for result in results if result["ratio"] < 4.5] == []  # WCAG 2.2, level AA
 
@@ -523,4 +520,4 @@ def test_what_is_shown_of_a_scene_is_its_plan(browser, plate):
     browser.visit("#/scene")
     browser.click("label", "plate_thin")
     browser.click("button", "Plan")
-    assert "First solves" in browser.named(".cards .card", "plate_thin").text
+    assert "First solves" in browser.text(".cards .card", "plate_thin")

@@ -164,6 +164,16 @@ def of_space(space: Space) -> Table:
 
 
 OF_SPACES = {name: partial_of(of_space, space) for name, space in SPACES.items()}
+QUICK = (
+    "solved",
+    "clean and full",
+    "second derivatives of some",
+    "partial",
+    "linear, two loads unknown",
+    "one row",
+    "two interfaces",
+)
+"""A table of each law; a test of all kinds asks these in `make test`."""
 
 
 @cache

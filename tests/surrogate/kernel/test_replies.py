@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from tests.service.live import moved
+from tests.slow import slow_but
 from tests.surrogate import responses
 from tests.surrogate.kernel.kinds import (
     KINDS,
     OF_SPACES,
+    QUICK,
     RANGE,
     SAME,
     asked_of,
@@ -39,7 +41,7 @@ ROOT = 1e-5  # of the process deviation: sigma near a row is the root of a diffe
 
 
 @pytest.mark.parametrize(
-    "kind", sorted({*KINDS, *OF_SPACES} - {"softening"})
+    "kind", slow_but(QUICK, sorted({*KINDS, *OF_SPACES} - {"softening"}))
 )  # whose mesh widens errors
 def test_the_kriging_answers_as_the_one_that_was_calibrated(kind):
     table = table_of(kind)
@@ -75,7 +77,9 @@ STEP = 3e-5  # of the load range: central differences then err by up to 1e-6 of 
 FLAT = "one axis", "one force", "oblique line", "planar"  # their axes have fewer than 3 dimensions
 
 
-@pytest.mark.parametrize("kind", sorted({*KINDS, *OF_SPACES} - {"empty", "only beyond the range"}))
+@pytest.mark.parametrize(
+    "kind", slow_but(QUICK, sorted({*KINDS, *OF_SPACES} - {"empty", "only beyond the range"}))
+)
 @pytest.mark.parametrize("method", METHODS)
 def test_derivatives_are_differences_of_values(kind, method):
     """Of wrenches in the hulls of the axes: beyond them slopes are those along the hull."""
@@ -107,7 +111,7 @@ def test_derivatives_are_differences_of_values(kind, method):
         assert (apart <= limit)[known].all()
 
 
-@pytest.mark.parametrize("kind", sorted(KINDS))
+@pytest.mark.parametrize("kind", slow_but({*QUICK, "repeated"} & {*KINDS}, sorted(KINDS)))
 def test_a_reply_of_a_row_names_it_and_its_sources(kind):
     table, packed = table_of(kind), packed_of(kind)
     for wrench in table.rows.wrench[:10]:

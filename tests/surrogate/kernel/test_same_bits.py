@@ -8,7 +8,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.surrogate.kernel.kinds import KINDS, OF_SPACES, asked_of, packed_of, special_of, table_of
+from tests.slow import slow_but
+from tests.surrogate.kernel.kinds import (
+    KINDS,
+    OF_SPACES,
+    QUICK,
+    asked_of,
+    packed_of,
+    special_of,
+    table_of,
+)
 from wrenchbook.surrogate.answer import METHODS, NAMES, UnknownMethodError
 from wrenchbook.surrogate.kernel.binding import PackedTable
 from wrenchbook.surrogate.scene.cut import cut
@@ -39,9 +48,10 @@ def singles(table: PackedTable, asked: np.ndarray, method: str | None) -> list[n
 
 WHOLE = [(kind, None) for kind in (*KINDS, *OF_SPACES)]
 CUT = [(kind, scene) for kind in KINDS for scene in (1, 2)]
+FEW = {*((kind, None) for kind in QUICK), ("clean and full", 1), ("second derivatives of some", 2)}
 
 
-@pytest.mark.parametrize(("kind", "scene"), WHOLE + CUT)
+@pytest.mark.parametrize(("kind", "scene"), slow_but(FEW, WHOLE + CUT))
 def test_one_wrench_has_the_same_bits_alone_and_in_any_batch(kind: str, scene: int | None) -> None:
     table = packed_of(kind) if scene is None else cut_to_a_scene(kind, scene)
     whole = table_of(kind)

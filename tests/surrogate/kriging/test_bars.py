@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tests.slow import slow_but
 from tests.surrogate.kriging.responses import RESPONSES, noisy_rows, solved, spread_wrenches
 from tests.surrogate.responses import HIGH, RANGE, full_wrenches
 from wrenchbook.surrogate.kriging import Kriging
@@ -20,6 +21,7 @@ WIDE = {
     "six_decades": "bars are 6.0 x the median error",
 }
 
+QUICK = {"kinked"}  # of the responses: in `make test`
 ASKED = full_wrenches(1000, 4321)
 
 
@@ -46,7 +48,7 @@ def _mixed_tables(name: str) -> list[tuple[np.ndarray, np.ndarray]]:
     ]
 
 
-@pytest.mark.parametrize("name", RESPONSES)
+@pytest.mark.parametrize("name", slow_but(QUICK, RESPONSES))
 def test_bars_hold_with_ten_clean_rows_an_axis_and_thirty_full_ones(name: str) -> None:
     inside = np.array([mixed_table[0] for mixed_table in _mixed_tables(name)])
     assert np.isfinite(inside).all(axis=1).sum() >= 2  # tables that know their errors, of three
@@ -55,12 +57,15 @@ def test_bars_hold_with_ten_clean_rows_an_axis_and_thirty_full_ones(name: str) -
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=pytest.mark.xfail(strict=True, reason=WIDE[name]))
-        if name in WIDE
-        else name
-        for name in RESPONSES
-    ],
+    slow_but(
+        QUICK,
+        [
+            pytest.param(name, marks=pytest.mark.xfail(strict=True, reason=WIDE[name]))
+            if name in WIDE
+            else name
+            for name in RESPONSES
+        ],
+    ),
 )
 def test_bars_of_such_a_table_are_sharp(name: str) -> None:
     assert np.nanmedian([mixed_table[1] for mixed_table in _mixed_tables(name)]) <= 5

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.slow import slow
 from tests.surrogate.findings.rigs import Rig
 from tests.surrogate.responses import HIGH, RANGE, kinked
 from wrenchbook.surrogate.findings.find import without_effects
@@ -15,8 +16,12 @@ from wrenchbook.surrogate.kriging.readings import sessions_of
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.space import space_of
 
-SEEDS = range(31, 35)
 NOISE = 0.003
+
+
+@pytest.fixture(params=[range(31, 32), slow(range(32, 35))])
+def seeds(request: pytest.FixtureRequest) -> range:
+    return request.param
 
 
 def rig_of(seed: int, kind: str = "motion") -> Rig:
@@ -30,16 +35,16 @@ def effects(rows: Rows, load_range: LoadRange) -> Effects:
 
 
 @pytest.mark.parametrize("kind", ["random", "sweeps", "motion"])
-def test_clean_rows_have_none_and_stay_the_same(kind: str) -> None:
-    for seed in SEEDS:
+def test_clean_rows_have_none_and_stay_the_same(kind: str, seeds: range) -> None:
+    for seed in seeds:
         rows = rig_of(seed, kind).measured()
         same, error = without_effects(rows, Rig(seed, (kind,)).range)
         assert same is rows
         assert not error.any()
 
 
-def test_a_loop_has_its_size_and_leaves_the_rows() -> None:
-    for seed in SEEDS:
+def test_a_loop_has_its_size_and_leaves_the_rows(seeds: range) -> None:
+    for seed in seeds:
         rig = rig_of(seed)
         rows = rig.measured("hysteresis of 8 %")
         result = effects(rows, rig.range)
@@ -78,9 +83,9 @@ def held(
 
 
 @pytest.mark.parametrize("readings", [1, 3, 8])
-def test_a_load_that_is_held_keeps_its_branch(readings: int) -> None:
+def test_a_load_that_is_held_keeps_its_branch(readings: int, seeds: range) -> None:
     """As rows at rest, readings after the first denied the loop of every table of held loads."""
-    for seed in SEEDS:
+    for seed in seeds:
         rig, rows = held(seed, 60, readings, 0.05, NOISE)
         result = effects(rows, rig.range)
         np.testing.assert_allclose(np.abs(result.loop), 0.05 * rig.size, rtol=0.2)
@@ -89,17 +94,19 @@ def test_a_load_that_is_held_keeps_its_branch(readings: int) -> None:
 
 
 @pytest.mark.parametrize("scatter", [1e-5, 1e-3])
-def test_a_load_that_is_held_keeps_its_branch_while_its_sensor_scatters(scatter: float) -> None:
+def test_a_load_that_is_held_keeps_its_branch_while_its_sensor_scatters(
+    scatter: float, seeds: range
+) -> None:
     """A scatter of 1e-5 of the range hid loops of 10 % in all of 24 outputs."""
-    for seed in SEEDS:
+    for seed in seeds:
         rig, rows = held(seed, 60, 8, 0.1, NOISE, scatter)
         np.testing.assert_allclose(np.abs(effects(rows, rig.range).loop), 0.1 * rig.size, rtol=0.1)
 
 
 @pytest.mark.parametrize("scatter", [1e-4, 1e-3])
-def test_a_slow_motion_has_its_loop_while_its_sensor_scatters(scatter: float) -> None:
+def test_a_slow_motion_has_its_loop_while_its_sensor_scatters(scatter: float, seeds: range) -> None:
     """Steps between readings below the scatter went either way, and denied the loop."""
-    for seed in SEEDS:
+    for seed in seeds:
         rig = rig_of(seed)
         phases = rig.rng.uniform(0, 6, (1, 6))
         cycles = 6 * (1 + 0.37 * np.arange(6))
@@ -114,9 +121,11 @@ def test_a_slow_motion_has_its_loop_while_its_sensor_scatters(scatter: float) ->
 
 
 @pytest.mark.parametrize("noise", [0.0, NOISE])
-def test_readings_of_a_held_load_are_not_surer_of_a_loop_than_one(noise: float) -> None:
+def test_readings_of_a_held_load_are_not_surer_of_a_loop_than_one(
+    noise: float, seeds: range
+) -> None:
     """As rows of their own, three copies of kinked rows showed one in 16 of 18 outputs."""
-    for seed in range(40, 60):
+    for seed in seeds:
         loads = np.repeat(np.random.default_rng(seed).uniform(-1, 1, (50, 6)), 3, axis=0)
         moved = kinked(loads)
         moved += (
@@ -163,9 +172,9 @@ def test_sessions_have_their_offsets_and_bars_hold_what_they_share() -> None:
     assert (error < 0.06 * rig.size).all()
 
 
-def test_slow_loads_are_no_drift() -> None:
+def test_slow_loads_are_no_drift(seeds: range) -> None:
     """Loads of one period are functions of the time, and the response of them is one."""
-    for seed in SEEDS:
+    for seed in seeds:
         rig = rig_of(seed)
         phases = rig.rng.uniform(0, 6, (1, 6))
         rig.wrench = rig.high * np.sin(np.linspace(0, 6, 400)[:, None] + phases)
@@ -251,9 +260,9 @@ def test_a_drift_that_one_output_shows_is_in_the_error_bars_of_all() -> None:
 
 
 @pytest.mark.parametrize("kind", ["random", "motion"])
-def test_a_scale_that_drifts_leaves_the_rows(kind: str) -> None:
+def test_a_scale_that_drifts_leaves_the_rows(kind: str, seeds: range) -> None:
     """Of the true values 42 % were inside of the error bars."""
-    for seed in SEEDS:
+    for seed in seeds:
         rig = rig_of(seed, kind)
         rows, part = rig.measured(), rig.displacement
         gain = 1 + 0.03 * np.linspace(-0.5, 0.5, len(rows))[:, None]
@@ -279,8 +288,8 @@ def axial(seed: int, axes: tuple[int, int], scale: float) -> tuple[Rig, Rows]:
 
 
 @pytest.mark.parametrize("scale", [0.95, 1.0, 1.05])
-def test_bars_hold_another_scale_of_tension_than_of_compression(scale: float) -> None:
-    for seed in SEEDS:
+def test_bars_hold_another_scale_of_tension_than_of_compression(scale: float, seeds: range) -> None:
+    for seed in seeds:
         rig, rows = axial(seed, (2, 2), scale)
         left, error = without_effects(rows, rig.range)
         np.testing.assert_array_equal(left.displacement, rows.displacement)
@@ -290,7 +299,7 @@ def test_bars_hold_another_scale_of_tension_than_of_compression(scale: float) ->
         assert (error < 0.06 * rig.size)[moves].all()
 
 
-def test_sessions_of_different_axes_have_no_scale_to_compare() -> None:
-    for seed in SEEDS:
+def test_sessions_of_different_axes_have_no_scale_to_compare(seeds: range) -> None:
+    for seed in seeds:
         rig, rows = axial(seed, (2, 4), 1.0)
         assert not without_effects(rows, rig.range)[1].any()

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+from tests.slow import slow, slow_but
 from tests.surrogate.kernel.kinds import asked_of, packed_of, table_of
 from wrenchbook.surrogate.answer import METHODS, UnknownMethodError
 from wrenchbook.surrogate.kernel import format as packed_format
@@ -93,18 +94,20 @@ def test_others_may_read_a_written_file_as_the_umask_says(tmp_path):
     assert (tmp_path / "plate.wbt").stat().st_mode & 0o777 == 0o640
 
 
-def test_any_changed_byte_of_header_and_directory_is_refused():
+@pytest.mark.parametrize("step", [29, slow(1)])
+def test_any_changed_byte_of_header_and_directory_is_refused(step):
     content = content_of()
     end = HEADER + 128 * int(np.frombuffer(content, "<u8", 1, 40)[0])
-    for place in range(end):
+    for place in [*range(HEADER), *range(HEADER, end, step)]:
         content[place] ^= 0x10
         assert is_refused(content), place
         content[place] ^= 0x10
 
 
-def test_any_changed_byte_further_on_is_refused():
+@pytest.mark.parametrize("count", [30, slow(300)])
+def test_any_changed_byte_further_on_is_refused(count):
     content = content_of("clean")
-    for place in np.random.default_rng(1).integers(HEADER, len(content), 300).tolist():
+    for place in np.random.default_rng(1).integers(HEADER, len(content), count).tolist():
         content[place] ^= 1 << place % 8
         assert is_refused(content), place
         content[place] ^= 1 << place % 8
@@ -143,7 +146,10 @@ def test_another_format_is_refused_by_name(tmp_path, number, words, monkeypatch)
             opens(source)
 
 
-@pytest.mark.parametrize("kind", ["clean", "solved", "clean and full", "second derivatives"])
+@pytest.mark.parametrize(
+    "kind",
+    slow_but({"clean and full"}, ["clean", "solved", "clean and full", "second derivatives"]),
+)
 def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
     result = read(bytes(content_of(kind)))
     asked = asked_of(table_of(kind), 50)
@@ -159,13 +165,14 @@ def test_arrays_of_other_shapes_are_refused_or_lead_no_answer_beyond_them(kind):
                 continue
 
 
-@pytest.mark.parametrize("kind", ["clean and full", "second derivatives"])
-def test_indices_that_lead_out_of_a_table_lead_no_answer_out_of_it(kind):
+@pytest.mark.parametrize("count", [1, slow(5)])
+@pytest.mark.parametrize("kind", ["clean and full", slow("second derivatives")])
+def test_indices_that_lead_out_of_a_table_lead_no_answer_out_of_it(kind, count):
     result = read(bytes(content_of(kind)))
     asked = asked_of(table_of(kind), 100)
     rng = np.random.default_rng(1)
     for name in result.arrays:
-        for _ in range(5):
+        for _ in range(count):
             array = np.array(result.arrays[name])
             whole = array.view(np.uint8).ravel()
             places = rng.integers(0, max(whole.size, 1), whole.size // 20)
