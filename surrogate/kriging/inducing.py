@@ -184,9 +184,16 @@ def induced(
     pseudo = _without_readings(equations.take(rows))
     relative = replace(equations, noise=np.maximum(unit, settings.nugget * typical))
 
+    z, known = pseudo.x, pseudo.known
+
     def summed(group: OutputGroup) -> Sums:
-        prior = _prior_factor(pseudo, estimate.kernels[group.outputs[0]], settings)
-        return sums_of(equations, group, pseudo.x, prior)
+        kernel = estimate.kernels[group.outputs[0]]
+        variances = np.tile(kernel.prior(1), len(z))
+        matrix = covariance(z, known, z, known, kernel)
+        matrix[np.diag_indices_from(matrix)] += settings.nugget * variances
+        inverse, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, variances)
+        prior = Factor(kernel, nugget, inverse, inverse @ mean_terms(z, known))
+        return sums_of(equations, group, z, prior)
 
     factors = list[KrigingFactor]()
     noise = estimate.noise.copy()
@@ -242,16 +249,6 @@ def _without_readings(equations: Equations) -> Equations:
         observations=np.zeros(shape),
         scatter=np.zeros(shape),
     )
-
-
-def _prior_factor(pseudo: Equations, kernel: Hyperparameters, settings: KrigingSettings) -> Factor:
-    """Return the factor of the inducing wrenches without readings, whose T is inv(L)."""
-    z, known = pseudo.x, pseudo.known
-    matrix = covariance(z, known, z, known, kernel)
-    prior = np.tile(kernel.prior(1), len(z))
-    matrix[np.diag_indices_from(matrix)] += settings.nugget * prior
-    inverse, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)
-    return Factor(kernel, nugget, inverse, inverse @ mean_terms(z, known))
 
 
 def sums_of(equations: Equations, group: OutputGroup, z: Floats, prior: Factor) -> Sums:
