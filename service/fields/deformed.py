@@ -247,7 +247,13 @@ class DeformedSurfaces:
         error = fields.error
         if error is not None:
             error = np.maximum(error, rounding(fields.displacement))
-        reason = _inaccuracy(component, blend, error)
+        limit = component.tolerance
+        allowed = limit.translation if limit else WITHOUT_TOLERANCE * blend.largest
+        reason = ""
+        if error is None:
+            reason = f"too few surfaces for an error bar ({len(blend.rows)}); solve more"
+        elif (worst := float(error.max(initial=0.0))) > allowed:
+            reason = f"a point may be wrong by {worst:.3g} m, over {allowed:.3g} m; solve more"
 
         stress = None
         if fields.stress is not None:
@@ -324,15 +330,3 @@ class DeformedSurfaces:
 
     def _geometry(self, component: Component, row: RowFields) -> SurfaceGeometry:
         return self._store.geometry(component.name, component.fingerprint, row.meta["geometry"])
-
-
-def _inaccuracy(component: Component, blend: Blend, error: Floats | None) -> str:
-    """Return why errors (n,), m, of an interpolation are too large; empty if they are not."""
-    if error is None:
-        return f"too few surfaces for an error bar ({len(blend.rows)}); solve more"
-    limit = component.tolerance
-    allowed = limit.translation if limit else WITHOUT_TOLERANCE * blend.largest
-    worst = float(error.max(initial=0.0))
-    if worst > allowed:
-        return f"a point may be wrong by {worst:.3g} m, over {allowed:.3g} m; solve more"
-    return ""
