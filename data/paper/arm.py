@@ -1,8 +1,10 @@
-"""Figure 10 of the paper: a robot on a plate, and its table against direct finite elements."""
+"""Figure 10 of the paper: a robot on a plate, with the plate's table against direct solves."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from time import perf_counter
 from typing import Any
@@ -28,32 +30,32 @@ from wrenchbook.fea.solve import Solver
 from wrenchbook.service.client import Client
 
 METHODS = (None, "griddata")  # None: the table's own choice
-# Of each output's range over the trajectory, worst output, RMS: an engineer's one per cent.
-ERROR = 1e-2
-INSIDE = 0.9  # of the errors lie within the error bars, which are 95 % ones
-SMALL = 0.1  # of the largest of its kind: an output that the straight influence may not resolve
-WIDER = 0.05  # of the span that each load had on the rigid plate
-SOLVE_S = 600.0
+# Largest RMS error of an output over its range in the trajectory: an engineer's one per cent.
+MAX_ERROR = 1e-2
+MIN_WITHIN_BARS = 0.9  # part of the errors within their error bars, which are 95 % ones
+# Part of the largest output of its kind: the straight influence may not resolve a smaller one.
+SMALL = 0.1
+WIDER = 0.05  # part of the span that each load had on the rigid plate
+SOLVE_S = 600.0  # time for one solve on a slow machine
 
 
 @dataclass(frozen=True, eq=False)
 class Check:
     """The errors of one method at k moments of the trajectory that are no rows of its table."""
 
-    run: LoopRun  # the trajectory on the method's answers
+    run: LoopRun  # the trajectory with the method's answers
     method: str
-    chosen: NDArray[np.intp]  # (k,): indices of the moments
+    moments: NDArray[np.intp]  # (k,): indices of the moments
     answered: Vector  # (k, 6), m and rad
-    bars: Vector  # (k, 6), m and rad
+    error_bars: Vector  # (k, 6), m and rad
     solved: Vector  # (k, 6), m and rad
-    # Median times, s, of an answer in this process, of one over HTTP, and of a solve.
-    answer_s: float
-    http_s: float
-    solve_s: float
+    answer_s: float  # median time of an answer in this process
+    http_s: float  # median time of an answer over HTTP
+    solve_s: float  # median time of a solve
 
     @property
     def error(self) -> Vector:
-        """Shape (k, 6), m and rad."""
+        """Difference from the solves, shape (k, 6), m and rad."""
         return np.abs(self.answered - self.solved)
 
     @property
@@ -67,9 +69,9 @@ class Check:
         return np.sqrt(np.mean(self.error**2, axis=0)) / self.span
 
     @property
-    def inside(self) -> float:
-        """The part of all errors that lie within their error bars, dimensionless."""
-        return float(np.mean(self.error <= self.bars))
+    def within_bars(self) -> Vector:
+        """Part of each output's errors that lie within their error bars, shape (6,)."""
+        return np.mean(self.error <= self.error_bars, axis=0)
 
 
 def arm(client: Client, effort: Effort, report: ProgressCallback) -> PaperPart:
@@ -82,24 +84,26 @@ def arm(client: Client, effort: Effort, report: ProgressCallback) -> PaperPart:
         "needs: it knows nothing outside its rows. The same trajectory then runs on that table, by "
         f"its own method and by griddata; {effort.arm_checks} of its moments are solved directly.",
     )
+
+    def report_plate(number: int, fraction: float, message: str) -> None:
+        name = effort.plates[number]
+        report((number + fraction) / len(effort.plates), f"arm on {name}, {message}")
+
     for number, name in enumerate(effort.plates):
-
-        def progress(fraction: float, message: str, number: int = number, name: str = name) -> None:
-            report((number + fraction) / len(effort.plates), f"arm on {name}, {message}")
-
-        recorded, facts = _filled(client, name, effort, progress)
+        progress = partial(report_plate, number)
+        recorded, counts = _record_and_solve(client, name, effort, progress)
         checks = _checks(client, name, effort, progress)
         limits = np.repeat(list(client.component(name)["tolerance"].values()), 3)
         part.findings += _findings(name, checks, limits)
-        part.numbers[name] = {**facts, **_numbers(checks, limits), "recorded": _trace(recorded)}
-        part.plots += [*_wrench_plots(name, recorded), *_displacement_plots(name, checks)]
+        part.numbers[name] = {**counts, **_numbers(checks, limits), "recorded": _trace(recorded)}
+        part.plots += _plots(name, recorded, checks)
     return part
 
 
-def _filled(
+def _record_and_solve(
     client: Client, name: str, effort: Effort, report: ProgressCallback
-) -> tuple[LoopRun, dict[str, Any]]:
-    """Record the trajectory on the rigid component, and have the wrenches it met solved."""
+) -> tuple[LoopRun, dict[str, int]]:
+    """Record the trajectory on the rigid plate, solve its wrenches; return it and the counts."""
     report(0.0, "recording")
     recorded = move_arm(client, name, effort.arm_seconds, mode="record")
     started = client.start_recording(name, effort.arm_solves)
@@ -108,7 +112,7 @@ def _filled(
     for number, job in enumerate(jobs):
         report(0.7 * number / len(jobs), f"solve {number + 1} of {len(jobs)}")
         client.wait(job, SOLVE_S)
-    rows = client.component(name, wait_s=60)["rows"]  # which waits for them
+    rows = client.component(name, wait_s=60)["rows"]  # once the table has the solved rows
     return recorded, {"wrenches": len(recorded.times), "solves": len(jobs), "rows": rows}
 
 
@@ -119,14 +123,14 @@ def corners(wrenches: Vector) -> Vector:
     Each span holds zero and is wider by `WIDER`, since the plate bends under the arm.
     """
     low, high = np.minimum(wrenches.min(axis=0), 0.0), np.maximum(wrenches.max(axis=0), 0.0)
-    wider = WIDER * (high - low)
-    ends = np.array([low - wider, high + wider])
+    margin = WIDER * (high - low)
+    ends = np.array([low - margin, high + margin])
     points = []
     for axis in range(3):
         loads = [axis, 3 + (axis + 1) % 3, 3 + (axis + 2) % 3]
-        for chosen in product((0, 1), repeat=3):
+        for sides in product((0, 1), repeat=3):
             corner = np.zeros(6)
-            corner[loads] = ends[np.array(chosen), np.array(loads)]
+            corner[loads] = ends[sides, loads]
             points.append(corner)
     return np.unique(points, axis=0)
 
@@ -135,66 +139,74 @@ def _checks(client: Client, name: str, effort: Effort, report: ProgressCallback)
     """Run the trajectory by each method; solve moments of the first run directly, for both."""
     table = client.download(name)
     runs = [move_arm(table, name, effort.arm_seconds, method=method) for method in METHODS]
-    # Odd places of as many equal parts: neither the first nor the last moment, at rest.
-    steps = (2 * np.arange(effort.arm_checks) + 1) / (2 * effort.arm_checks)
-    chosen = (steps * len(runs[0].times)).astype(np.intp)
-    wrenches = runs[0].wrenches[chosen]
-    solver, seconds, solved = Solver(shipped(name)), [], np.empty((len(chosen), 6))
+    # The middles of equal parts: neither the first nor the last moment, at rest.
+    middles = (2 * np.arange(effort.arm_checks) + 1) / (2 * effort.arm_checks)
+    moments = (middles * len(runs[0].times)).astype(np.intp)
+    wrenches = runs[0].wrenches[moments]
+    solver, solved, solve_times = Solver(shipped(name)), np.empty((len(moments), 6)), []
     for number, wrench in enumerate(wrenches):
-        report(0.7 + 0.3 * number / len(chosen), f"direct solve {number + 1} of {len(chosen)}")
+        report(0.7 + 0.3 * number / len(moments), f"direct solve {number + 1} of {len(moments)}")
         began = perf_counter()
         solved[number] = solver.solve(wrench).displacement
-        seconds.append(perf_counter() - began)
-
-    def over_http(wrench: Vector, method: str | None) -> Any:
-        return client.displacement(name, wrench, on_thin="estimate", method=method)
+        solve_times.append(perf_counter() - began)
 
     checks = []
     for method, run in zip(METHODS, runs, strict=True):
         batch = table.batch(wrenches, method=method)
-        here = [_seconds_of(table.answer, wrench, method) for wrench in run.wrenches]
-        there = [_seconds_of(over_http, wrench, method) for wrench in run.wrenches]
-        times = (float(np.median(times_s)) for times_s in (here, there, seconds))
-        answers = batch.displacements, batch.errors
-        checks.append(Check(run, str(batch.method), chosen, *answers, solved, *times))
+        over_http = partial(client.displacement, name, on_thin="estimate", method=method)
+        check = Check(
+            run=run,
+            method=str(batch.method),
+            moments=moments,
+            answered=batch.displacements,
+            error_bars=batch.errors,
+            solved=solved,
+            answer_s=_median_seconds(partial(table.answer, method=method), run.wrenches),
+            http_s=_median_seconds(over_http, run.wrenches),
+            solve_s=float(np.median(solve_times)),
+        )
+        checks.append(check)
     return checks
 
 
-def _seconds_of(ask: Any, wrench: Vector, method: str | None) -> float:
-    """Return what one answer to a wrench, shape (6,), N and N·m, takes, s."""
-    began = perf_counter()
-    ask(wrench, method=method)
-    return perf_counter() - began
+def _median_seconds(answer: Callable[[Vector], object], wrenches: Vector) -> float:
+    """Return the median time of an answer to wrenches (n, 6), N and N·m, in seconds."""
+    times = []
+    for wrench in wrenches:
+        began = perf_counter()
+        answer(wrench)
+        times.append(perf_counter() - began)
+    return float(np.median(times))
 
 
 def _findings(name: str, checks: list[Check], limits: Vector) -> list[Finding]:
-    """Compare the default method with its bands; report griddata's. Limits: (6,), m and rad."""
+    """Return the errors and times of each method; the default method's errors have a limit.
+
+    limits: the tolerance of each output, shape (6,), m and rad.
+    """
     findings = []
-    for check, is_band in zip(checks, (True, False), strict=True):
-        worst = int(np.argmax(check.relative))
+    for method, check in zip(METHODS, checks, strict=True):
         label = f"arm on {name}, {check.method}"
-        over = float((check.error / limits).max())
-        for title, value, most in (
-            (
-                f"RMS error over range, worst output ({OUTPUTS[worst]})",
-                check.relative[worst],
-                ERROR,
-            ),
-            ("largest error over tolerance", over, 1.0),
+        worst = int(np.argmax(check.relative))
+        rms = f"RMS error over range, worst output ({OUTPUTS[worst]})"
+        over_tolerance = float((check.error / limits).max())
+        for title, error, limit in (
+            (rms, float(check.relative[worst]), MAX_ERROR),
+            ("largest error over tolerance", over_tolerance, 1.0),
         ):
-            limit = most if is_band else None
-            title = f"{label}: {title}"
-            findings.append(Finding(title, "direct solves", 0.0, float(value), limit, "absolute"))
+            tolerance = limit if method is None else None
+            compared = f"{label}: {title}"
+            findings.append(Finding(compared, "direct solves", 0.0, error, tolerance, "absolute"))
         title = f"{label}: part of the errors inside their error bars"
-        findings.append(Finding(title, "95 % error bars", INSIDE, check.inside, 0.0, "at least"))
+        within = float(check.within_bars.mean())
+        findings.append(Finding(title, "95 % error bars", MIN_WITHIN_BARS, within, 0.0, "at least"))
         title = f"{label}: a solve over an answer of the table, time"
-        ratio = check.solve_s / check.answer_s
-        findings.append(Finding(title, "run time", 1.0, ratio))
+        findings.append(Finding(title, "run time", 1.0, check.solve_s / check.answer_s))
     return findings
 
 
 def _numbers(checks: list[Check], limits: Vector) -> dict[str, Any]:
-    """Return the figures of each method as JSON-able values; limits: shape (6,), m and rad."""
+    """Return the numbers of each method for JSON; limits: shape (6,), m and rad."""
     return {
         "tolerance": limits.tolist(),
         "methods": {
@@ -204,11 +216,11 @@ def _numbers(checks: list[Check], limits: Vector) -> dict[str, Any]:
                     zip(("covered", "thin", "outside", "unknown"), check.run.coverage, strict=True)
                 ),
                 "range": check.span.tolist(),
-                "small": [OUTPUTS[place] for place in np.flatnonzero(_is_small(check.span))],
+                "small": [OUTPUTS[output] for output in np.flatnonzero(_is_small(check.span))],
                 "rms_over_range": check.relative.tolist(),
                 "largest_error": check.error.max(axis=0).tolist(),
-                "median_bar": np.median(check.bars, axis=0).tolist(),
-                "inside_bars": np.mean(check.error <= check.bars, axis=0).tolist(),
+                "median_bar": np.median(check.error_bars, axis=0).tolist(),
+                "inside_bars": check.within_bars.tolist(),
                 "answer_s": check.answer_s,
                 "http_s": check.http_s,
                 "solve_s": check.solve_s,
@@ -223,12 +235,13 @@ def _numbers(checks: list[Check], limits: Vector) -> dict[str, Any]:
 
 
 def _is_small(span: Vector) -> Mask:
-    """Return which outputs hardly move against the largest of their kind; (6,), m and rad."""
-    return (span.reshape(2, 3) < SMALL * span.reshape(2, 3).max(axis=1)[:, None]).ravel()
+    """Return which outputs move little against the largest of their kind; (6,), m and rad."""
+    by_kind = span.reshape(2, 3)
+    return (by_kind < SMALL * by_kind.max(axis=1, keepdims=True)).ravel()
 
 
 def _trace(run: LoopRun) -> dict[str, Any]:
-    """Return a run as JSON-able values: s; N and N·m; m and rad."""
+    """Return times, s, wrenches, N and N·m, and displacements, m and rad, for JSON."""
     return {
         "time": run.times.tolist(),
         "wrench": run.wrenches.tolist(),
@@ -236,20 +249,16 @@ def _trace(run: LoopRun) -> dict[str, Any]:
     }
 
 
-def _wrench_plots(name: str, run: LoopRun) -> list[Plot]:
-    """Draw figure 10a: forces and moments of the recorded run."""
-    drawn = []
-    for kind, unit, indices in (("forces", "N", range(3)), ("moments", "N·m", range(3, 6))):
-        curves = tuple(Curve.of(LOADS[k], run.times, run.wrenches[:, k]) for k in indices)
-        drawn.append(Plot(f"Figure 10a: {kind} on {name}", "time, s", f"{kind}, {unit}", curves))
-    return drawn
+def _plots(name: str, recorded: LoopRun, checks: list[Check]) -> list[Plot]:
+    """Draw the loads of the recorded run (10a), and displacements by table and solves (10b).
 
-
-def _displacement_plots(name: str, checks: list[Check]) -> list[Plot]:
-    """Draw figure 10b: displacements of the table's own method, and of direct solves.
-
-    Outputs that hardly move have a plot of their own, with griddata's: there the methods differ.
+    Small outputs are drawn apart and by griddata too, because there the methods differ.
     """
+    plots = []
+    for kind, unit, loads in (("forces", "N", range(3)), ("moments", "N·m", range(3, 6))):
+        curves = [Curve.of(LOADS[k], recorded.times, recorded.wrenches[:, k]) for k in loads]
+        title = f"Figure 10a: {kind} on {name}"
+        plots.append(Plot(title, "time, s", f"{kind}, {unit}", tuple(curves)))
     small = _is_small(checks[0].span)
     groups = (
         ("translation", "µm", 1e6, np.flatnonzero(~small[:3]), checks[:1]),
@@ -257,20 +266,16 @@ def _displacement_plots(name: str, checks: list[Check]) -> list[Plot]:
         ("small translations", "µm", 1e6, np.flatnonzero(small[:3]), checks),
         ("small rotations", "mrad", 1e3, np.flatnonzero(small[3:]) + 3, checks),
     )
-    return [
-        Plot(
-            f"Figure 10b: {kind} of {name}, interpolated and solved directly",
-            "time, s",
-            f"{kind}, {unit}",
-            tuple(curve for k in indices for curve in _against_solves(shown, int(k), factor)),
-        )
-        for kind, unit, factor, indices, shown in groups
-        if len(indices)
-    ]
+    for kind, unit, factor, outputs, drawn in groups:
+        if len(outputs):
+            curves = [curve for k in outputs for curve in _curves(drawn, int(k), factor)]
+            title = f"Figure 10b: {kind} of {name}, interpolated and solved directly"
+            plots.append(Plot(title, "time, s", f"{kind}, {unit}", tuple(curves)))
+    return plots
 
 
-def _against_solves(checks: list[Check], output: int, factor: float) -> list[Curve]:
-    """Return the curves of one output by each method, and the direct solves of the first."""
+def _curves(checks: list[Check], output: int, factor: float) -> list[Curve]:
+    """Return the curves of one output by each method, and its direct solves."""
     curves = [
         Curve.of(
             f"{OUTPUTS[output]}, {check.method}",
@@ -281,5 +286,5 @@ def _against_solves(checks: list[Check], output: int, factor: float) -> list[Cur
         for number, check in enumerate(checks)
     ]
     first = checks[0]
-    times, solved = first.run.times[first.chosen], factor * first.solved[:, output]
+    times, solved = first.run.times[first.moments], factor * first.solved[:, output]
     return [*curves, Curve.of(f"{OUTPUTS[output]}, solved", times, solved, "points")]

@@ -1,4 +1,4 @@
-"""The MuJoCo scenes: a block that is pressed, and an arm that moves."""
+"""The MuJoCo simulations of the paper: a block pressed on a component, an arm that moves on one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BLOCK_WEIGHT = 0.01 * 9.81  # N, of a block of 10 g: it shows that the sign is r
 # Steps that a load stays: the pose follows the answer, and the lever moves with the pose; each
 # step multiplies the remaining error by some 1e-3.
 HOLD = 8
-SYNC = 0.01  # s
+SYNC = 0.01  # s between answers of the arm's mount
 WAYPOINTS = np.array(
     [
         [0.0, 0.4, 0.8, 0.0, 0.5, 0.0],
@@ -58,7 +58,7 @@ class LoopRun:
 
 
 def press(source: Any, component: str, loads: Any, lever: float = 0.0, **options: Any) -> LoopRun:
-    """Press a component downwards by loads (n,), N, one by one, and read pose and sensors.
+    """Press a component downwards by loads (n,), N, in turn; return the poses and sensors' values.
 
     The loads act at a `lever`, m, along x. `source` is a `Table` or a `Client`; `options` are those
     of the mount.
@@ -67,7 +67,7 @@ def press(source: Any, component: str, loads: Any, lever: float = 0.0, **options
     data = engine.MjData(model)
     mounted = engine.mj_name2id(model, engine.mjtObj.mjOBJ_BODY, "mounted")
     mount = MujocoMount(model, data, source=source, component=component, **options)
-    began, trace = perf_counter(), _Trace(mount, data)
+    trace = _Trace(mount, data)
     for load in loads:
         data.xfrc_applied[mounted, 2] = BLOCK_WEIGHT - load  # at the block, in the world's axes
         for _ in range(HOLD):
@@ -75,51 +75,58 @@ def press(source: Any, component: str, loads: Any, lever: float = 0.0, **options
             mount.step()
         trace.record()
     mount.close()
-    return trace.run(perf_counter() - began)
+    return trace.run()
 
 
 def move_arm(source: Any, component: str, seconds: float, **options: Any) -> LoopRun:
-    """Move the arm past its waypoints in `seconds` on a component; others as of `press`."""
+    """Move the arm past its waypoints in `seconds` on a component; see `press` for the others."""
     model = engine.MjModel.from_xml_path(str(ARM))
     data = engine.MjData(model)
     data.qpos[:], data.ctrl[:] = WAYPOINTS[0], WAYPOINTS[0]
     mount = MujocoMount(model, data, source=source, component=component, sync=SYNC, **options)
-    began, trace = perf_counter(), _Trace(mount, data)
+    trace = _Trace(mount, data)
     while data.time < seconds:
         data.ctrl[:] = _between_waypoints(data.time / seconds)
         engine.mj_step(model, data)
         if mount.step():
             trace.record()
     mount.close()
-    return trace.run(perf_counter() - began)
+    return trace.run()
 
 
 class _Trace:
-    """Collects what a simulation meets; the interface's displacement is read off the mocap body."""
+    """Records a simulation; the mocap body has the displacement of the interface."""
 
     def __init__(self, mount: MujocoMount, data: Any) -> None:
         self._mount, self._data = mount, data
-        self._point = data.mocap_pos[0].copy()
-        self._lines: list[Vector] = []
+        self._undeformed = data.mocap_pos[0].copy()
+        self._began = perf_counter()
+        self._records: list[Vector] = []  # time, wrench and displacement
         self._covered: list[bool] = []
 
     def record(self) -> None:
-        """Note time, reading and pose."""
+        """Record the time, the wrench and the displacement."""
         rotation = np.empty(3)
-        engine.mju_quat2Vel(rotation, self._data.mocap_quat[0], 1.0)  # rad: its rotation vector
-        moved = self._data.mocap_pos[0] - self._point
+        engine.mju_quat2Vel(rotation, self._data.mocap_quat[0], 1.0)  # its rotation vector, rad
+        translation = self._data.mocap_pos[0] - self._undeformed
         wrench, answer = self._mount.wrench, self._mount.mount.last
         assert wrench is not None
-        # Without an answer, while wrenches are recorded, there is nothing to be covered.
+        # There is no answer while wrenches are recorded for a table.
         self._covered.append(answer is not None and answer.covered)
-        self._lines.append(np.concatenate([[self._data.time], wrench, moved, rotation]))
+        self._records.append(np.concatenate([[self._data.time], wrench, translation, rotation]))
 
-    def run(self, wall_s: float) -> LoopRun:
-        """Return all that was noted in a run of so many seconds."""
-        lines, coverage = np.array(self._lines), self._mount.mount.coverage
-        counts = (coverage.covered, coverage.thin, coverage.outside, coverage.unknown)
-        covered = np.array(self._covered)
-        return LoopRun(lines[:, 0], lines[:, 1:7], lines[:, 7:], covered, counts, wall_s)
+    def run(self) -> LoopRun:
+        """Return the records of a simulation that has ended."""
+        coverage = self._mount.mount.coverage
+        records = np.array(self._records)
+        return LoopRun(
+            times=records[:, 0],
+            wrenches=records[:, 1:7],
+            displacements=records[:, 7:],
+            covered=np.array(self._covered),
+            coverage=(coverage.covered, coverage.thin, coverage.outside, coverage.unknown),
+            wall_s=perf_counter() - self._began,
+        )
 
 
 def _between_waypoints(part: float) -> Vector:

@@ -1,7 +1,7 @@
-"""Keys of ``component.toml`` as fields of models: their types, units, texts and refusals.
+"""Keys of ``component.toml`` as fields of pydantic models: types, units, texts and messages.
 
 A table of the file is a class under `table`, whose fields are made by `key`. `validated` returns an
-instance or notes every mistake as a text of `_sentence`.
+instance, or adds a problem for every mistake.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ from wrenchbook.fea.spec.problems import STEERING, BundleProblem, suggest
 
 MAX_COUNT = 10**9  # largest number of cells, layers and faces: far above any mesh, within an int32
 _ORTHONORMAL = 1e-6  # axes are written to six digits and more
-_QUOTED = re.compile("'([^']*)'")  # the words of a choice in pydantic's ``expected``
-_SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
+_QUOTED = re.compile("'([^']*)'")  # the choices in pydantic's ``expected``
+_SLUG = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")  # a name for a folder and a URL
+_MAX_SHOWN = 60  # characters of a value in a message: its rest would hide the remedy
 
 _T = TypeVar("_T")
 
@@ -58,7 +59,7 @@ def key(
     default_text: the reference's text for a default that no value shows.
     name: the key, if it differs from the attribute's name.
     expected_text: the text of messages for a valid value, if the key's type does not give it.
-    choices: the words to choose from, if the type has fewer.
+    choices: the values to choose from, if the type does not have all of them.
     """
     texts = {"default_text": default_text, "expected_text": expected_text}
     extra = {"unit": unit, "example": example, **texts, "choices": list(choices)}
@@ -103,11 +104,12 @@ def _text(value: str) -> str:
 
 
 def is_slug(name: str) -> bool:
-    """Return whether a name can be a component's: as a folder and in a URL."""
+    """Return whether a name can be a component's, which is a folder's and in a URL."""
     return _SLUG.fullmatch(name) is not None
 
 
 def _name(value: str) -> str:
+    """Return a name that `is_slug`."""
     if is_slug(value):
         return value
     raise ValueError(
@@ -117,9 +119,9 @@ def _name(value: str) -> str:
 
 
 def different(values: tuple[_T, ...]) -> tuple[_T, ...]:
-    """Refuse values of which two are equal."""
+    """Return values of which no two are equal."""
     if len(set(values)) < len(values):
-        twice = str(next(each for each in values if values.count(each) > 1))[:100]
+        twice = str(next(value for value in values if values.count(value) > 1))[:100]
         raise ValueError(f"has {twice} twice; remove one of the two")
     return values
 
@@ -133,28 +135,28 @@ def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
     path = folder / name
     try:
         # Resolved, so that a symbolic link out of the folder is refused too.
-        inside = path.resolve().is_relative_to(folder.resolve())
-        there = path.is_file()
+        is_inside = path.resolve().is_relative_to(folder.resolve())
+        is_there = path.is_file()
     except (OSError, RuntimeError) as error:  # a name that no disk allows; a loop of symbolic links
         reason = error.strerror if isinstance(error, OSError) else "a loop of symbolic links"
         raise ValueError(f'"{name[:100]}" cannot be a file ({reason}); rename it') from None
-    if not inside:
+    if not is_inside:
         raise ValueError(f'"{name}" is outside the bundle; put the file into its folder')
     if Path(name).is_absolute():
         relative = path.resolve().relative_to(folder.resolve()).as_posix()
         raise ValueError(
             f'"{name}" is an absolute path; write it relative to component.toml: "{relative}"'
         )
-    if not there:
+    if not is_there:
         known = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
-        there_are = f"only {', '.join(known)}" if known else "which has no files"
-        near = suggest(name, known) or "; correct the name, or add the file"
-        raise ValueError(f'there is no file "{name}" in the bundle, {there_are}{near}')
+        files = f"only {', '.join(known)}" if known else "which has no files"
+        remedy = suggest(name, known) or "; correct the name, or add the file"
+        raise ValueError(f'there is no file "{name}" in the bundle, {files}{remedy}')
     return path
 
 
 def counted(count: int, message: str = "", names: str = "") -> BeforeValidator:
-    """Require a list of `count` numbers, with the names `names`, or of the form in `message`."""
+    """Require a list of `count` numbers; a mistake has their `names`, or is the `message`."""
 
     def check(value: object) -> object:
         if isinstance(value, list | tuple) and len(value) == count:
@@ -241,7 +243,7 @@ def unit_vector(v: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _cross(a: Sequence[float], b: Sequence[float]) -> list[float]:
-    """Return the vector product; indices from -2 to 1 are those after each, cyclically."""
+    """Return the vector product: indices i - 2 and i - 1 are those after i, cyclically."""
     return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
 
 
@@ -315,18 +317,20 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 def keys_of(cls: type) -> dict[str, FieldInfo]:
     """Return the fields of a class under `table` by their keys in the file: its own first."""
-    known: dict[str, FieldInfo] = vars(cls)["__pydantic_fields__"]
-    inherited = {name: info.kw_only and name != "generator" for name, info in known.items()}
-    ordered = sorted(known, key=lambda name: bool(inherited[name]))
-    return {known[n].alias or n: known[n] for n in ordered if known[n].init is not False}
+    fields: dict[str, FieldInfo] = vars(cls)["__pydantic_fields__"]
+    # Inherited keys are keyword-only; `generator` is too, but comes first.
+    ordered = sorted(
+        fields.items(), key=lambda item: bool(item[1].kw_only and item[0] != "generator")
+    )
+    return {info.alias or name: info for name, info in ordered if info.init is not False}
 
 
 def tables_in(kind: Any) -> Iterator[type]:
     """Yield the classes under `table` that a type has at one path."""
     if isinstance(kind, type) and is_dataclass(kind):
         yield kind
-    for each in get_args(kind) if get_origin(kind) is not Literal else ():
-        yield from tables_in(each)
+    for part in get_args(kind) if get_origin(kind) is not Literal else ():
+        yield from tables_in(part)
 
 
 def extra_of(info: FieldInfo | None) -> Mapping[str, Any]:
@@ -336,11 +340,11 @@ def extra_of(info: FieldInfo | None) -> Mapping[str, Any]:
 
 
 def _problems(kind: Any, where: str, entry: Mapping[str, Any]) -> Iterator[BundleProblem]:
-    """Yield the mistakes of one entry of pydantic's, each at its path."""
+    """Yield the mistakes of one of pydantic's errors, each at its path."""
     path = where
     info = None
     classes = list(tables_in(kind))
-    named = False
+    is_map = False  # the next part of the path is a name that the user has chosen
     for part in entry["loc"]:
         if isinstance(part, int) and part < 0:  # the branch of a union
             classes = classes[~part:][:1]
@@ -349,11 +353,11 @@ def _problems(kind: Any, where: str, entry: Mapping[str, Any]) -> Iterator[Bundl
         else:
             path += f".{part}" if path else part
             known = [keys_of(cls)[part] for cls in classes if part in keys_of(cls)]
-            if known and not named:
+            if known and not is_map:
                 info = known[0]
                 classes = list(tables_in(info.annotation))
-            # The user's names, as in mesh.groups, come between a key and the next table's.
-            named = bool(known) and not named and get_origin(known[0].annotation) is Mapping
+            # As in mesh.groups.NAME, between a key and the next table's.
+            is_map = bool(known) and not is_map and get_origin(known[0].annotation) is Mapping
     unit = extra_of(info).get("unit") or "no unit"
     if entry["type"] == "literal_error":
         path = re.sub(r"\[\d+\]$", "", path)  # path of the list
@@ -372,20 +376,20 @@ def _problems(kind: Any, where: str, entry: Mapping[str, Any]) -> Iterator[Bundl
 
 
 def not_single(path: str) -> str:
-    """Return the refusal of one table in the place of a list of tables."""
+    """Return the message for one table in place of a list of tables."""
     key = re.sub(r"\[\d+\]", "", path)
     return f"must be a list; write [[{key}]] instead of [{key}]"
 
 
 def unknown(name: str, cls: type) -> str:
-    """Return the refusal of a key that a table does not have."""
+    """Return the message for a key that a table does not have."""
     refused: Mapping[str, str] = getattr(cls, "refused", {})
     known = list(keys_of(cls))
-    listed = f"(known here: {', '.join(known)})"
-    return refused.get(name) or f"is an unknown key {listed}; correct it{suggest(name, known)}"
+    message = f"is an unknown key (known here: {', '.join(known)}); correct it"
+    return refused.get(name) or message + suggest(name, known)
 
 
-_KINDS = {
+_NOUNS = {  # of pydantic's types of errors
     "bool_type": "true or false",
     "tuple_type": "a list",
     "dataclass_type": "a table",
@@ -394,7 +398,7 @@ _KINDS = {
 
 
 def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
-    """Return the mistake and its correction, by the type of pydantic's error."""
+    """Return the message for one of pydantic's errors: the mistake and its correction."""
     error = entry["type"]
     value = entry["input"]
     context = entry.get("ctx", {})
@@ -402,8 +406,8 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
     unit = extra.get("unit") or "no unit"
     if error == "missing":
         return missing(info)
-    if error in _KINDS:
-        return f"must be {_KINDS[error]}, not {shown(value)}"
+    if error in _NOUNS:
+        return f"must be {_NOUNS[error]}, not {shown(value)}"
     if error == "string_type" or (error == "literal_error" and type(value) is not str):
         return f"must be a string, not {shown(value)}; put it in quotation marks"
     if error == "literal_error":
@@ -425,7 +429,7 @@ def _sentence(entry: Mapping[str, Any], info: FieldInfo | None) -> str:
 
 
 def missing(info: FieldInfo | None) -> str:
-    """Return the sentence for a required key."""
+    """Return the message for a required key that is missing."""
     noun = _noun(info)
     example = extra_of(info).get("example", "")
     is_open = example and not noun.startswith("one of ")
@@ -458,4 +462,4 @@ def kind_of(info: FieldInfo) -> Any:
 def shown(value: object) -> str:
     """Return `value` shortened for a message."""
     text = repr(value).replace("'", '"') if type(value) is not bool else str(value).lower()
-    return text if len(text) <= 60 else text[:57] + "..."
+    return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."

@@ -1,4 +1,4 @@
-"""Checks of wrenches before they are sent: errors name the wrong number."""
+"""Checks of wrenches, tolerances and options before a request; errors name the wrong number."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def single_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
 
     Raises InvalidArgument with the number that is NaN or infinite, or the shape that is wrong.
     """
-    # The short path for a loop's thousands of calls a second: a finite sum has finite terms.
+    # A fast path for loops of thousands of calls a second: a finite sum has finite terms.
     if (
         type(force) is np.ndarray
         and force.shape == (6,)
@@ -54,18 +54,16 @@ def single_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
         and math.isfinite(sum(force.tolist()))
     ):
         return force.copy()
-    first = _numbers(force, "force")
-    if moment is None and first.shape == (6,):
-        wrench = first
-    else:
-        second = np.zeros(3) if moment is None else _numbers(moment, "moment")
-        for name, part in (("force", first), ("moment", second)):
+    wrench = _numbers(force, "force")
+    if moment is not None or wrench.shape != (6,):
+        parts = wrench, np.zeros(3) if moment is None else _numbers(moment, "moment")
+        for name, part in zip(("force", "moment"), parts, strict=True):
             if part.shape != (3,):
                 raise InvalidArgument(
                     f"{name} must be three numbers (x, y, z), but has the shape {part.shape}; to "
                     "give a wrench of six numbers, pass it as force and leave moment out"
                 )
-        wrench = np.concatenate([first, second])
+        wrench = np.concatenate(parts)
     _require_finite(wrench[None, :], "")
     return wrench
 
@@ -159,8 +157,8 @@ def options(
     if on_thin is not None:
         require_one_of("on_thin", on_thin, ON_THIN)
     limit = None if tolerance is None else tolerance_body(tolerance)
-    chosen = {"on_thin": on_thin, "tolerance": limit, **others}
-    return {name: value for name, value in chosen.items() if value is not None}
+    values = {"on_thin": on_thin, "tolerance": limit, **others}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def tolerance_body(tolerance: Tolerance) -> dict[str, float]:
@@ -193,7 +191,7 @@ def tolerance_body(tolerance: Tolerance) -> dict[str, float]:
 
 
 def _numbers(values: ArrayLike, name: str) -> Vector:
-    """Return floats from numbers only: a text that looks like a number is a mistake."""
+    """Return numbers as an array of floats; InvalidArgument for a text, also one of digits."""
     try:
         block = np.asarray(values)
     except ValueError:

@@ -98,10 +98,9 @@ def _table(field: Path) -> np.ndarray:
         header = file.readline().strip()
     columns = [match for name in header.split(",")[:3] if (match := _NAME.match(name))]
     if [column["name"].lower()[:1] for column in columns] != ["x", "y", "z"]:
-        raise _wrong(
-            "must begin with a line of names, such as x,y,z,temperature, but begins with "
-            f'"{header[:_MAX_QUOTED]}"'
-        )
+        example = "such as x,y,z,temperature"
+        begin = header[:_MAX_QUOTED]
+        raise _wrong(f'must begin with a line of names, {example}, but begins with "{begin}"')
     if units := [column["unit"] for column in columns if column["unit"] not in (None, "m")]:
         raise _wrong(f"its first line has {units[0]} as the unit of a point; write x, y and z in m")
     try:
@@ -111,13 +110,11 @@ def _table(field: Path) -> np.ndarray:
         table = np.empty(0)
         is_complete = False
     if not is_complete:
-        bad = "no such line"
         with field.open(encoding=_ENCODING, errors="replace") as file:
-            for number, line in enumerate(file, 1):
-                if number > 1 and _is_bad(line):
-                    bad = f'"{line.strip()[:_MAX_QUOTED]}" in line {number}'
-                    break
-        raise _wrong(f"must have four finite numbers a line, x, y, z (m) and T, but has {bad}")
+            bad = ((n, line) for n, line in enumerate(file, 1) if n > 1 and _is_bad(line))
+            number, line = next(bad, (0, ""))
+        wrong = f'"{line.strip()[:_MAX_QUOTED]}" in line {number}' if number else "no such line"
+        raise _wrong(f"must have four finite numbers a line, x, y, z (m) and T, but has {wrong}")
     return table
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine
 from typing import Annotated, Any, get_origin
 from urllib.parse import urlencode
 
@@ -79,21 +79,16 @@ def attached(filename: str) -> dict[str, str]:
 
 
 def cut_page(
-    response: Response,
-    path: str,
-    query: Mapping[str, Any],
-    entries: list[Any],
-    limit: int,
-    order: str = "id",
+    response: Response, path: str, query: dict[str, Any], entries: list[Any], order: str = "id"
 ) -> str | None:
-    """Cut entries to `limit`; return the URL of the next page, in the header Link too (RFC 8288).
+    """Cut entries to the query's `limit`; return the URL of the next page, None for the last one.
 
-    The entries are in the order of the attribute `order`. The last page has no next: None.
+    The entries are in the order of their attribute `order`. The header Link has the URL (RFC 8288).
     """
-    if len(entries) <= limit:
+    if len(entries) <= query["limit"]:
         return None
-    del entries[limit:]
-    query = {**query, "limit": limit, "after": getattr(entries[-1], order)}
+    del entries[query["limit"] :]
+    query["after"] = getattr(entries[-1], order)
     parameters = {
         name: "true" if value is True else value for name, value in query.items() if value
     }

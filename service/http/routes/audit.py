@@ -39,7 +39,7 @@ def list_audit(
     )
     query = {"component": component, "actor": actor, "action": action}
     query |= {"since": since and since.isoformat(), "until": until and until.isoformat()}
-    next_url = cut_page(response, "/v1/audit", query, page, limit)
+    next_url = cut_page(response, "/v1/audit", query | {"limit": limit}, page)
     entries = [
         {**vars(entry), "time": iso_time(entry.time), "actor": entry.actor or None}
         for entry in page

@@ -76,8 +76,8 @@ def list_components(
             components.append(component)
 
     read = partial(workspace.tables.surrogate, or_empty=True)
-    query = {"q": q, "archived": archived}
-    next_url = cut_page(response, "/v1/components", query, components, limit, order="name")
+    query = {"q": q, "archived": archived, "limit": limit}
+    next_url = cut_page(response, "/v1/components", query, components, order="name")
     return {
         "components": [
             _summary(workspace, component, read(component.name)) for component in components

@@ -121,8 +121,8 @@ def list_jobs(
     """List jobs, newest first, in pages."""
     _check_known(workspace, component)
     jobs = workspace.ledger.jobs(component, status, limit + 1, below=after, actor=actor)
-    query = {"component": component, "status": status, "actor": actor}
-    next_url = cut_page(response, "/v1/jobs", query, jobs, limit)
+    query = {"component": component, "status": status, "actor": actor, "limit": limit}
+    next_url = cut_page(response, "/v1/jobs", query, jobs)
     rows = workspace.ledger.rows_of([job.row for job in jobs if job.row is not None])
     return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": next_url}
 

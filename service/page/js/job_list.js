@@ -1,4 +1,5 @@
-// Jobs with live progress: running ones, waiting ones in the order of their start, then the newest; cancel, retry, the log of a failed one.
+// The list of jobs with live progress, and their actions: cancel, retry, log.
+// Running jobs come first, then waiting ones in the order of their start, then the newest others.
 
 import { get, post, send, trouble } from "./api.js";
 import { el, note, notify, pill, put, save } from "./dom.js";
@@ -8,13 +9,15 @@ import { actorOf, counted, seconds, sentence, time } from "./format.js";
 import { inputsElement } from "./inputs.js";
 import { rowLink } from "./rows.js";
 
-const SHOWN = 50, MOST_WAITING = 1000, NEWEST = 20; // jobs: of a page; put in the order of their start; whose solve times are averaged
+const SHOWN = 50; // jobs of a page
+const MAX_WAITING = 1000; // waiting jobs that are put in the order of their start
+const AVERAGED = 20; // newest jobs of a component whose solve times are averaged
 
-// The jobs that are shown, by number, and the bodies of the table in which they are.
+// The jobs that are shown, by number, and the table bodies in which they are.
 class JobTable {
   constructor(component, signal) {
     this.signal = signal;
-    this.named = !component; // whether each row names its component
+    this.hasComponents = !component; // each row names its component
     this.running = el("tbody", { class: "running" });
     this.waiting = el("tbody", { class: "waiting" });
     this.ended = el("tbody", {});
@@ -22,7 +25,7 @@ class JobTable {
     this.means = new Map(); // solve times by component
     this.calls = new Map(); // the latest call for each job that has changed
     this.last = null; // the job that starts last, shown or not
-    this.count = () => {}; // called after a change of a number of jobs
+    this.count = () => {}; // called when the number of jobs of a state has changed
   }
 
   clear() {
@@ -44,14 +47,15 @@ class JobTable {
   // Of running and of ended jobs the newest is first.
   place(row) {
     const body = this.bodyOf(row.job);
-    const after = body === this.waiting ? (job) => inOrder(job, row.job) > 0 : (job) => job.id < row.job.id;
-    body.insertBefore(row.root, [...body.children].find((one) => after(this.rows.get(Number(one.id.slice(4))).job)) || null);
+    const isAfter = body === this.waiting ? (job) => inOrder(job, row.job) > 0 : (job) => job.id < row.job.id;
+    const jobOf = (element) => this.rows.get(Number(element.id.slice("job-".length))).job;
+    body.insertBefore(row.root, [...body.children].find((element) => isAfter(jobOf(element))) || null);
   }
 
   change(row, job) {
-    const moves = row.root.isConnected && this.bodyOf(row.job) !== this.bodyOf(job);
+    const isMoved = row.root.isConnected && this.bodyOf(row.job) !== this.bodyOf(job);
     row.job = job;
-    if (moves) this.place(row);
+    if (isMoved) this.place(row);
     const { actor, progress, error } = job, isRunning = job.status === "running";
     const remaining = el("span", { class: "small muted" });
     if (isRunning && job.started) this.expect(job, remaining);
@@ -62,7 +66,7 @@ class JobTable {
     const accepted = time(job.created).replaceAll(/(?<!,) /g, "\u00a0");
     put(row.root,
       el("td", { class: "number" }, el("a", { href: `#/jobs/${job.id}` }, String(job.id))),
-      this.named ? el("td", {}, el("a", { href: `#/c/${job.component}` }, job.component)) : null,
+      this.hasComponents ? el("td", {}, el("a", { href: `#/c/${job.component}` }, job.component)) : null,
       el("td", { class: isRunning || error ? "whole" : null }, state),
       el("td", { class: "small whole" }, inputsElement(job), failed),
       el("td", { class: "muted small" }, accepted, actor && actor !== "(anonymous)" ? el("div", {}, `by ${actorOf(actor)}`) : null),
@@ -82,34 +86,34 @@ class JobTable {
       el("button", { type: "button", class: "small", "aria-label": `${text} job ${job.id}`, onclick: press }, text)));
   }
 
-  // Says how long a job still runs, from the mean of its component.
+  // Shows how long a job still runs, by the mean time of its component.
   async expect(job, place) {
-    const mean = await this.meanOf(job.component), ran = (Date.now() - new Date(job.started)) / 1000;
-    if (mean !== null) place.textContent = ran < mean ? `about ${rough(mean - ran)} left` : `longer than the mean, ${rough(mean)}`;
+    const mean = await this.meanOf(job.component), elapsed = (Date.now() - new Date(job.started)) / 1000;
+    if (mean !== null) place.textContent = elapsed < mean ? `about ${rough(mean - elapsed)} left` : `longer than the mean, ${rough(mean)}`;
   }
 
   // The mean time of the newest solves of a component, s; null if there are none.
   meanOf(component) {
     if (!this.means.has(component)) {
-      const path = `v1/jobs?component=${encodeURIComponent(component)}&status=done&limit=${NEWEST}`;
+      const path = `v1/jobs?component=${encodeURIComponent(component)}&status=done&limit=${AVERAGED}`;
       const mean = ({ jobs }) => (jobs.length ? jobs.reduce((sum, job) => sum + job.seconds, 0) / jobs.length : null);
       this.means.set(component, get(path, this.signal).then(mean).catch(() => null));
     }
     return this.means.get(component);
   }
 
-  // An event tells of one job; `isFiltered`: jobs that are not shown are left out.
-  hear(body, isFiltered) {
-    if (body.id === this.last?.id && body.status !== "waiting") this.last = null;
-    const row = this.rows.get(body.id), moved = row?.job.status !== body.status;
-    if (row) this.change(row, { ...row.job, ...body });
-    if (!moved || (!row && isFiltered)) return;
-    const call = get(`v1/jobs/${body.id}`, this.signal); // events do not tell how long it took
-    this.calls.set(body.id, call);
+  // Shows the event of one job; with `isFiltered` a job that is not shown is not added.
+  update(event, isFiltered) {
+    if (event.id === this.last?.id && event.status !== "waiting") this.last = null;
+    const row = this.rows.get(event.id), hasNewStatus = row?.job.status !== event.status;
+    if (row) this.change(row, { ...row.job, ...event });
+    if (!hasNewStatus || (!row && isFiltered)) return;
+    const call = get(`v1/jobs/${event.id}`, this.signal); // an event has no solve time
+    this.calls.set(event.id, call);
     call.then((job) => {
-      if (this.calls.get(body.id) !== call) return null; // a later event has its own
-      const now = this.rows.get(job.id);
-      if (now) this.change(now, job); else this.add(job);
+      if (this.calls.get(event.id) !== call) return null; // a later event has its own call
+      const present = this.rows.get(job.id);
+      if (present) this.change(present, job); else this.add(job);
       return this.count();
     }).catch(() => {});
   }
@@ -122,32 +126,32 @@ export async function jobList(root, component, signal) {
   const query = (kind = status, limit = SHOWN) => `v1/jobs?limit=${limit}${ofComponent}${kind ? `&status=${kind}` : ""}`;
   const load = async (path, fresh) => {
     if (fresh) loads += 1;
-    const turn = loads; // a slow reply must not replace that of a later filter
+    const number = loads; // a slow reply must not replace that of a later filter
     let page = await get(path, signal);
     const running = fresh && !status ? (await get(query("running"), signal)).jobs : [];
-    const waiting = fresh && ["", "waiting"].includes(status) ? (await get(query("waiting", MOST_WAITING), signal)).jobs.sort(inOrder) : [];
-    if (turn !== loads) return;
+    const waiting = fresh && ["", "waiting"].includes(status) ? (await get(query("waiting", MAX_WAITING), signal)).jobs.sort(inOrder) : [];
+    if (number !== loads) return;
     if (fresh) jobs.clear();
     const ended = () => (status === "waiting" ? [] : page.jobs.filter((job) => job.status !== "waiting"));
     while (!fresh && page.next && !ended().length) page = await get(page.next.slice(1), signal);
-    if (turn !== loads) return;
+    if (number !== loads) return;
     for (const job of [...running, ...(status ? waiting : waiting.slice(0, SHOWN)), ...ended()]) if (!jobs.rows.has(job.id)) jobs.add(job);
     following = status === "waiting" ? null : page.next;
     older.hidden = !following;
     if (fresh) { jobs.last = waiting.at(-1) || null; jobs.count(); }
   };
-  const wrong = (error) => { if (!signal.aborted) notify(error.message, "wrong"); };
+  const report = (error) => { if (!signal.aborted) notify(error.message, "wrong"); };
   const fresh = () => load(query(), true).catch((error) => { if (!signal.aborted) put(root, trouble(error)); });
-  const older = el("button", { type: "button", hidden: true, onclick: () => load(following.replace(/^\//, ""), false).catch(wrong) }, "Older jobs");
+  const older = el("button", { type: "button", hidden: true, onclick: () => load(following.replace(/^\//, ""), false).catch(report) }, "Older jobs");
   const [href, text] = component ? [`#/c/${encodeURIComponent(component)}/query`, "Ask a query"] : ["#/", "Go to the library"];
   const empty = emptyState("No jobs. A query that the table does not cover queues a solve; so does filling the table.", el("a", { class: "button", href }, text));
   empty.hidden = true;
   const queue = el("p", { class: "muted small", id: "queue", "aria-live": "polite" });
   const filter = el("select", { "aria-label": "Which jobs", onchange: (event) => { status = event.target.value; fresh(); } },
-    ["", "waiting", "running", "done", "failed", "cancelled"].map((one) => el("option", { value: one }, one || "all")));
-  const cancelAll = el("button", { type: "button", class: "small", hidden: true, onclick: () => cancelWaiting(ofComponent).catch(wrong) }, "Cancel all waiting jobs");
-  const head = ["#Job", component ? null : "Component", "State", "Wrench", "Accepted", "#Took", ""].filter((one) => one !== null)
-    .map((one) => el("th", { scope: "col", class: one[0] === "#" ? "number" : null }, one.replace("#", "")));
+    ["", "waiting", "running", "done", "failed", "cancelled"].map((name) => el("option", { value: name }, name || "all")));
+  const cancelAll = el("button", { type: "button", class: "small", hidden: true, onclick: () => cancelWaiting(ofComponent).catch(report) }, "Cancel all waiting jobs");
+  const titles = ["#Job", component ? null : "Component", "State", "Wrench", "Accepted", "#Took", ""].filter((title) => title !== null);
+  const head = titles.map((title) => el("th", { scope: "col", class: title[0] === "#" ? "number" : null }, title.replace("#", ""))); // #: numbers
   const all = el("table", { class: `folds jobs${component ? "" : " all"}` }, el("thead", {}, el("tr", {}, head)), jobs.running, jobs.waiting, jobs.ended);
   jobs.count = () => {
     empty.hidden = jobs.rows.size > 0;
@@ -159,9 +163,9 @@ export async function jobList(root, component, signal) {
   };
   put(root, el("div", { class: "line ends" }, el("label", { class: "line" }, "Show", filter), cancelAll), queue, all, empty, older);
   await fresh();
-  listen(component, signal, (kind, body) => { // many jobs may change at once, and jobs may have ended before a connection
+  listen(component, signal, (kind, body) => { // jobs: many have changed; hello, missed: some may have changed before
     if (["jobs", "hello", "missed"].includes(kind)) fresh();
-    if (kind === "job") jobs.hear(body, status !== "");
+    if (kind === "job") jobs.update(body, status !== "");
   });
 }
 
@@ -185,7 +189,7 @@ async function waitingTime(job, place, signal) {
   put(place, `${waiting.ahead + 1} waiting${isKnown ? `; all are solved in about ${rough(waiting.expected_s + waiting.solve_s)}` : ""}.`);
 }
 
-const TRACEBACK = /^Traceback \(most recent call last\):$/m; // of Python: the message above has its cause
+const TRACEBACK = /^Traceback \(most recent call last\):$/m; // of Python: the lines above have its cause
 
 export async function showLog({ id, error: cause }) {
   const text = el("pre", { tabindex: "0" }, "…"), trace = el("pre", { tabindex: "0" }), folded = el("details", { hidden: true }, el("summary", {}, "Where in the program it failed"), trace);
@@ -219,7 +223,7 @@ export function jobFacts(job) {
     ["Attempt", job.attempt ? String(job.attempt) : ""], ["Accepted", time(job.created)], ["Started", job.started ? time(job.started) : ""],
     ["Ended", job.finished ? time(job.finished) : ""], ["Took", job.seconds ? seconds(job.seconds) : ""], ["Row", job.row ? rowLink(job.component, job.row) : ""],
     ["Waits", job.waiting?.reason ? sentence(job.waiting.reason) : ""],
-    ["Notes", job.notes?.length ? el("ul", {}, job.notes.map((one) => el("li", {}, sentence(one)))) : ""],
+    ["Notes", job.notes?.length ? el("ul", {}, job.notes.map((text) => el("li", {}, sentence(text)))) : ""],
     ["Failed", job.error ? failure(job.error) : ""],
   ];
 }
@@ -228,8 +232,9 @@ const KINDS = { snap_through: "buckling or snap-through" };
 export const kindWords = (kind) => KINDS[kind] || kind.replaceAll("_", " ");
 const failure = (error) => note("outside", el("strong", {}, sentence(kindWords(error.kind || "failed"))), failureWords(error));
 
-// Why a solve failed, and what helps, each once: messages often hold both.
+// The cause of a failure and its remedy, each once: many messages have both.
 export function failureWords({ kind, message, remedy }) {
-  const words = kind && message.startsWith(`${kind}: `) ? message.slice(kind.length + 2) : message;
-  return [el("span", {}, sentence(words)), remedy && !words.includes(remedy) ? el("span", {}, `Remedy: ${remedy}`) : null].filter(Boolean);
+  const cause = kind && message.startsWith(`${kind}: `) ? message.slice(kind.length + 2) : message;
+  const isMissing = remedy && !cause.includes(remedy);
+  return [el("span", {}, sentence(cause)), isMissing ? el("span", {}, `Remedy: ${remedy}`) : null].filter(Boolean);
 }
