@@ -1,4 +1,4 @@
-"""The result of one solve, and the check of its inputs."""
+"""`Solution`, the result of one solve, and `checked_wrench`, the check of its inputs."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from wrenchbook.fea.coupling.coupling import PER_INTERFACE, CoupledState
 from wrenchbook.fea.spec.problems import suggest
 
+_MAX_QUOTED = 100  # characters of a wrong input in a message
 Progress = Callable[[float, str], None]
 """Called with the fraction done (0 to 1) and a message, after each step of the work."""
 
@@ -39,9 +40,9 @@ class Solution:
     strain_energy: float  # J, from the stresses; NaN if unknown: a nonlinear deck
     # J: the external work along the load path, of loads, weight, bolts, accelerations and the
     # temperature. Linear: half of that of all loads at their full size. Nonlinear: by quadrature
-    # over the converged load steps, of fourth order. It equals the strain energy (nonlinear with a
-    # temperature but for a part of the thermal strain's size), so that their difference measures
-    # the steps, not the answer. NaN for a nonlinear deck.
+    # over the converged load steps, of fourth order. Its difference from the strain energy measures
+    # the steps, not the answer (nonlinear with a temperature they differ by a part of the thermal
+    # strain's size). NaN for a nonlinear deck.
     work: float
     unknowns: int  # degrees of freedom solved for; 0 where a deck's solver does not print them
     # Wall time of this solve, s; work that a `Solver` shares between solves is not counted again
@@ -81,39 +82,40 @@ def checked_wrench(
     values = _in_order(wrench, names, further) if isinstance(wrench, Mapping) else wrench
     count = PER_INTERFACE * len(names) + len(further)
     try:
-        # numpy alone reads digits in quotes, and drops imaginary parts.
+        # numpy would read digits in quotes, and drop imaginary parts.
         items = np.asarray(values, dtype=object).flat
-        others = str | bytes | complex | np.complexfloating
-        is_real = not any(isinstance(item, others) for item in items)
+        not_real = str | bytes | complex | np.complexfloating
+        is_real = not any(isinstance(item, not_real) for item in items)
         inputs = np.array(values if is_real else [], dtype=float)
     except (TypeError, ValueError, OverflowError):  # words, lists of several lengths, 10**400
         inputs = np.empty(0)
     if inputs.shape == (count,) and np.isfinite(inputs).all():
         return inputs
-    given = str(inputs.tolist() if inputs.size else values)[:100]
+    wrong = str(inputs.tolist() if inputs.size else values)[:_MAX_QUOTED]
     if len(names) == 1 and not further:
-        raise ValueError(f"a wrench must be six finite numbers in N and N·m, not {given}")
-    order = [f"force (N) and moment (N·m){name and ' of ' + name}" for name in names]
-    order += [", ".join(further)] if further else []
-    which = ", then ".join(order)
-    raise ValueError(f"the inputs must be {count} finite numbers: {which}; not {given}")
+        raise ValueError(f"a wrench must be six finite numbers in N and N·m, not {wrong}")
+    parts = [f"force (N) and moment (N·m){name and ' of ' + name}" for name in names]
+    if further:
+        parts.append(", ".join(further))
+    order = ", then ".join(parts)
+    raise ValueError(f"the inputs must be {count} finite numbers: {order}; not {wrong}")
 
 
 def _in_order(
     wrench: Mapping[str, Any], names: Sequence[str], further: Sequence[str]
 ) -> list[object]:
     """Return named inputs in the order of `checked_wrench`, before it checks their types."""
-    every = (*names, *further)
+    known = (*names, *further)
     for name in wrench:
-        if name not in every:
-            known = ", ".join(filter(None, every)) or "six numbers in a list, without a name"
-            raise ValueError(f'"{name}" is no input here; give {known}{suggest(str(name), every)}')
+        if name not in known:
+            wanted = ", ".join(filter(None, known)) or "six numbers in a list, without a name"
+            raise ValueError(f'"{name}" is no input here; give {wanted}{suggest(str(name), known)}')
     values: list[object] = []
     for name in names:
         loads = np.ravel(np.asarray(wrench.get(name, np.zeros(PER_INTERFACE)), dtype=object))
         if loads.size != PER_INTERFACE:
             message = f'"{name}" must be six finite numbers, force (N) and moment (N·m)'
-            raise ValueError(f"{message}, not {str(loads.tolist())[:100]}")
+            raise ValueError(f"{message}, not {str(loads.tolist())[:_MAX_QUOTED]}")
         values += loads.tolist()
     for name in further:
         if name not in wrench:

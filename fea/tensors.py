@@ -1,6 +1,6 @@
-"""Tensors of three dimensions: symmetric ones as six numbers, von Mises stress, rotation vectors.
+"""Tensors in three dimensions: symmetric ones as six numbers, von Mises stress, rotation vectors.
 
-Numpy only: a web process may import it too.
+It imports numpy alone, because a web process uses it too.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import numpy as np
 ROWS, COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
 """Indices of the six numbers of a symmetric 3x3 matrix: xx, yy, zz, xy, xz, yz."""
 
+# Terms of exp: at 2 rad, the largest rotation in Newton's method, 2^26 / 26! is below 1e-18.
 _DERIVATIVE_TERMS = 30
-"""Terms of exp: at 2 rad, the largest rotation in Newton's method, 2^26 / 26! is below 1e-18."""
-_FIRST_TERMS = {1: 1.0, 2: 0.5, 3: 1.0 / 6.0}  # 1 / start!
+_FIRST_TERMS = {1: 1.0, 2: 0.5, 3: 1.0 / 6.0}  # 1 / start! of `_series`
 _SERIES_TERMS = 12  # terms of sin t / t and similar series: the next is below 1/24! = 2e-24
 _SERIES_LIMIT = 1.0  # rad^2, of the squared angle: below it the closed forms cancel
 COMPLEX_STEP = 2.0**-100
@@ -62,7 +62,10 @@ def spin_per_vector(vector: np.ndarray) -> np.ndarray:
 
 
 def spin_slope(vector: np.ndarray, moment: np.ndarray) -> np.ndarray:
-    """Return d(J(r)^T m)/dr for a fixed m, shape (3, 3); exact to roundoff by complex steps."""
+    """Return d(J(r)^T m)/dr for a fixed m, shape (3, 3), by complex steps: exact to roundoff.
+
+    J is that of `spin_per_vector`. The result has the unit of m.
+    """
     columns = []
     for axis in range(3):
         shifted = np.asarray(vector, dtype=complex).copy()

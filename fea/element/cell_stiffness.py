@@ -1,4 +1,4 @@
-"""Common part of the cells of all materials: forces, energies and stresses, total Lagrangian.
+"""Base class of the cells of all materials: forces, energies and stresses, total Lagrangian.
 
 The unknowns of a cell are ordered component first, (ux of all nodes, uy of all nodes, uz of all
 nodes), so that the products are matrix products without reordering. Each kind of material has its
@@ -16,7 +16,7 @@ import numpy as np
 from wrenchbook.fea.element.cell_state import CellState, Which
 from wrenchbook.fea.mesh.mapping import Gradients
 
-_CHUNK = 64  # cells at a time, whose temporaries fit the cache
+_CHUNK = 64  # cells at a time: their temporaries fit the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class CellStiffness(ABC):
     # Shape (cells, points or 1, 3, 3), 1/K: thermal strain per kelvin; None if no temperature is an
     # input.
     expansion: np.ndarray | None = field(default=None, kw_only=True)
-    # The same shape: the thermal strain; None without. Neo-Hookean cells have none
+    # The same shape: the thermal strain; None if there is none, and in Neo-Hookean cells.
     thermal: np.ndarray | None = field(default=None, kw_only=True)
 
     @property
@@ -152,14 +152,11 @@ class CellStiffness(ABC):
         fields: shape (k, cells, 3, nodes), m.
         Result: shape (k, cells, points, 3, 3), Pa.
         """
-        return np.concatenate(
-            [
-                self._small_strain(fields[:, part], part)[1]
-                / self.gradients.weights[part][..., None, None]
-                for part in self.chunks()
-            ],
-            axis=1,
-        )
+        stresses = []
+        for part in self.chunks():
+            _, weighted = self._small_strain(fields[:, part], part)
+            stresses.append(weighted / self.gradients.weights[part][..., None, None])
+        return np.concatenate(stresses, axis=1)
 
     def cauchy_stresses(
         self, displacement: np.ndarray, fields: np.ndarray
@@ -186,7 +183,8 @@ class CellStiffness(ABC):
         H = fields[:, :, None] @ self.gradients.slopes[part].swapaxes(2, 3)
         strain = 0.5 * (H + H.swapaxes(3, 4))
         thermal = self.thermal_strain(part)
-        strain = strain if thermal is None else strain - thermal
+        if thermal is not None:
+            strain = strain - thermal
         return strain, self.state(part, None).weighted_change(strain)
 
     def chunks(self, cells: int | None = None) -> Iterator[slice]:

@@ -1,4 +1,4 @@
-"""Files of a failed solve in its attempt's folder: the history, and the last state as VTU."""
+"""Writers of a failed solve's files: the history as JSON, and the last state as VTU."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ import numpy as np
 from wrenchbook.fea.component import ComponentModel
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.io.read import MESHIO_KINDS
+from wrenchbook.fea.solution import Iteration
 
 HISTORY, LAST_STATE = "history.json", "last_state.vtu"  # files in the attempt's folder
-_COLUMNS = ("load_factor", "iteration", "residual_norm")  # fields of each iteration of the history
-_NAMES = {kind: name for name, kind in MESHIO_KINDS.items()}
+_MESHIO_NAMES = {kind: name for name, kind in MESHIO_KINDS.items()}
 
 
 def keep(folder: Path, failure: SolveFailed, component: ComponentModel) -> None:
@@ -37,15 +37,13 @@ def keep(folder: Path, failure: SolveFailed, component: ComponentModel) -> None:
         "last_load_factor": _finite(factor),
         "critical_load_factor": _finite(failure.load_factor),
         "iterations": [
-            dict(zip(_COLUMNS, map(_finite, step), strict=True)) for step in failure.history
+            {name: _finite(value) for name, value in zip(Iteration._fields, step, strict=True)}
+            for step in failure.history
         ],
     }
 
-    def write_history(path: Path) -> None:
-        text = json.dumps(record, indent=1, allow_nan=False)
-        path.write_text(text + "\n", encoding="utf-8")
-
-    _write(folder / HISTORY, write_history)
+    text = json.dumps(record, indent=1, allow_nan=False) + "\n"
+    _write(folder / HISTORY, lambda path: path.write_text(text, encoding="utf-8"))
     _write(folder / LAST_STATE, lambda path: write_state(path, component, nodes))
 
 
@@ -54,8 +52,8 @@ def _finite(number: float | None) -> float | None:
     return number if number is not None and math.isfinite(number) else None
 
 
-def _write(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a file, or report on standard error why there is none."""
+def _write(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file, or report on standard error why it cannot be written."""
     try:
         write(path)
     except (OSError, ValueError, meshio.WriteError) as error:
@@ -69,24 +67,22 @@ def write_state(path: Path, component: ComponentModel, displacements: np.ndarray
     """Write the undeformed mesh with a displacement at each point.
 
     path: ends in ``.vtu``.
-    component: its mesh, materials, supports and section.
     displacements: shape (n, 3), m, in the mesh's axes. "Warp by vector" shows the part
     displaced.
     Raises OSError if the file cannot be written.
     """
     mesh = component.mesh
     sections = np.concatenate([interface.section.node_ids for interface in component.interfaces])
-    marks = {"supported": component.supported_nodes, "interface": sections}
+    displacements = displacements.copy()
     for bolt in component.bolts:  # the slip belongs to no cell: its point moves with the cut
-        displacements = displacements.copy()
         displacements[bolt.slip] = displacements[bolt.nodes].mean(axis=0)
     point_data: dict[str, Any] = {"displacement": displacements}
-    for name, nodes in marks.items():
-        point_data[name] = np.zeros(len(mesh.points), dtype=np.int8)
+    for name, nodes in (("supported", component.supported_nodes), ("interface", sections)):
+        point_data[name] = np.zeros(len(mesh.points), dtype=np.int8)  # VTU has no booleans
         point_data[name][nodes] = 1
     meshio.Mesh(
         mesh.points,
-        [(_NAMES[block.kind], block.nodes) for block in mesh.blocks],
+        [(_MESHIO_NAMES[block.kind], block.nodes) for block in mesh.blocks],
         point_data=point_data,
         cell_data={"material": list(component.material_of_cells)},
     ).write(path, file_format="vtu")

@@ -1,4 +1,4 @@
-"""The command line: ``wrenchbook``. The commands here are clients of a server."""
+"""The program ``wrenchbook``: all commands by name, and those that query or fill a component."""
 
 from __future__ import annotations
 
@@ -71,13 +71,17 @@ def program(
     """Displacements of deformable components from tables of finite-element results."""
 
 
-for name, table_command in TABLE_COMMANDS.items():
-    app.command(name)(table_command)
+for command_name, table_command in TABLE_COMMANDS.items():
+    app.command(command_name)(table_command)
 for command in (*LOCAL_COMMANDS, *RECORDING_COMMANDS, jobs, audit, joint, stiffness):
     app.command()(command)
-for name, summary in PROGRAMS.items():
-    passed_on = {"ignore_unknown_options": True, "allow_extra_args": True}
-    app.command(name, help=summary, add_help_option=False, context_settings=passed_on)(run_program)
+for program_name, summary in PROGRAMS.items():
+    app.command(
+        program_name,
+        help=summary,
+        add_help_option=False,  # the program parses its own options, --help too
+        context_settings={"ignore_unknown_options": True, "allow_extra_args": True},
+    )(run_program)
 app.add_typer(keys, name="keys")
 
 Six = tuple[float, float, float, float, float, float]
@@ -89,7 +93,7 @@ Moment = Annotated[
         metavar="MX MY MZ",
     ),
 ]
-AtInterface = Annotated[
+InterfaceLoads = Annotated[
     list[str] | None,
     typer.Option(
         "--load",
@@ -97,19 +101,15 @@ AtInterface = Annotated[
         metavar="NAME=FX,FY,FZ[,MX,MY,MZ]",
     ),
 ]
+_COMPARED = (
+    "coverage and fill compare the interpolation error with it, within_tolerance the whole error "
+    "bar; by default the component's"
+)
 ToleranceTranslation = Annotated[
-    float | None,
-    typer.Option(
-        help="tolerance of a translation, m: coverage and fill compare the interpolation error "
-        "with it, within_tolerance the whole error bar; by default the component's"
-    ),
+    float | None, typer.Option(help=f"tolerance of a translation, m: {_COMPARED}")
 ]
 ToleranceRotation = Annotated[
-    float | None,
-    typer.Option(
-        help="tolerance of a rotation, rad: coverage and fill compare the interpolation error "
-        "with it, within_tolerance the whole error bar; by default the component's"
-    ),
+    float | None, typer.Option(help=f"tolerance of a rotation, rad: {_COMPARED}")
 ]
 Former = Annotated[float | None, typer.Option(hidden=True)]  # names of version 0.2
 
@@ -119,7 +119,7 @@ def query(
     name: Name,
     force: Force = None,
     moment: Moment = None,
-    load: AtInterface = None,
+    load: InterfaceLoads = None,
     further: FurtherInput = None,
     on_thin: Annotated[
         str | None,
@@ -179,7 +179,7 @@ def solve(
     name: Name,
     force: Force = None,
     moment: Moment = None,
-    load: AtInterface = None,
+    load: InterfaceLoads = None,
     further: FurtherInput = None,
     wait_s: Annotated[float, typer.Option(help="seconds to wait for the solve")] = 600.0,
     beyond_range: BeyondRange = False,
@@ -211,9 +211,9 @@ def deformed(
     data: Data = None,
 ) -> None:
     """Write the deformed surface under a wrench, for a viewer or a simulator."""
-    form = deformed_format(file)
+    file_format = deformed_format(file)
     with connected(server, data) as client:
-        content = client.deformed_file(name, force or ZERO, moment or ZERO, form)
+        content = client.deformed_file(name, force or ZERO, moment or ZERO, file_format)
     file.write_bytes(content)
     size = len(content)
     show({"file": file, "bytes": size}, as_json, f"{file}: {size} bytes")
@@ -263,12 +263,12 @@ def fill(
         refuse_alone("--moment-range MX MX MY MY MZ MZ", {"--force-range": force_range})
     if force_range is None:
         refuse_alone("--force-range FX FX FY FY FZ FZ", {"--moment-range": moment_range})
-    span = None
+    load_range = None
     if force_range and moment_range:
-        span = {"force": _pairs(force_range), "moment": _pairs(moment_range)}
+        load_range = {"force": _pairs(force_range), "moment": _pairs(moment_range)}
     options = {
         "tolerance": tolerance,
-        "range": span,
+        "range": load_range,
         "outputs": output or None,
         "for_joint": for_joint,
     }
@@ -279,7 +279,7 @@ def fill(
 
 
 def _pairs(ends: Six) -> list[list[float]]:
-    """Return the lowest and the highest value of each load."""
+    """Return [lowest, highest] of each of three loads."""
     return [list(ends[k : k + 2]) for k in (0, 2, 4)]
 
 
@@ -293,9 +293,9 @@ def plan(
     data: Data = None,
 ) -> None:
     """Print the part of each table that a scene needs, and the savings."""
-    read = Scene.read(scene)
+    needs = Scene.read(scene)
     with connected(server, data) as client:
-        plans = read.plan(client)
+        plans = needs.plan(client)
     bodies = {
         name: {key: value for key, value in plan.raw.items() if key != "component"}
         for name, plan in plans.items()
@@ -348,12 +348,11 @@ def main() -> None:
     # As at Ctrl-C, the command cancels its solves and ends its temporary server.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        # The help would otherwise show the path of the program.
-        app(prog_name="wrenchbook")
+        app(prog_name="wrenchbook")  # by default the help has the path of the program
     except ProblemError as error:
-        out = Screen(stderr=True)
         if "--json" in sys.argv:
             print_json({"error": error.body or {"title": error.title, "detail": error.detail}})
+        out = Screen(stderr=True)
         plain(out, error.title, style="red")
         plain(out, _with_options(error.detail))
         for cause in error.causes:
@@ -370,16 +369,16 @@ def main() -> None:
 
 
 def _with_options(text: str) -> str:
-    """Return a message with the option of this call in place of the request's field."""
+    """Return a message with fields of the request replaced by options of this command line."""
 
     def option(match: re.Match[str]) -> str:
-        name = "--" + match[1].replace("_", "-")
+        field, index = match[1], match[2]
+        name = "--" + field.replace("_", "-")
         # The field of a repeatable option is a list with the plural: outputs.0 of --output.
-        names = (name, name.removesuffix("s")) if match[2] else (name,)
-        if match[1] == "time_offset_s":
+        names = (name, name.removesuffix("s")) if index else (name,)
+        if field == "time_offset_s":
             names = ("--lag", "--time-offset")
-        sent = [known for known in names if known in sys.argv]
-        return sent[0] if sent else match[0]
+        return next((known for known in names if known in sys.argv), match[0])
 
     return re.sub(r"(?<![\w.-])([a-z]\w*)(\.\d+)?(?=: )", option, text)
 
@@ -388,11 +387,14 @@ def _tolerance(translation: float | None, rotation: float | None) -> dict[str, f
     """Return a request's tolerance, m and rad, or None for the component's own."""
     if translation is None and rotation is None:
         return None
-    given = {"translation": translation, "rotation": rotation}
-    wrong = {name: size for name, size in given.items() if size is not None and size <= 0}
+    limits = {"translation": translation, "rotation": rotation}
+    wrong = " and ".join(
+        f"--tolerance-{name} {limit:g}"
+        for name, limit in limits.items()
+        if limit is not None and limit <= 0
+    )
     if wrong:
-        sizes = " and ".join(f"--tolerance-{name} {size:g}" for name, size in wrong.items())
-        raise typer.BadParameter(f"a tolerance must be above 0, not {sizes}; give larger numbers")
+        raise typer.BadParameter(f"a tolerance must be above 0, not {wrong}; give larger numbers")
     if translation is None or rotation is None:
         missing = "--tolerance-translation M" if translation is None else "--tolerance-rotation RAD"
         raise typer.BadParameter(f"a tolerance needs translation and rotation; add {missing}")
@@ -402,7 +404,7 @@ def _tolerance(translation: float | None, rotation: float | None) -> dict[str, f
 def _tolerance_of(
     client: Client, answer: Displacement, requested: dict[str, float] | None
 ) -> dict[str, float] | None:
-    """Return the tolerance that an answer exceeds, m and rad: the request's or component's."""
+    """Return the tolerance of an answer that exceeds one: the request's, or the component's."""
     if requested or answer.within_tolerance is not False:
         return requested
     return client.component(answer.component)["tolerance"]
@@ -411,7 +413,7 @@ def _tolerance_of(
 def _loads(
     force: Three | None, moment: Three | None, load: list[str] | None, further: list[str] | None
 ) -> dict[str, Any]:
-    """Return the loads of a call: zero if none is given for a component with one interface."""
+    """Return the loads of a query by argument; without any the force is zero."""
     if load is None and further is None and force is None:
         force = ZERO
     loads: dict[str, list[float]] = {}

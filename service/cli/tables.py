@@ -1,4 +1,4 @@
-"""Commands that import and export tables."""
+"""Commands of tables and their rows: ``import``, ``export``, ``withdraw``, ``compare``, ``rig``."""
 
 from __future__ import annotations
 
@@ -32,6 +32,8 @@ COMPILED = (".fmu", ".zip")  # made by this command from a packed table, not by 
 WAIT_S = 10.0  # s, the server's default
 MAX_ROWS_SHOWN = 10  # rows of a finding: a line of a terminal
 _RIG_METHODS = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}
+_UNNAMED_RIG = re.compile("[0-9a-f]{8}")  # the server's name for a rig that has none: its digest
+_IDENTITY = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]  # the frame of a rig with the interface's axes
 _NOT_LOADED = {  # texts by the state of an import's rows
     "refused": "have mistakes",
     "tare": "are the tare",
@@ -196,14 +198,15 @@ def _mapping(columns: Sequence[str], units: Sequence[str]) -> dict[str, str]:
                 "leave one out"
             )
         mapping[label] = meaning.strip()
-    bare = [label for label, meaning in mapping.items() if "[" not in meaning]
-    if units and len(units) != len(bare):
+    without_unit = [label for label, meaning in mapping.items() if "[" not in meaning]
+    if units and len(units) != len(without_unit):
         raise typer.BadParameter(
-            f"--unit is there {len(units)} times for {len(bare)} --column without brackets; write "
-            "each as --column 'COLUMN=fz [kN]'"
+            f"--unit is there {len(units)} times for {len(without_unit)} --column without "
+            "brackets; write each as --column 'COLUMN=fz [kN]'"
         )
-    pairs = zip(bare, units, strict=False)
-    return mapping | {label: f"{mapping[label]} [{unit.strip('[]')}]" for label, unit in pairs}
+    for label, unit in zip(without_unit, units, strict=False):  # without --unit there is none
+        mapping[label] += f" [{unit.strip('[]')}]"
+    return mapping
 
 
 def export_table(
@@ -253,16 +256,23 @@ def export_table(
     ending = file.suffix.lower()
     if ending != ".fmu":
         refuse_alone("a file that ends in .fmu", {"--method": method, "--platforms": platforms})
-    format_ = "csv"
-    if not to_stdout:
-        format_ = table_format(file, dict.fromkeys(COMPILED, "packed"))
+    format_ = "csv" if to_stdout else table_format(file, dict.fromkeys(COMPILED, "packed"))
     units = {"force": force, "moment": moment, "translation": translation, "rotation": rotation}
     units = {quantity: unit for quantity, unit in units.items() if unit is not None}
-    curves = {}
+    further = {}
     if bushing:
-        _check_bushing(file, format_, units, table_version)
+        if format_ != "csv":
+            raise typer.BadParameter(
+                f"--bushing writes CSV, but {file} has another ending; name a file that ends in "
+                ".csv"
+            )
+        if units or table_version is not None:
+            options = ", ".join(f"--{option}" for option in units) or "--table-version"
+            raise typer.BadParameter(
+                f"--bushing writes the newest table in SI; leave {options} out"
+            )
         format_ = "bushing"
-        curves = {"others": bushing}
+        further = {"others": bushing}
     if to_stdout and as_json:
         raise typer.BadParameter(
             "--json describes a written file, but - writes none; leave --json out"
@@ -274,7 +284,7 @@ def export_table(
         targets = platforms_of(platforms)
 
     with connected(server, data) as client:
-        content = client.export_table(name, format_, units, table_version, **curves)
+        content = client.export_table(name, format_, units, table_version, **further)
     if to_stdout:
         sys.stdout.write(content)
         return
@@ -286,21 +296,10 @@ def export_table(
     show({"file": file, "bytes": len(content), "message": message}, as_json, message)
 
 
-def _check_bushing(file: Path, format_: str, units: dict[str, str], version: int | None) -> None:
-    """Refuse --bushing with another format than CSV, other units than SI, or an earlier version."""
-    if format_ != "csv":
-        raise typer.BadParameter(
-            f"--bushing writes CSV, but {file} has another ending; name a file that ends in .csv"
-        )
-    if units or version is not None:
-        options = ", ".join(f"--{option}" for option in units) or "--table-version"
-        raise typer.BadParameter(f"--bushing writes the newest table in SI; leave {options} out")
-
-
 def _compiled(
     file: Path, name: str, table: bytes, method: str | None, platforms: tuple[str, ...]
 ) -> tuple[bytes, str]:
-    """Return the FMU or C library of a packed table and a message; the server compiles nothing."""
+    """Return the FMU or C library of a packed table, and a message on it."""
     # Imported on use: no other command needs the compiler.
     from wrenchbook.service.fmu.export import make_fmu, make_library
     from wrenchbook.surrogate.kernel.binding import PackedTable
@@ -334,22 +333,21 @@ def withdraw(
     data: Data = None,
 ) -> None:
     """Withdraw an import's rows, or those a finding names. Without IMPORT: list the findings."""
-    with connected(server, data) as client:
-        if number is None:
-            warnings = client.component(name)["warnings"]
-            findings = [warning for warning in warnings if "import" in warning]
-            reply: dict[str, Any] = {"findings": findings}
-        else:
+    if number is not None:
+        with connected(server, data) as client:
             reply = client.withdraw_import(name, number, finding, restore=restore)
+        show(reply, as_json, f"{counted(reply['rows'], 'row')} {reply['status']}.")
+        return
+    with connected(server, data) as client:
+        warnings = client.component(name)["warnings"]
+    findings = [warning for warning in warnings if "import" in warning]
     if as_json:
-        print_json(reply)
-    elif number is not None:
-        plain(Screen(), f"{counted(reply['rows'], 'row')} {reply['status']}.")
-    else:
-        for warning in reply["findings"]:
-            _print_finding(name, warning, warning["import"])
-        if not reply["findings"]:
-            plain(Screen(), "No findings.")
+        print_json({"findings": findings})
+        return
+    for warning in findings:
+        _print_finding(name, warning, warning["import"])
+    if not findings:
+        plain(Screen(), "No findings.")
 
 
 def compare(
@@ -431,45 +429,47 @@ def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> No
 
 def _print_import(name: str, reply: dict[str, Any]) -> None:
     """Print the mistakes, rows and findings of an import."""
+    out = Screen()
     for line in _import_lines(reply):
-        plain(Screen(), line)
+        plain(out, line)
     for finding in reply["findings"]:
         _print_finding(name, finding, reply["import"])
         if finding["rows"]:
             shown = ", ".join(map(str, finding["rows"][:MAX_ROWS_SHOWN]))
             more = " and others" if finding["count"] > MAX_ROWS_SHOWN else ""
-            plain(Screen(), f"  rows {shown}{more} of the file")
+            plain(out, f"  rows {shown}{more} of the file")
 
     if (clock := reply["clock"]) and clock["lag_s"] is not None:
         lag = f"{clock['lag_s']:.4g} +- {clock['uncertainty_s']:.1g}"
         applied = f"{clock['applied_s']:.4g} s is applied"
-        plain(Screen(), f"Lag of the displacements: {lag} s; {applied}.")
+        plain(out, f"Lag of the displacements: {lag} s; {applied}.")
 
     rows = reply["rows"]
-    parts = [f"{rows[state]} {text}" for state, text in _NOT_LOADED.items() if rows.get(state)]
-    if parts:
-        plain(Screen(), f"Of {counted(rows['read'], 'row')} read {', '.join(parts)}.")
+    omitted = [f"{rows[state]} {text}" for state, text in _NOT_LOADED.items() if rows.get(state)]
+    if omitted:
+        plain(out, f"Of {counted(rows['read'], 'row')} read {', '.join(omitted)}.")
     if not (reply["dry_run"] or reply["errors"] or reply["in_use"]):
-        text = f"it answers from {counted(reply['inserted'], 'new row')} soon."
-        plain(Screen(), f"The server still builds its table; {text}")
+        new = counted(reply["inserted"], "new row")
+        plain(out, f"The server still builds its table; it answers from {new} soon.")
 
 
 def _import_lines(reply: dict[str, Any]) -> list[str]:
     """Return the lines of an import's mistakes, omitted columns, sheets, rows and rig."""
     lines = [mistake_line(cause) for cause in reply["causes"]]
-    above = "; ".join(reply["above"])
-    omitted = {"Columns": ", ".join(reply["ignored"]), "Lines above the header": above}
-    lines += [f"{subject} left out: {names}." for subject, names in omitted.items() if names]
+    if reply["ignored"]:
+        lines.append(f"Columns left out: {', '.join(reply['ignored'])}.")
+    if reply["above"]:
+        lines.append(f"Lines above the header left out: {'; '.join(reply['above'])}.")
     if len(sheets := reply["sheets"]) > 1:
         lines.append(f"Sheet {reply['sheet']} was read, of {', '.join(sheets)}.")
     verb = "would be inserted" if reply["dry_run"] else "inserted"
     existing = reply["existing"]
-    there = f"{existing} {'was' if existing == 1 else 'were'} there already"
-    lines.append(f"{counted(reply['inserted'], 'row')} {verb}, {there}.")
+    were = "was" if existing == 1 else "were"
+    lines.append(f"{counted(reply['inserted'], 'row')} {verb}, {existing} {were} there already.")
     if beyond := reply.get("beyond_range"):
         are = "is" if beyond == 1 else "are"
         lines.append(f"{counted(beyond, 'row')} {are} outside the load range.")
-    if reply["existing"]:
+    if existing:
         lines.append(
             "Equal rows count once, within the file too; slopes and second derivatives of this "
             f"file are not added to them. Withdrawn rows that count again: {reply['restored']}."
@@ -481,18 +481,15 @@ def _import_lines(reply: dict[str, Any]) -> list[str]:
 
 def rig_line(rig: dict[str, Any]) -> str:
     """Return the line of an import's rig: its axes and points, or those of the options alone."""
-    cell = rig.get("load_cell")
-    # The server names a rig without a name by eight digits of its digest.
-    named = "" if re.fullmatch("[0-9a-f]{8}", rig["name"]) else f" from rig {rig['name']}"
-    if cell and not named and rig["frame"] == [[1, 0, 0], [0, 1, 0], [0, 0, 1]]:
-        point = "moving interface point" if cell == "moving" else "undeformed interface point"
-        return f"Moments were taken about the {point} (--load-cell {cell})."
+    load_cell = rig.get("load_cell")
+    is_named = not _UNNAMED_RIG.fullmatch(rig["name"])
+    if load_cell and not is_named and rig["frame"] == _IDENTITY:
+        point = "moving" if load_cell == "moving" else "undeformed"
+        return f"Moments were taken about the {point} interface point (--load-cell {load_cell})."
+    source = f" from rig {rig['name']}" if is_named else ""
     axes = "left-handed" if rig["left_handed"] else "right-handed"
-    return (
-        f"Readings were taken to the interface{named}, {axes}"
-        + (f", load cell {cell}" if cell else "")
-        + "."
-    )
+    at = f", load cell {load_cell}" if load_cell else ""
+    return f"Readings were taken to the interface{source}, {axes}{at}."
 
 
 TABLE_COMMANDS = {

@@ -6,15 +6,15 @@ function draws into `axes`, or into a new figure's, and returns them.
 Parameters
 ----------
 source : Table or Client
-    What answers; a client needs `component`, and queues nothing.
+    The table or client that answers; a client needs `component`, and queues nothing.
 load, first, second : str
     Loads, of ``fx fy fz mx my mz``.
 wrench : array_like, optional
     The other loads, shape (6,), N and N·m; zero if not given.
 method : str, optional
-    The method that answers; the table's own if not given.
+    The interpolation method; the table's own if not given.
 axes : matplotlib.axes.Axes, optional
-    Where to draw.
+    The axes to draw into; a new figure's if not given.
 
 Raises
 ------
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 Axes: TypeAlias = Any  # an Axes of matplotlib, which need not be installed
 COLOURS = ("#4c9f70", "#f0c05a", "#c9594c")  # colours of COVERAGE: green, yellow, red
-DRAWN_SIZE = 0.1  # largest drawn displacement over the part's size, if no scale is given
+DRAWN_SIZE = 0.1  # largest drawn displacement over the part's size: visible, and no self-overlap
 _OTHER_INPUTS = (
     "{} has several interfaces or further inputs, and plots are of the six loads of one interface; "
     "draw the answers of Client.displacements or Table.batch, whose wrenches have all inputs"
@@ -88,7 +88,7 @@ def response(
     if not covered.all():
         axes.plot(loads, value, "C0--", label="not covered")
     if covered.any():
-        # A marker shows a covered wrench between two others, where no line is drawn.
+        # No line is drawn to a covered wrench between two others; its marker is.
         shown = np.where(covered, value, np.nan)
         axes.plot(loads, shown, "C0-", marker=".", markersize=4, label="covered")
     axes.set(xlabel=WRENCH_COLUMNS[along], ylabel=DISPLACEMENT_COLUMNS[out])
@@ -122,9 +122,10 @@ def coverage(
     if across == up:
         raise InvalidArgument(f"coverage needs two different loads, but both are {first!r}")
     low, high = _load_range(source, component)
-    x, y = (np.linspace(low[k], high[k], count) for k in (across, up))
-    grid = [part.ravel() for part in np.meshgrid(x, y)]
-    answers = _answers(source, component, wrench, method, {across: grid[0], up: grid[1]})
+    x = np.linspace(low[across], high[across], count)
+    y = np.linspace(low[up], high[up], count)
+    all_x, all_y = (loads.ravel() for loads in np.meshgrid(x, y))
+    answers = _answers(source, component, wrench, method, {across: all_x, up: all_y})
     codes = (answers.coverage[:, None] == np.array(COVERAGE)).argmax(axis=1)
     pyplot = _pyplot()
     axes = pyplot.figure().add_subplot() if axes is None else axes
@@ -132,7 +133,7 @@ def coverage(
     ends = {"vmin": -0.5, "vmax": len(COVERAGE) - 0.5}
     shown = axes.pcolormesh(x, y, codes.reshape(count, count), cmap=colours, **ends)
     bar = axes.figure.colorbar(shown, ax=axes, ticks=range(len(COVERAGE)))
-    bar.set_ticklabels([f"{word} {np.mean(codes == k):.0%}" for k, word in enumerate(COVERAGE)])
+    bar.set_ticklabels([f"{name} {np.mean(codes == k):.0%}" for k, name in enumerate(COVERAGE)])
     axes.set(xlabel=WRENCH_COLUMNS[across], ylabel=WRENCH_COLUMNS[up])
     axes.set_title(f"{answers.component}, table version {answers.table_version}")
     return axes
@@ -144,12 +145,12 @@ def deformed(shape: DeformedShape, *, scale: float | None = None, axes: Axes = N
     Parameters
     ----------
     shape : DeformedShape
-        What `Client.deformed` returned.
+        The result of `Client.deformed`.
     scale : float, optional
         Exaggeration of the displacement, dimensionless; by default the largest displacement is
         drawn as a tenth of the part.
     axes : mpl_toolkits.mplot3d.axes3d.Axes3D, optional
-        Where to draw: axes with ``projection="3d"``.
+        Axes with ``projection="3d"`` to draw into; a new figure's if not given.
 
     Returns
     -------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -30,8 +30,7 @@ from wrenchbook.surrogate.kriging import Hyperparameters, SingularCovarianceErro
 from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.rows import NEAR, Rows, why_beyond
 
-# Rows of one interpolation: with their slopes as accurate as all rows; its factorisation takes 0.02
-# s.
+# Rows of an interpolation: by their slopes as accurate as all rows, with a factorisation of 20 ms.
 MAX_ROWS = 60
 BLEND_BYTES = 128 << 20  # memory of one component's interpolation; larger surfaces use fewer rows
 MIN_ROWS = 8  # rows of an interpolation, for any size of their fields
@@ -39,33 +38,43 @@ MAX_BLENDS = 2  # components whose interpolation is in memory at once
 THREADS = 2  # surfaces computed at once: each may use a processor
 # Half ranges beyond an end of the load range: farther away rows do not determine a surface.
 FARTHEST = 2.0
-# Part of the largest displacement of any row: the allowed error bar of a vertex without a
-# tolerance.
+# Largest error bar of a vertex without a tolerance: part of the largest displacement of any row.
 WITHOUT_TOLERANCE = 0.01
+MAX_LISTED = 10  # rows in a message: more would hide its remedy
 _FLOAT_BYTES = 8
 
 
 class NoFieldsError(Exception):
-    """No row gives a deformed surface: none has fields, or the stored fields are `unusable`."""
+    """No row gives a deformed surface: none has fields, or the stored fields are `unusable`.
+
+    `rows`: the numbers of the rows whose files are damaged.
+    """
 
     def __init__(
         self, component: Component, why: str, *, unusable: bool = False, rows: Sequence[int] = ()
     ) -> None:
         name = component.name
         solve = f"Solve wrenches that have no row: POST /v1/components/{name}/solve"
-        if rows:  # rows whose files are damaged
-            numbers = ", ".join(map(str, rows[:10])) + (", ..." if len(rows) > 10 else "")
-            text = f"no stored surface of {name!r} can be used: {why} (row{'s' * (len(rows) > 1)} "
-            text += f"{numbers}). To make one again: DELETE /v1/components/{name}/table/{rows[0]}, "
-            text += f"then POST /v1/components/{name}/solve with that row's wrench"
+        if rows:
+            more = ", ..." if len(rows) > MAX_LISTED else ""
+            numbers = ", ".join(map(str, rows[:MAX_LISTED])) + more
+            text = (
+                f"no stored surface of {name!r} can be used: {why} (row{'s' * (len(rows) > 1)} "
+                f"{numbers}). To make one again: DELETE /v1/components/{name}/table/{rows[0]}, "
+                f"then POST /v1/components/{name}/solve with that row's wrench"
+            )
         elif unusable:
             text = f"the stored surfaces of {name!r} cannot be used: {why}. {solve}"
         elif component.has_fea:
-            text = f"{name!r} has no deformed surface yet: {why}. {solve} or .../fill. For the "
-            text += f"surface of a row, DELETE /v1/components/{name}/table/ROW first"
+            text = (
+                f"{name!r} has no deformed surface yet: {why}. {solve} or .../fill. For the "
+                f"surface of a row, DELETE /v1/components/{name}/table/ROW first"
+            )
         else:
-            text = f"{name!r} is a table without a finite-element setup, so it has no surface. Add "
-            text += "the component as a bundle with a mesh"
+            text = (
+                f"{name!r} is a table without a finite-element setup, so it has no surface. Add "
+                "the component as a bundle with a mesh"
+            )
         super().__init__(text)
 
 
@@ -81,6 +90,7 @@ class DeformedSurfaces:
 
     def __init__(self, store: FieldStore) -> None:
         self._store = store
+        # By component, with the key of its rows and hyperparameters; the last used is last.
         self._blends: OrderedDict[str, tuple[Any, Blend]] = OrderedDict()
         self._lock = threading.Lock()
         self.threads = ThreadPoolExecutor(THREADS, thread_name_prefix="deformed")
@@ -109,23 +119,23 @@ class DeformedSurfaces:
         `FARTHEST` half ranges beyond the load range.
         """
         acting = component.acting(np.asarray(wrench, dtype=float))
-        loads = component.load_range
-        room = FARTHEST * loads.scale
-        beyond = why_beyond(loads, acting)
-        low = np.minimum(loads.low, 0.0) - room
-        high = np.maximum(loads.high, 0.0) + room
-        too_far = (acting < low) | (acting > high)
-        if too_far.any():
-            load = int(too_far.argmax())
+        load_range = component.load_range
+        margin = FARTHEST * load_range.scale
+        beyond = why_beyond(load_range, acting)
+        low = np.minimum(load_range.low, 0.0) - margin
+        high = np.maximum(load_range.high, 0.0) + margin
+        is_too_far = (acting < low) | (acting > high)
+        if is_too_far.any():
+            load = int(is_too_far.argmax())
             ends = f"{component.space.input_names[load]} {low[load]:.6g} to {high[load]:.6g}"
             raise TooFarError(f"{beyond}, too far away for a surface; give a load within {ends}")
 
         if component.linear:
             shape = self._linear(component, rows, acting)
         else:
-            shape = self._solved(component, rows, acting) or self._between(
-                component, rows, acting, hyperparameters
-            )
+            shape = self._of_solve(component, rows, acting)
+            if shape is None:
+                shape = self._interpolated(component, rows, acting, hyperparameters)
         if shape.error is not None:  # the coverage stays that of the table
             wrench = np.array(shape.wrench)
             parts = error_parts(shape.error, shape.follows, solver, wrench, at_interface)
@@ -140,7 +150,7 @@ class DeformedSurfaces:
         return shape
 
     def _linear(self, component: Component, rows: Rows, wrench: Floats) -> Deformed:
-        """Return the surface of a linear component: its unit fields times the wrench (6,)."""
+        """Return the surface of a linear component: its fields of unit loads times the wrench."""
         try:
             row = self._store.linear(component.name, component.fingerprint)
             if row is None:
@@ -149,7 +159,7 @@ class DeformedSurfaces:
         except DamagedFieldsError as error:
             raise NoFieldsError(component, str(error), unusable=True) from error
         moved, stresses = row.displacement_slopes @ wrench, row.stress_slopes @ wrench
-        if row.meta.get("weight"):
+        if row.meta.get("weight"):  # displaced at zero load too
             solved = np.array(row.meta["wrench"])
             moved += row.displacement - row.displacement_slopes @ solved
             if len(stresses):
@@ -171,70 +181,79 @@ class DeformedSurfaces:
             follows=vertex_modes(row.displacement_slopes, compliance),
         )
 
-    def _solved(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
-        """Return the surface of this wrench's own solve; None without a solve that has fields."""
-        apart = np.abs(rows.wrench - wrench) / component.load_range.scale
-        near = apart.max(axis=1, initial=0.0) <= NEAR
-        for place in np.flatnonzero(near & (rows.fingerprint == component.fingerprint)).tolist():
-            for row in self._readable(component, rows.wrench[place : place + 1]):
-                try:
-                    geometry = self._geometry(component, row)
-                except DamagedFieldsError:
-                    return None
+    def _of_solve(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
+        """Return the surface of a solve at this wrench; None without a solve that has fields."""
+        distance = np.abs(rows.wrench - wrench) / component.load_range.scale
+        is_near = distance.max(axis=1, initial=0.0) <= NEAR
+        is_current = rows.fingerprint == component.fingerprint
+        for index in np.flatnonzero(is_near & is_current).tolist():
+            row = self._read_row(component, rows.wrench[index])
+            if row is None:
+                continue
+            try:
+                geometry = self._geometry(component, row)
+            except DamagedFieldsError:
+                return None
 
-                # The row's fields, extrapolated by their slopes from its wrench to this one.
-                step = wrench - np.array(row.meta["wrench"])
-                moved = row.displacement_slopes @ step
-                stress = stress_of_row(component, row)
-                if step.any() and len(row.stress):
-                    change = row.stress_slopes @ step
-                    error = float(von_mises(change).max())
-                    stress = largest_stress(component, geometry, row.stress + change, error)
-                displacement = row.displacement + moved
-                return Deformed(
-                    component=component.name,
-                    wrench=tuple(wrench.tolist()),
-                    geometry=geometry,
-                    displacement=displacement,
-                    error=rounding(displacement) + np.linalg.norm(moved, axis=1),
-                    stress=stress,
-                    source="row",
-                    rows=(int(rows.seq[place]),),
-                    follows=vertex_modes(row.displacement_slopes, rows.compliance[place]),
-                )
+            # The row's fields, extrapolated by their slopes from its wrench to this one.
+            step = wrench - np.array(row.meta["wrench"])
+            moved = row.displacement_slopes @ step
+            stress = stress_of_row(component, row)
+            if step.any() and len(row.stress):
+                change = row.stress_slopes @ step
+                error = float(von_mises(change).max())
+                stress = largest_stress(component, geometry, row.stress + change, error)
+            displacement = row.displacement + moved
+            return Deformed(
+                component=component.name,
+                wrench=tuple(wrench.tolist()),
+                geometry=geometry,
+                displacement=displacement,
+                error=rounding(displacement) + np.linalg.norm(moved, axis=1),
+                stress=stress,
+                source="row",
+                rows=(int(rows.seq[index]),),
+                follows=vertex_modes(row.displacement_slopes, rows.compliance[index]),
+            )
         return None
 
-    def _between(
+    def _interpolated(
         self,
         component: Component,
         rows: Rows,
         wrench: Floats,
         hyperparameters: Hyperparameters | None,
     ) -> Deformed:
-        """Return the interpolation of the rows that have fields, one for each wrench in range."""
+        """Return the surface between the rows in range that have fields, one for each wrench."""
         if not len(rows):
             raise NoFieldsError(component, "its table has no rows")
-        inside = component.load_range.holds(rows.wrench)
-        solved = np.flatnonzero((rows.fingerprint == component.fingerprint) & inside)
+        is_inside = component.load_range.holds(rows.wrench)
+        solved = np.flatnonzero((rows.fingerprint == component.fingerprint) & is_inside)
         wrenches = rows.wrench[solved]
-        having = self._store.has(component.name, component.fingerprint, wrenches.tolist())
-        if not having:
+        with_fields = self._store.has(component.name, component.fingerprint, wrenches.tolist())
+        if not with_fields:
             raise NoFieldsError(
                 component,
                 f"no row has fields (rows: {len(rows)}; solves of its present setup within the "
                 f"load range: {len(solved)})",
             )
-        cells = np.rint(wrenches[having] / (2 * NEAR * component.load_range.scale))
+        cells = np.rint(wrenches[with_fields] / (2 * NEAR * component.load_range.scale))
         _, first = np.unique(cells, axis=0, return_index=True)
-        chosen = solved[having][np.sort(first)]
+        distinct = rows.take(solved[with_fields][np.sort(first)])
 
         with self._lock:  # one at a time: a new interpolation takes a processor and its memory
-            blend = self._blend(component, rows.take(chosen), wrench, hyperparameters)
+            blend = self._blend(component, distinct, wrench, hyperparameters)
         fields = blend.at(wrench)
         error = fields.error
         if error is not None:
             error = np.maximum(error, rounding(fields.displacement))
-        reason = _inaccuracy(component, blend, error)
+        limit = component.tolerance
+        allowed = limit.translation if limit else WITHOUT_TOLERANCE * blend.largest
+        reason = ""
+        if error is None:
+            reason = f"too few surfaces for an error bar ({len(blend.rows)}); solve more"
+        elif (worst := float(error.max(initial=0.0))) > allowed:
+            reason = f"a point may be wrong by {worst:.3g} m, over {allowed:.3g} m; solve more"
 
         stress = None
         if fields.stress is not None:
@@ -261,8 +280,9 @@ class DeformedSurfaces:
         wrench: Floats,
         hyperparameters: Hyperparameters | None,
     ) -> Blend:
-        """Return the interpolation of the rows nearest to a wrench, cached if they are the same."""
-        first = next(self._readable(component, rows.wrench), None)
+        """Return the interpolation of the rows nearest to a wrench, from the cache if it has it."""
+        readable = (self._read_row(component, row_wrench) for row_wrench in rows.wrench)
+        first = next((row for row in readable if row is not None), None)
         if first is None:
             raise NoFieldsError(component, "all are damaged", rows=rows.seq.tolist())
         row_bytes = ARRAYS * _FLOAT_BYTES * (first.displacement.size + first.stress.size)
@@ -277,46 +297,36 @@ class DeformedSurfaces:
             return cached[1]
         self._blends.pop(component.name, None)  # freed before the next takes as much memory
 
-        read: list[tuple[int, RowFields]] = []
-        for place, row_wrench in enumerate(near.wrench):
-            read += [(place, row) for row in self._readable(component, row_wrench[None])]
+        read: dict[int, RowFields] = {}
+        for index, row_wrench in enumerate(near.wrench):
+            row = self._read_row(component, row_wrench)
+            if row is not None:
+                read[index] = row
         if not read:
             why = "those nearest to this wrench are damaged"
             raise NoFieldsError(component, why, rows=near.seq.tolist())
-        digest = read[-1][1].meta["geometry"]  # another version of a mesher makes another mesh
-        same_mesh = [(place, row) for place, row in read if row.meta["geometry"] == digest]
-        used = near.take([place for place, _ in same_mesh])
+        # Another version of a mesher makes another mesh; all rows must have that of the last.
+        mesh = read[max(read)].meta["geometry"]
+        same_mesh = {index: row for index, row in read.items() if row.meta["geometry"] == mesh}
+        used, fields = near.take([*same_mesh]), [*same_mesh.values()]
 
         try:
-            geometry = self._geometry(component, same_mesh[0][1])
+            geometry = self._geometry(component, fields[0])
             weights = FieldWeights.of(used.wrench, component.load_range, hyperparameters)
         except (DamagedFieldsError, SingularCovarianceError) as error:
             raise NoFieldsError(component, str(error), unusable=True) from error
-        blend = Blend.of(geometry, weights, [row for _, row in same_mesh], tuple(used.seq.tolist()))
+        blend = Blend.of(geometry, weights, fields, tuple(used.seq.tolist()))
         self._blends[component.name] = key, blend
         while len(self._blends) > MAX_BLENDS:
             self._blends.popitem(last=False)
         return blend
 
-    def _readable(self, component: Component, wrenches: Floats) -> Iterator[RowFields]:
-        """Yield the fields of the rows of wrenches (n, 6) whose files can be read."""
-        for wrench in wrenches.tolist():
-            try:
-                yield self._store.row(component.name, component.fingerprint, wrench)
-            except DamagedFieldsError:
-                continue
+    def _read_row(self, component: Component, wrench: Floats) -> RowFields | None:
+        """Return the fields of the row at a wrench (6,); None if its file cannot be read."""
+        try:
+            return self._store.row(component.name, component.fingerprint, wrench.tolist())
+        except DamagedFieldsError:
+            return None
 
     def _geometry(self, component: Component, row: RowFields) -> SurfaceGeometry:
         return self._store.geometry(component.name, component.fingerprint, row.meta["geometry"])
-
-
-def _inaccuracy(component: Component, blend: Blend, error: Floats | None) -> str:
-    """Return why an interpolation with errors (n,), m, is too inaccurate; empty if it is not."""
-    if error is None:
-        return f"too few surfaces for an error bar ({len(blend.rows)}); solve more"
-    limit = component.tolerance
-    allowed = limit.translation if limit else WITHOUT_TOLERANCE * blend.largest
-    worst = float(error.max(initial=0.0))
-    if worst > allowed:
-        return f"a point may be wrong by {worst:.3g} m, over {allowed:.3g} m; solve more"
-    return ""

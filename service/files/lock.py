@@ -1,4 +1,4 @@
-"""Locks that the kernel releases when their holder ends, for any reason.
+"""File locks that the kernel releases when their holder ends, for any reason.
 
 A lock belongs to an open file, not to a pid: it passes to a child that inherits the file and is
 gone with the last holder, so that a reused pid is never taken for the holder.
@@ -9,12 +9,13 @@ import os
 import time
 from pathlib import Path
 
-_PATIENCE_SECONDS = 0.5  # for which `take` waits for the short shared lock of `is_locked`
+_PATIENCE_SECONDS = 0.5  # for which `take` waits, as `is_locked` has a shared lock for a moment
+_RETRY_SECONDS = 0.01
 
 
 def take(path: Path, patience_s: float = _PATIENCE_SECONDS) -> int | None:
-    """Lock the file (made if missing) and return its descriptor; None if it is locked."""
-    # Every process that may read a file may lock it, and so block others.
+    """Lock the file, made if missing, and return its descriptor; None if it stays locked."""
+    # No access for other users: a process that may read a file may lock it, and so block others.
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     deadline = time.monotonic() + patience_s
     while True:
@@ -25,11 +26,11 @@ def take(path: Path, patience_s: float = _PATIENCE_SECONDS) -> int | None:
             if time.monotonic() > deadline:
                 os.close(descriptor)
                 return None
-        time.sleep(0.01)
+        time.sleep(_RETRY_SECONDS)
 
 
 def is_locked(path: Path) -> bool:
-    """Return whether a process has the lock; a file that is missing is not locked."""
+    """Return whether a process has the lock; a missing file is not locked."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except (FileNotFoundError, NotADirectoryError):

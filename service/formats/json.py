@@ -1,4 +1,4 @@
-"""JSON tables: ``{"units": "SI", "rows": [{"wrench": [6], "displacement": [6], ...}]}``.
+"""Reader and writer of JSON tables: ``{"rows": [{"wrench": [6], "displacement": [6], ...}]}``.
 
 Rows have the arrays and texts of `Rows` (null where a displacement or an uncertainty is unknown)
 in SI, in the order of ``inputs`` and ``outputs``, else of the component. Such rows may also come as
@@ -36,19 +36,19 @@ MAX_BYTES = 112 * 1024 * 1024  # rows take seven times their text: 450,000 rows 
 
 _SPACE_KEYS = ("inputs", "outputs")
 _TABLE_KEYS = ("units", "contract", "provenance", "rows", "component", "table_version")
-_MAX_UNKNOWN = 10  # keys of a row that are named
+_MAX_UNKNOWN = 10  # unknown keys of a row in its mistakes: more would hide the others
 _REQUIRED = ("wrench", "displacement")
 _ROW_KEYS = (*ARRAYS, *TEXTS, *ORIGIN)
 # One of them makes an object a table; columns of records may have the names of the other keys.
-_TABLE_MARKS = {"rows", "units", "contract", "provenance", *_SPACE_KEYS}
+_TABLE_ONLY_KEYS = {"rows", "units", "contract", "provenance", *_SPACE_KEYS}
 _LIST_OF_OBJECTS = re.compile(r"[ \t\n\r]*\[(?=[ \t\n\r]*\{)")
-_VANISHING = re.compile(r"[eE]-\d{3}|0{290}")  # maybe too small for a float
+_MAYBE_TOO_SMALL = re.compile(r"[eE]-\d{3}|0{290}")  # digits of a number below the least float
 _MISSING = object()  # in place of a value that a text does not have; None is JSON's null
 _BLANKS = re.compile(r"[ \t\n\r]*")
 
 
 class JsonError(ValueError):
-    """The text is no JSON, or no table; the message has the place."""
+    """The text is not JSON, or not a table; the message has the place."""
 
 
 def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
@@ -72,12 +72,12 @@ def read_json(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
 def _read_text(text: str, options: Options, report: ReadReport) -> Iterator[ParsedTable]:
     """Yield the good rows of a table, of rows of arrays, or of records, by the first object."""
     # A float takes a third of the memory of its digits, but hides that 1e-400 is not zero.
-    number = Digits if _VANISHING.search(text) else float
-    listed = _LIST_OF_OBJECTS.match(text)
-    values = _values(text, number, listed.end() if listed else 0)
+    number = Digits if _MAYBE_TOO_SMALL.search(text) else float
+    list_start = _LIST_OF_OBJECTS.match(text)
+    values = _values(text, number, list_start.end() if list_start else 0)
     first = next(values, _MISSING)
     keys = first.keys() if isinstance(first, dict) else set[str]()
-    if not listed and (not keys or keys & _TABLE_MARKS):
+    if not list_start and (not keys or keys & _TABLE_ONLY_KEYS):
         _require_alone(text, first, next(values, _MISSING))
         yield from _read_table(first, options, report)
     elif keys & {*_REQUIRED}:
@@ -163,12 +163,12 @@ def json_text(pieces: Iterable[WritableRows], members: Mapping[str, Any]) -> Ite
     """Yield the text of a JSON table: the `members`, then the rows without unknown values."""
     head = json.dumps({**members, "units": "SI"}, allow_nan=False)
     yield head[:-1] + ', "rows": ['
-    between = ""
+    separator = ""
     for piece in pieces:
         rows = [json.dumps(row, allow_nan=False) for row in _row_dicts(piece)]
         if rows:
-            yield between + ", ".join(rows)
-            between = ", "
+            yield separator + ", ".join(rows)
+            separator = ", "
     yield "]}"
 
 
@@ -190,7 +190,7 @@ def _read_table(table: Any, options: Options, report: ReadReport) -> Iterator[Pa
 
 
 def _piece(rows: list[Any], start: int, columns: Columns, mistakes: Mistakes) -> Piece:
-    """Return the good ones of some rows, the first of which is row `start` + 1 of the file."""
+    """Return the good ones of `rows`, which begin with row `start` + 1 of the file."""
     good: list[int] = []
     cells: list[list[Any]] = []
     number = start
@@ -204,15 +204,13 @@ def _piece(rows: list[Any], start: int, columns: Columns, mistakes: Mistakes) ->
         if mistakes.count > MAX_MISTAKES:
             break
     lines = list(zip(*cells, strict=True))
-    numbers = [_float_column(line) for line in lines[: -len(TEXTS)]]
+    # None becomes NaN; for a column of None alone, as of missing tangents, numpy takes 20 times as
+    # long as for one of NaN.
+    numbers = [
+        np.full(len(line), np.nan) if line.count(None) == len(line) else np.array(line, float)
+        for line in lines[: -len(TEXTS)]
+    ]
     return Piece(good, [*numbers, *lines[-len(TEXTS) :]], number - start)
-
-
-def _float_column(cells: Sequence[float | None]) -> np.ndarray:
-    """Return a column, shape (n,), float64, NaN for None."""
-    if cells.count(None) == len(cells):
-        return np.full(len(cells), np.nan)
-    return np.array(cells, float)
 
 
 def _no_table(columns: Columns) -> str:
@@ -222,7 +220,7 @@ def _no_table(columns: Columns) -> str:
 
 
 def _key_problem(key: str, value: Any, columns: Columns) -> str:
-    """Return the mistake of a member of the table."""
+    """Return the mistake of a member of the table; empty if there is none."""
     if key == "rows":
         return "" if isinstance(value, list) else _no_table(columns)
     if key == "units" and value != "SI":
@@ -289,7 +287,7 @@ def _form(key: str, names: Sequence[str], width: int, values: Any) -> str:
 
 
 def _number_cells(key: str, line: list[Any], problems: list[tuple[str, str]]) -> list[Any]:
-    """Return numbers as floats, None for null where that is allowed; else it is a mistake."""
+    """Return numbers as floats, and None for null; what is not allowed is added to `problems`."""
     cells: list[float | None] = []
     for index, value in enumerate(line):
         problem = ""

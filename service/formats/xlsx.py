@@ -81,13 +81,31 @@ def write_xlsx(
 
     book = Workbook(write_only=True)
     try:
-        _write_book(book, path, pieces, layout, metadata)
+        sheet = book.create_sheet("table")
+        sheet.append([_cell(sheet, label, _TEXT) for label in layout.labels()])
+        count = 0
+        for piece in pieces:
+            numbers = [column.digits(piece) for column in layout.numbers]
+            texts = layout.text_columns(piece)
+            count += len(piece.wrench)
+            if count > MAX_SHEET_ROWS:
+                raise SheetFullError(
+                    f"the table has more than {MAX_SHEET_ROWS:,} rows, the limit of a sheet; "
+                    "export it as CSV, Parquet or HDF5"
+                )
+            types = [_NUMBER] * len(numbers) + [_TEXT] * len(texts)
+            for cells in zip(*numbers, *texts, strict=True):
+                sheet.append([_cell(sheet, *typed) for typed in zip(cells, types, strict=True)])
+        about = book.create_sheet(ABOUT_SHEET)
+        for entry in metadata.items():
+            about.append([_cell(about, text, _TEXT) for text in entry])
+        book.save(path)
     except Exception as error:
         # openpyxl removes the temporary file of a sheet only after a complete save.
-        for sheet in book.worksheets:
-            writer = getattr(sheet, "_writer", None)
+        for written in book.worksheets:
+            writer = getattr(written, "_writer", None)
             if writer is not None:
-                for close in (sheet.close, writer.xf.close):
+                for close in (written.close, writer.xf.close):
                     with suppress(Exception):  # the disk that is full stays full
                         close()
                 writer.cleanup()
@@ -96,34 +114,6 @@ def write_xlsx(
         if number is None:
             raise
         raise OSError(number, os.strerror(number)) from error
-
-
-def _write_book(
-    book: Any,
-    path: Path,
-    pieces: Iterable[WritableRows],
-    layout: Layout,
-    metadata: Mapping[str, str],
-) -> None:
-    sheet = book.create_sheet("table")
-    sheet.append([_cell(sheet, label, _TEXT) for label in layout.labels()])
-    count = 0
-    for piece in pieces:
-        numbers = [column.digits(piece) for column in layout.numbers]
-        texts = layout.text_columns(piece)
-        count += len(piece.wrench)
-        if count > MAX_SHEET_ROWS:
-            raise SheetFullError(
-                f"the table has more than {MAX_SHEET_ROWS:,} rows, the limit of a sheet; export it "
-                "as CSV, Parquet or HDF5"
-            )
-        types = [_NUMBER] * len(numbers) + [_TEXT] * len(texts)
-        for cells in zip(*numbers, *texts, strict=True):
-            sheet.append([_cell(sheet, *typed) for typed in zip(cells, types, strict=True)])
-    about = book.create_sheet(ABOUT_SHEET)
-    for entry in metadata.items():
-        about.append([_cell(about, text, _TEXT) for text in entry])
-    book.save(path)
 
 
 def _cell(sheet: Any, text: str, data_type: str) -> Any:

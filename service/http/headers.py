@@ -1,4 +1,4 @@
-"""Security headers of replies: content policies, framing, and the access of other sites (CORS)."""
+"""Security headers of replies: content policies, framing, and access by other sites (CORS)."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Final
 
 from starlette.types import Message, Send
 
+# Header lines of a reply of the fast path, as text: it is JSON, which no browser shows by itself.
 PLAIN: Final = b"x-content-type-options: nosniff\r\n"
-"""Header fields of a reply of the fast path: JSON that no browser requests by itself."""
 MAIN_CALL: Final = re.compile(r"/v1/components/[^/]+/displacement")
 QUERY: Final = re.compile(MAIN_CALL.pattern + "s?")  # by POST, but it writes nothing by itself
 
@@ -21,7 +21,7 @@ _PAGE: Final = (
     b"img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; worker-src 'self' "
     b"blob:; manifest-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
 )
-# A report contains its own script, and runs as a page of no site: it cannot call the server.
+# A report has inline scripts. The sandbox gives it no origin, so that it cannot call the server.
 _REPORT: Final = (
     b"default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     b"img-src data: blob:; frame-ancestors 'none'; sandbox allow-scripts allow-downloads"
@@ -33,7 +33,7 @@ _ALWAYS: Final[Fields] = (
     (b"cross-origin-opener-policy", b"same-origin"),
 )
 _SAME_ORIGIN: Final[Fields] = ((b"cross-origin-resource-policy", b"same-origin"),)
-_PREFLIGHT: Final[Fields] = (
+_PREFLIGHT: Final[Fields] = (  # for 600 s a browser sends no other preflight
     (b"access-control-allow-methods", b"GET, POST, PUT, DELETE"),
     (
         b"access-control-allow-headers",
@@ -46,7 +46,7 @@ _PREFLIGHT: Final[Fields] = (
 
 async def send_preflight(send: Send, origin: bytes) -> None:
     """Answer the preflight of a page of a listed site (Fetch standard, section 3.2)."""
-    fields = [*_of_listed(origin), *_PREFLIGHT]
+    fields = [*_allow(origin), *_PREFLIGHT]
     await send({"type": "http.response.start", "status": 204, "headers": fields})
     await send({"type": "http.response.body", "body": b""})
 
@@ -57,13 +57,13 @@ def with_security_headers(send: Send, path: str, origin: bytes | None) -> Send:
     `origin` is a listed site, whose pages may read the reply.
     """
     is_main = MAIN_CALL.fullmatch(path) is not None
-    # The main call's reply is the same on both paths.
-    common = _ALWAYS[:1] if is_main and origin is None else _ALWAYS
-    readers = () if is_main else _SAME_ORIGIN
+    common, readers = _ALWAYS, _SAME_ORIGIN
     if origin is not None:
-        readers = _of_listed(origin)
+        readers = _allow(origin)
+    elif is_main:  # the same headers as on the fast path
+        common, readers = _ALWAYS[:1], ()
 
-    async def put(message: Message) -> None:
+    async def send_with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
             fields = list(message.get("headers", ()))
             present = {name.lower(): value for name, value in fields}
@@ -80,11 +80,11 @@ def with_security_headers(send: Send, path: str, origin: bytes | None) -> Send:
             message = {**message, "headers": fields}
         await send(message)
 
-    return put
+    return send_with_headers
 
 
-def _of_listed(origin: bytes) -> Fields:
-    """Return headers that permit a page of a listed site to read the reply."""
+def _allow(origin: bytes) -> Fields:
+    """Return headers that allow pages of a listed site to read the reply."""
     return (
         (b"access-control-allow-origin", origin),
         (b"access-control-expose-headers", b"location, link, etag, retry-after, x-request-id"),

@@ -1,4 +1,4 @@
-"""The engine for an existing Dask cluster, without a shared file system.
+"""The engine that runs attempts on an existing Dask cluster, without a shared file system.
 
 A worker needs this program: a bundle comes as an argument of the task, an attempt is a subprocess
 in the worker's local directory, and its files are the task's result. The scheduler keeps the result
@@ -49,8 +49,9 @@ for _name in ("distributed.client", "distributed.batched"):
 TASKS_A_THREAD = 2
 CLOSE_SECONDS = 5.0  # time for the engine's thread to end, as the scheduler may not answer
 CANCEL_SECONDS = 2.0  # time for the scheduler to be reachable before an attempt counts as cancelled
-CONNECT_SECONDS = 10.0  # time for a connection
-AWAY_SECONDS = (0.2, 5.0)  # pause before the first reconnection, and the longest one
+CONNECT_SECONDS = 10.0  # time for a connection: a third of Dask's own, as it is tried again
+# Pause before the first reconnection, doubled up to the largest: a restart takes a few seconds.
+MIN_PAUSE_SECONDS, MAX_PAUSE_SECONDS = 0.2, 5.0
 # Interval of requests for the list of workers: a new one is used within a second.
 ROSTER_SECONDS = 1.0
 ROSTER_SECONDS_A_WORKER = 0.002  # addition for each worker: a reply has some kB for each
@@ -58,33 +59,33 @@ ANSWER_SECONDS = 10.0  # a scheduler that takes longer counts as unreachable
 # Time for a probe of a worker before it is repeated: the call to a worker that has just registered
 # may be lost, and modules that a slow worker has imported stay imported.
 PROBE_SECONDS = 3.0
-PROBE_AGAIN_SECONDS = 20.0  # interval of probes of an unfit worker, which its user may repair
-WAIT_SECONDS = 0.1  # interval of searches for a worker that fits a waiting attempt
+PROBE_INTERVAL_SECONDS = 20.0  # between probes of an unfit worker, which its user may repair
+WAIT_SECONDS = 0.1  # interval of checks for a connection, and for a worker of a waiting attempt
 # An attempt that killed this number of workers is treated as the cause and fails: KILLED_TIMES
 # times the `distributed.scheduler.allowed-failures` + 1 (4) after which Dask gives a task up.
 KILLED_TIMES = 5
-FAULTS = 10  # exceptions in a worker's part of the engine before the attempt fails
-AGAIN_SECONDS = 1.0  # pause before a retry after an error of this machine or of the connection
-SENT_BUNDLES = 20  # components that workers keep in memory
+MAX_RETRIES = 10  # retries by Dask of a task that raised: a solver's failure raises nothing
+RETRY_SECONDS = 1.0  # pause before a retry after an error of this machine or of the connection
+MAX_SENT_BUNDLES = 20  # components whose files the workers keep in memory
 # Resources a worker may declare: ``--resources "wrenchbook_memory=8e9 wrenchbook_cores=4"``.
 MEMORY, CORES = "wrenchbook_memory", "wrenchbook_cores"
 
 
 @dataclass
 class _Worker:
-    """A worker: its resources (declared, else its own) and the result of `probe`."""
+    """A worker of the cluster, and whether it is fit by its last probe."""
 
     address: str
     threads: int
-    resources: dict[str, float]
-    memory: float
-    cores: float
+    resources: dict[str, float]  # that it declares to Dask
+    memory: float  # bytes, declared or its limit
+    cores: float  # declared, or its threads
     unfit: str | None = "it has not been probed yet"  # why it gets no tasks
-    probed: float = -float("inf")
+    probed: float = -float("inf")  # time of the last probe, s, monotonic
 
     @classmethod
     def of(cls, address: str, entry: dict[str, Any]) -> _Worker:
-        """Return a worker by its entry in the scheduler's list."""
+        """Return a worker from its entry in the scheduler's list."""
         resources, threads = entry["resources"], entry["nthreads"]
         memory = resources.get(MEMORY) or entry["memory_limit"] or float("inf")
         return cls(address, threads, resources, memory, resources.get(CORES) or threads)
@@ -98,14 +99,14 @@ class _Task:
     state: attempts.State = "submitted"
     waits: str | None = None  # why no worker can have it
     worker: str | None = None  # the worker that sent the last event
-    killed: int = 0
+    killed: int = 0  # times that Dask gave it up because its workers died
     run: asyncio.Task[None] | None = None
 
 
 class _SentBundle(NamedTuple):
-    """A component's files on the cluster, as they were on the disk."""
+    """A component's files on the cluster."""
 
-    files: list[tuple[str, int, int]]  # paths, bytes and times of change, ns
+    files: list[tuple[str, int, int]]  # path, bytes and time of change, ns, of each when sent
     digest: str
     content: Future
 
@@ -121,7 +122,7 @@ class DaskEngine(attempts.Listeners):
 
     def __init__(self, scheduler: str) -> None:
         self._scheduler = f"the Dask scheduler at {scheduler}"
-        # Why the scheduler cannot be used; None while it can be.
+        # Why the scheduler cannot be used; None while it is connected.
         self._disconnected: str | None = f"{self._scheduler} has not answered yet"
         self._workers: dict[str, _Worker] = {}
         self._tasks: dict[str, _Task] = {}
@@ -135,9 +136,9 @@ class DaskEngine(attempts.Listeners):
 
     @property
     def slots(self) -> int:
-        """Number of tasks for the threads of fit workers, and of tasks that wait for a worker."""
+        """Number of tasks that the threads of fit workers take, and of those without a worker."""
         waiting = sum(task.waits is not None for task in tuple(self._tasks.values()))
-        return TASKS_A_THREAD * sum(worker.threads for worker in self._fit) + waiting
+        return TASKS_A_THREAD * sum(worker.threads for worker in self._fit_workers) + waiting
 
     @property
     def trouble(self) -> str | None:
@@ -189,14 +190,15 @@ class DaskEngine(attempts.Listeners):
         self._call_soon(run)
 
     @property
-    def _fit(self) -> list[_Worker]:
-        workers = tuple(self._workers.values())
-        return [] if self._disconnected else [worker for worker in workers if worker.unfit is None]
+    def _fit_workers(self) -> list[_Worker]:
+        if self._disconnected:
+            return []
+        return [worker for worker in tuple(self._workers.values()) if worker.unfit is None]
 
     @property
     def _unreachable(self) -> str | None:
         """Why no task can be submitted at present; None if one can."""
-        if self._disconnected or self._fit:
+        if self._disconnected or self._fit_workers:
             return self._disconnected
         reasons = sorted({worker.unfit or "" for worker in tuple(self._workers.values())})
         if not reasons:
@@ -232,14 +234,14 @@ class DaskEngine(attempts.Listeners):
 
     async def _connect(self, scheduler: str) -> None:
         """Connect and follow the workers until the engine closes."""
-        pause = AWAY_SECONDS[0]
+        pause = MIN_PAUSE_SECONDS
         options: dict[str, Any] = {"timeout": CONNECT_SECONDS, "name": "wrenchbook"}
         while True:
             try:
                 client = Client(scheduler, asynchronous=True, set_as_default=False, **options)
                 try:
                     await client
-                    pause = AWAY_SECONDS[0]
+                    pause = MIN_PAUSE_SECONDS
                     self._client = client
                     await self._follow(client)
                 finally:
@@ -252,12 +254,13 @@ class DaskEngine(attempts.Listeners):
                 why = str(error) or repr(error)
             self._set_disconnected(f"cannot be used: {why}")
             await asyncio.sleep(pause)
-            pause = min(2 * pause, AWAY_SECONDS[1])
+            pause = min(2 * pause, MAX_PAUSE_SECONDS)
 
-    async def _connected(self, ready: Callable[[], bool]) -> Client:
+    async def _connected(self, is_ready: Callable[[], bool]) -> Client:
+        """Return the client once it is connected and `is_ready` returns True."""
         while True:
             client = self._client
-            if client is not None and client.status == "running" and ready():
+            if client is not None and client.status == "running" and is_ready():
                 return client
             await asyncio.sleep(WAIT_SECONDS)
 
@@ -291,7 +294,7 @@ class DaskEngine(attempts.Listeners):
             }
             now = time.monotonic()
             unfit = [worker for worker in self._workers.values() if worker.unfit]
-            due = [worker for worker in unfit if now > worker.probed + PROBE_AGAIN_SECONDS]
+            due = [worker for worker in unfit if now > worker.probed + PROBE_INTERVAL_SECONDS]
             for worker in due:
                 worker.probed = now
             if due:
@@ -310,9 +313,9 @@ class DaskEngine(attempts.Listeners):
             answer = answers.get(worker.address)
             if isinstance(answer, dict):
                 why = answer["trouble"]
-                if answer["version"] != solver_version():
-                    why = f"it has wrenchbook {answer['version']}, this server has "
-                    why += solver_version()
+                version = solver_version()
+                if answer["version"] != version:
+                    why = f"it has wrenchbook {answer['version']}, this server has {version}"
             # A worker that cannot import a function replies with the error as text.
             elif re.search("ModuleNotFoundError|ImportError|AttributeError", repr(answer)):
                 why = f"it lacks this program ({answer}); install wrenchbook[cluster,server] there"
@@ -326,7 +329,7 @@ class DaskEngine(attempts.Listeners):
                 worker.probed = -float("inf")
 
     def _suspend(self, worker: _Worker, why: str | None) -> None:
-        """Send a worker no tasks until its next probe, if there is a reason."""
+        """Send a worker no tasks until its next probe; without a reason it is fit."""
         worker.unfit = why and f"{worker.address}: {why}"
         worker.probed = time.monotonic()
         if why:
@@ -335,7 +338,7 @@ class DaskEngine(attempts.Listeners):
     # -- attempts, in the engine's own thread --------------------------------------------------
 
     async def _cancel(self, name: str) -> None:
-        """Cancel an attempt in the scheduler, of any client, and write its outcome."""
+        """Cancel an attempt in the scheduler, also one of an earlier server; write its outcome."""
         task = self._tasks.get(name)
         if task and task.run:
             task.run.cancel()
@@ -348,10 +351,10 @@ class DaskEngine(attempts.Listeners):
                 await client.cancel([future], force=True)
                 await client.unpublish_dataset(future.key)
         if task:
-            self._set(task, await self._write_outcome(task, attempts.Outcome("cancelled")))
+            self._set_state(task, await self._write_outcome(task, attempts.Outcome("cancelled")))
 
     def _on_progress(self, event: tuple[float, Any]) -> None:
-        """Handle a worker's progress event: a solver works on the attempt."""
+        """Write the progress that a worker's solver reports."""
         report = event[1]
         task = self._tasks.get(report["task"])
         if task is not None and task.state in ALIVE:
@@ -360,9 +363,9 @@ class DaskEngine(attempts.Listeners):
                 _mark_begun(task, report["seconds"])
                 if report["progress"]:
                     attempts.write_json(task.attempt.folder / PROGRESS, report["progress"])
-            self._set(task, "running")
+            self._set_state(task, "running")
 
-    def _set(self, task: _Task, state: attempts.State) -> None:
+    def _set_state(self, task: _Task, state: attempts.State) -> None:
         if state != task.state:
             task.state = state
             self._report(task.attempt.task)
@@ -371,7 +374,7 @@ class DaskEngine(attempts.Listeners):
         """Submit the attempt until it has ended and its folder has the artifacts."""
         ended: attempts.State | None = None
         while ended is None:
-            goes_on = False
+            continues = False  # on the cluster, without this connection
             try:
                 ended = await self._submit_once(task)
             except BadPayloadError as error:
@@ -380,9 +383,8 @@ class DaskEngine(attempts.Listeners):
                 remedy = "add the component again, then retry the job"
                 ended = await self._fail(task, "component_missing", error, remedy)
             except FutureCancelled:
-                # After a lost connection it continues; otherwise it was lost with scheduler or
-                # bundle.
-                goes_on = True
+                # The connection was lost, or the scheduler with its tasks and bundles.
+                continues = True
                 await asyncio.sleep(0)
             except KilledWorker as error:
                 task.killed += 1
@@ -390,25 +392,26 @@ class DaskEngine(attempts.Listeners):
                     ended = await self._fail(task, "workers_died", error, _KILLED_REMEDY)
             # No answer in time, no connection, or an error of this disk.
             except (TimeoutError, OSError, ClosedClientError) as error:
-                goes_on = True
+                continues = True
                 task.waits = f"a Dask worker is not reached: {str(error) or 'no answer in time'}"
-                await asyncio.sleep(AGAIN_SECONDS)
+                await asyncio.sleep(RETRY_SECONDS)
                 task.waits = None
             except Exception as error:
                 _log.warning("task %s failed on the cluster: %r", task.attempt.task, error)
                 ended = await self._fail(task, "cluster_error", error, _FAULT_REMEDY)
-            if self._client and not goes_on:  # the next try must not get the same result
+            if self._client and not continues:  # the next try must not get the same result
                 with contextlib.suppress(Exception):  # the scheduler may be gone
                     async with asyncio.timeout(CANCEL_SECONDS):
                         await self._client.unpublish_dataset(f"wrenchbook-{task.attempt.task}")
-            self._set(task, ended or "submitted")
+            self._set_state(task, ended or "submitted")
 
     async def _fail(self, task: _Task, kind: str, error: Exception, remedy: str) -> attempts.State:
+        """Write a failure as the attempt's outcome; return the attempt's final state."""
         outcome = attempts.Outcome.failed(kind, str(error) or repr(error), remedy)
         return await self._write_outcome(task, outcome)
 
     async def _write_outcome(self, task: _Task, outcome: attempts.Outcome) -> attempts.State:
-        """Write an outcome in the solver's place; an attempt whose folder is gone is lost."""
+        """Write an outcome unless the solver has; an attempt whose folder is gone is lost."""
         try:
             if not (task.attempt.folder / OUTCOME).exists():
                 await asyncio.to_thread(attempts.write_outcome, task.attempt, outcome)
@@ -438,7 +441,7 @@ class DaskEngine(attempts.Listeners):
             priority=attempt.priority,
             workers=workers,
             resources=resources or None,
-            retries=FAULTS,
+            retries=MAX_RETRIES,
         )
         payload = await self._payload(client, future, workers)
         if payload is None:
@@ -455,7 +458,7 @@ class DaskEngine(attempts.Listeners):
                 return "lost" if payload["outcome"] is None else "finished"
             except OSError as error:
                 task.waits = f"what a worker sent cannot be written: {error}"
-            await asyncio.sleep(AGAIN_SECONDS)
+            await asyncio.sleep(RETRY_SECONDS)
 
     async def _payload(
         self, client: Client, future: Future, workers: Sequence[str] | None
@@ -487,7 +490,7 @@ class DaskEngine(attempts.Listeners):
         memory = task.attempt.memory or 0
         cores = task.attempt.cores
         while True:
-            fit = self._fit
+            fit = self._fit_workers
             large = [worker for worker in fit if worker.memory >= memory and worker.cores >= cores]
             if large:
                 break
@@ -515,24 +518,21 @@ class DaskEngine(attempts.Listeners):
         return None if everywhere else [worker.address for worker in large], resources
 
     async def _send(self, client: Client, folder: str) -> tuple[str, Future]:
-        """Return digest and content of a component's files on the cluster, sent once a change."""
+        """Return digest and content of a component's files on the cluster; send changed ones."""
         async with self._sending:
             files = await asyncio.to_thread(_file_stats, Path(folder))
             sent = self._bundles.pop(folder, None)
-            if (
-                sent is None
-                or sent.files != files
-                or sent.content.status not in ("pending", "finished")
-            ):
+            is_usable = sent is not None and sent.content.status in ("pending", "finished")
+            if sent is None or sent.files != files or not is_usable:
                 content = await asyncio.to_thread(pack, Path(folder), BUNDLE_BYTES)
                 name = digest(content)
                 limit = "distributed.admin.large-graph-warning-threshold"
                 with dask.config.set({limit: BUNDLE_BYTES}):
                     key = f"wrenchbook-bundle-{name}"
-                    future = client.submit(bytes, content, key=key, retries=FAULTS)
+                    future = client.submit(bytes, content, key=key, retries=MAX_RETRIES)
                 sent = _SentBundle(files, name, future)
-            self._bundles[folder] = sent  # the last used is last
-            for old in list(self._bundles)[:-SENT_BUNDLES]:
+            self._bundles[folder] = sent  # in the order of use
+            for old in list(self._bundles)[:-MAX_SENT_BUNDLES]:
                 del self._bundles[old]
             return sent.digest, sent.content
 
@@ -553,7 +553,7 @@ def _store(task: _Task, payload: dict[str, Any]) -> None:
 
 
 def _mark_begun(task: _Task, seconds: float) -> None:
-    """Write the lock as a solver does that began `seconds` ago."""
+    """Write the lock file of a solver that began `seconds` ago, unless it exists."""
     lock = task.attempt.folder / LOCK
     now = time.time()
     if not lock.exists():

@@ -1,7 +1,8 @@
-"""Lock and status of the single process that builds tables, for processes that map them.
+"""Files in which the process that builds tables and those that map them publish their state.
 
-Both are in a folder of the data directory. The lock file stays when the process ends: a process
-that waits for a removed one would lock it beside the holder of a new one.
+They are in one folder of the data directory: the builder's lock and status, and a file of each
+other process. The lock file stays when the builder ends: a process that waits for a removed file
+would lock it beside the holder of a new one.
 """
 
 from __future__ import annotations
@@ -12,47 +13,50 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from wrenchbook.service.files.durable import is_running, write_atomically
 from wrenchbook.service.files.lock import is_locked, take
 
 FOLDER = "shared"  # name of the folder in the data directory
-Mapped = dict[str, list[int | str]]  # version and setup of a process's tables, by component
-LOCK, _STATUS = "lock", "status.json"
+LOCK, _STATUS = "lock", "status.json"  # files in this folder
+
+
+class PublishedTable(NamedTuple):
+    """A table from which a process answers: its version, and the setup that it is built from."""
+
+    version: int
+    setup: str
 
 
 @dataclass(frozen=True)
 class Status:
-    """The builder's problems.
+    """The builder's problems, by component where they are of one."""
 
-    `trouble`: why no job runs; `faults`: why a component's table differs from the ledger; `failed`:
-    the ledger's newest change of a component when its table could not be built. `pid` is the
-    builder's, 0 if it has written no status.
-    """
-
-    trouble: str | None = None
-    faults: dict[str, str] = field(default_factory=dict)
-    pid: int = 0
+    trouble: str | None = None  # why no job runs
+    faults: dict[str, str] = field(default_factory=dict)  # why a table differs from the ledger
+    pid: int = 0  # the builder's; 0 if it has written no status
+    # The ledger's newest change of a component when its table could not be built.
     failed: dict[str, int] = field(default_factory=dict)
 
 
 class CoordinatorState:
-    """The folder of a data directory's builder, which the first use makes."""
+    """The folder of the published state; it is created on first use."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._mapped = folder / f"{os.getpid()}-{id(self)}.mapped"
         self._written: Status | None = None
         self._lock: int | None = None
-        with suppress(OSError):  # a web worker answers on a read-only disk too
+        with suppress(OSError):  # a web worker also answers on a read-only disk
             folder.mkdir(parents=True, exist_ok=True)
 
     def take(self) -> bool:
-        """Lock the folder for the process that builds; return False if another one has the lock."""
+        """Take the builder's lock; return False if another process has it."""
         self._lock = take(self._folder / LOCK)
         if self._lock is None:
             return False
-        # Files of killed processes, or of processes that write them again.
+        # A killed process left its file; a running one writes it again.
         for path in self._folder.glob("*.mapped"):
             path.unlink(missing_ok=True)
         return True
@@ -87,25 +91,26 @@ class CoordinatorState:
             return Status()
 
     def stamp(self) -> tuple[int, int]:
-        """Return a value that changes when the status is written: a tenth of the time of `read`."""
+        """Return a value that changes when the status is written, in a tenth of `read`'s time."""
         try:
             status = os.stat(self._folder / _STATUS)  # noqa: PTH116 (fifty times a second)
         except OSError:
             return (0, 0)
         return status.st_mtime_ns, status.st_ino
 
-    def publish(self, mapped: Mapped) -> None:
-        """Write the tables from which this process answers; see `unpublish`."""
+    def publish(self, mapped: dict[str, PublishedTable]) -> None:
+        """Write the tables from which this process answers, by component."""
         write_atomically(self._mapped, json.dumps(mapped).encode(), durable=False)
 
     def unpublish(self) -> None:
         """Remove this process's published tables."""
         self._mapped.unlink(missing_ok=True)
 
-    def others(self) -> Iterator[Mapped]:
-        """Yield the tables from which each other running process answers."""
+    def others(self) -> Iterator[dict[str, PublishedTable]]:
+        """Yield the tables, by component, from which each other running process answers."""
         for path in self._folder.glob("*.mapped"):
             # That process has just ended, or a power failure cut the file off.
             with suppress(OSError, ValueError):
                 if path != self._mapped and is_running(int(path.name.partition("-")[0])):
-                    yield json.loads(path.read_bytes())
+                    mapped = json.loads(path.read_bytes())
+                    yield {name: PublishedTable(*table) for name, table in mapped.items()}

@@ -1,4 +1,4 @@
-"""A web worker's tables: mapped from the builder's files, never built for answers."""
+"""The tables of a web worker, memory-mapped from the files that the builder process writes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.build import build_table, packed_bytes
-from wrenchbook.service.tables.coordinator_state import CoordinatorState, Mapped, Status
+from wrenchbook.service.tables.coordinator_state import CoordinatorState, PublishedTable, Status
 from wrenchbook.service.tables.rows import unsolved
 from wrenchbook.service.tables.store import (
     PackedFile,
@@ -42,8 +42,8 @@ log = logging.getLogger(__name__)
 
 POLL_S = 0.005  # s between polls of the web workers' versions, while a caller waits
 MEMORY_S = 0.1  # s between checks of the memory of tables
-# A folder's time advances in steps of up to 10 ms (a kernel's tick). The checks of this time after
-# a change find changes within the step of the last check.
+# A folder's time advances in steps of up to 10 ms (a kernel's tick), so that two changes may have
+# the same time. For this time after a change, ns, each check looks at the files again.
 SETTLED_NS = 100_000_000
 START_S = 30.0  # s that a start waits for the builder: a table that comes later answers 503
 # Time, s, for which a computing thread may keep the interpreter from one that answers: about the
@@ -69,17 +69,10 @@ class TableBehindError(Exception):
 
 
 class ServedTable:
-    """A packed table and its facts; rows and numpy table are read and built on first use.
+    """A packed table with its properties; rows and numpy table are read and built on first use."""
 
-    `sources` has the number of rows of each source, `default` the method of requests without
-    `method`, `interfaces` the names if there are several, `needs_compliance` whether solves of a
-    linear component's 6x6 compliance are missing, `bars_are_complete` whether error bars have all
-    their parts. `other_rows` are rows of another setup of the component, and `other_wrenches` their
-    wrenches that no row of this table has.
-    """
-
-    other_rows: int = 0
-    other_wrenches: int = 0
+    other_rows: int = 0  # rows of another setup of the component
+    other_wrenches: int = 0  # wrenches of these rows that no row of this table has
 
     def __init__(
         self,
@@ -96,21 +89,23 @@ class ServedTable:
         provenance, self.summary = packed.meta["provenance"], packed.meta["summary"]
         self.version: int = provenance["version"]
         self.row_count: int = provenance["rows"]
-        self.sources: dict[str, int] = provenance["sources"]
+        self.sources: dict[str, int] = provenance["sources"]  # number of rows by source
         self.linear: bool = provenance["linear"]
-        self.default: str = packed.meta["groups"][0]["method"]
-        self.bars_are_complete = packed.bars_are_complete
+        self.default: str = packed.meta["groups"][0]["method"]  # of requests without a method
+        self.bars_are_complete = packed.bars_are_complete  # error bars have all their parts
         low, high = packed.load_range
         self.load_range = LoadRange(low, high, packed.space)
+        # Solves of a linear component's 6x6 compliance are missing.
         self.needs_compliance = self.linear and not self.fit.complete
         self.locked = tuple(np.flatnonzero(packed.locked).tolist())
-        self.interfaces = self.load_range.space.several
+        self.interfaces = self.load_range.space.several  # names if there are several
         self.tolerance = None if packed.tolerance is None else Tolerance(*packed.tolerance)
         self.solver_error = SolverError.read(packed.meta["solver_error"])
         # The server's method answers if it applies to the table's inputs.
         if method is not None and (self.load_range.space.is_default or method not in BY_AXES):
             self.packed.method = self.default = method
-        packed.answer([0.0] * len(packed.meta["space"]["inputs"]))  # reads pages: 0.1 ms
+        # The first answer reads pages from the disk, 0.1 ms; no caller waits for it.
+        packed.answer([0.0] * len(packed.meta["space"]["inputs"]))
 
     @property
     def rows(self) -> Rows:
@@ -157,10 +152,13 @@ class ServedTable:
         """The compliance of each output's group; its known loads are those that all groups know."""
         names = [f"g{group}/fit/known" for group in range(len(self.packed.meta["groups"]))]
         known = np.all([self.packed.arrays[name] for name in names], axis=0)
-        matrix = self._of_groups("fit/matrix", len(known))
-        origin = self.summary["compliance"]
-        half_width, offset = self._of_groups("fit/bar"), self._of_groups("fit/offset")
-        return ComplianceFit(matrix, known, half_width, origin["origin"], offset)
+        return ComplianceFit(
+            self._of_groups("fit/matrix", len(known)),
+            known,
+            self._of_groups("fit/bar"),
+            self.summary["compliance"]["origin"],
+            self._of_groups("fit/offset"),
+        )
 
     @property
     def allowed(self) -> Floats:
@@ -173,7 +171,7 @@ class ServedTable:
         return self._of_groups("row/steepest")
 
     def _of_groups(self, name: str, *columns: int) -> Floats:
-        """Return an array by outputs, (m, ...): a row of the output's group, 0 without a group."""
+        """Merge an array of the output groups, (m, ...): 0 for an output whose group lacks it."""
         merged = np.zeros((len(self.load_range.space.outputs), *columns))
         for group in range(len(self.packed.meta["groups"])):
             outputs = self.packed.arrays[f"g{group}/outputs"].astype(bool)
@@ -193,15 +191,13 @@ class ServedTable:
         return None
 
     def method_detail(self, method: str) -> str:
-        """Return the details of a method, or its reason, in the group of the fewest rows.
-
-        A table without rows answers by "estimate", which nobody asked for.
-        """
+        """Return the details of a method, or its reason, in the first output group."""
         group = self.packed.meta["groups"][0]
         if method == ROW:
             return ROW_DETAIL
         if method == "kriging" and group["kriging"]:
             return group["kriging"]
+        # A table without rows answers by "estimate", which no request can name.
         is_default = method in (group["method"], "estimate")
         return group["method_reason"] if is_default else "asked for"
 
@@ -234,7 +230,8 @@ class MappedTables:
         self._mapped: dict[str, tuple[PackedFile, Component]] = {}
         self._refused: dict[Path, tuple[PackedFile, Component]] = {}
         self._unread: dict[str, str] = {}
-        self._status, self._published = Status(), Mapped()
+        self._status = Status()
+        self._published: dict[str, PublishedTable] = {}
         self._changed = threading.Condition()
         self._wake, self._stopping = threading.Event(), threading.Event()
         self.wake = self._wake.set
@@ -306,15 +303,16 @@ class MappedTables:
         goal = self._ledger.last_seq(name)
         wanted = setup_of(self._library[name])
 
+        def is_current(table: PublishedTable | None) -> bool:
+            return table is not None and table.version >= goal and table.setup == wanted
+
         def progress() -> bool | None:
-            # A file that does not fit a component that was just added is written again.
             status = self._status  # another thread replaces it
             table, failed = self._tables.get(name), False
-            if table is not None and table.version >= goal and _mark(table)[1] == wanted:
-                others = (mapped.get(name, [0, ""]) for mapped in self._state.others())
-                if all(int(at) >= goal and setup == wanted for at, setup in others):
+            if table is not None and is_current(published_table(table)):
+                if all(is_current(mapped.get(name)) for mapped in self._state.others()):
                     return True
-            else:
+            else:  # a table of another setup is built again, as of a component that was just added
                 failed = name in status.faults and status.failed.get(name, -1) >= goal
             return False if failed or self._stopping.is_set() else None
 
@@ -377,13 +375,15 @@ class MappedTables:
             component = self._library.get(name)
             if component is not None:
                 try:
-                    next((file for file in files if self._map(component, file)), None)
+                    for file in files:
+                        if self._map(component, file):
+                            break
                 except Exception as error:  # the other tables are mapped in spite of it
                     self._unread[name], failed = with_remedy(error), error
                     continue
                 if not any(self._refused.get(file.path) == (file, component) for file in files):
                     self._unread.pop(name, None)
-        mapped = {name: _mark(table) for name, table in self.present().items()}
+        mapped = {name: published_table(table) for name, table in self.present().items()}
         if mapped != self._published or status != self._status:  # a new builder's folder is empty
             with suppress(OSError):  # answers need no disk
                 self._state.publish(mapped)
@@ -397,9 +397,9 @@ class MappedTables:
     def _map(self, component: Component, file: PackedFile) -> bool:
         """Map a file unless it is of another component or setup; return whether it is mapped."""
         name = component.name
-        version = (file, component)
-        if version in (self._mapped.get(name), self._refused.get(file.path)):
-            return version == self._mapped.get(name)
+        source = (file, component)
+        if source in (self._mapped.get(name), self._refused.get(file.path)):
+            return source == self._mapped.get(name)
         level = logging.ERROR
         try:
             packed = PackedTable.open(file.path)
@@ -412,24 +412,24 @@ class MappedTables:
         except (PackedTableError, KeyError) as error:
             if file.path.exists():
                 log.log(level, "the table of %s stays as it is: %s", name, error)
-                self._unread[name], self._refused[file.path] = str(error), version
+                self._unread[name], self._refused[file.path] = str(error), source
             return False
         with suppress(LedgerUnavailableError):
             others = self._ledger.of_other_setups(name, component.fingerprint)
             table.other_rows = sum(others.values())
-            solved = not component.has_fea or (table.linear and not table.needs_compliance)
-            if others and not solved:
+            needs_no_solves = table.linear and not table.needs_compliance
+            if others and component.has_fea and not needs_no_solves:
                 table.other_wrenches = len(unsolved(component, others, table.rows.wrench))
         with self._changed:
             self._unread.pop(name, None)
-            self._tables[name], self._mapped[name] = table, version
+            self._tables[name], self._mapped[name] = table, source
             self._changed.notify_all()
         return True
 
 
-def _mark(table: ServedTable) -> list[int | str]:
-    """Return a table's version, and the setup from which its file was built."""
-    return [table.version, origin_of(table.packed).get("setup", "")]
+def published_table(table: ServedTable) -> PublishedTable:
+    """Return the version and setup of a table; no setup if its file names none."""
+    return PublishedTable(table.version, origin_of(table.packed).get("setup", ""))
 
 
 def row_table(
@@ -454,7 +454,7 @@ def row_table(
 
 
 def note_on_other_rows(name: str, table: ServedTable) -> str:
-    """Return a text on rows of another setup and the remedy; empty if nothing is to do."""
+    """Return a text on rows of another setup and the remedy; empty if no wrench is to be solved."""
     if not table.other_wrenches:
         return ""
     return (

@@ -1,7 +1,7 @@
-"""The clock shift between a log of loads and one of displacements.
+"""The lag between the clocks of a log of loads and one of displacements, and their rates.
 
-Cross-correlations of the two logs on one time grid give a first lag; the least residual of a
-polynomial response to the shifted loads gives the lag, and whether the clocks run at one rate.
+Cross-correlations of the two logs on one time grid give first lags. Near them, the least residual
+of a polynomial response to the shifted loads gives the lag and the difference of the rates.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ WRITTEN_DIGITS = 1e-9
 # Part of the displacements' duration: smaller steps are lost in the clock's digits.
 RESOLUTION = 1e-9
 # Peaks of the correlation that are fitted: a load shifted by half a period correlates as well.
-PEAKS = 5
-RELATED = 0.5  # part of the displacements' variance: loads that explain less are of another test
+MAX_PEAKS = 5
+MIN_EXPLAINED = 0.5  # part of the displacements' variance: with less the logs are of two tests
 # Part of the loads' interval: exact logs of 0.1 to 4 Hz were within 1.1 %.
 INTERPOLATION_ERROR = 0.02
 INNER_PART = 0.9  # part of a search's width: an optimum beyond it may be the bound of the search
 MIN_GAIN = 0.2  # part of the residual's variance at the applied lag that another lag must explain
-# Ratio of residual variances that counts as equal: between two loads interpolation averages their
-# noise, so that half the variance shows no better lag.
-ALIKE = 0.5
+# Least ratio of residual variances that counts as equal: between two loads interpolation averages
+# their noise, so that half the variance shows no better lag.
+EQUAL_RATIO = 0.5
 # Standard deviations of the error of a lag: residuals that are near in time are not independent.
 DEVIATIONS = 4.0
 MIN_MISFIT = 0.003  # part of the displacements' deviation: misfits below it need no remark
@@ -56,16 +56,12 @@ class Lag(NamedTuple):
 
     seconds: float  # s
     error: float  # s: `DEVIATIONS` standard deviations
-    # how much slower the displacements' clock runs, over the loads' rate; 0 where the residual
-    # shows no difference
+    # Slowness of the displacements' clock over the loads' rate; 0 where the residual shows none.
     rate: float
-    # misfit, misfit_applied, misfit_rate: residual of the response over the displacements'
-    # deviation, at this lag, at the applied one, and with `rate`
-    misfit: float
-    misfit_applied: float
-    misfit_rate: float
-    # whether the applied lag does not fit, and hysteresis does not explain the misfit
-    applied_is_wrong: bool
+    misfit: float  # residual of the response over the displacements' deviation at this lag
+    misfit_applied: float  # at the applied lag
+    misfit_rate: float  # at this lag and rate
+    applied_is_wrong: bool  # the applied lag does not fit, and hysteresis does not explain it
     # s: lags that fit as well: periodic loads do not show by how many periods the clocks differ
     others: tuple[float, ...]
 
@@ -75,44 +71,49 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
 
     `applied`, s: the lag in use, to compare with.
     """
-    known = np.isfinite(logs.displacement).sum(axis=0) >= MIN_DISPLACEMENTS
-    loads = np.ptp(logs.wrench, axis=0) > 0
-    if not known.any() or not loads.any() or np.ptp(logs.displacement_time) <= 0:
+    is_known = np.isfinite(logs.displacement).sum(axis=0) >= MIN_DISPLACEMENTS
+    is_varied = np.ptp(logs.wrench, axis=0) > 0
+    if not is_known.any() or not is_varied.any() or np.ptp(logs.displacement_time) <= 0:
         return None
-    moved = _clipped(logs.displacement[:, known])
-    logs = Logs(logs.load_time, logs.wrench[:, loads], logs.displacement_time, moved)
+    logs = logs._replace(
+        wrench=logs.wrench[:, is_varied], displacement=_clipped(logs.displacement[:, is_known])
+    )
     duration = float(np.ptp(logs.displacement_time))
     interval = min(
         float(np.median(np.diff(times)))
         for times in (logs.load_time, np.sort(logs.displacement_time))
     )
     step = max(interval, (duration + 2 * MAX_LAG * duration) / MAX_STEPS, duration * RESOLUTION)
-    # Lags that fit about as well as the best: with periodic loads, those one period apart.
     starts = [applied, *_correlated_lags(logs, applied, step)]
-    candidates = [_fitted(logs, (applied, start), step) for start in starts]
-    fits = [candidate for candidate in candidates if candidate is not None]
-    if not fits:
+    results = [_fitted(logs, (applied, start), step) for start in starts]
+    candidates = [result for result in results if result is not None]
+    if not candidates:
         return None
-    sizes = [max(float(fit.residual(lag).mean()), MIN_MISFIT**2) for lag, fit in fits]
-    alike = [fits[at] for at, size in enumerate(sizes) if ALIKE * size <= min(sizes)]
-    alike.sort(key=lambda candidate: abs(candidate.lag - applied))
-    fit = alike[0].fit
-    vertices = [candidate.fit.vertex(candidate.lag) for candidate in alike]
-    best, error = vertices[0]
+    # Of the lags that fit about as well as the best, such as those one period apart with periodic
+    # loads, the one nearest to the applied lag is taken.
+    variances = [max(float(fit.residual(lag).mean()), MIN_MISFIT**2) for lag, fit in candidates]
+    equal = [
+        candidate
+        for candidate, variance in zip(candidates, variances, strict=True)
+        if EQUAL_RATIO * variance <= min(variances)
+    ]
+    equal.sort(key=lambda candidate: abs(candidate.lag - applied))
+    fit = equal[0].fit
+    (best, error), *further = (candidate.fit.vertex(candidate.lag) for candidate in equal)
     # Lags whose intervals do not meet that of the best one; an unknown error adds nothing.
     others = tuple(
         lag
-        for lag, error_of_lag in vertices[1:]
+        for lag, error_of_lag in further
         if abs(lag - best) > error + step + np.nan_to_num(error_of_lag, posinf=0.0)
     )
 
-    # Another lag, another rate and a loop each must explain the residual better than the others.
+    # A lag, a rate and a loop are each taken only if they explain more than the others do.
     at_best, at_applied, loop = fit.residual(best), fit.residual(applied), fit.with_loop(applied)
     rate, with_rate = fit.rate(best) if at_best.mean() > MIN_MISFIT**2 else (0.0, at_best)
     is_drift = abs(rate) * duration >= step
-    if not (is_drift and with_rate.sum() < min(ALIKE * at_best.sum(), loop.sum())):
+    if not (is_drift and with_rate.sum() < min(EQUAL_RATIO * at_best.sum(), loop.sum())):
         rate, with_rate = 0.0, at_best
-    if with_rate.mean() > 1 - RELATED or not np.isfinite(error):
+    if with_rate.mean() > 1 - MIN_EXPLAINED or not np.isfinite(error):
         return None
     return Lag(
         seconds=best,
@@ -130,7 +131,7 @@ def estimate_lag(logs: Logs, applied: float = 0.0) -> Lag | None:
 
 
 class _LagFit(NamedTuple):
-    """A lag of least residual, with the fit that shows it."""
+    """A lag of least residual, and the fit with this residual."""
 
     lag: float  # s
     fit: _Fit
@@ -146,7 +147,7 @@ def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
             f"{lag.misfit_rate:.1%} instead of {lag.misfit:.1%}), and import again with lag=auto"
         )
         return [RigFinding("clock", message, (), {"rate": lag.rate})]
-    # With lag=auto `applied` is by now the estimated lag.
+    # With lag=auto `applied` is the estimated lag.
     if lag is None or not lag.applied_is_wrong or abs(applied - lag.seconds) <= lag.error:
         return []
     if lag.others:
@@ -166,13 +167,13 @@ def clock_findings(lag: Lag | None, applied: float) -> list[RigFinding]:
 
 
 def repeated(lag: Lag) -> str:
-    """Return the remark that several lags fit."""
+    """Return a text on the lags that fit as well."""
     others = " and ".join(f"{seconds:.4g}" for seconds in sorted(lag.others))
     return f"the loads repeat, and the logs fit as well with {others} s as with {lag.seconds:.4g} s"
 
 
 def _correlated_lags(logs: Logs, applied: float, step: float) -> list[float]:
-    """Return the lags of the `PEAKS` largest correlations of two logs on a grid of times, s.
+    """Return the lags of the `MAX_PEAKS` largest correlations of two logs on a grid of times, s.
 
     The part of the displacements' variance that loads explain is c' inv(G) c, with c their
     cross-correlations and G the covariance of the loads.
@@ -187,8 +188,8 @@ def _correlated_lags(logs: Logs, applied: float, step: float) -> list[float]:
 
     size = 2 * len(grid)
     of_loads = np.fft.rfft(x, size, axis=0)
-    of_moved = np.conj(np.fft.rfft(y, size, axis=0))
-    products = (of_loads * spectrum[:, None] for spectrum in of_moved.T)
+    of_displacements = np.conj(np.fft.rfft(y, size, axis=0))
+    products = (of_loads * spectrum[:, None] for spectrum in of_displacements.T)
     cross = np.stack([np.fft.irfft(product, size, axis=0) for product in products])
     shifts = np.arange(-int(longest / step), int(longest / step) + 1)
     inverse = np.linalg.pinv(x.T @ x, rcond=LOAD_RANK)
@@ -196,33 +197,33 @@ def _correlated_lags(logs: Logs, applied: float, step: float) -> list[float]:
 
     inner = explained[1:-1]
     peaks = 1 + np.flatnonzero((inner >= explained[:-2]) & (inner >= explained[2:]))
-    peaks = peaks[np.argsort(-explained[peaks])[:PEAKS]]
+    peaks = peaks[np.argsort(-explained[peaks])[:MAX_PEAKS]]
     return (applied + step * shifts[peaks]).tolist()
 
 
-def _clipped(moved: Floats) -> Floats:
+def _clipped(displacements: Floats) -> Floats:
     """Return displacements (m, k) over their deviations: NaN is 0, and far values are clipped."""
-    low, high = np.nanpercentile(moved, [1, 99], axis=0)
+    low, high = np.nanpercentile(displacements, [1, 99], axis=0)
     tail = MAX_TAIL * np.maximum(high - low, np.finfo(float).tiny)
-    clipped = np.clip(moved, low - tail, high + tail)
+    clipped = np.clip(displacements, low - tail, high + tail)
     clipped = np.nan_to_num(clipped - np.nanmean(clipped, axis=0))
     return clipped / np.maximum(clipped.std(axis=0), np.finfo(float).tiny)
 
 
 def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> _LagFit | None:
-    """Return the lag of least residual, s, and the fit; None if there is none.
+    """Return the lag of least residual and its fit; None if there is none.
 
-    `lags`, s: the applied one, and the one near which the search starts. The fit holds the
-    displacements that both have loads for. A search that ends at its bound has no result and starts
-    again there, with twice the width.
+    `lags`, s: the applied one, and the one near which the search starts. The fit has the
+    displacements with loads at both. A search that ends at its bound starts again there, with twice
+    the width.
     """
+    applied, start = lags
     width = 2 * step
     max_width = MAX_LAG * float(np.ptp(logs.displacement_time))
     while width < max_width:
-        fit = _Fit(logs, lags, step, width + step)
+        fit = _Fit(logs, (applied, start), step, width + step)
         if len(fit.logs.displacement_time) < MIN_DISPLACEMENTS:
             return None
-        start = lags[1]
         result: Any = minimize_scalar(
             fit.size,
             bounds=(start - width, start + width),
@@ -230,13 +231,13 @@ def _fitted(logs: Logs, lags: tuple[float, float], step: float) -> _LagFit | Non
         )
         if abs(result.x - start) < INNER_PART * width:
             return _LagFit(float(result.x), fit)
-        lags = (lags[0], float(result.x))
+        start = float(result.x)
         width = 2 * width
     return None
 
 
 def _on_grid(grid: Floats, time: Floats, values: Floats) -> Floats:
-    """Return columns (n, k) in deviations at the grid's times, zero outside the log."""
+    """Return columns (n, k) at the grid's times, over their deviations, zero outside the log."""
     sampled = np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
     inside = (grid >= time[0]) & (grid <= time[-1])
     sampled -= sampled[inside].mean(axis=0) if inside.any() else 0.0
@@ -263,12 +264,14 @@ class _Fit:
         self._step = step
 
     def _terms(self, lag: float | Floats) -> Floats:
+        """Return the terms of the response at the displacements' times, shape (n, t)."""
         return terms_of(self._loads(lag) / self._scale)
 
     def _loads(self, lag: float | Floats) -> Floats:
-        time = self.logs.load_time
-        when = self.logs.displacement_time + lag
-        return np.stack([np.interp(when, time, load) for load in self.logs.wrench.T], axis=1)
+        """Return the loads at the displacements' times, shape (n, l), N and N·m."""
+        logs = self.logs
+        times = logs.displacement_time + lag
+        return np.stack([np.interp(times, logs.load_time, load) for load in logs.wrench.T], axis=1)
 
     def residual(self, lag: float | Floats) -> Floats:
         """Return the unexplained mean square of each output, (k,), over its variance."""
@@ -318,12 +321,10 @@ class _Fit:
         correlation = products / np.maximum((residual**2).sum(axis=0), TINY)
         correlation = correlation.clip(0.0, 1 - 1 / len(y))
         free = max(len(y) - terms.shape[1], 1) * (1 - correlation) / (1 + correlation)
-        # As if all outputs erred together: the noise of the loads is in all outputs.
-        error = (
-            np.sqrt(2 * np.maximum(least, WRITTEN_DIGITS) * curvature / free).sum()
-            / curvature.sum()
-        )
-        return lag, step * (DEVIATIONS * float(error) + INTERPOLATION_ERROR)
+        # The errors of the outputs add up, as the noise of the loads is in all of them.
+        errors = np.sqrt(2 * np.maximum(least, WRITTEN_DIGITS) * curvature / free)
+        error = float(errors.sum() / curvature.sum())
+        return lag, step * (DEVIATIONS * error + INTERPOLATION_ERROR)
 
     def rate(self, lag: float) -> tuple[float, Floats]:
         """Return the rate that, with a lag near `lag`, fits best, and its residual, (k,)."""

@@ -1,6 +1,6 @@
-"""A packed table in Python: the kernel by ctypes, with numpy and the standard library only.
+"""The kernel's Python binding: `PackedTable`, by ctypes, with numpy and the standard library only.
 
-A single answer keeps the interpreter (it takes microseconds); batches release it.
+A single answer keeps the interpreter lock, as it takes microseconds; batches release it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from .replies import (
     mistake,
 )
 
-_WHY = 512  # bytes of the message of a table that cannot be opened; the kernel cuts longer ones
+_MESSAGE_BYTES = 512  # of a table that cannot be opened; the kernel cuts longer messages
 
 
 class Kernel(NamedTuple):
@@ -58,7 +58,7 @@ def kernel() -> Kernel:
     libraries = Kernel(ctypes.PyDLL(path), ctypes.CDLL(path))
     address, size, integer = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
     real = ctypes.c_double
-    forms = {
+    signatures = {  # result and arguments, as in wrenchbook.h and wb_internal.h
         "wb_open_checked": (address, [address, size, address, size]),
         "wb_close": (None, [address]),
         "wb_inputs": (integer, [address]),
@@ -75,7 +75,7 @@ def kernel() -> Kernel:
         "wb_axis": (integer, [address, integer, integer, address, address]),
     }
     for library in libraries:
-        for name, (result, arguments) in forms.items():
+        for name, (result, arguments) in signatures.items():
             function = getattr(library, name)
             function.restype = result
             function.argtypes = arguments
@@ -83,7 +83,7 @@ def kernel() -> Kernel:
 
 
 class _Options(ctypes.Structure):
-    """`wb_options` of wrenchbook.h."""
+    """The struct `wb_options` of wrenchbook.h."""
 
     _fields_ = (
         ("method", ctypes.c_int),
@@ -116,8 +116,8 @@ class _Work:
         try:
             self._pack(self.inputs, 0, *wrench)
         except struct.error as error:
-            given = len(wrench) if len(wrench) != len(self.inputs) else list(wrench)
-            raise ValueError(f"a wrench must be {len(self.inputs)} numbers, not {given}") from error
+            wrong = len(wrench) if len(wrench) != len(self.inputs) else list(wrench)
+            raise ValueError(f"a wrench must be {len(self.inputs)} numbers, not {wrong}") from error
 
     def options(
         self, tolerance: Sequence[float] | None, method: str | None, without_rows: bool = False
@@ -146,18 +146,16 @@ class _Work:
 
 
 class PackedTable:
-    """A packed table; any number of threads may use it.
-
-    Made by `open` and `from_bytes`.
+    """A packed table, made by `open` or `from_bytes`; any number of threads may use it.
 
     `inputs`, `outputs`: their numbers n and m.
     `size`: bytes of the file.
     `meta`: the table's JSON block: contract, space, interface, groups, sources, provenance.
     `arrays`: read-only views of the mapped file.
-    `load_range` (2, n), `load_scale` (n,), SI: the ends of the loads' range; half of it or the
-    larger end.
+    `load_range` (2, n), SI: the lowest and the highest load.
+    `load_scale` (n,), SI: half the range, or the larger end.
     `locked` (n,): whether each load acts on a locked freedom.
-    `tolerance`: the component's, of a translation, m, and of a rotation, rad; None without.
+    `tolerance`: the component's, of a translation, m, and of a rotation, rad; None if it has none.
     `bars_are_complete`: whether the error bars have all their parts.
     `method`: the method of queries without `method`; the table's default if None.
     """
@@ -165,7 +163,7 @@ class PackedTable:
     method: str | None = None
 
     def __init__(self, handle: int, packed: Packed, source: Floats | Path, size: int) -> None:
-        """Take an open handle, the views of the file, its buffer or path, and its size in bytes."""
+        """Take an open handle, the views of the file, its buffer or path, and its bytes' number."""
         self._handle = handle
         self._packed = packed
         self._source = source
@@ -209,7 +207,7 @@ class PackedTable:
 
         Raises PackedTableError as `open`.
         """
-        # Aligns the bytes to words of eight bytes.
+        # Doubles, because the kernel needs the bytes at a multiple of eight.
         buffer = np.zeros(len(content) // 8 + 1, dtype=np.float64)
         buffer.view(np.uint8)[: len(content)] = np.frombuffer(content, dtype=np.uint8)
         return cls._from_buffer(buffer, len(content))
@@ -222,11 +220,11 @@ class PackedTable:
     @classmethod
     def _opened(cls, packed: Packed, address: int, source: Floats | Path) -> PackedTable:
         """Open the bytes at an address, whose checksum has been checked."""
-        why = ctypes.create_string_buffer(_WHY)
+        message = ctypes.create_string_buffer(_MESSAGE_BYTES)
         size = len(packed.content)
-        handle = kernel().without_gil.wb_open_checked(address, size, why, _WHY)
+        handle = kernel().without_gil.wb_open_checked(address, size, message, _MESSAGE_BYTES)
         if not handle:
-            raise PackedTableError(why.value.decode(errors="replace"))
+            raise PackedTableError(message.value.decode(errors="replace"))
         try:
             return cls(handle, packed, source, size)
         except (LookupError, TypeError, ValueError) as error:
@@ -309,18 +307,18 @@ class PackedTable:
         also where the wrench has a row. Other parameters and errors are those of `answer`.
         """
         queries = self._many(wrenches)
-        out = np.empty((len(queries), self.outputs)), np.empty((len(queries), self.outputs))
+        outputs, errors = (np.empty((len(queries), self.outputs)) for _ in range(2))
         coverage = np.empty(len(queries), dtype=np.uint8)
         work = self._work()
+        options = work.options(tolerance, method or self.method, without_rows)
+        addresses = [array.ctypes.data for array in (queries, outputs, errors, coverage)]
         wrong = kernel().without_gil.wb_answer_many(
-            *(self.handle, work.options(tolerance, method or self.method, without_rows)),
-            *(len(queries), queries.ctypes.data, out[0].ctypes.data, out[1].ctypes.data),
-            *(coverage.ctypes.data, threads),
+            self.handle, options, len(queries), *addresses, threads
         )
         self._idle.append(work)
         if wrong:
             raise mistake(wrong, method or self.method, self._packed, queries)
-        return Replies(*out, coverage)
+        return Replies(outputs, errors, coverage)
 
     def derivative(
         self,
@@ -348,9 +346,14 @@ class PackedTable:
         queries = self._many(wrenches)
         derivatives = np.empty((len(queries), self.outputs, self.inputs))
         work = self._work()
+        options = work.options(tolerance, method or self.method, without_rows)
         wrong = kernel().without_gil.wb_derivative_many(
-            *(self.handle, work.options(tolerance, method or self.method, without_rows)),
-            *(len(queries), queries.ctypes.data, derivatives.ctypes.data, threads),
+            self.handle,
+            options,
+            len(queries),
+            queries.ctypes.data,
+            derivatives.ctypes.data,
+            threads,
         )
         self._idle.append(work)
         if wrong:
@@ -363,30 +366,30 @@ class PackedTable:
         It is the tangent of the row at zero load, else du/dw of the method there. It differs from
         the fitted compliance (`g0/fit/matrix`), the mean over the load range.
 
-        `matrix` (m, n), m/N, m/(N·m), rad/N, rad/(N·m): NaN where unknown: for a load without
-        effect in the rows, and an output that no row has.
-        `origin`: ``row``, a method, or ``none``.
+        The compliance has shape (m, n), m/N, m/(N·m), rad/N and rad/(N·m); it is NaN for a load
+        without effect in the rows, and for an output that no row has. The origin is ``row``, a
+        method, or ``none``.
         """
         arrays, locked = self.arrays, self.locked
-        tangents = self.derivatives(np.zeros(self.inputs), without_rows=True)[0]
-        row = np.full_like(tangents, np.nan)
+        of_method = self.derivatives(np.zeros(self.inputs), without_rows=True)[0]
+        of_row = np.full_like(of_method, np.nan)
         for group in range(len(self.meta["groups"])):
             outputs = arrays[f"g{group}/outputs"] != 0
-            name = f"g{group}/row/"
+            rows = f"g{group}/row/"
             unknown = (arrays[f"g{group}/fit/known"] == 0) & ~locked
-            tangents[np.ix_(outputs, unknown)] = np.nan
-            distances = np.abs(arrays[f"{name}wrench"] / self.load_scale).max(axis=1)
+            of_method[np.ix_(outputs, unknown)] = np.nan
+            distances = np.abs(arrays[f"{rows}wrench"] / self.load_scale).max(axis=1)
             if len(distances) and distances.min() <= NEAR:
                 nearest = np.flatnonzero(distances == distances.min())
-                index = nearest[arrays[f"{name}number"][nearest].argmin()]
-                tangent = arrays[f"{name}tangent_of"][index]
+                first = nearest[arrays[f"{rows}number"][nearest].argmin()]
+                tangent = arrays[f"{rows}tangent_of"][first]
                 if tangent >= 0:
-                    row[outputs] = arrays[f"{name}tangent"][tangent][outputs]
-        row[:, locked] = np.where(np.isnan(row[:, locked]), np.nan, 0.0)
-        known = np.isfinite(row)
-        if known.any():
-            return np.where(known, row, tangents), "row"
-        return tangents, self.answers_by() if np.isfinite(tangents).any() else "none"
+                    of_row[outputs] = arrays[f"{rows}tangent"][tangent][outputs]
+        of_row[:, locked] = np.where(np.isnan(of_row[:, locked]), np.nan, 0.0)
+        is_known = np.isfinite(of_row)
+        if is_known.any():
+            return np.where(is_known, of_row, of_method), "row"
+        return of_method, self.answers_by() if np.isfinite(of_method).any() else "none"
 
     def inverse(
         self,
@@ -405,19 +408,18 @@ class PackedTable:
         """
         target = np.ascontiguousarray(outputs, dtype=float)
         wrench = np.zeros(self.inputs) if start is None else np.array(start, dtype=float)
-        for name, given, count in (
+        for name, values, count in (
             ("displacement", target, self.outputs),
             ("start wrench", wrench, self.inputs),
         ):
-            if given.shape != (count,):
-                raise ValueError(f"a {name} must be {count} numbers, not of shape {given.shape}")
+            if values.shape != (count,):
+                raise ValueError(f"a {name} must be {count} numbers, not of shape {values.shape}")
         shape = (self.inputs, self.outputs)
         stiffness = np.zeros(shape) if near is None else np.array(near, dtype=float).reshape(shape)
         work = self._work()
-        wrong = kernel().with_gil.wb_inverse(
-            *(self.handle, work.options(None, method or self.method), target.ctypes.data),
-            *(wrench.ctypes.data, stiffness.ctypes.data, work.at[2]),
-        )
+        options = work.options(None, method or self.method)
+        addresses = [array.ctypes.data for array in (target, wrench, stiffness)]
+        wrong = kernel().with_gil.wb_inverse(self.handle, options, *addresses, work.at[2])
         self._idle.append(work)
         if wrong:
             free = np.where(self.locked[: self.outputs], 0.0, target)
@@ -469,9 +471,9 @@ class PackedTable:
         not finite.
         """
         rates = np.empty_like(stiffness)
+        addresses = stiffness.ctypes.data, inverse_mass.ctypes.data
         wrong = kernel().with_gil.wb_joint_rate(
-            *(len(rates), stiffness.ctypes.data, inverse_mass.ctypes.data),
-            *(dt, damping, rates.ctypes.data),
+            len(rates), *addresses, dt, damping, rates.ctypes.data
         )
         if wrong:
             raise ValueError(_why_no_rate(stiffness, inverse_mass))
@@ -525,11 +527,12 @@ class PackedTable:
             return _Work(self.inputs, self.outputs, self._scratch)
 
     def _many(self, wrenches: ArrayLike) -> Floats:
+        """Return wrenches as the kernel reads them: contiguous, shape (k, n)."""
         return np.ascontiguousarray(wrenches, dtype=float).reshape(-1, self.inputs)
 
 
 def _why_no_rate(stiffness: Floats, inverse_mass: Floats) -> str:
-    """Return the reason, as a text, for which ``wb_joint_rate`` refuses two matrices (n, n)."""
+    """Return why ``wb_joint_rate`` refuses two matrices (n, n), as a text."""
     for name, matrix in (("stiffness", stiffness), ("inverse effective mass", inverse_mass)):
         if not np.isfinite(matrix).all():
             row, column = np.argwhere(~np.isfinite(matrix))[0].tolist()

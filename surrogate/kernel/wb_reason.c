@@ -1,16 +1,17 @@
-/* Why an axis does not cover a wrench, as codes; surrogate/kernel/reasons.py has the words. MIT. */
+/* Codes of why an axis does not cover a wrench; surrogate/kernel/reasons.py has the texts. MIT. */
 #include "wb_internal.h"
 
 #include <math.h>
 #include <string.h>
 
-/* One axis' answer to its three loads alone, and where its rows were read. */
+/* One axis' answer to its three loads alone. */
 typedef struct {
     wb_composed answer;
-    int origin, simplex; /* the axis whose rows answered, or -1 */
+    int origin;  /* the axis whose rows answered, or -1 */
+    int simplex; /* the simplex of these rows, or -1 */
 } axis_report;
 
-/* The axis and input of a moment that acts alone: that of the better cut. */
+/* The axis that answers a moment that acts alone, that of the better cut; -1 without a cut. */
 static int axis_of_moment(const wb_composition *c, int moment, double amount) {
     int axis = -1, best = 0;
     for (int k = 0; k < 2; k++) {
@@ -42,7 +43,8 @@ static axis_report report_of(const wb_table *t, const wb_group *g, int axis, con
     return report;
 }
 
-/* `why_axis`; the reason's code is 0 if the axis covers its part. `state` is of the whole wrench. */
+/* The reason why an axis does not cover its loads; its code is 0 if it does. `state`: the axis'
+   state under the whole wrench. */
 static void why_axis(const wb_composition *c, const axis_report *report, int axis, int state,
                      const double *w, wb_reason *reason) {
     int alone = report->answer.states[axis];
@@ -57,8 +59,8 @@ static void why_axis(const wb_composition *c, const axis_report *report, int axi
     }
 }
 
-/* Add a reason of each axis that is as badly off as the worst. */
-void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_result *a) {
+/* Add a reason for each axis whose state is the worst one. */
+void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_result *result) {
     wb_composed all;
     if (!g->has_composition) return;
     wb_compose(&g->composition, t->small, w, &all);
@@ -67,7 +69,7 @@ void wb_axes_reasons(const wb_table *t, const wb_group *g, const double *w, wb_r
         if (all.state == WB_INSIDE || all.states[axis] != all.state) continue;
         axis_report report = report_of(t, g, axis, w);
         why_axis(&g->composition, &report, axis, all.states[axis], w, &reason);
-        if (reason.code) *wb_add_reason(a, reason.code) = reason;
+        if (reason.code) *wb_add_reason(result, reason.code) = reason;
     }
 }
 

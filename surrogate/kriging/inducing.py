@@ -1,8 +1,8 @@
-"""Measured rows beyond one factor: all of them, through inducing wrenches (Titsias 2009).
+"""Kriging of many measured rows through a few inducing wrenches (Titsias 2009).
 
-The response at N rows is taken to be what its values at m of their wrenches Z tell of it. With
-K = k(Z, Z) = L L', W = inv(L) k(Z, X) and the noise v_i of row i over the process variance, rows
-enter by sums over all of them:
+The response at N rows is approximated by its expectation from its values at m of their wrenches, Z.
+With K = k(Z, Z) = L L', W = inv(L) k(Z, X) and the noise v_i of row i over the process variance,
+the rows enter by sums over all of them:
 
     A = W D W',   b = W D y,   G = W D F,   H = F' D F,   D = diag(1 / v_i),   B = I + A
 
@@ -11,13 +11,13 @@ and, with beta the mean's coefficients, of variance P, and q = inv(L) k(Z, w),
     mean(w) = q' inv(B) (b - G beta) + f(w)' beta,   cov(beta) = C = inv(H - G' inv(B) G + 1/P)
     var(w) = k(w, w) - q' (I - inv(B)) q + r' C r,   r = f(w) - G' inv(B) q.
 
-That is a kriging of m rows at Z whose readings L inv(A) b have the noise S = L inv(A) L', with
-the triangle T of T'T = inv(K + S): to whatever answers, calibrates or packs it is one. As each
-inducing wrench is a row's, S is at most the noise of that row.
+That is a kriging of m rows at Z whose readings L inv(A) b have the noise S = L inv(A) L', with the
+triangle T of T'T = inv(K + S), and is answered, calibrated and packed as such. As each inducing
+wrench is a row's, S is at most the noise of that row.
 
-With the mean projected away and the eigenvalues of A for v = 1 the likelihood of all rows is known
-for every noise at once. What Z leaves of the response at the rows is noise to it, and stays in
-var(w) besides.
+The mean projected away and the eigenvalues of A for v = 1 give the likelihood of all rows for every
+noise. The part of the response that Z does not determine counts as noise in the likelihood, and is
+in var(w) too.
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ from .settings import KrigingSettings
 
 # Rows of a block: with 256 inducing wrenches 256 kB of covariances, in a processor's cache.
 BLOCK_ROWS = 128
-DECIMALS = 9  # decimals of a prior variance: nearer ones are a tie, and the first row is taken
+# Decimals of a remaining variance over the prior's: equal ones are a tie; the first row is taken.
+TIE_DECIMALS = 9
 TINY = 1e-13  # added to the eigenvalues of A, so that none is 0: above their rounding
-STEP = 0.1  # step of the logarithm of the noise's variance, which errs by 5 % at most
+STEP = 0.1  # of the logarithm of the noise's variance: an error of 5 % at most
 # Rows among which inducing wrenches are chosen, evenly: four times the most inducing wrenches.
 CANDIDATES = 4000
 
@@ -61,11 +62,11 @@ def spread_points(
     count: int,
     settings: KrigingSettings,
 ) -> tuple[Indices, bool]:
-    """Return the rows that leave the least of the prior's variance at the others, and if enough.
+    """Return the rows that best determine the response at the others, and whether they are enough.
 
-    The rows are the pivots of a Cholesky factor. They are enough when the remaining variance, mean
-    over the rows, is at most that of the answers themselves, which is the noise times wrenches over
-    rows: more rows would not improve an answer beyond the noise.
+    The rows are the pivots of a Cholesky factor of the prior's covariance. They are enough when the
+    remaining variance, mean over the rows, is at most that of the answers, which is the noise times
+    wrenches over rows: more rows would not improve an answer beyond the noise.
 
     `x` (n, 6), half ranges: candidates.
     `kernels`, `signal_to_noise`: covariances of outputs, and their process variances over a row's
@@ -82,7 +83,7 @@ def spread_points(
     while (size := len(chosen)) < limit:
         if remaining.mean() <= size / count:
             return np.array(chosen, dtype=np.intp), True
-        pivot = int(np.argmax(np.round(remaining / prior, DECIMALS)))
+        pivot = int(np.argmax(np.round(remaining / prior, TIE_DECIMALS)))
         if remaining[pivot] <= settings.nugget * prior:
             break
         column = -reduced[:size, pivot] @ reduced[:size]
@@ -104,12 +105,12 @@ def values_between(x: Floats, v: Floats, kernel: Hyperparameters) -> Floats:
     """
     out = np.zeros((len(x), len(v)))
     for rates, weight in zip(*kernel.terms, strict=True):
-        chosen = np.flatnonzero(rates)
-        scale = np.sqrt(7 * rates[chosen])
-        here, there = x[:, chosen] * scale, v[:, chosen] * scale
-        squared = here @ (-2 * there.T)
-        squared += (here**2).sum(axis=1)[:, None]
-        squared += (there**2).sum(axis=1)
+        loads = np.flatnonzero(rates)
+        scale = np.sqrt(7 * rates[loads])
+        scaled_x, scaled_v = x[:, loads] * scale, v[:, loads] * scale
+        squared = scaled_x @ (-2 * scaled_v.T)
+        squared += (scaled_x**2).sum(axis=1)[:, None]
+        squared += (scaled_v**2).sum(axis=1)
         np.maximum(squared, 0.0, out=squared)
         s = np.sqrt(squared)
         term = s * (1 / 15)
@@ -126,17 +127,18 @@ def values_between(x: Floats, v: Floats, kernel: Hyperparameters) -> Floats:
 
 
 class Sums(NamedTuple):
-    """Sums over rows, for outputs (k,) that they bring with noise in the same proportions."""
+    """Sums of the module over the rows of k outputs, whose noise is in the same proportions.
+
+    D is of the rows' relative noise.
+    """
 
     outputs: Indices  # (k,)
     prior: Factor  # factor of the inducing wrenches: its T is inv(L)
-    # A, b, G, H, h: (m, m), (m, k), (m, 7), (7, 7) and (7, k): see the module, and h = F' D y; D is
-    # of the rows' relative noise
-    A: Floats
-    b: Floats
-    G: Floats
-    H: Floats
-    h: Floats
+    A: Floats  # (m, m)
+    b: Floats  # (m, k)
+    G: Floats  # (m, 7)
+    H: Floats  # (7, 7)
+    h: Floats  # (7, k): F' D y
     square: Floats  # (k,): y' D y
     rows: int
     repeats: Floats  # (k,): readings at wrenches besides the first of each
@@ -156,7 +158,7 @@ class Inducing(NamedTuple):
 
     equations: Equations  # at the inducing wrenches, with the readings that all rows make there
     factors: list[KrigingFactor]
-    noise: Floats  # (6,), dimensionless: what `Equations.unit_noise` is multiplied by, by all rows
+    noise: Floats  # (6,), dimensionless: factor on `Equations.unit_noise`, from all rows
 
 
 def induced(
@@ -165,10 +167,10 @@ def induced(
     settings: KrigingSettings,
     dependence: Floats | float = 1.0,
 ) -> Inducing | None:
-    """Return the kriging of all rows, None where one factor is the better choice.
+    """Return the kriging of all rows; None if one factor of all rows is better.
 
-    One factor is better where it has room for all rows, and where inducing wrenches leave more
-    variance than the noise.
+    One factor is better if it has room for all rows and inducing wrenches leave more variance than
+    the noise, or if no output has noise.
 
     `equations`: of the values of all rows, sorted by wrench; without the noise of observations.
     `estimate`: hyperparameters and noise from some of the rows.
@@ -182,24 +184,31 @@ def induced(
     pseudo = _without_readings(equations.take(rows))
     relative = replace(equations, noise=np.maximum(unit, settings.nugget * typical))
 
+    z, known = pseudo.x, pseudo.known
+
     def summed(group: OutputGroup) -> Sums:
-        prior = _prior_factor(pseudo, estimate.kernels[group.outputs[0]], settings)
-        return sums_of(equations, group, pseudo.x, prior)
+        kernel = estimate.kernels[group.outputs[0]]
+        variances = np.tile(kernel.prior(1), len(z))
+        matrix = covariance(z, known, z, known, kernel)
+        matrix[np.diag_indices_from(matrix)] += settings.nugget * variances
+        inverse, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, variances)
+        prior = Factor(kernel, nugget, inverse, inverse @ mean_terms(z, known))
+        return sums_of(equations, group, z, prior)
 
     factors = list[KrigingFactor]()
     noise = estimate.noise.copy()
     groups = output_groups(relative, typical, settings, estimate.kernels)
-    # Each group in a thread of its own, with the same bits on any number of processors.
+    # The threads give the same bits on any number of processors.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for sums in pool.map(summed, groups):
             outputs, likely = sums.outputs, likely_noise(sums, settings)
-            # The noise of an output that does not vary says nothing about the others' noise.
-            varying = estimate.noise[outputs] > 0
-            if varying.any():
-                likely.ratios[~varying] = np.exp(np.log(likely.ratios[varying]).mean())
+            # An output that does not vary has the mean ratio of those that do.
+            is_varying = estimate.noise[outputs] > 0
+            if is_varying.any():
+                likely.ratios[~is_varying] = np.exp(np.log(likely.ratios[is_varying]).mean())
             noise[outputs] = likely.ratios * likely.variances / typical[outputs]
-            together = np.broadcast_to(dependence, noise.shape)[outputs]
-            likely = likely._replace(ratios=likely.ratios * together)
+            of_outputs = np.broadcast_to(dependence, noise.shape)[outputs]
+            likely = likely._replace(ratios=likely.ratios * of_outputs)
             factors.append(posterior_factor(sums, likely, pseudo, settings))
     return Inducing(pseudo, factors, noise)
 
@@ -207,7 +216,7 @@ def induced(
 def _inducing_rows(
     equations: Equations, estimate: Estimate, typical: Floats, settings: KrigingSettings
 ) -> Indices | None:
-    """Return the rows whose wrenches are inducing, ascending, None where one factor is better.
+    """Return the rows whose wrenches are inducing, ascending; None if one factor is better.
 
     `typical` (6,), spreads squared: mean unit noise of the rows.
     """
@@ -221,17 +230,14 @@ def _inducing_rows(
     ratio = np.maximum(estimate.noise * typical / variance, settings.nugget)
     candidates = evenly(count, CANDIDATES)
     kernels = [estimate.kernels[output] for output in noisy]
-    points, enough = spread_points(
+    points, are_enough = spread_points(
         equations.x[candidates], kernels, 1 / ratio[noisy], count, settings
     )
-    return np.sort(candidates[points]) if enough or not fits_one_factor else None
+    return np.sort(candidates[points]) if are_enough or not fits_one_factor else None
 
 
 def _without_readings(equations: Equations) -> Equations:
-    """Return the values' equations of rows with readings of zero and no noise.
-
-    Their arrays have columns for slopes, as the equations of other krigings.
-    """
+    """Return equations with readings of zero and no noise, with columns for slopes too."""
     shape = equations.measured.shape
     n_derivatives = 1 + equations.loads
     return replace(
@@ -243,16 +249,6 @@ def _without_readings(equations: Equations) -> Equations:
         observations=np.zeros(shape),
         scatter=np.zeros(shape),
     )
-
-
-def _prior_factor(pseudo: Equations, kernel: Hyperparameters, settings: KrigingSettings) -> Factor:
-    """Return the factor of the inducing wrenches without readings, whose T is inv(L)."""
-    z, known = pseudo.x, pseudo.known
-    matrix = covariance(z, known, z, known, kernel)
-    prior = np.tile(kernel.prior(1), len(z))
-    matrix[np.diag_indices_from(matrix)] += settings.nugget * prior
-    inverse, nugget = inverse_factor(matrix, settings.nugget, settings.nugget_limit, prior)
-    return Factor(kernel, nugget, inverse, inverse @ mean_terms(z, known))
 
 
 def sums_of(equations: Equations, group: OutputGroup, z: Floats, prior: Factor) -> Sums:
@@ -288,7 +284,7 @@ def likely_noise(sums: Sums, settings: KrigingSettings) -> LikelyNoise:
 
     The posterior is that of the restricted likelihood of all rows.
     """
-    # The mean's coefficients projected away.
+    # The sums with the mean's coefficients projected away.
     H = sums.H + np.eye(len(sums.H)) / settings.mean_variance
     solved = np.linalg.solve(H, np.concatenate((sums.G.T, sums.h), axis=1))
     of_wrenches, of_data = np.split(solved, [len(sums.A)], axis=1)
@@ -326,7 +322,7 @@ def posterior_factor(
     mean_covariance = np.asarray(np.linalg.inv(precision), dtype=float)
     coefficients = mean_covariance @ (h - G.T @ inverse @ b)
 
-    # R'R = I - inv(B), R lower, by its root: what rounding leaves of that may not be definite.
+    # R'R = I - inv(B), R lower, by a root: rounding may make the matrix itself indefinite.
     root = np.sqrt(values / (1 + values) + TINY)[:, None] * vectors.T
     R = np.asarray(np.linalg.qr(root[:, ::-1], mode="r"))[::-1, ::-1]
 
@@ -345,6 +341,6 @@ def posterior_factor(
         mean_covariance=mean_covariance,
         coefficients=coefficients,
         weights=prior.T.T @ (inverse @ (b - G @ coefficients)),
-        # Outputs of like noise share one triangle: their variances are in proportion to the noise.
+        # Outputs of similar noise share one triangle: their variances follow their noise.
         variance=likely.ratios * likely.variances / ratio,
     )

@@ -1,4 +1,4 @@
-"""A packed table cut to a scene: the same numbers at the scene's wrenches, from a smaller file."""
+"""Cuts a packed table to a scene: the same answers at the scene's wrenches from a smaller file."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
         needs_all or bool(table.arrays[f"g{group}/outputs"][outputs].any())
         for group in range(len(table.meta["groups"]))
     ]
-    # An empty choice keeps the first group, which states that nothing is measured.
+    # Without a group that is read the first stays, which states that nothing is measured.
     groups = np.flatnonzero(read).tolist() or [0]
     slopes = np.ones(table.inputs, dtype=bool)
     for number, group in enumerate(groups):
@@ -46,23 +46,13 @@ def cut(table: PackedTable, need: Need, plan: Mapping[str, Any] | None = None) -
         group_arrays, has_slopes = _cut_group(uncut, need, needs_all)
         arrays |= named(f"g{number}/", group_arrays)
         slopes &= has_slopes
-    arrays |= _scene_arrays(table, need, len(groups), slopes)
-    meta = {
-        **table.meta,
-        "groups": [table.meta["groups"][group] for group in groups],
-        "scene": {"outputs": need.output_names(), "plan": plan or {}},
-    }
-    return pieces(check(arrays), meta)
 
-
-def _scene_arrays(table: PackedTable, need: Need, groups: int, slopes: Mask) -> Arrays:
-    """Return the arrays that all groups share, cut to a scene of `groups` groups."""
     ends = np.stack((need.span.low, need.span.high))
     sizes = table.arrays["space/sizes"].copy()
-    sizes[GROUPS] = groups
+    sizes[GROUPS] = len(groups)
     locked = table.arrays["space/locked"].copy()
     locked[list(need.idle)] = 1
-    arrays = {
+    arrays |= {
         "space/sizes": sizes,
         "space/locked": locked,
         "scene/range": ends,
@@ -72,7 +62,12 @@ def _scene_arrays(table: PackedTable, need: Need, groups: int, slopes: Mask) -> 
     }
     if need.tolerance is not None:
         arrays["space/tolerance"] = np.array(allowed_by(need.tolerance, need.span.space))
-    return arrays
+    meta = {
+        **table.meta,
+        "groups": [table.meta["groups"][group] for group in groups],
+        "scene": {"outputs": need.output_names(), "plan": plan or {}},
+    }
+    return pieces(check(arrays), meta)
 
 
 def _cut_group(group: Arrays, need: Need, needs_all: bool) -> tuple[Arrays, Mask]:
@@ -95,8 +90,8 @@ def _cut_group(group: Arrays, need: Need, needs_all: bool) -> tuple[Arrays, Mask
     if needs_axes and "axes/vertex" in group:
         loaded = np.array([need.occurring[list(axis.inputs)].any() for axis in AXES]) | needs_all
         arrays |= named("axes/", _cut_axes(block_of(group, "axes/"), loaded))
-        for axis, stays in zip(AXES, loaded, strict=True):
-            slopes[list(axis.inputs)] &= stays
+        for axis, is_loaded in zip(AXES, loaded, strict=True):
+            slopes[list(axis.inputs)] &= is_loaded
     return arrays, slopes
 
 
@@ -115,20 +110,20 @@ def _cut_rows(rows: Arrays, need: Need) -> Arrays:
 
 
 def _cut_kriging(kriging: Arrays, need: Need, needs_all: bool) -> Arrays:
-    """Return a kriging, without factors of outputs that are not read unless all are needed."""
+    """Return a kriging with the factors of the outputs that are read, or of all if needed."""
     count = int(kriging["factor_count"][0])
     outputs = list(need.outputs)
     factors = [block_of(kriging, f"factor{number}/") for number in range(count)]
-    stay = [
+    used = [
         number
         for number, factor in enumerate(factors)
         if needs_all or factor["outputs"][outputs].any()
     ] or [0]
     terms = np.split(kriging["terms"], count)
     arrays = {name: array for name, array in kriging.items() if "/" not in name}
-    arrays["factor_count"] = np.array([len(stay)], dtype=np.int32)
-    arrays["terms"] = np.concatenate([terms[number] for number in stay])
-    for new_number, number in enumerate(stay):
+    arrays["factor_count"] = np.array([len(used)], dtype=np.int32)
+    arrays["terms"] = np.concatenate([terms[number] for number in used])
+    for new_number, number in enumerate(used):
         arrays |= named(f"factor{new_number}/", factors[number])
     return arrays
 
@@ -191,9 +186,9 @@ def _cut_axes(block: Arrays, loaded: Mask) -> Arrays:
     }
     # cut{m}{side} is along moment m, of the axis (m - side - 1) % 3: a moment enters two axes.
     unloaded = np.flatnonzero(~loaded).tolist()
-    gone = [f"cut{(axis + step) % 3}{step - 1}" for axis in unloaded for step in (1, 2)]
+    removed = [f"cut{(axis + step) % 3}{step - 1}" for axis in unloaded for step in (1, 2)]
     cuts = {name: array for name, array in block.items() if "/" in name}
-    return arrays | {name: cuts[name] for name in cuts if name.partition("/")[0] not in gone}
+    return arrays | {name: cuts[name] for name in cuts if name.partition("/")[0] not in removed}
 
 
 def _renumbered(axes: AxesArrays, points: _Selected, simplices: _Selected) -> Floats:

@@ -1,8 +1,8 @@
 """Rows at the same wrench: their groups, their mean, and their contradictions.
 
-A row beyond the load range answers at its own wrench only: one row at 25 times the range makes
-simplices that take most of it, and bends every fit. The slopes and curvatures between two rows at
-almost one wrench are noise: such rows are merged, and their difference is the uncertainty.
+The slopes and curvatures between two rows at almost one wrench are noise: such rows are merged, and
+their difference is the uncertainty. A row beyond the load range answers at its own wrench only: one
+row at 25 times the range makes simplices that take most of it, and changes every fit.
 """
 
 from __future__ import annotations
@@ -20,21 +20,18 @@ from scipy.special import ndtri
 from ..calibration import LEVEL
 from .rows import NEAR, SOLVED, ZERO_LOAD, Floats, LoadRange, Rows
 
-# Directions: with three, nine tenths of 30,000 rows have no neighbour along one of them.
-DIRECTIONS = 3
+DIRECTIONS = 3  # with three, nine tenths of 30,000 rows have no neighbour along one of them
 # Factor on a distance along a direction: the rounding of loads, 2e-16, over a distance of 1e-6.
-ALONG = 1 + 1e-6
+ROUNDING_FACTOR = 1 + 1e-6
 # Decimals of scaled loads: rows that agree to these decimals are one, without a distance.
-EQUAL = 12
+EQUAL_DECIMALS = 12
 MAX_PAIRS = 10_000_000  # pairs of near rows, each counted twice: 80 MB
-# The key of a wrench is its position along a direction. Wrenches near each other have near keys
-# along any direction; few others do. The direction's components are roots of primes, so that the
-# steps of no two loads cancel; their sum is 1, so that wrenches within `NEAR` in each load have
-# keys within `NEAR`.
-_PRIMES = [k for k in range(2, 90) if all(k % part for part in range(2, k))]
-WINDOW = NEAR * ALONG
+WINDOW = NEAR * ROUNDING_FACTOR  # distance of keys of wrenches that may be near each other
+# The components of the direction of the keys of `RowIndex` are roots of primes, so that the steps
+# of no two loads cancel.
+_PRIMES = [k for k in range(2, 90) if all(k % divisor for divisor in range(2, k))]
 
-AGREE = 1e-6  # part of an output's range: rounding in a file stays below it
+MIN_CONFLICT = 1e-6  # part of an output's range: rounding in a file stays below it
 MAX_LISTED = 50  # conflicts listed in a summary, which counts all of them
 
 
@@ -44,21 +41,20 @@ class Observations(NamedTuple):
     Their scatter and the likelihood of a kriging show their noise.
     """
 
-    # dimensionless: their number; 0 where an uncertainty is stated, or a value is solved
-    number: Floats
+    number: Floats  # 0 where an uncertainty is stated, or a value is solved
     scatter: Floats  # m^2 and rad^2: sum of their squared differences from their mean
 
-    def take(self, which: NDArray[np.intp]) -> Observations:
-        """Return the observations of the rows `which`, indices of shape (k,)."""
-        return Observations(self.number[which], self.scatter[which])
+    def take(self, indices: NDArray[np.intp]) -> Observations:
+        """Return the observations of the rows with these indices, shape (k,)."""
+        return Observations(self.number[indices], self.scatter[indices])
 
 
 class Merged(NamedTuple):
     """Rows of distinct wrenches."""
 
     # Displacement, tangent and curvature are the mean of the merged rows. The uncertainty is their
-    # largest, or half the spread of their displacements if that is larger. The number, the wrench
-    # and the source come from one of them.
+    # largest, or half the spread of their displacements if that is larger. Number and wrench are
+    # those of one of them.
     rows: Rows
     members: tuple[tuple[int, ...], ...]  # the numbers (`seq`) of the rows merged into each row
     within: NDArray[np.bool_]  # (n,): which rows lie within the load range
@@ -80,40 +76,43 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
 
     A row beyond the range never merges with one within it.
     """
-    scaled, within, owner = rows.wrench / load_range.scale, *_groups(rows, load_range)
+    within, owner = _groups(rows, load_range)
     sizes = np.bincount(owner)
-    several = np.flatnonzero(sizes > 1)
+    repeated_groups = np.flatnonzero(sizes > 1)
     present = np.isfinite(rows.displacement)
     is_exact = rows.is_solved | rows.has_tangent
     is_known = present & ((rows.uncertainty > 0) | is_exact[:, None])
     number = np.where(present & ~is_known, 1.0, 0.0)
     observations = Observations(number, np.zeros_like(number))
-    if not len(several):
+    if not len(repeated_groups):
         return Merged(rows, tuple(zip(rows.seq.tolist(), strict=True)), within, owner, observations)
 
     # The wrench is that of the row with the fewest loads, so that a single-axis row stays
     # single-axis, and zero load stays zero load. Of equal rows the outermost counts, so that the
     # hull does not shrink.
-    loaded = (np.abs(scaled) > ZERO_LOAD).sum(axis=1)
-    order = np.lexsort((rows.seq, -(scaled**2).sum(axis=1), loaded, owner))
+    scaled = rows.wrench / load_range.scale
+    loads = (np.abs(scaled) > ZERO_LOAD).sum(axis=1)
+    order = np.lexsort((rows.seq, -(scaled**2).sum(axis=1), loads, owner))
     first = order[np.cumsum(sizes) - sizes]
 
-    order, starts = _several(owner)
+    order, starts = _repeated(owner)
     columns = _merged_columns(rows, order, starts)
     merged = {name: np.array(getattr(rows, name)[first]) for name in columns}
     for name, values in columns.items():
-        merged[name][several] = values
+        merged[name][repeated_groups] = values
     members = list(zip(rows.seq[first].tolist(), strict=True))
-    for index, group in zip(several.tolist(), np.split(rows.seq[order], starts[1:]), strict=True):
+    numbers = np.split(rows.seq[order], starts[1:])
+    for index, group in zip(repeated_groups.tolist(), numbers, strict=True):
         members[index] = tuple(group.tolist())
 
-    mean = columns["displacement"].repeat(sizes[several], axis=0)
+    mean = columns["displacement"].repeat(sizes[repeated_groups], axis=0)
     squares = np.where(present[order], rows.displacement[order] - mean, 0.0) ** 2
     unknown = ~np.logical_or.reduceat(is_known[order], starts)
     observations = observations.take(first)
     number = np.add.reduceat(present[order], starts, dtype=float)
-    observations.number[several] = np.where(unknown, number, 0)
-    observations.scatter[several] = np.where(unknown, np.add.reduceat(squares, starts), 0.0)
+    observations.number[repeated_groups] = np.where(unknown, number, 0)
+    scatter = np.add.reduceat(squares, starts)
+    observations.scatter[repeated_groups] = np.where(unknown, scatter, 0.0)
     merged_rows = replace(rows.take(first), **merged)
     return Merged(merged_rows, tuple(members), within[first], owner, observations)
 
@@ -121,28 +120,32 @@ def merge(rows: Rows, load_range: LoadRange) -> Merged:
 def _merged_columns(
     rows: Rows, order: NDArray[np.intp], starts: NDArray[np.intp]
 ) -> dict[str, NDArray[Any]]:
-    """Return the columns of merged rows that are not those of one row; see `_several`."""
-    part = rows.take(order)
-    present = np.isfinite(part.displacement)
-    high = np.maximum.reduceat(np.where(present, part.displacement, -np.inf), starts)
-    low = np.minimum.reduceat(np.where(present, part.displacement, np.inf), starts)
-    largest = np.maximum.reduceat(np.nan_to_num(part.uncertainty), starts)
-    # Solves repeat exactly; a merged row does so only if all its rows do.
-    measured = np.where(part.is_solved, len(part), np.arange(len(part)))
+    """Return the columns of each group that differ from those of its first row; see `_repeated`."""
+    repeated_rows = rows.take(order)
+    displacement = repeated_rows.displacement
+    present = np.isfinite(displacement)
+    high = np.maximum.reduceat(np.where(present, displacement, -np.inf), starts)
+    low = np.minimum.reduceat(np.where(present, displacement, np.inf), starts)
+    largest = np.maximum.reduceat(np.nan_to_num(repeated_rows.uncertainty), starts)
+    # A merged row is solved only if all its rows are; else it has the first source of another kind.
+    count = len(repeated_rows)
+    measured = np.where(repeated_rows.is_solved, count, np.arange(count))
+    sources = np.append(repeated_rows.source, SOLVED)
     return {
-        "displacement": _means(part.displacement, starts, ()),
+        "displacement": _means(displacement, starts, ()),
         "uncertainty": np.maximum(np.where(high > low, high - low, 0.0) / 2, largest),
-        "compliance": _means(part.compliance, starts, (1, 2)),
-        "curvature": _means(rows.curvature[order], starts, (1,)),
-        "source": np.append(part.source, SOLVED)[np.minimum.reduceat(measured, starts)],
+        "compliance": _means(repeated_rows.compliance, starts, (1, 2)),
+        "curvature": _means(repeated_rows.curvature, starts, (1,)),
+        "source": sources[np.minimum.reduceat(measured, starts)],
     }
 
 
 class RowIndex:
     """The nearest row of each wrench, if that is within 1e-6 of the range in each load.
 
-    Rows that near are merged (`merging`), and a wrench with a rounding error is the row's wrench.
-    Of several rows of one wrench the first counts.
+    Of several rows of one wrench the first counts. The key of a wrench is its position along a
+    direction whose components have the sum 1: wrenches within `NEAR` in each load have keys within
+    `NEAR`, and few others do.
 
     `wrenches` (n, 6), N and N·m.
     `scale` (6,), N and N·m: scale of the load range.
@@ -167,7 +170,7 @@ class RowIndex:
     def indices(self, wrenches: Floats) -> NDArray[np.intp]:
         """Return the row of each wrench (k, 6), N and N·m, shape (k,); -1 without a near row."""
         indices = np.full(len(wrenches), -1, dtype=np.intp)
-        with np.errstate(over="ignore", invalid="ignore"):  # a load may be 1e300
+        with np.errstate(over="ignore", invalid="ignore"):  # of a load of 1e300
             keys = wrenches @ self.rates
             first = np.searchsorted(self.keys, keys - WINDOW)
             last = np.searchsorted(self.keys, keys + WINDOW, side="right")
@@ -182,7 +185,7 @@ class RowIndex:
 
 def repeated(rows: Rows, load_range: LoadRange) -> list[NDArray[np.intp]]:
     """Return the rows of each wrench that several rows have: indices, shape (k,), ascending."""
-    order, starts = _several(_groups(rows, load_range)[1])
+    order, starts = _repeated(_groups(rows, load_range)[1])
     return np.split(order, starts[1:]) if len(starts) else []
 
 
@@ -200,21 +203,21 @@ def row_conflicts(
     """
     groups = repeated(rows, load_range)
     pairs = sum(len(group) * (len(group) - 1) for group in groups) / 2
-    # Bonferroni: of a difference of two readings, over all pairs.
+    # Bonferroni's bound of the difference of two readings, over all pairs.
     by_chance = ndtri(1 - (1 - LEVEL) / (2 * max(pairs, 1.0))) / ndtri((1 + LEVEL) / 2)
     by_noise = np.nan_to_num(np.sqrt(2) * by_chance * noise)
     is_exact = (rows.is_solved | rows.has_tangent)[:, None]
     is_reading = ~is_exact & ~(rows.uncertainty > 0)
-    size = AGREE * np.abs(np.nan_to_num(rows.displacement)).max(axis=0, initial=0.0)
+    rounding = MIN_CONFLICT * np.abs(np.nan_to_num(rows.displacement)).max(axis=0, initial=0.0)
     names = rows.space.output_names
     conflicts = []
     for indices in groups:
-        moved = rows.displacement[indices]
+        displacements = rows.displacement[indices]
         # NaN where no row measured the output.
-        spread = np.fmax.reduce(moved) - np.fmin.reduce(moved)
+        spread = np.fmax.reduce(displacements) - np.fmin.reduce(displacements)
         stated = 2 * np.nan_to_num(rows.uncertainty[indices]).max(axis=0)
         of_readings = np.where(is_reading[indices].any(axis=0), by_noise, 0.0)
-        allowed = np.maximum(stated, of_readings) + size
+        allowed = np.maximum(stated, of_readings) + rounding
         over = np.flatnonzero(spread > allowed)
         if len(over):
             wrench = rows.wrench[indices[0]].tolist()
@@ -247,8 +250,7 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     """
     if not len(points):
         return np.empty(0, dtype=np.intp)
-    # + 0.0 turns -0.0 into 0.0, as the comparison of bytes would separate them
-    keys = np.round(points, EQUAL) + 0.0
+    keys = np.round(points, EQUAL_DECIMALS) + 0.0  # -0.0 becomes 0.0
     # The distinct points in lexical order, and the index of each point in them. `numpy.unique`
     # along an axis does the same, but compares bytes and blocks all other threads.
     order = np.lexsort(keys.T[::-1])
@@ -262,17 +264,17 @@ def close_groups(points: Floats) -> NDArray[np.intp]:
     near, n_pairs = _maybe_near(distinct)
     # Readings of a held load are dense. Readings of one cell are one group, represented by its
     # first reading; cells grow until the remaining pairs fit into memory.
-    shown = np.arange(len(near))
+    first = np.arange(len(near))  # reading of each cell
     cell = np.arange(len(near))
     edge = NEAR
     tree = KDTree(distinct[near])
     while n_pairs > MAX_PAIRS and tree.count_neighbors(tree, NEAR, p=np.inf) > MAX_PAIRS:
         cells = np.floor(distinct[near] / edge)
-        _, shown, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        tree = KDTree(distinct[near[shown]])
+        _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+        tree = KDTree(distinct[near[first]])
         edge = 2 * edge
-    pairs = near[shown[tree.query_pairs(NEAR, p=np.inf, output_type="ndarray")]]
-    pairs = np.concatenate((pairs, np.stack((near, near[shown[cell.reshape(-1)]]), axis=1)))
+    pairs = near[first[tree.query_pairs(NEAR, p=np.inf, output_type="ndarray")]]
+    pairs = np.concatenate((pairs, np.stack((near, near[first[cell.reshape(-1)]]), axis=1)))
 
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(distinct),) * 2)
     label = np.asarray(connected_components(links, directed=False)[1])[group]
@@ -294,7 +296,7 @@ def _maybe_near(points: Floats) -> tuple[NDArray[np.intp], int]:
     for direction in directions:
         along = points[remaining] @ direction
         order = np.argsort(along)
-        extent = NEAR * direction.sum() * ALONG
+        extent = NEAR * direction.sum() * ROUNDING_FACTOR
         ends = np.searchsorted(along[order], along[order] + extent, side="right")
         after = ends - np.arange(1, len(order) + 1)  # points within the extent
         n_pairs = 2 * int(after.sum())
@@ -305,12 +307,12 @@ def _maybe_near(points: Floats) -> tuple[NDArray[np.intp], int]:
     return remaining, n_pairs
 
 
-def _several(owner: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _repeated(owner: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the rows of all groups of several rows, group by group, and each group's start."""
     sizes = np.bincount(owner)
     order = np.argsort(owner, kind="stable")
-    several = sizes[sizes > 1]
-    return order[sizes[owner[order]] > 1], np.cumsum(several) - several
+    counts = sizes[sizes > 1]
+    return order[sizes[owner[order]] > 1], np.cumsum(counts) - counts
 
 
 def _means(values: Floats, starts: NDArray[np.intp], axes: tuple[int, ...]) -> Floats:

@@ -248,6 +248,18 @@ def fresh(count: int, derivatives: int) -> Make:
     return make
 
 
+def parts_at(part: Part, wrenches: np.ndarray) -> np.ndarray:
+    """Return the parts of the range at which the part's rows have these wrenches."""
+    high = part.load_range.high
+    parts = wrenches / high
+    for _ in range(60):
+        step = (wrenches - part.rows(parts, 0).wrench) / high
+        if np.abs(step).max() < 1e-9:
+            return parts
+        parts = parts + step
+    raise AssertionError(f"{part.name} has no rows at the wrenches of a fill")
+
+
 def filled(count: int, derivatives: int) -> Make:
     """Solve a query, then what a fill asks for: its first design, and where bars are largest."""
 
@@ -257,7 +269,9 @@ def filled(count: int, derivatives: int) -> Make:
         while len(rows) < count:
             table = build(rows, part.load_range)
             fresh = next_wrenches(table, min(8, count - len(rows))).wrenches
-            rows += part.rows(fresh / part.load_range.high, derivatives)
+            added = part.rows(parts_at(part, fresh), derivatives)
+            rows += dataclasses.replace(added, wrench=fresh)  # a fill knows its wrenches exactly
+        assert len(np.unique(rows.wrench, axis=0)) == len(rows), "a fill solves a wrench twice"
         yield Trial(part, rows, *_asked(part, _beside(seed)))
 
     return make

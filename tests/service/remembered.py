@@ -1,6 +1,6 @@
 """The embedded solver that solves each wrench of a component once, named by WRENCHBOOK_SOLVE.
 
-Servers that share the folder of WRENCHBOOK_REMEMBERED fill the same table from empty in no time.
+Servers that share the folder of WRENCHBOOK_REMEMBERED fill the same table without solving again.
 """
 
 from __future__ import annotations

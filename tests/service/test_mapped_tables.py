@@ -16,7 +16,7 @@ from wrenchbook.service.library.library import Library
 from wrenchbook.service.tables import build, mapped, store
 from wrenchbook.service.tables import build as builds
 from wrenchbook.service.tables.build import TableBuilder
-from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
+from wrenchbook.service.tables.coordinator_state import CoordinatorState, PublishedTable, Status
 from wrenchbook.service.tables.mapped import MappedTables, TableBehindError
 from wrenchbook.service.tables.store import TableStore, is_of
 from wrenchbook.service.workspace import Watcher
@@ -78,7 +78,7 @@ def both(tmp_path):
 def test_a_file_without_an_origin_is_published_as_of_no_setup(both):
     table = both[1].tables.surrogate("new")
     del table.packed.meta["provenance"]["origin"]
-    assert mapped._mark(table) == [table.version, ""]
+    assert mapped.published_table(table) == (table.version, "")
 
 
 def test_a_version_replaces_the_one_before_and_its_file(both, tmp_path):
@@ -257,13 +257,13 @@ def test_a_builder_can_take_the_place_of_one_that_has_ended(tmp_path):
 
 def test_a_process_of_another_user_is_one_of_the_others(tmp_path, monkeypatch):
     one, other = CoordinatorState(tmp_path), CoordinatorState(tmp_path)
-    one.publish({"new": [3, "setup"]})
+    one.publish({"new": PublishedTable(3, "setup")})
 
     def refuse(process, signal):
         raise PermissionError
 
     monkeypatch.setattr(os, "kill", refuse)
-    assert list(other.others()) == [{"new": [3, "setup"]}]
+    assert list(other.others()) == [{"new": (3, "setup")}]
 
 
 def test_a_file_of_published_tables_that_was_cut_off_is_passed_over(tmp_path):

@@ -78,8 +78,22 @@ def attached(filename: str) -> dict[str, str]:
     return {"Content-Disposition": f'attachment; filename="{filename}"'}
 
 
-def next_page(response: Response, path: str, query: Mapping[str, Any]) -> str:
-    """Return the URL of a list's next page, and set the header Link (RFC 8288)."""
+def cut_page(
+    response: Response,
+    path: str,
+    query: Mapping[str, Any],
+    entries: list[Any],
+    limit: int,
+    order: str = "id",
+) -> str | None:
+    """Cut entries to `limit`; return the URL of the next page, in the header Link too (RFC 8288).
+
+    The entries are in the order of the attribute `order`. The last page has no next: None.
+    """
+    if len(entries) <= limit:
+        return None
+    del entries[limit:]
+    query = {**query, "limit": limit, "after": getattr(entries[-1], order)}
     parameters = {
         name: "true" if value is True else value for name, value in query.items() if value
     }

@@ -9,7 +9,7 @@ from pydantic import AwareDatetime
 from starlette.responses import Response
 
 from wrenchbook.service.http.openapi import refused
-from wrenchbook.service.http.routes import Opened, next_page
+from wrenchbook.service.http.routes import Opened, cut_page
 from wrenchbook.service.tables.rows import iso_time
 
 router = APIRouter(prefix="/v1/audit", tags=["audit"], responses=refused(422))
@@ -37,13 +37,9 @@ def list_audit(
         limit=limit + 1,
         below=after,
     )
-    next_url = None
-    if len(page) > limit:
-        page.pop()
-        query = {"component": component, "actor": actor, "action": action}
-        query |= {"since": since and since.isoformat(), "until": until and until.isoformat()}
-        query |= {"limit": limit, "after": page[-1].id}
-        next_url = next_page(response, "/v1/audit", query)
+    query = {"component": component, "actor": actor, "action": action}
+    query |= {"since": since and since.isoformat(), "until": until and until.isoformat()}
+    next_url = cut_page(response, "/v1/audit", query, page, limit)
     entries = [
         {**vars(entry), "time": iso_time(entry.time), "actor": entry.actor or None}
         for entry in page

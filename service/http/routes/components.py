@@ -28,7 +28,7 @@ from wrenchbook.service.http.body import (
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.permission import permission_of
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
-from wrenchbook.service.http.routes import Opened, WaitSeconds, json_reply, next_page
+from wrenchbook.service.http.routes import Opened, WaitSeconds, cut_page, json_reply
 from wrenchbook.service.http.routes.scenes import need_from
 from wrenchbook.service.library.bundles import MAX_BUNDLE_BYTES
 from wrenchbook.service.library.component import (
@@ -76,14 +76,11 @@ def list_components(
             components.append(component)
 
     read = partial(workspace.tables.surrogate, or_empty=True)
-    next_url = None
-    if len(components) > limit:
-        last = components[limit - 1].name
-        query = {"q": q, "archived": archived, "limit": limit, "after": last}
-        next_url = next_page(response, "/v1/components", query)
+    query = {"q": q, "archived": archived}
+    next_url = cut_page(response, "/v1/components", query, components, limit, order="name")
     return {
         "components": [
-            _summary(workspace, component, read(component.name)) for component in components[:limit]
+            _summary(workspace, component, read(component.name)) for component in components
         ],
         "next": next_url,
         "broken": [

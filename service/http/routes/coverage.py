@@ -1,4 +1,4 @@
-"""A table's coverage, its compliance, and the data of a page's plots; nothing is queued."""
+"""Routes of a table's coverage and compliance, and of the data of plots; they queue nothing."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from wrenchbook.surrogate.table.rows import ZERO_LOAD, Floats, LoadRange
 router = component_router("components")
 MAX_ROWS = 5_000  # rows that a browser rotates in 3-D without delay; the reply is then some 1 MB
 SAMPLE = 128  # wrenches: they give the covered part of a range to some 4 %
-CELLS = 7  # cells of each load in the grid of an axis; odd, so that no load is a middle of one
+CELLS = 7  # cells of each load in the grid of an axis; odd: zero load is the middle of one
 
 Load = Literal["fx", "fy", "fz", "mx", "my", "mz"]
 Number = Annotated[float, Query(allow_inf_nan=False)]
@@ -59,7 +59,7 @@ def coverage(name: str, table: Newest) -> Response:
     """Hull and gaps of each axis, and contradictory rows."""
     gaps = table.packed.meta["gaps"]
     if not table.load_range.space.is_default:
-        gaps = []  # a table of other inputs than the six of one interface has no axes
+        gaps = []  # only the six loads of one interface form axes
     elif gaps is None:
         gaps = table.surrogate().groups[0].axes.gaps(table.load_range)
     return json_reply({"component": name, **table.summary, "gaps": gaps})
@@ -69,15 +69,15 @@ def coverage(name: str, table: Newest) -> Response:
 def compliance(name: str, table: Newest) -> Response:
     """Compliance at zero load, mean compliance over the load range, and physics checks."""
     fit = table.fit
-    tangent = table.packed.tangent_at_zero()
+    tangent, tangent_origin = table.packed.tangent_at_zero()
     space = table.load_range.space
     measured = np.any(np.isfinite(table.rows.displacement), axis=0)
     return json_reply(
         Compliance(
             component=name,
             table_version=table.version,
-            tangent=tangent[0],
-            tangent_origin=tangent[1],
+            tangent=tangent,
+            tangent_origin=tangent_origin,
             origin=cast(Any, fit.origin),
             matrix=np.where(measured[:, None], fit.matrix, np.nan),
             offset=np.ascontiguousarray(np.broadcast_to(fit.offset, len(space.outputs))),
@@ -96,37 +96,38 @@ def compliance(name: str, table: Newest) -> Response:
 def glance(name: str, workspace: Opened) -> Response:
     """Covered, thin and outside fractions of the load range, and error bars."""
     table = workspace.tables.surrogate(name)
-    span = table.load_range
-    outputs = len(span.space.outputs)
-    # A Latin hypercube (McKay, Beckman and Conover 1979) spreads them evenly in each input.
-    layers = np.tile(np.arange(SAMPLE), (len(span.low), 1))
+    load_range = table.load_range
+    outputs = len(load_range.space.outputs)
+    # A Latin hypercube (McKay, Beckman and Conover 1979) is even in each input.
+    layers = np.tile(np.arange(SAMPLE), (len(load_range.low), 1))
     layers = np.random.default_rng(SAMPLE).permuted(layers, axis=1).T
-    wrenches = span.low + (layers + 0.5) / SAMPLE * (span.high - span.low)
+    wrenches = load_range.low + (layers + 0.5) / SAMPLE * (load_range.high - load_range.low)
 
     replies = [table.packed.answer(wrench) for wrench in wrenches.tolist()]
     within = [reply.within_tolerance for reply in replies if reply.coverage == "covered"]
-    axes = AXES if span.space.is_default else ()
-    used = table.rows.wrench[span.holds(table.rows.wrench)]
+    axes = AXES if load_range.space.is_default else ()
+    inside = table.rows.wrench[load_range.holds(table.rows.wrench)]
+    reach = np.stack((inside.min(axis=0), inside.max(axis=0)), axis=1) if len(inside) else None
     body = {
         "component": name,
         "table_version": table.version,
         "shares": COVERAGE,
-        "whole": _shares(table, wrenches),
+        "whole": _fractions(table, wrenches),
         "error": _median([reply.error for reply in replies], outputs),
         "interpolation": _median([reply.interpolation for reply in replies], outputs),
         "allowed": table.allowed,
         "bars_are_whole": table.bars_are_complete,
-        # The part of wrenches that are covered and within the tolerance; unknown if a covered
-        # wrench cannot be compared.
+        # The fraction of wrenches that are covered and within the tolerance; unknown if a covered
+        # one cannot be compared with it.
         "within_tolerance": None if None in within else sum(map(bool, within)) / SAMPLE,
-        "axes": {axis.name: _shares(table, _grid(span, axis)) for axis in axes},
-        "reach": np.stack((used.min(axis=0), used.max(axis=0)), axis=1) if len(used) else None,
+        "axes": {axis.name: _fractions(table, _grid(load_range, axis)) for axis in axes},
+        "reach": reach,
     }
     return json_reply(body)
 
 
-def _shares(table: ServedTable, wrenches: Floats) -> list[float]:
-    """Return the parts of wrenches (n, inputs) that are covered, thin and outside."""
+def _fractions(table: ServedTable, wrenches: Floats) -> list[float]:
+    """Return the fractions of wrenches (n, inputs) that are covered, thin and outside."""
     coverage = table.packed.batch(wrenches).coverage
     return (np.bincount(coverage, minlength=3) / len(wrenches)).tolist()
 
@@ -141,18 +142,17 @@ def _as_array(bars: ErrorBars, outputs: int) -> Floats:
     return np.array([bar or (None,) * outputs for bar in bars], dtype=float)
 
 
-def _ends(span: LoadRange) -> tuple[Floats, Floats]:
+def _ends(load_range: LoadRange) -> tuple[Floats, Floats]:
     """Return the range's ends, (6,) each, extended to zero load as for answers."""
-    return np.minimum(span.low, 0.0), np.maximum(span.high, 0.0)
+    return np.minimum(load_range.low, 0.0), np.maximum(load_range.high, 0.0)
 
 
-def _grid(span: LoadRange, axis: LoadAxis) -> Floats:
+def _grid(load_range: LoadRange, axis: LoadAxis) -> Floats:
     """Return the middles of a grid's cells over the loads of an axis, (n, 6); other loads are zero.
 
-    No point lies at the ends of the range, which rows hardly ever reach: each stands for a cell of
-    the same size.
+    The cells have one size, and no point lies at the ends of the range, which rows hardly reach.
     """
-    middles = np.linspace(*_ends(span), 2 * CELLS + 1)[1::2]
+    middles = np.linspace(*_ends(load_range), 2 * CELLS + 1)[1::2]
     loads = np.array(list(product(*(np.unique(middles[:, load]) for load in axis.inputs))))
     wrenches = np.zeros((len(loads), 6))
     wrenches[:, list(axis.inputs)] = loads
@@ -176,7 +176,7 @@ def faces(name: str, workspace: Opened) -> Response:
 
 
 def _meshed(workspace: Workspace, name: str) -> tuple[Path, str]:
-    """Return folder and fingerprint of a component with a mesh; refuse a component without one."""
+    """Return folder and fingerprint of a component; HttpProblemError if it has no mesh."""
     component = workspace.library[name]
     if not component.has_fea:
         why = f"{name!r} has measured rows, but no mesh to draw. Use its table instead."
@@ -195,34 +195,35 @@ def drawing(
     """Rows for a plot, and the coverage of a grid."""
     require_single_wrench(name, table.load_range.space)
     rows = table.rows
-    drawn = next((known for known in AXES if known.name == axis), None)
-    loaded = np.abs(rows.wrench) > ZERO_LOAD * table.load_range.scale
-    chosen = np.arange(len(rows))
-    if along is not None:
-        chosen = np.flatnonzero(~loaded[:, np.arange(6) != LOADS.index(along)].any(axis=1))
-    single_axis: NDArray[np.bool_] = np.zeros(len(rows), dtype=bool)
-    if drawn is not None:
-        single_axis = np.logical_not(loaded[:, drawn.others].any(axis=1))
+    is_loaded = np.abs(rows.wrench) > ZERO_LOAD * table.load_range.scale
+    candidates = np.arange(len(rows))
+    if along is not None:  # rows without other loads
+        candidates = np.flatnonzero(~np.delete(is_loaded, LOADS.index(along), axis=1).any(axis=1))
+    drawn_axis = next((known for known in AXES if known.name == axis), None)
+    is_single_axis: NDArray[np.bool_] = np.zeros(len(rows), dtype=bool)
+    if drawn_axis is not None:
+        is_single_axis = np.logical_not(is_loaded[:, drawn_axis.others].any(axis=1))
 
-    of_axis = _spread(chosen[single_axis[chosen]], most)
-    others = _spread(chosen[~single_axis[chosen]], most - len(of_axis))
+    # Rows of the axis come first: they show its response without the influence of others.
+    of_axis = _spread(candidates[is_single_axis[candidates]], most)
+    others = _spread(candidates[~is_single_axis[candidates]], most - len(of_axis))
     shown = np.sort(np.concatenate((of_axis, others)))
-    drawn_rows = rows.take(shown)
+    shown_rows = rows.take(shown)
     body = {
         "component": name,
         "table_version": table.version,
-        "of": len(chosen),
+        "of": len(candidates),
         "shown": len(shown),
-        "row": drawn_rows.seq,
-        "wrench": np.ascontiguousarray(drawn_rows.wrench),
-        "displacement": np.ascontiguousarray(drawn_rows.displacement),
-        "clean": single_axis[shown],
-        "source": [str(source) for source in drawn_rows.source],
+        "row": shown_rows.seq,
+        "wrench": np.ascontiguousarray(shown_rows.wrench),
+        "displacement": np.ascontiguousarray(shown_rows.displacement),
+        "clean": is_single_axis[shown],
+        "source": [str(source) for source in shown_rows.source],
     }
-    if drawn is not None:
-        grid = _grid(table.load_range, drawn)
-        covers = {"wrench": grid, "coverage": table.packed.batch(grid).coverage.tolist()}
-        body |= {"inputs": [LOADS[load] for load in drawn.inputs], "grid": covers}
+    if drawn_axis is not None:
+        grid = _grid(table.load_range, drawn_axis)
+        body["inputs"] = [LOADS[load] for load in drawn_axis.inputs]
+        body["grid"] = {"wrench": grid, "coverage": table.packed.batch(grid).coverage.tolist()}
     return json_reply(body)
 
 
@@ -250,21 +251,21 @@ def response(
     require_single_wrench(name, table.load_range.space)
     low, high = _ends(table.load_range)
     wrenches = np.repeat([[fx, fy, fz, mx, my, mz]], points, axis=0)
-    place = LOADS.index(load)
-    wrenches[:, place] = np.linspace(low[place], high[place], points)
+    varied = LOADS.index(load)
+    wrenches[:, varied] = np.linspace(low[varied], high[varied], points)
     replies = table.packed.batch(wrenches)
-    each = [table.packed.answer(wrench).interpolation for wrench in wrenches.tolist()]
+    interpolation = [table.packed.answer(wrench).interpolation for wrench in wrenches.tolist()]
     return json_reply(
         {
             "component": name,
             "table_version": table.version,
             "method": table.default,
             "load": load,
-            "at": wrenches[:, place].tolist(),
+            "at": wrenches[:, varied].tolist(),
             "outputs": OUTPUTS,
             "displacement": replies.outputs,
             "error": replies.errors,
-            "interpolation": _as_array(each, len(OUTPUTS)),
+            "interpolation": _as_array(interpolation, len(OUTPUTS)),
             "bars_are_whole": table.bars_are_complete,
             "coverage": replies.coverage.tolist(),
         }

@@ -1,4 +1,4 @@
-"""Server-sent events: jobs that change, new versions of tables."""
+"""The route of server-sent events: jobs that change, and new versions of tables."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ from wrenchbook.service.http.routes import Opened
 router = APIRouter(prefix="/v1/events", tags=["events"], responses=refused(404, 422))
 
 HEARTBEAT_S = 15.0  # s: below the idle limits of proxies, usually 60 s
-_STREAM = {"type": "string", "description": BODIES["events"]}
-SEND_S = 20.0  # s for a listener to read when the sockets' buffers are full
+SEND_S = 20.0  # s for a listener to read when the sockets' buffers are full; then it is dropped
 HEADERS: Mapping[str, str] = {
     "Content-Type": "text/event-stream; charset=utf-8",
     "Cache-Control": "no-store",
@@ -34,7 +33,9 @@ HEADERS: Mapping[str, str] = {
     responses={
         200: {
             "description": "events until the connection ends",
-            "content": {"text/event-stream": {"schema": _STREAM}},
+            "content": {
+                "text/event-stream": {"schema": {"type": "string", "description": BODIES["events"]}}
+            },
         }
     },
 )
@@ -45,30 +46,30 @@ async def events(
     last_event_id: Annotated[str | None, Header(max_length=64)] = None,
 ) -> Response:
     """Server-sent events."""
-    watched: Events = request.app.state.events
+    source: Events = request.app.state.events
     if component is not None:
-        workspace.library[component]  # raises UnknownComponentError: 404
-    listener = await watched.listen(component, last_event_id)
+        _ = workspace.library[component]  # raises UnknownComponentError: 404
+    listener = await source.listen(component, last_event_id)
     request.app.state.access.end_with_key(listener, permission_of(request.scope))
-    return EventStream(watched.feed, listener)
+    return EventStream(source.feed, listener)
 
 
 class EventStream(StreamingResponse):
-    """Events until the connection ends, the listener is ended, or the caller stops reading."""
+    """Events until the connection or the listener ends, or the caller reads none for `SEND_S`."""
 
     def __init__(self, feed: Feed, listener: Listener) -> None:
         self._feed = feed
         self._listener = listener
 
-        async def lines() -> AsyncIterator[bytes]:
+        async def events() -> AsyncIterator[bytes]:
             while not listener.ended:
-                yield await listener.read(HEARTBEAT_S) or b":\n\n"
+                yield await listener.read(HEARTBEAT_S) or b":\n\n"  # a comment, the heartbeat
             yield await listener.read(0.0)
 
-        super().__init__(lines(), headers=HEADERS)
+        super().__init__(events(), headers=HEADERS)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the events; free the listener's place at the end."""
+        """Send the events, then remove the listener from the feed."""
 
         async def send_in_time(message: Message) -> None:
             await asyncio.wait_for(send(message), SEND_S)

@@ -19,7 +19,7 @@ from wrenchbook.service.contract import OUTPUTS, by_part
 from wrenchbook.service.files.redact import cut_paths, redact_values
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import HttpProblemError
-from wrenchbook.service.http.routes import Opened, WaitSeconds, attached, next_page
+from wrenchbook.service.http.routes import Opened, WaitSeconds, attached, cut_page
 from wrenchbook.service.jobs.attempt import LOG, pieces_of, read_progress, zipped
 from wrenchbook.service.jobs.waiting import why_waiting
 from wrenchbook.service.ledger import JobRecord, LedgerRow, Status, UnknownJobError
@@ -121,12 +121,8 @@ def list_jobs(
     """List jobs, newest first, in pages."""
     _check_known(workspace, component)
     jobs = workspace.ledger.jobs(component, status, limit + 1, below=after, actor=actor)
-    next_url = None
-    if len(jobs) > limit:
-        jobs.pop()
-        query = {"component": component, "status": status, "actor": actor}
-        query |= {"limit": limit, "after": jobs[-1].id}
-        next_url = next_page(response, "/v1/jobs", query)
+    query = {"component": component, "status": status, "actor": actor}
+    next_url = cut_page(response, "/v1/jobs", query, jobs, limit)
     rows = workspace.ledger.rows_of([job.row for job in jobs if job.row is not None])
     return {"jobs": [job_body(workspace, job, rows) for job in jobs], "next": next_url}
 
@@ -207,7 +203,15 @@ def get_job_log(job_id: JobId, workspace: Opened) -> Response:
         size = log.seek(0, 2)
         log.seek(max(0, size - MAX_LOG_BYTES))
         end = log.read(MAX_LOG_BYTES).decode(errors="replace")
-    shown = _without_paths(end, workspace.settings.data)
+    names = {  # in place of folders of this machine
+        str(workspace.settings.data.absolute()): "<data>",
+        str(PROGRAM): "<wrenchbook>",
+        sys.prefix: "<python>",
+        sys.base_prefix: "<python>",
+    }
+    for folder in sorted(names, key=len, reverse=True):  # one may be inside another
+        end = end.replace(folder, names[folder])
+    shown = cut_paths(end)
     if size > MAX_LOG_BYTES:
         shown = f"[the first {size - MAX_LOG_BYTES} bytes are in .../files]\n{shown}"
     return Response(shown, 200, None, "text/plain")
@@ -233,19 +237,6 @@ def _attempt_files(workspace: Workspace, job: JobRecord) -> pathlib.Path:
             + ("Its row needs no files." if job.status == "done" else retry)
         )
     raise HttpProblemError(404, "no-files", title, detail)
-
-
-def _without_paths(text: str, data: pathlib.Path) -> str:
-    """Return a log without paths of this machine; known folders are replaced by a name."""
-    names = {
-        str(data.absolute()): "<data>",
-        str(PROGRAM): "<wrenchbook>",
-        sys.prefix: "<python>",
-        sys.base_prefix: "<python>",
-    }
-    for folder in sorted(names, key=len, reverse=True):  # one may be inside another
-        text = text.replace(folder, names[folder])
-    return cut_paths(text)
 
 
 def _check_known(workspace: Workspace, component: str | None) -> None:

@@ -64,9 +64,11 @@ def add(browser, path):
 
 
 def ask(browser, action="Ask", **loads):
-    """Type loads, all others zero, and send them."""
+    """Type loads, all others zero, and send them; each one typed draws the arrows anew."""
     for name in ("fx", "fy", "fz", "mx", "my", "mz"):
-        browser.type(f"input[name={name}]", str(loads.get(name, 0)))
+        field, text = f"input[name={name}]", str(loads.get(name, 0))
+        if browser.one(field).get_attribute("value") != text:
+            browser.type(field, text)
     browser.click("form button", action)
 
 
