@@ -193,7 +193,9 @@ def test_a_table_that_is_built_meanwhile_is_not_one_that_cannot_be_built(workspa
     states += [Status(faults={}, failed={"rig": goal})]
 
     class Changing(type(tables)):
-        _status = property(lambda _: states.pop(0) if len(states) > 1 else states[0], lambda *_: 0)
+        _status = property(
+            lambda _: states.pop(0) if len(states) > 1 else states[0], lambda *_: None
+        )
 
     monkeypatch.setattr(tables, "__class__", Changing)
     progress = tables.progress("rig")
@@ -323,6 +325,7 @@ def test_a_job_that_ends_after_the_first_poll_is_an_event(workspace, monkeypatch
     between(monkeypatch, accept, (ledger, "jobs"), (ledger, "unfinished"))
     state, _ = poll(workspace, None)
     job = claim(ledger, "test")
+    assert job is not None
     assert job.id == accepted[0].id
     ledger.cancel(job.id)
     _, notices = poll(workspace, state)
