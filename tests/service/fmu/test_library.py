@@ -118,23 +118,65 @@ def test_cmake_builds_and_installs_the_library_with_the_bits_of_python(
     assert result == {"wrenchbook.h", f"libwrenchbook.{'so' if shared == 'ON' else 'a'}"}
 
 
-@pytest.mark.slow
-def test_the_example_in_cpp_has_the_bits_of_python(folder, table, tmp_path):
-    objects = tmp_path / "objects"
-    objects.mkdir()
+@pytest.fixture(scope="module")
+def objects(folder, tmp_path_factory):
+    """The library's sources, compiled."""
+    result = tmp_path_factory.mktemp("objects")
     sources = [str(path) for path in (folder / "src").glob("*.c")]
     flags = [flag for flag in kernel_build.FLAGS if flag != "-DWB_SHARED"]
-    compiled([*need_compiler(), *flags, f"-I{folder / 'include'}", "-c", *sources], cwd=objects)
+    compiled([*need_compiler(), *flags, f"-I{folder / 'include'}", "-c", *sources], cwd=result)
+    return sorted(result.glob("*.o"))
+
+
+def compiled_cpp(source, program, folder, objects):
+    """Compile a program in C++ that includes the header, and link it with the library."""
+    warn = ["-std=c++17", "-Wall", "-Wextra", "-pedantic", "-Werror"]
+    places = [f"-I{place}" for place in (folder / "include", SCENES)]
+    link = [*objects, "-lm", "-lpthread"]
+    compiled([*cpp_compiler(), *warn, *places, "-o", program, source, *link])
+
+
+@pytest.mark.slow
+def test_the_example_in_cpp_has_the_bits_of_python(folder, objects, table, tmp_path):
     program = tmp_path / "lookup"
-    warn = ["-std=c++17", "-Wall", "-Wextra", "-pedantic", "-Werror", f"-I{folder / 'include'}"]
-    source = SCENES / "lookup.cpp"
-    compiled(
-        [*cpp_compiler(), *warn, "-o", program, source, *objects.glob("*.o"), "-lm", "-lpthread"]
-    )
+    compiled_cpp(SCENES / "lookup.cpp", program, folder, objects)
     assert_answers_are_those_of_python(program, folder, table, "+-")
     assert run(program, folder / "plate_thin.wbt", 1, 2)[::2] == (1, "the table has 6 loads\n")
     code, _, error = run(program, folder / "README.txt", *"123456")
     assert (code, "not a packed table" in error) == (1, True)
+
+
+JOINT = """
+#include "joint.hpp"
+#include <cstdio>
+#include <cstdlib>
+int main(int, char **words) {
+    wrenchbook::Joint joint(words[1], 1e-3, 0.02);
+    std::array<double, 36> inverse_mass{};
+    for (int k = 0; k < 6; k++) inverse_mass[7 * k] = k < 3 ? 0.05 : 10;
+    for (int k = 1; k <= 3; k++) {
+        const auto wrench = joint.step({0, 0, -1e-4 * k, 1, 0, 0, 0}, {0, 0, -0.01}, inverse_mass);
+        for (double load : wrench) std::printf("%.17g ", load);
+        std::puts("");
+    }
+}
+"""
+
+
+@pytest.mark.slow
+def test_the_joint_in_cpp_has_the_bits_of_python(folder, objects, table, tmp_path):
+    (tmp_path / "joint.cpp").write_text(JOINT)
+    compiled_cpp(tmp_path / "joint.cpp", tmp_path / "joint", folder, objects)
+    code, lines, error = run(tmp_path / "joint", folder / "plate_thin.wbt")
+    assert code == 0, error
+    steps = packed(table).joints(1)
+    steps.velocities[0, 2] = -0.01
+    steps.inverse_masses[0] = np.diag([0.05] * 3 + [10.0] * 3)
+    for number, line in enumerate(lines, 1):
+        steps.poses[0, 2] = -1e-4 * number
+        steps.step(1e-3, 0.02)
+        assert [float(load) for load in line.split()] == steps.replies["wrench"][0].tolist()
+    assert number == 3
 
 
 @pytest.mark.parametrize("name", ["gz_joint.cpp", "ros2_joint.cpp"])
