@@ -63,6 +63,14 @@ def assert_answers_are_those_of_python(program, folder, table, mark=None):
         np.testing.assert_array_equal([pair[1] for pair in pairs], reply.error or unknown)
 
 
+def assert_a_text_is_no_load(program, folder):
+    """A program refuses a load that is no number, such as one with a decimal comma."""
+    for text in ("1,5", "x", ""):
+        code, lines, error = run(program, folder / "plate_thin.wbt", *"12345", text)
+        assert (code, lines) == (1, [])
+        assert f"'{text}' is not a number" in error
+
+
 def readmes_line(folder, word):
     """The command of a README that begins with a word."""
     lines = [line.strip() for line in (folder / "README.txt").read_text().splitlines()]
@@ -85,6 +93,7 @@ def test_the_library_compiles_by_the_readmes_line_and_has_the_bits_of_python(
     assert_answers_are_those_of_python(example, folder, table)
     code, _, error = run(example, folder / "README.txt", *"123456")
     assert (code, "not a packed table" in error) == (1, True)
+    assert_a_text_is_no_load(example, folder)
 
 
 @pytest.mark.slow
@@ -144,6 +153,7 @@ def test_the_example_in_cpp_has_the_bits_of_python(folder, objects, table, tmp_p
     assert run(program, folder / "plate_thin.wbt", 1, 2)[::2] == (1, "the table has 6 loads\n")
     code, _, error = run(program, folder / "README.txt", *"123456")
     assert (code, "not a packed table" in error) == (1, True)
+    assert_a_text_is_no_load(program, folder)
 
 
 JOINT = """
