@@ -161,7 +161,7 @@ def test_a_pose_of_an_extrapolation_does_not_stay_where_the_table_has_no_more_an
     with pytest.warns(MountWarning):
         poses = [mount.step(WEIGHT)[1] for _ in range(18)]
     assert np.array_equal(poses[1], poses[-1])
-    with pytest.raises(CouplingDiverged, match="17 wrenches in a row.*extrapolation"):
+    with pytest.raises(CouplingDiverged, match=r"17 wrenches in a row.*extrapolation"):
         mount.step(WEIGHT)
 
 
