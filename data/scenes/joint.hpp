@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -19,7 +20,8 @@ public:
     static constexpr double max_ranges = 2.0;  // further out the pose is not that of the part
 
     Joint(const std::string &path, double dt, double damping) {
-        if (!(dt > 0) || !(damping >= 0)) throw std::invalid_argument("dt is above 0, damping 0 or more");
+        if (!(dt > 0) || !(damping >= 0) || !std::isfinite(dt + damping))
+            throw std::invalid_argument("dt is finite and above 0, damping finite and 0 or more");
         char why[256] = "";
         table_ = wb_open(path.c_str(), why, sizeof why);
         if (!table_) throw std::runtime_error(path + ": " + why);
@@ -27,6 +29,7 @@ public:
             wb_close(table_);
             throw std::runtime_error(path + ": a part with one interface and no further inputs is needed");
         }
+        options_.answer.method = WB_DEFAULT;  // 0 would be WB_GRIDDATA
         options_.dt = dt, options_.damping = damping, options_.errors = 1;
         memory_.assign(wb_joint_memory(table_), 0.0);
         scratch_.resize(wb_scratch(table_) / sizeof(double) + 1);

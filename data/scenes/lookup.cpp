@@ -54,7 +54,12 @@ int main(int count, char **words) try {
     if (count < 2) throw std::invalid_argument("give a table and its loads");
     wrenchbook::Table table(words[1]);
     std::vector<double> loads;
-    for (int k = 2; k < count; k++) loads.push_back(std::strtod(words[k], nullptr));
+    for (int k = 2; k < count; k++) {
+        char *end = words[k];
+        loads.push_back(std::strtod(words[k], &end));
+        if (*end || end == words[k])
+            throw std::invalid_argument("'" + std::string(words[k]) + "' is not a number");
+    }
     const wrenchbook::Answer answer = table.answer(loads);
     const char *coverage[] = {"covered", "thin", "outside"};
     std::printf("%s\n", coverage[answer.coverage]);

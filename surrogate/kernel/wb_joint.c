@@ -432,6 +432,8 @@ static int advance(const search *s, const double *velocity, const double *invers
     double mass[FREEDOMS * FREEDOMS], rate[FREEDOMS * FREEDOMS], matrix[FREEDOMS * FREEDOMS];
     double right[FREEDOMS], wrench[FREEDOMS] = {0}, squares[FREEDOMS];
     double kept[FREEDOMS * FREEDOMS] = {0};
+    if (!(s->o->dt > 0 && s->o->damping >= 0 && isfinite(s->o->dt + s->o->damping)))
+        return WB_NOT_FINITE;
     int keeps = s->o->law && s->o->damping == 0 && velocity && !isnan(velocity[s->free[0]]);
     for (int i = 0; i < n; i++) /* B^T K B: K is symmetric, and B turns the spins */
         turn_parts(reply->spin, 1, reply->stiffness + n * i, n, half + n * i);
@@ -557,6 +559,8 @@ static void step(search *s, const double *pose, const double *velocity, const do
     int positive = symmetric(s, by_vector, reply->displacement, reply->stiffness);
     if (s->o->errors) judge(s, loads, by_vector, reply);
     if (inverse_mass) status = advance(s, velocity, inverse_mass, reply);
+    for (int i = 0; status && i < n; i++) reply->wrench[i] = reply->force[i] = NAN;
+    for (int i = 0; status && i < n * n; i++) reply->rate[i] = NAN;
     if (!status && inverse_mass && *reply->ranges <= MAX_RANGES) remember(s, reply);
     *reply->status = !status && !positive ? WB_INDEFINITE : status;
 }

@@ -80,7 +80,7 @@ enum {
 typedef struct wb_table wb_table;
 
 typedef struct {
-    int method;              /* WB_DEFAULT, or a method */
+    int method;              /* WB_DEFAULT, or a method; 0 is WB_GRIDDATA, so set it */
     const double *tolerance; /* (m), NaN for the component's tolerance; NULL: all the component's */
     int without_rows;        /* not 0: the method answers, also at the wrench of a row */
 } wb_options;
@@ -122,7 +122,8 @@ typedef struct {
     wb_reason reason;
 } wb_axis_reply;
 
-/* Map a table. On failure returns NULL and writes a reason of at most `size` bytes into `why`. */
+/* Map a table. On failure returns NULL and writes a reason of at most `size` bytes into `why`. The file
+ * must not change while it is mapped: replace it by a rename, do not write into it. */
 WB_API wb_table *wb_open(const char *path, char *why, size_t size);
 /* The same from the bytes of a file, aligned to 8 bytes; they must outlive the table. */
 WB_API wb_table *wb_open_bytes(const void *bytes, size_t count, char *why, size_t size);
@@ -193,8 +194,8 @@ typedef struct {
     double wrench_error[6]; /* of the wrench of this pose: sum of |stiffness| times pose_error */
     double ranges;          /* the pose in multiples of the load range or of 20 degrees; 1: the end */
     int32_t coverage;       /* of the wrenches at the pose, or -1: not computed */
-    int32_t status;         /* WB_OK; WB_NOT_FINITE, WB_SINGULAR (the pose has no wrench),
-                             * WB_NO_MASS; WB_INDEFINITE, with all numbers */
+    int32_t status;         /* WB_OK; WB_NOT_FINITE (also dt not above 0, damping below 0), WB_SINGULAR
+                             * (the pose has no wrench), WB_NO_MASS; WB_INDEFINITE, with all numbers */
 } wb_joint_reply;
 
 /* The number of a table's interfaces that move, k: a joint has 1 to 4. */

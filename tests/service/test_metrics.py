@@ -76,6 +76,16 @@ def test_requests_are_counted_by_route_template_method_and_status(rig):
     assert after["wrenchbook_http_request_seconds_count", "/v1/jobs/{job_id}"] == 2
 
 
+@pytest.mark.parametrize("call", ["recording", "envelope"])
+def test_a_block_of_wrenches_is_counted_by_the_template_of_its_calls_whole_path(rig, call):
+    route = "/v1/components/{name}/" + call
+    block = {"wrenches": [[0, 0, 5, 0, 0, 0]]}
+    assert rig.post(route.format(name="rig"), json=block).status_code in (200, 201)
+    result = samples(rig)
+    assert [texts[0] for texts in requests(result, route)] == [route]
+    assert requests(result, "/" + call) == {}
+
+
 def test_a_query_of_the_fast_path_and_of_the_usual_one_are_counted_as_requests(rig):
     route = "/v1/components/{name}/displacement"
     body = b'{"force": [0, 0, 5], "moment": [0, 0, 0], "on_thin": "estimate"}'

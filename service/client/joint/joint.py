@@ -115,7 +115,7 @@ class Joint:
         self._symbols = np.array([name + load for name in names for load in SYMBOLS])
         self._name = table.name
         self._further = further_inputs(table, inputs or {})
-        self._warned_beyond = self._warned_uncovered = False
+        self._warned_beyond = self._warned_uncovered = self._warned_unstable = False
         self._remedy = "Check masses, units and steps (all with the joint), or widen the range"
         try:
             self._begin(None)

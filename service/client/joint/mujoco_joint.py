@@ -20,6 +20,7 @@ from .mujoco_scene import (
     engine,
     find_tip,
     refuse_rk4,
+    warn_unstable,
 )
 from .report import JointReport, report_of
 
@@ -266,6 +267,8 @@ class MujocoJoint(Joint):
             self._watch_base()
         now = float(self._data.time)
         if now not in self._times:  # the scene was set to another state, whose energy is unknown
+            if self._began and not self._warned_unstable:
+                self._warned_unstable = warn_unstable(self._data, self._name)
             self._began = self._began and (self._began[0], np.nan)
             # Otherwise the inverse's last bits would depend on the earlier state.
             self._memory[0] = 0.0

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...contract import OUTPUTS
-from ..errors import JointError, required
+from ..errors import JointError, JointWarning, required, warn
 from ..wrenches import Vector
 
 Model: TypeAlias = Any  # mujoco.MjModel, mujoco.MjData: compiled, without types
@@ -23,6 +23,22 @@ _JOINT = engine.mjtJoint
 _SQUARE = 1e-5
 # A plain int: a comparison with an enumeration takes 0.8 us.
 _RK4 = int(engine.mjtIntegrator.mjINT_RK4)
+_UNSTABLE = tuple(
+    getattr(engine.mjtWarning, f"mjWARN_BAD{name}") for name in ("QPOS", "QVEL", "QACC")
+)
+
+
+def warn_unstable(data: Data, name: str) -> bool:
+    """Warn if MuJoCo has reset a scene because it was unstable; return whether it has."""
+    is_unstable = any(data.warning[kind].number for kind in _UNSTABLE)
+    if is_unstable:
+        warn(
+            f"{name}: MuJoCo has reset the unstable scene, and the simulation goes on from its "
+            "first state. Check masses and inputs, or use a smaller time step or softer contacts. "
+            "This warning appears once",
+            JointWarning,
+        )
+    return is_unstable
 
 
 def refuse_rk4(model: Model) -> None:

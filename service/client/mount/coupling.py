@@ -277,6 +277,15 @@ def require_within_limit(displacement: Vector, component: str) -> None:
         )
 
 
+def without_answers(count: int, component: str) -> CouplingDiverged:
+    """Return the error of a pose far beyond a table, at whose wrenches the table has no answer."""
+    return CouplingDiverged(
+        f"{component} has no answer to {count} wrenches in a row, and the present pose is an "
+        "extrapolation beyond its load range. Check the load against the range. If the pose causes "
+        f"the load, the coupling diverges: {REMEDY[0].lower()}{REMEDY[1:]}"
+    )
+
+
 def _run_away(before: float, size: float) -> CouplingDiverged:
     """Return the error of a distance, in tolerances, that grows without a change of sign."""
     return CouplingDiverged(

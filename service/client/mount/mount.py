@@ -34,6 +34,7 @@ from .coupling import (
     require_within_limit,
     stable_factor,
     within_limit,
+    without_answers,
 )
 from .ringing import warn_if_ringing
 from .sources import Ask, from_server, from_solves, from_table, require_server
@@ -265,7 +266,8 @@ class Mount:
         """Go back to the undeformed pose and reset the counts, for another run."""
         self.displacement: Vector = np.zeros(6)
         self._stepped = False
-        self._beyond = 0
+        self._beyond = self._lost = 0
+        self._extrapolated = False
         self._cycles = CycleWatch()
         self.coverage = Coverage()
         self.last: Displacement | None = None
@@ -358,6 +360,10 @@ class Mount:
             if self._beyond > BEYOND:
                 require_within_limit(target, self.component)
             self.displacement = moved
+            self._extrapolated = answer.coverage == "outside"
+        self._lost = self._lost + 1 if target is None and self._extrapolated else 0
+        if self._lost > BEYOND:
+            raise without_answers(self._lost, self.component)
 
         self.last = answer
         self._stepped = True

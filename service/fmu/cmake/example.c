@@ -11,7 +11,11 @@ int main(int count, char **words) {
     wb_table *table = count > 1 ? wb_open(words[1], why, sizeof why) : NULL;
     if (!table || count != 2 + wb_inputs(table))
         return fprintf(stderr, "%s (loads: %d)\n", why, table ? wb_inputs(table) : 0), 1;
-    for (int k = 0; k < wb_inputs(table); k++) loads[k] = strtod(words[2 + k], NULL);
+    for (int k = 0; k < wb_inputs(table); k++) {
+        char *end = words[2 + k];
+        loads[k] = strtod(words[2 + k], &end);
+        if (*end || end == words[2 + k]) return fprintf(stderr, "'%s' is not a number\n", words[2 + k]), 1;
+    }
     void *scratch = malloc(wb_scratch(table)); /* one for each thread, for all its answers */
     if (!scratch || wb_answer(table, NULL, loads, &reply, scratch)) return 2;
     printf("%s %s\n", COVERAGE[reply.coverage], METHOD[reply.method]);

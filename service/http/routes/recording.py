@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Annotated, Any, cast
 
 import numpy as np
-from fastapi import APIRouter, Query, Request
+from fastapi import Query, Request
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
@@ -54,7 +54,7 @@ NUMBER_BYTES = 40  # largest mean size of a block's numbers: 17 digits, a comma,
 
 router = component_router("recording", route=JsonRoute)
 # These calls read their own bodies.
-blocks = APIRouter(route_class=DirectRoute, responses=refused(409))
+blocks = component_router("recording", codes=(404, 409, 422), route=DirectRoute)
 _BLOCK = takes(BlockBody, BINARY_BODY, BinaryBlock)
 
 
@@ -255,4 +255,4 @@ def _started(
     return json_reply(body, 202 if started.jobs else 200)
 
 
-router.include_router(blocks)
+router.routes.extend(blocks.routes)  # an included router's routes would lack the prefix

@@ -224,3 +224,26 @@ def test_the_recipe_of_dm_control_steps_the_joint(hand, monkeypatch):
         physics.step(30)
         physics.step(10)
     assert physics.data.qpos == hand[3]
+
+
+@pytest.mark.parametrize("step", [by_halves, in_mj_step])
+def test_a_scene_that_mujoco_has_reset_since_it_was_unstable_is_named_once(
+    capfd, tmp_path, monkeypatch, step
+):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log where it runs
+    model, data, joint = made("bar")
+    step(model, data, joint, 20)
+    data.qvel[0] = np.nan
+    with pytest.warns(JointWarning, match="MuJoCo has reset the unstable scene") as caught:
+        step(model, data, joint, 20)
+    assert len(caught) == 1
+    data.qvel[0] = np.nan
+    step(model, data, joint, 20)
+    assert np.isfinite(data.qpos).all()
+
+
+def test_a_scene_that_the_user_resets_is_not_taken_for_an_unstable_one():
+    model, data, joint = made("bar")
+    by_halves(model, data, joint, 20)
+    mujoco.mj_resetData(model, data)
+    by_halves(model, data, joint, 20)

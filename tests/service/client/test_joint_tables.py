@@ -24,6 +24,7 @@ from wrenchbook.service.client.errors import InvalidArgument
 from wrenchbook.service.client.joint import Joint, JointError, JointWarning, LinearPart
 from wrenchbook.service.client.joint.joint import quaternion
 from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint, step_joints
+from wrenchbook.surrogate.kernel.replies import Status
 from wrenchbook.surrogate.table.rows import LoadRange, Rows
 from wrenchbook.surrogate.table.space import Input, space_of
 
@@ -364,3 +365,29 @@ def test_many_joints_in_one_call_have_the_bits_of_each_alone(threads):
             one.step(1e-3, 0.05)
             assert one.replies.tobytes() == many.replies[k : k + 1].tobytes()
     assert (many.replies["status"] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("dt", "damping", "array", "place"),
+    [
+        (0.0, 0.02, None, None),
+        (-1e-3, 0.02, None, None),
+        (np.nan, 0.02, None, None),
+        (np.inf, 0.02, None, None),
+        (1e-3, -1.0, None, None),
+        (1e-3, np.nan, None, None),
+        (1e-3, 0.02, "inverse_masses", (0, 0, 1)),
+        (1e-3, 0.02, "velocities", (0, 0)),
+    ],
+)
+def test_the_kernel_has_no_wrench_of_a_step_that_it_refuses(dt, damping, array, place):
+    steps = linear_table().packed.joints(1)
+    steps.poses[0, 2] = 1e-3
+    steps.inverse_masses[0] = np.eye(6)
+    if array is not None:
+        getattr(steps, array)[place] = np.nan
+    steps.step(dt, damping)
+    (reply,) = steps.replies
+    assert reply["status"] == Status.NOT_FINITE
+    assert all(np.isnan(reply[name]).all() for name in ("wrench", "force", "rate"))
+    assert np.isfinite(reply["still"]).all()

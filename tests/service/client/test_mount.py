@@ -26,6 +26,7 @@ from tests.service.client.joint_scenes import linear_table
 from wrenchbook.service.client import Displacement, ServerTimeout, ServerUnreachable, conventions
 from wrenchbook.service.client.job import SHORTEST_POLL_S
 from wrenchbook.service.client.mount import (
+    CouplingDiverged,
     DisplacementUnknown,
     Mount,
     MountWarning,
@@ -150,6 +151,26 @@ def test_where_a_table_knows_nothing_the_pose_stays_and_it_is_said():
         after = mount.step(2 * WEIGHT)
     assert np.array_equal(before[1], after[1])
     assert mount.coverage.unknown == 1
+
+
+def test_a_pose_of_an_extrapolation_does_not_stay_where_the_table_has_no_more_answers():
+    """A coupling that runs away: no answer limits the load that its own pose causes."""
+    far = answer(np.full(6, 0.01), WEIGHT, "outside", reason="beyond the range")
+    nothing = [answer(None, WEIGHT, "outside", reason="beyond its limits")] * 17
+    mount = mounted(ScriptedTable(answer(np.full(6, 1e-3)), far, *nothing))
+    with pytest.warns(MountWarning):
+        poses = [mount.step(WEIGHT)[1] for _ in range(18)]
+    assert np.array_equal(poses[1], poses[-1])
+    with pytest.raises(CouplingDiverged, match=r"17 wrenches in a row.*extrapolation"):
+        mount.step(WEIGHT)
+
+
+def test_a_pose_within_the_table_stays_however_long_the_table_has_no_answer():
+    nothing = [answer(None, WEIGHT, "outside", reason="no such rows")] * 30
+    mount = mounted(ScriptedTable(answer(np.full(6, 1e-3)), *nothing))
+    with pytest.warns(MountWarning):
+        poses = [mount.step(WEIGHT)[1] for _ in range(31)]
+    assert np.array_equal(poses[0], poses[-1])
 
 
 def test_a_static_loop_does_not_go_on_without_an_answer():

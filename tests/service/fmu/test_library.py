@@ -64,6 +64,14 @@ def assert_answers_are_those_of_python(program, folder, table, mark=None):
         np.testing.assert_array_equal([pair[1] for pair in pairs], reply.error or unknown)
 
 
+def assert_a_text_is_no_load(program, folder):
+    """A program refuses a load that is no number, such as one with a decimal comma."""
+    for text in ("1,5", "x", ""):
+        code, lines, error = run(program, folder / "plate_thin.wbt", *"12345", text)
+        assert (code, lines) == (1, [])
+        assert f"'{text}' is not a number" in error
+
+
 def readmes_line(folder, word):
     """The command of a README that begins with a word."""
     lines = [line.strip() for line in (folder / "README.txt").read_text().splitlines()]
@@ -85,6 +93,7 @@ def test_the_library_compiles_by_the_readmes_line_and_has_the_bits_of_python(
     assert_answers_are_those_of_python(example, folder, table)
     code, _, error = run(example, folder / "README.txt", *"123456")
     assert (code, "not a packed table" in error) == (1, True)
+    assert_a_text_is_no_load(example, folder)
 
 
 def test_the_example_takes_all_inputs_of_several_interfaces(example, tmp_path):
@@ -116,22 +125,64 @@ def test_cmake_builds_and_installs_the_library_with_the_bits_of_python(
     assert result == {"wrenchbook.h", f"libwrenchbook.{'so' if shared == 'ON' else 'a'}"}
 
 
-def test_the_example_in_cpp_has_the_bits_of_python(folder, table, tmp_path):
-    objects = tmp_path / "objects"
-    objects.mkdir()
+@pytest.fixture(scope="module")
+def objects(folder, tmp_path_factory):
+    """The library's sources, compiled."""
+    result = tmp_path_factory.mktemp("objects")
     sources = [str(path) for path in (folder / "src").glob("*.c")]
     flags = [flag for flag in kernel_build.FLAGS if flag != "-DWB_SHARED"]
-    compiled([*need_compiler(), *flags, f"-I{folder / 'include'}", "-c", *sources], cwd=objects)
+    compiled([*need_compiler(), *flags, f"-I{folder / 'include'}", "-c", *sources], cwd=result)
+    return sorted(result.glob("*.o"))
+
+
+def compiled_cpp(source, program, folder, objects):
+    """Compile a program in C++ that includes the header, and link it with the library."""
+    warn = ["-std=c++17", "-Wall", "-Wextra", "-pedantic", "-Werror"]
+    places = [f"-I{place}" for place in (folder / "include", SCENES)]
+    link = [*objects, "-lm", "-lpthread"]
+    compiled([*cpp_compiler(), *warn, *places, "-o", program, source, *link])
+
+
+def test_the_example_in_cpp_has_the_bits_of_python(folder, objects, table, tmp_path):
     program = tmp_path / "lookup"
-    warn = ["-std=c++17", "-Wall", "-Wextra", "-pedantic", "-Werror", f"-I{folder / 'include'}"]
-    source = SCENES / "lookup.cpp"
-    compiled(
-        [*cpp_compiler(), *warn, "-o", program, source, *objects.glob("*.o"), "-lm", "-lpthread"]
-    )
+    compiled_cpp(SCENES / "lookup.cpp", program, folder, objects)
     assert_answers_are_those_of_python(program, folder, table, "+-")
     assert run(program, folder / "plate_thin.wbt", 1, 2)[::2] == (1, "the table has 6 loads\n")
     code, _, error = run(program, folder / "README.txt", *"123456")
     assert (code, "not a packed table" in error) == (1, True)
+    assert_a_text_is_no_load(program, folder)
+
+
+JOINT = """
+#include "joint.hpp"
+#include <cstdio>
+#include <cstdlib>
+int main(int, char **words) {
+    wrenchbook::Joint joint(words[1], 1e-3, 0.02);
+    std::array<double, 36> inverse_mass{};
+    for (int k = 0; k < 6; k++) inverse_mass[7 * k] = k < 3 ? 0.05 : 10;
+    for (int k = 1; k <= 3; k++) {
+        const auto wrench = joint.step({0, 0, -1e-4 * k, 1, 0, 0, 0}, {0, 0, -0.01}, inverse_mass);
+        for (double load : wrench) std::printf("%.17g ", load);
+        std::puts("");
+    }
+}
+"""
+
+
+def test_the_joint_in_cpp_has_the_bits_of_python(folder, objects, table, tmp_path):
+    (tmp_path / "joint.cpp").write_text(JOINT)
+    compiled_cpp(tmp_path / "joint.cpp", tmp_path / "joint", folder, objects)
+    code, lines, error = run(tmp_path / "joint", folder / "plate_thin.wbt")
+    assert code == 0, error
+    steps = packed(table).joints(1)
+    steps.velocities[0, 2] = -0.01
+    steps.inverse_masses[0] = np.diag([0.05] * 3 + [10.0] * 3)
+    for number, line in enumerate(lines, 1):
+        steps.poses[0, 2] = -1e-4 * number
+        steps.step(1e-3, 0.02)
+        assert [float(load) for load in line.split()] == steps.replies["wrench"][0].tolist()
+    assert number == 3
 
 
 @pytest.mark.parametrize("name", ["gz_joint.cpp", "ros2_joint.cpp"])
