@@ -213,6 +213,12 @@ def _error_bars(report: Mapping[str, Any]) -> Iterator[str]:
             where = f", {name}" if name else ""
             yield f"{label}{where}: {moved} m, {turned} rad"
     yield f"error bar of the mesh from {error['mesh_basis']}"
+    if error.get("linearity") is None:
+        return
+    for name, bar in _by_interface(report, error["linearity"]):
+        moved, turned = _vectors(bar, ".2g")
+        where = f", {name}" if name else ""
+        yield f"error bar of the linear analysis at full range{where}: {moved} m, {turned} rad"
 
 
 def _vibration(report: Mapping[str, Any]) -> Iterator[str]:
