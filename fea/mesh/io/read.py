@@ -13,6 +13,7 @@ from typing import TypeVar
 import meshio
 import numpy as np
 from meshio import _mesh
+from numpy.typing import ArrayLike
 
 from wrenchbook.fea.mesh.io.abaqus_content import read_deck
 from wrenchbook.fea.mesh.io.raw import Block, RawMesh, to_mesh
@@ -131,7 +132,7 @@ def _read_meshio(path: Path) -> RawMesh:
 
 
 def _families(
-    read: meshio.Mesh, array: str, data: dict[str, list[np.ndarray]]
+    read: meshio.Mesh, array: str, data: dict[str, list[ArrayLike]]
 ) -> dict[str, list[np.ndarray]]:
     """Return the groups of a MED file by name: the indices of their members in each part of `data`.
 

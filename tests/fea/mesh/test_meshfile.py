@@ -212,7 +212,7 @@ def test_groups_of_a_med_file_have_their_names(tmp_path):
     """Groups were the numbers of families, such as cell_tags_-2, without the names of the file."""
     bar = Bar(1.0, 0.02, 0.02, cells_along=4).mesh()
     ends = [bar.facet_groups[name].blocks[0].nodes for name in ("start", "end")]
-    cells = [("hexahedron20", bar.blocks[0].nodes), ("quad8", np.vstack(ends))]
+    cells = {"hexahedron20": bar.blocks[0].nodes, "quad8": np.vstack(ends)}
     of_faces = np.repeat([-7, -8], [len(nodes) for nodes in ends])
     of_cells = np.full(len(bar.blocks[0].nodes), -9)
     middle = np.isclose(bar.points[:, 0], 0.5)
@@ -222,8 +222,8 @@ def test_groups_of_a_med_file_have_their_names(tmp_path):
         cell_data={"cell_tags": [of_cells, of_faces]},
         point_data={"point_tags": np.where(middle, 3, 0)},
     )
-    file.cell_tags = {-7: ["root", "ends"], -8: ["tip", "ends"], -9: ["body"]}
-    file.point_tags = {3: ["ring"]}
+    families = {"cell_tags": {-7: ["root", "ends"], -8: ["tip", "ends"], -9: ["body"]}}
+    vars(file).update(families, point_tags={3: ["ring"]})
     file.write(tmp_path / "a.med")
     mesh = read_mesh(tmp_path / "a.med", "mm")
     assert set(mesh.facet_groups) == {"root", "tip", "ends"}
