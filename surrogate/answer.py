@@ -68,7 +68,11 @@ def limits_of(rows: Rows, tolerance: Tolerance | None, outputs: Sequence[int]) -
     else:
         moved = rows.displacement if len(rows) else np.zeros((1, len(space.outputs)))
         variation = np.ptp(moved, axis=0)
+        # A kind of output that does not vary, as in a single row, has its largest displacement.
+        still = space.largest_of_kind(variation) == 0
+        largest = space.largest_of_kind(np.abs(moved).max(axis=0))
+        variation = np.where(still, largest, variation)
         varies = np.maximum(variation, MIN_VARIATION * space.largest_of_kind(variation))
-        # An output whose kind does not vary at all has no variation to take a part of.
+        # An output whose kind does not move at all has no variation to take a part of.
         limits = np.where(varies > 0, WITHOUT_TOLERANCE * varies, np.inf)
     return np.where(np.isin(np.arange(len(limits)), outputs), limits, np.inf)

@@ -5,6 +5,7 @@ They need no mesh and no solver: a server of tables has the stored estimate alon
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -25,9 +26,14 @@ _WORTH_A_MESH = 30.0
 
 
 def over_tolerance(
-    solver_error: Mapping[str, Any] | None, translation: float, rotation: float
+    solver_error: Mapping[str, Any] | None,
+    translation: float = math.inf,
+    rotation: float = math.inf,
 ) -> list[BundleProblem]:
     """Return warnings where a solver error is over a tolerance, m and rad.
+
+    Without a tolerance only a part that buckles in its range is a warning: its answers are wrong
+    whatever error is accepted.
 
     No solve lowers this error, so covered answers are beyond the tolerance too, each with an error
     bar that shows it. It is that at the full range, all loads at once, by the compliance.

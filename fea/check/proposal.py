@@ -174,7 +174,7 @@ class _Proposal:
                 lost = ""
                 if name and name not in self.deck.materials:
                     known = ", ".join(self.deck.materials) or "none"
-                    lost = f'the deck has no *MATERIAL "{name}" (it has {known}); '
+                    lost = f'the deck has no *ELASTIC of *MATERIAL "{name}" (it has {known}); '
                 write = f"write its {' and '.join(lacking)}"
                 self.decide.append(f'material of "{region}": {lost}{write}')
         return lines

@@ -213,6 +213,12 @@ def _error_bars(report: Mapping[str, Any]) -> Iterator[str]:
             where = f", {name}" if name else ""
             yield f"{label}{where}: {moved} m, {turned} rad"
     yield f"error bar of the mesh from {error['mesh_basis']}"
+    if error.get("linearity") is None:
+        return
+    for name, bar in _by_interface(report, error["linearity"]):
+        moved, turned = _vectors(bar, ".2g")
+        where = f", {name}" if name else ""
+        yield f"error bar of the linear analysis at full range{where}: {moved} m, {turned} rad"
 
 
 def _vibration(report: Mapping[str, Any]) -> Iterator[str]:
@@ -242,12 +248,13 @@ def _strength(report: Mapping[str, Any]) -> Iterator[str]:
         for name, load in _by_interface(report, stress["wrench"]):
             label = f"{name} " if name else ""
             loads.append(f"{label}force {_vector(load[:3])} N, moment {_vector(load[3:])} N·m")
-        warm = f" at {stress['temperature']:g}" if "temperature" in stress else ""
+        warm = f" at the temperature {stress['temperature']:g}" if "temperature" in stress else ""
         pulled = ""
         if "ax" in stress:
             pulled = f", acceleration {_vector([stress[axis] for axis in ACCELERATIONS])}"
         yield (
-            f"largest von Mises stress of {stress['region']} under the full range{order}: "
+            f"largest von Mises stress of {stress['region']} at the integration points under the "
+            f"full range{order}: "
             f"{stress['largest'] / 1e6:.4g} MPa{of_yield}, near {_vector(stress['at'])} m under "
             f"{'; '.join(loads)}{warm}{pulled}"
         )

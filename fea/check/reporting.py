@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import Any
 
@@ -209,8 +209,7 @@ def _inspect_mesh(
         warnings.append(BundleProblem("mesh", f"{why}; {measure}"))
     warnings += straight_edges(error)
     limit = bundle.tolerance
-    if limit is not None:
-        warnings += over_tolerance(error, limit.translation, limit.rotation)
+    warnings += over_tolerance(error, *(() if limit is None else astuple(limit)))
 
 
 def _try_out(

@@ -161,7 +161,7 @@ class MeshFile:
         default_text="none",
         expected_text='the name of a mesh "file", or a "generator"',
     )
-    """gmsh, Abaqus/CalculiX .inp, VTK and the other formats of meshio, or STEP (.step, .stp)"""
+    """gmsh, Abaqus/CalculiX .inp, MED, VTK, meshio's others but Nastran's, or STEP (.step, .stp)"""
     unit: LengthUnit = key("", '"mm"')
     """the mesh file's length unit: m, dm, cm, mm, um, in, ft; a STEP file has its own"""
     order: Order | None = key("", "2", default=None)

@@ -10,6 +10,7 @@ from tests.service.live import add_table, as_rows, full_wrenches, moved, served
 from tests.service.test_runjob_evidence import BUNDLE
 from wrenchbook.service.cli.render import answer_shown
 from wrenchbook.service.client import Displacement
+from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.jobs import solver
 from wrenchbook.service.jobs.attempt import Attempt, prepare, read_outcome
 from wrenchbook.service.ledger import Ledger, LedgerFullError
@@ -127,6 +128,15 @@ def test_a_copy_keeps_what_a_solve_has_told_since_the_check(tmp_path, monkeypatc
     monkeypatch.setattr("wrenchbook.service.workspace.solver_error_of", lambda *_: WHOLE)
     created = workspace.library.add_copy("plate", "second", None)
     assert workspace.errors.read("second", created.fingerprint).values == newer
+    workspace.close()
+
+
+def test_a_component_without_a_tolerance_warns_of_buckling_in_its_range(tmp_path):
+    workspace = Workspace(Settings(tmp_path, solvers=0))
+    component = replace(workspace.library["plate"], tolerance=None)
+    workspace.errors.record("plate", component.fingerprint, WHOLE | {"buckling": 0.5})
+    warnings = component_body(workspace, component)["warnings"]
+    assert any("the part buckles at 0.5" in warning["message"] for warning in warnings)
     workspace.close()
 
 

@@ -113,6 +113,18 @@ def test_a_linear_component_answers_by_its_matrix(space: Space):
     assert table.answer([2.0] * n).coverage == "outside"
 
 
+@pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
+def test_one_solve_without_a_tolerance_covers_its_own_wrench_alone(space: Space):
+    """Any error was within a limit of infinity: the error bar was 16 times the displacement."""
+    rows = solved(space, spread_wrenches(range_of(space), 1))
+    table = packed_of(build(rows, range_of(space)))
+    wrench = rows.wrench[0]
+    at_row = table.answer(wrench.tolist())
+    assert (at_row.method, at_row.coverage) == ("row", "covered")
+    assert at_row.interpolation == (0.0,) * len(space.outputs)
+    assert table.answer((0.5 * wrench).tolist()).coverage == "thin"
+
+
 def test_too_few_rows_give_no_answer_but_at_themselves():
     rows = solved(LINK, spread_wrenches(range_of(LINK), 3))
     rows = Rows.of(rows.wrench, rows.displacement, LINK, source=["measured"] * 3)

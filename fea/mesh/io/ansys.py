@@ -27,6 +27,8 @@ _SKIPPED |= {"*DO", "*DOWHILE", "*REPEAT"}  # loops, besides RP and a number
 _SKIPPED |= {"CM", "CMDELE", "CMEDIT", "CMMOD"}  # components beside CMBLOCK
 _SELECTIONS = {"NSEL", "NSLE", "NSLA", "NSLL", "NSLK", "NSLV", "CMSEL", "ALLSEL"}
 _CONSTANTS = {"EX": "E", "NUXY": "NU", "PRXY": "NU", "DENS": "DENSITY", "ALPX": "EXPANSION"}
+# Constants along the other axes, which are the first one's if they are left out.
+_OTHER_AXES = {"E": ("EY", "EZ"), "EXPANSION": ("ALPY", "ALPZ")}
 _FREEDOMS = {"UX": "1", "UY": "2", "UZ": "3", "ROTX": "4", "ROTY": "5", "ROTZ": "6"}
 _FREEDOMS |= {"ALL": "123456", "FX": "1", "FY": "2", "FZ": "3", "MX": "4", "MY": "5", "MZ": "6"}
 _MATERIAL, _TYPE, _NODE_COUNT, _ELEMENT, _FIRST_NODE = 0, 1, 8, 10, 11  # fields of EBLOCK's rows
@@ -124,6 +126,11 @@ def read_ansys(text: str) -> Translated:
     if not archive.cases:
         archive.end_step("")
     for name, constants in archive.materials.items():
+        for first, others in _OTHER_AXES.items():
+            values = {constants.pop(label, "") for label in others} - {""}
+            if values - {constants.get(first, "")}:  # along x alone it is none of an isotropic law
+                constants.pop(first, None)
+                archive.skipped[f"{', '.join(others)} of {name}, an orthotropic material"] += 1
         young, ratio = constants.pop("E", ""), constants.pop("NU", "")
         elastic = {"ELASTIC": f"{young}, {ratio}"} if young and ratio else {}
         archive.constants[name] = elastic | constants
@@ -304,7 +311,9 @@ def _take_constant(archive: _Archive, word: str, fields: list[str]) -> None:
         first = constants.get(_CONSTANTS[label], "")
         if any(text != first for text in (value, *further) if text):
             archive.skipped[f"{label} at further temperatures"] += 1
-    elif label in ("EY", "GXY"):
+    elif label in itertools.chain.from_iterable(_OTHER_AXES.values()):
+        constants.setdefault(label, value)
+    elif label == "GXY":
         archive.skipped["orthotropic constants"] += 1
 
 

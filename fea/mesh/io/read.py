@@ -13,6 +13,7 @@ from typing import TypeVar
 import meshio
 import numpy as np
 from meshio import _mesh
+from numpy.typing import ArrayLike
 
 from wrenchbook.fea.mesh.io.abaqus_content import read_deck
 from wrenchbook.fea.mesh.io.raw import Block, RawMesh, to_mesh
@@ -48,15 +49,17 @@ _mesh.topological_dimension.update({"wedge15": 3, "pyramid13": 3})
 # An integer array with more values than this is a numbering, not groups.
 _MAX_GROUPS = 1000
 _XDMF_ENDINGS = (".xdmf", ".xmf")
+# meshio reads Nastran's files without their coordinate systems and large-field elements.
+_DECK_ENDINGS = (".bdf", ".nas", ".fem", ".cdb")
 
 
 def read_mesh(path: Path, unit: str) -> Mesh:
     """Read the mesh file of a bundle.
 
     Groups are gmsh's physical groups (by their number if they have no name), the sets and surfaces
-    of a deck, and the integer arrays of a VTK file: an array of 0 and 1 is a group of its name,
-    another array makes the group ``<array>_<value>`` for each of its values. Groups of surface
-    cells become facet groups, groups of lines and points node groups.
+    of a deck, the groups of a MED file, and the integer arrays of a VTK file: an array of 0 and 1
+    is a group of its name, another array makes the group ``<array>_<value>`` for each of its
+    values. Groups of surface cells become facet groups, groups of lines and points node groups.
 
     path: the file; its ending determines the format.
     unit: its length unit, a key of `fea.spec.mesh_source.UNITS`.
@@ -84,6 +87,11 @@ def _read_meshio(path: Path) -> RawMesh:
 
     Raises MeshFileError if it cannot be read, refers to files elsewhere, or is flat.
     """
+    if path.suffix.lower() in _DECK_ENDINGS:
+        raise MeshFileError(
+            "is a deck of Nastran or Ansys; convert it by `wrenchbook new DECK` (.bdf, .nas, .dat, "
+            ".cdb), and name the .inp that this writes"
+        )
     if path.suffix.lower() in _XDMF_ENDINGS:
         _refuse_outside(path)
     read = _read_silently(path)
@@ -102,6 +110,7 @@ def _read_meshio(path: Path) -> RawMesh:
             name = names.get((tag, block.dim), str(tag))
             parts = groups.setdefault(name, [_as_numbers(None) for _ in read.cells])
             parts[i] = np.flatnonzero(numbers == tag)
+    groups |= _families(read, "cell_tags", read.cell_data)
     for array, values in _without_tags(read.cell_data).items():
         parts = list(map(np.asarray, values))
         for name, value in _group_values(array, parts):
@@ -109,8 +118,9 @@ def _read_meshio(path: Path) -> RawMesh:
     sets = {**groups, **_without_tags(read.cell_sets)}
     element_sets = {name: [_as_numbers(part) for part in parts] for name, parts in sets.items()}
 
-    node_groups = {}
-    for array, values in _without_tags(read.point_data).items():
+    of_points = {array: [values] for array, values in read.point_data.items()}
+    node_groups = {name: ids for name, (ids,) in _families(read, "point_tags", of_points).items()}
+    for array, (values,) in _without_tags(of_points).items():
         for name, value in _group_values(array, [np.asarray(values)]):
             node_groups[name] = np.flatnonzero(values == value)
     node_groups |= read.point_sets
@@ -119,6 +129,25 @@ def _read_meshio(path: Path) -> RawMesh:
         raise MeshFileError("is flat; export a mesh of solid cells in three dimensions")
     nodes = {name: _as_numbers(ids) for name, ids in node_groups.items()}
     return RawMesh(points, blocks, element_sets, nodes)
+
+
+def _families(
+    read: meshio.Mesh, array: str, data: dict[str, list[ArrayLike]]
+) -> dict[str, list[np.ndarray]]:
+    """Return the groups of a MED file by name: the indices of their members in each part of `data`.
+
+    Each member has the number of one family in `array`, which is removed from `data`. A family
+    belongs to each group that the file names for it.
+    """
+    families: dict[int, list[str]] = getattr(read, array, {})
+    names = dict.fromkeys(name for groups in families.values() for name in groups)
+    if not names:
+        return {}
+    parts = data.pop(array, [])
+    numbers = {name: [at for at, groups in families.items() if name in groups] for name in names}
+    return {
+        name: [np.flatnonzero(np.isin(part, numbers[name])) for part in parts] for name in names
+    }
 
 
 def _read_silently(path: Path) -> meshio.Mesh:

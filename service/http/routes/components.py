@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from functools import partial
 from typing import Annotated, Any
 
@@ -209,9 +209,9 @@ def _warnings(
     warnings: list[dict[str, Any]] = [*warnings_of(component.folder)]
     if not table.bars_are_complete:
         warnings.append({"where": WHERE, "message": UNKNOWN})
-    elif error is not None and limit is not None:  # the newest estimate replaces the check's
+    elif error is not None:  # the newest estimate replaces the check's
         warnings = [warning for warning in warnings if warning["where"] != WHERE]
-        newest = over_tolerance(error.values, limit.translation, limit.rotation)
+        newest = over_tolerance(error.values, *(() if limit is None else astuple(limit)))
         warnings += ({"where": mistake.where, "message": mistake.message} for mistake in newest)
     # A large table may still be building, with rows in the ledger that are not in the table.
     findings = workspace.ledger.findings(component.name)

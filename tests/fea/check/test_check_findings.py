@@ -273,7 +273,8 @@ def test_steel_in_megapascals_and_a_point_in_millimetres_are_warnings(tmp_path):
     setup.write_text(text.replace("[interface]", "[interface]\npoint = [400, 50, 50]"))
     reported = report(folder)
     assert reported["ok"]
-    modulus, density, point, turned = messages(reported, "warnings")
+    modulus, density, point, turned, buckles = messages(reported, "warnings")
+    assert "the part buckles at" in buckles
     assert "convert it to kg/m^3" in density
     assert "degrees at the full range" in turned
     assert "convert it to Pa" in modulus

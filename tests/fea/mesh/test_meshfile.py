@@ -197,6 +197,43 @@ def test_a_file_that_meshio_cannot_read_is_a_mistake_and_prints_nothing(tmp_path
     assert capsys.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize("ending", ["bdf", "nas", "fem", "cdb"])
+def test_a_deck_of_nastran_or_ansys_is_no_mesh_file(tmp_path, ending):
+    """meshio read the coordinates of its nodes as Cartesian ones, whatever their system."""
+    path = tmp_path / f"a.{ending}"
+    path.write_text(
+        "CORD2C,8,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,1,8,1.,0.,0.\nGRID,2,8,1.,90.,0.\n"
+        "GRID,3,8,0.,0.,0.\nGRID,4,8,0.,0.,1.\nCTETRA,1,1,3,1,2,4\nENDDATA\n"
+    )
+    assert "`wrenchbook new DECK`" in refusal(path)
+
+
+def test_groups_of_a_med_file_have_their_names(tmp_path):
+    """Groups were the numbers of families, such as cell_tags_-2, without the names of the file."""
+    bar = Bar(1.0, 0.02, 0.02, cells_along=4).mesh()
+    ends = [bar.facet_groups[name].blocks[0].nodes for name in ("start", "end")]
+    cells = {"hexahedron20": bar.blocks[0].nodes, "quad8": np.vstack(ends)}
+    of_faces = np.repeat([-7, -8], [len(nodes) for nodes in ends])
+    of_cells = np.full(len(bar.blocks[0].nodes), -9)
+    middle = np.isclose(bar.points[:, 0], 0.5)
+    file = meshio.Mesh(
+        bar.points * 1e3,
+        cells,
+        cell_data={"cell_tags": [of_cells, of_faces]},
+        point_data={"point_tags": np.where(middle, 3, 0)},
+    )
+    families = {"cell_tags": {-7: ["root", "ends"], -8: ["tip", "ends"], -9: ["body"]}}
+    vars(file).update(families, point_tags={3: ["ring"]})
+    file.write(tmp_path / "a.med")
+    mesh = read_mesh(tmp_path / "a.med", "mm")
+    assert set(mesh.facet_groups) == {"root", "tip", "ends"}
+    assert set(mesh.regions) == {"body"}
+    assert section(mesh, "tip").centre == pytest.approx([1.0, 0.0, 0.0])
+    assert section(mesh, "ends").centre == pytest.approx([0.5, 0.0, 0.0])
+    assert mesh.points[mesh.node_groups["ring"]][:, 0] == pytest.approx(0.5)
+    assert set(mesh.node_groups) == {"ring"}
+
+
 def test_a_file_of_points_alone_is_refused(tmp_path):
     (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\n")
     with pytest.raises(BundleError, match="has no solid cells"):
