@@ -3,9 +3,8 @@
 The whole table is `plate_thin`'s, of real solves at wrenches of all six loads; the scene has F_x,
 F_z and M_y alone, over their whole range. The scene's table is cut from the whole one, as
 `Client.download(name, scene=)` does. It keeps a kriging's neighbourhoods, which are nearly all of
-its bytes. Rows that load one axis each, without derivatives, make a table by axes: of this one the
-axes that the scene does not load are left out. How many solves bring the bars of a fill down is
-counted on a made-up response, in place of the finite elements.
+its bytes. How many solves bring the bars of a fill down is counted on a made-up response, in place
+of the finite elements.
 """
 
 from __future__ import annotations
@@ -29,10 +28,9 @@ from wrenchbook.surrogate.table.rows import LoadRange, Rows, Tolerance
 
 PLANAR, ALL = np.isin(np.arange(6), (0, 2, 4)), np.ones(6, dtype=bool)
 ROWS, ASKED, RUNS, ROUND = 60, 2000, 3, 16
-FEWER_AXES = 0.1  # of the bytes of a table by axes, of which the scene loads one: 0.059 seen
 CUT = 0.05  # of the time of a build: cutting takes 0.005, reading 0.004
 GOAL = Tolerance(1e-5, 1e-5)  # bars of some 1 % of the response's range
-MOST = 96  # solves spent on that at most
+MOST = 256  # solves spent on that at most
 
 
 def need(whole: LoadRange, chosen: np.ndarray) -> Need:
@@ -105,11 +103,6 @@ def test_what_a_planar_scene_saves() -> None:
     asked = np.random.default_rng(1).uniform(scene.span.low, scene.span.high, (ASKED, 6))
     assert_same_bits(packed, own_table, asked)
 
-    clean = shipped("plate_thin", 0)
-    of_axes = Rows.of(clean.rows.wrench, clean.rows.displacement)
-    by_axes = packed_of(build(of_axes, load_range, tolerance=GOAL))
-    one_axis = PackedTable.from_bytes(b"".join(cut(by_axes, scene)))
-    assert_same_bits(by_axes, one_axis, asked)
     times = [(us(packed, asked), us(own_table, asked)) for _ in range(3)]
     answers = median(w for w, _ in times), median(c for _, c in times)
 
@@ -121,8 +114,7 @@ def test_what_a_planar_scene_saves() -> None:
         (f"made-up: solves to 1 % (<= {MOST})", (whole_to_goal, to_goal)),
         ("build: cutting it, s", (whole_s, cut_s)),
         ("build: reading its file, s", (whole_s, read_s)),
-        ("kriging: MB", (packed.size / 1e6, own_table.size / 1e6)),
-        (f"by axes, {len(clean.rows)} rows: MB", (by_axes.size / 1e6, one_axis.size / 1e6)),
+        ("size, MB", (packed.size / 1e6, own_table.size / 1e6)),
         ("one answer, µs", answers),
     ):
         print(f"{name:<34}{pair[0]:>10.4g}{pair[1]:>10.4g}{pair[1] / pair[0]:>8.2f}")
@@ -132,4 +124,3 @@ def test_what_a_planar_scene_saves() -> None:
     assert max(to_goal, whole_to_goal) < MOST
     assert max(cut_s, read_s) <= CUT * whole_s
     assert own_table.size <= packed.size
-    assert one_axis.size <= FEWER_AXES * by_axes.size
