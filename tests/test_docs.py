@@ -318,7 +318,7 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_another_host(t
         pytest.skip(f"{', '.join(missing)} not installed: make docs installs them")
     subprocess.run(
         [sys.executable, "-m", "sphinx", "-q", "-W", "-c", DOCS, ROOT, tmp_path / "site"],
-        env=os.environ | {"WRENCHBOOK_NOTEBOOKS": notebooks},
+        env=os.environ | {"DOCS_NOTEBOOKS": notebooks},
         check=True,
     )
     loaded = re.compile(

@@ -46,7 +46,7 @@ myst_enable_extensions = ["dollarmath", "amsmath", "deflist"]
 myst_heading_anchors = 4
 
 # Notebooks are executed by each build, with a server that the build starts.
-nb_execution_mode = os.environ.get("WRENCHBOOK_NOTEBOOKS", "force")
+nb_execution_mode = os.environ.get("DOCS_NOTEBOOKS", "force")
 nb_execution_timeout = 1800  # s: it hangs; beside other programs a solve takes minutes
 nb_execution_raise_on_error = True
 

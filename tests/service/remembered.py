@@ -1,6 +1,6 @@
 """The embedded solver that solves each wrench of a component once, named by WRENCHBOOK_SOLVE.
 
-Servers that share the folder of WRENCHBOOK_REMEMBERED fill the same table without solving again.
+Servers that share the folder of REMEMBERED_SOLVES fill the same table without solving again.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.jobs.attempt import Attempt
 from wrenchbook.service.jobs.solver import ComponentSolver
 
-FOLDER = "WRENCHBOOK_REMEMBERED"
+FOLDER = "REMEMBERED_SOLVES"
 EMBEDDED = ComponentSolver()
 
 

@@ -76,10 +76,12 @@ class RecordingAgainstReference(RuleBasedStateMachine):
         gathering = self.other if elsewhere else self.gathering
         wrenches = np.array(block, dtype=float).reshape(-1, 6) + 0.0
         key = None if sequence is None else ("me", sequence)
-        take = gathering.record if kind == "recording" else gathering.widen
         before = self.keys.get((name, kind, sequence)) if sequence is not None else None
         try:
-            took = take(name, wrenches, key)
+            if kind == "recording":
+                took = gathering.record(name, wrenches, key)
+            else:
+                took, _ = gathering.widen(name, wrenches, key)
         except BlockKeyError:
             assert before is not None
             assert before != packed(wrenches)
