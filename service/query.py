@@ -14,7 +14,6 @@ from time import perf_counter_ns
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
@@ -31,9 +30,8 @@ from wrenchbook.surrogate.kernel.explain import explain
 from wrenchbook.surrogate.kernel.replies import Replies, Reply
 from wrenchbook.surrogate.solver_error import UNKNOWN
 from wrenchbook.surrogate.table.merging import RowIndex
-from wrenchbook.surrogate.table.rows import Rows, Tolerance, acting_wrench, why_beyond
+from wrenchbook.surrogate.table.rows import Floats, Rows, Tolerance, acting_wrench, why_beyond
 
-Floats = NDArray[np.float64]
 Wanted = OnThin | Literal["solve"]
 
 _PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})
@@ -263,30 +261,26 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     outcome.unsolved = True
     submission = workspace.submission
     component = submission.solvable(name, outcome.reply.reason)
-    beyond = ""
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:
         beyond = why_beyond(component.load_range, wrench[0])
+        remedy = "solve it nevertheless, set beyond_range to true (--beyond-range)"
+        if query.on_thin != "queue":
+            message = f"{beyond}. Nothing was queued. To {remedy}."
+            raise BeyondRangeError(message, coverage="outside")
+        reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
+        why = f"{beyond}; no solve is queued for it: to {remedy}"
+        outcome.reply = outcome.reply._replace(reason=_also(reason, why))
+        return outcome
     if query.on_thin == "queue":
-        placement = Placement(None, exact=False)
-        if not beyond:
-            (placement,) = submission.queue(name, wrench)
-    elif beyond:
-        raise BeyondRangeError(
-            f"{beyond}. Nothing was queued. To solve it nevertheless, set beyond_range to "
-            "true (--beyond-range).",
-            coverage="outside",
-        )
+        (placement,) = submission.queue(name, wrench)
     else:
         urgent = query.wait_s > 0
         job = submission.accept(name, query.wrench, urgent=urgent, asked_by=query.on_thin)
         placement = Placement(job, exact=True)
     outcome.job = placement.job
     if placement.job is None:
-        set_it = "to solve it nevertheless, set beyond_range to true (--beyond-range)"
-        unqueued = f"{beyond}; no solve is queued for it: {set_it}"
-        why = unqueued if beyond else placement.refusal
-        reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
-        outcome.reply = outcome.reply._replace(reason=_also(reason, why))
+        reason = _also(outcome.reply.reason, placement.refusal)
+        outcome.reply = outcome.reply._replace(reason=reason)
         return outcome
     return _ended(workspace, query, outcome) if placement.exact else outcome
 
@@ -425,7 +419,7 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
         )
 
     rows = dict(zip(uncovered.tolist(), _rows_at(component, new, acting[uncovered]), strict=True))
-    known = {place: row for place, row in rows.items() if row is not None}
+    known = {index: row for index, row in rows.items() if row is not None}
     uncovered = uncovered[[row is None for row in rows.values()]]
     component = workspace.submission.solvable(name, soon)
     is_beyond = ~component.load_range.holds(acting[uncovered]) & (not query.beyond_range)
@@ -453,7 +447,7 @@ def known_slopes(derivative: Floats) -> Floats | None:
 
 
 def _also(reason: str, more: str) -> str:
-    """Return two reasons as one text; either may be empty."""
+    """Join two reasons to one text; either may be empty."""
     return f"{reason}; {more}" if reason and more else reason or more
 
 
@@ -476,8 +470,8 @@ def _rows_at(component: Component, rows: Rows, wrenches: Floats) -> list[Rows | 
     """Return the row at each wrench (k, inputs), within 1e-6 of the range in each load."""
     if not len(rows):
         return [None] * len(wrenches)
-    positions = RowIndex(rows.wrench, component.load_range.scale).indices(wrenches)
-    return [None if place < 0 else rows.take([place]) for place in positions.tolist()]
+    indices = RowIndex(rows.wrench, component.load_range.scale).indices(wrenches)
+    return [None if index < 0 else rows.take([index]) for index in indices.tolist()]
 
 
 def _table_of_row(
@@ -528,7 +522,7 @@ def _describe(workspace: Workspace, query: Query, outcome: Outcome) -> None:
     if not query.detail:
         return
     by_row = outcome.row is not None or reply.method == mapped.ROW
-    # A row answers without the axes, which only a component of a single wrench has.
+    # Only a component of a single wrench has axes, and a row answers without them.
     by_axes = table.load_range.space.is_default and not by_row
     details["axes"] = explain(table.packed, *options) if by_axes else []
     details["method_detail"] = mapped.ROW_DETAIL if by_row else table.method_detail(reply.method)
@@ -575,23 +569,23 @@ def _take_rows(
     `rows` are by the wrench's index; `jobs` have the newest state of the outcome's, after a wait.
     """
     component = workspace.library[outcome.component]
-    near = workspace.tables.surrogate(outcome.component)
+    newest = workspace.tables.surrogate(outcome.component)
     wrenches = component.acting(wrenches)
-    newest = {job.id: job for job in jobs}
-    by_place = dict(rows)
-    for place, placement in outcome.jobs.items():
+    states = {job.id: job for job in jobs}
+    by_index = dict(rows)
+    for index, placement in outcome.jobs.items():
         if placement.job is not None:
-            job = newest.get(placement.job.id, placement.job)
-            outcome.jobs[place] = replace(placement, job=job)
+            job = states.get(placement.job.id, placement.job)
+            outcome.jobs[index] = replace(placement, job=job)
             if job.row is not None and placement.exact:
-                by_place[place] = job.row
+                by_index[index] = job.row
     replies = outcome.replies
-    for place, row in by_place.items():
-        table = _table_of_row(workspace, component, near, row)
-        wrench = wrenches[place, None]
+    for index, row in by_index.items():
+        table = _table_of_row(workspace, component, newest, row)
+        wrench = wrenches[index, None]
         limits = table.limits(query.tolerance)
         new = table.packed.batch(wrench, limits)
-        replies.outputs[place], replies.errors[place] = new.outputs[0], new.errors[0]
-        replies.coverage[place] = new.coverage[0]
+        replies.outputs[index], replies.errors[index] = new.outputs[0], new.errors[0]
+        replies.coverage[index] = new.coverage[0]
         if outcome.derivatives is not None:
-            outcome.derivatives[place] = table.packed.derivatives(wrench, limits)[0]
+            outcome.derivatives[index] = table.packed.derivatives(wrench, limits)[0]
