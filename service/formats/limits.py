@@ -32,13 +32,13 @@ LOAD_LIMIT = 10.0
 
 def within_limits(piece: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
     """Return the rows within all limits; the others become mistakes."""
-    good = is_within_limits(vars(piece), options, report)
+    good = check_limits(vars(piece), options, report)
     report.mistakes.trim()
     return piece.take(good)
 
 
-def is_within_limits(columns: Mapping[str, Any], options: Options, report: ReadReport) -> Array:
-    """Return which rows of the columns of a `ParsedTable` are within all limits, (n,)."""
+def check_limits(columns: Mapping[str, Any], options: Options, report: ReadReport) -> Array:
+    """Return which rows of a `ParsedTable`'s columns are within all limits, (n,); report others."""
     good = np.ones(len(columns["seq"]), dtype=bool)
     problems = chain(
         _excess_displacements(columns["displacement"], options.columns),
@@ -124,7 +124,8 @@ def of_current_setup(
     """Yield the rows that a table of the setup `options.fingerprint` may hold."""
     setup = options.fingerprint
     for piece in pieces:
-        if setup is None or not ((piece.fingerprint != "") | (piece.source == FEA)).any():
+        is_solve = (piece.fingerprint != "") | (piece.source == FEA)
+        if setup is None or not is_solve.any():
             yield piece
             continue
         good = np.ones(len(piece), dtype=bool)
