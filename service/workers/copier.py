@@ -44,7 +44,8 @@ def run(settings: Settings, started: threading.Event) -> None:
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     os.umask(0o077)  # only the owner may read copies, like the ledger
     started.set()
-    backups = threading.Thread(target=keep, args=(settings, stop), name="backups", daemon=True)
+    arguments = settings, stop
+    backups = threading.Thread(target=make_backups, args=arguments, name="backups", daemon=True)
     if settings.backup_every:
         backups.start()
     if settings.replicate:
@@ -77,7 +78,7 @@ def ship(settings: Settings, stop: threading.Event) -> None:
     (settings.data / COPY).unlink(missing_ok=True)
 
 
-def keep(settings: Settings, stop: threading.Event) -> None:
+def make_backups(settings: Settings, stop: threading.Event) -> None:
     """Make a backup whenever one is due, test it by a restore, and remove old ones."""
     folder = settings.backup_folder or settings.data / "backups"
     period_s = settings.backup_every * HOUR
