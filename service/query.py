@@ -474,24 +474,20 @@ def _rows_at(component: Component, rows: Rows, wrenches: Floats) -> list[Rows | 
     return [None if index < 0 else rows.take([index]) for index in indices.tolist()]
 
 
-def _table_of_row(
-    workspace: Workspace, component: Component, newest: ServedTable, row: Rows | int
-) -> ServedTable:
-    """Return a table of one row, or of a row's number, from which the kernel answers as usual."""
-    if isinstance(row, int):
-        stored = workspace.ledger.row(row)
-        names = ("seq", "compliance", "curvature", "uncertainty", "source", "fingerprint")
-        values = {name: getattr(stored, name) for name in names}
-        columns = {name: [value] for name, value in values.items() if value is not None}
-        row = Rows.of(stored.wrench, stored.displacement, component.space, **columns)
-    return mapped.row_table(component, row, workspace.solver_error(component, newest), newest)
+def _stored_row(workspace: Workspace, component: Component, seq: int) -> Rows:
+    """Return the ledger's row of a number."""
+    stored = workspace.ledger.row(seq)
+    names = ("seq", "compliance", "curvature", "uncertainty", "source", "fingerprint")
+    values = {name: getattr(stored, name) for name in names}
+    columns = {name: [value] for name, value in values.items() if value is not None}
+    return Rows.of(stored.wrench, stored.displacement, component.space, **columns)
 
 
-def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: Rows | int) -> Outcome:
+def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: Rows) -> Outcome:
     """Return the answer of a row that no table has yet."""
     name, job = outcome.component, outcome.job
     component, newest = workspace.library[name], workspace.tables.surrogate(name)
-    table = _table_of_row(workspace, component, newest, row)
+    table = mapped.row_table(component, row, workspace.solver_error(component, newest), newest)
     query = query._replace(method=None)
     notes = workspace.notes(job) if job else []
     reply = answer(table, query)
@@ -510,7 +506,10 @@ def _ended(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     assert job is not None
     if job.status == "failed":
         raise SolveFailedError(job)
-    return outcome if job.row is None else _by_row(workspace, query, outcome, job.row)
+    if job.row is None:
+        return outcome
+    row = _stored_row(workspace, workspace.library[outcome.component], job.row)
+    return _by_row(workspace, query, outcome, row)
 
 
 def _describe(workspace: Workspace, query: Query, outcome: Outcome) -> None:
@@ -561,7 +560,7 @@ def _take_rows(
     wrenches: Floats,
     query: Query,
     outcome: BatchOutcome,
-    rows: Mapping[int, Rows | int],
+    rows: Mapping[int, Rows],
     jobs: Sequence[JobRecord] = (),
 ) -> None:
     """Replace the table's answers to wrenches (k, inputs) by those of rows and of done jobs.
@@ -578,10 +577,10 @@ def _take_rows(
             job = states.get(placement.job.id, placement.job)
             outcome.jobs[index] = replace(placement, job=job)
             if job.row is not None and placement.exact:
-                by_index[index] = job.row
+                by_index[index] = _stored_row(workspace, component, job.row)
     replies = outcome.replies
     for index, row in by_index.items():
-        table = _table_of_row(workspace, component, newest, row)
+        table = mapped.row_table(component, row, workspace.solver_error(component, newest), newest)
         wrench = wrenches[index, None]
         limits = table.limits(query.tolerance)
         new = table.packed.batch(wrench, limits)
