@@ -13,7 +13,7 @@ const ZERO_REMEDY = "set missing_loads=zero (--missing-loads-zero)"; // in the s
 const TYPES = { csv: "text/csv", txt: "text/csv", tsv: "text/csv", json: "application/json", h5: "application/x-hdf5", hdf5: "application/x-hdf5" };
 
 export function importForm(about, signal) {
-  const state = { file: null, text: null, about, signal, place: el("div", { class: "stack", "aria-live": "polite", id: "checked" }) };
+  const state = { file: null, text: null, checks: 0, about, signal, place: el("div", { class: "stack", "aria-live": "polite", id: "checked" }) };
   // A field fires at each blur; the same options need no second check.
   state.options = importOptions(about.name, () => { if (state.file && optionsOf(state) !== state.checked) check(state); }, signal);
   const take = async (file) => {
@@ -56,8 +56,7 @@ async function post(state, dry) {
 }
 
 async function check(state) {
-  state.checks = (state.checks || 0) + 1;
-  const current = state.checks; // the latest of concurrent checks is shown
+  const current = ++state.checks; // the latest of concurrent checks is shown
   put(state.place, working(`${state.file.name} is read and checked …`));
   let shown;
   try {
