@@ -49,6 +49,7 @@ def run(out: Console, keep: Path | None = None) -> dict[str, Any]:
     failure = None
     data = nullcontext(str(keep)) if keep else tempfile.TemporaryDirectory(prefix="wrenchbook-")
     with data as folder, private_server(Path(folder), SOLVERS) as client:
+        # The docstring of a step is its heading.
         steps = (_ask_an_empty_table, _solve_it, _fill, _refine, _compare)
         for number, step in enumerate(steps, start=1):
             heading = (step.__doc__ or "").rstrip(".")
