@@ -103,9 +103,6 @@ def install(app: FastAPI) -> None:
     """Serve the document, with one cached form with keys and one without."""
     documents: dict[tuple[bool, str], tuple[bytes, str]] = {}  # bytes and entity tag
 
-    def document() -> dict[str, Any]:
-        return _document(app, app.state.access.keys_needed, "")
-
     def serve(request: Request) -> Response:
         form = app.state.access.keys_needed, request.scope.get("root_path", "")
         if form not in documents:
@@ -116,7 +113,7 @@ def install(app: FastAPI) -> None:
             return Response(None, 304, naming(tag))
         return Response(content, 200, naming(tag), JSON)
 
-    app.openapi = document
+    app.openapi = lambda: _document(app, app.state.access.keys_needed, "")
     app.add_route("/openapi.json", serve, include_in_schema=False)
 
 
