@@ -29,11 +29,19 @@ FLUSH_S = 1.0  # s after which an incomplete block is sent: a slow loop is recor
 BACKOFF_S = (0.1, 5.0)
 FLOAT_BYTES = 8  # size of a number in a block, float64
 AT_EXIT_S = 5.0  # s that the end of the program waits for unsent wrenches
-_RETRIED = (408, 425, 429)  # statuses besides 5xx after which the same block may be accepted
+_PASSING = (408, 425, 429)  # statuses besides 5xx after which the same block may be accepted
 
 
 class RecorderError(WrenchbookError, RuntimeError):
     """Wrenches could not be recorded; the message has the cause, and where they are."""
+
+
+def _is_passing(error: Exception) -> bool:
+    """Return whether the server may accept the same block later; it stores a block only once."""
+    if isinstance(error, ProblemError):
+        return error.status >= 500 or error.status in _PASSING
+    passing = OSError | http.client.HTTPException | ValueError
+    return isinstance(error, passing) and not isinstance(error, InvalidArgument)
 
 
 class Recorder:
@@ -263,14 +271,9 @@ class Recorder:
                 arguments = block, self._inputs, self._key, self._sequence
                 reply = self._client.send_block(self.component, self.kind, *arguments)
             except Exception as error:
-                # Retries are safe: the server stores a block of a known sequence number once.
-                transient = OSError | http.client.HTTPException | ValueError
-                retried = isinstance(error, transient) and not isinstance(error, InvalidArgument)
-                if isinstance(error, ProblemError):
-                    retried = error.status >= 500 or error.status in _RETRIED
                 with self._changed:
                     self._trouble = error
-                    self._failed = not retried
+                    self._failed = not _is_passing(error)
                     self._changed.notify_all()
                     if self._failed:
                         return
