@@ -103,9 +103,11 @@ def _pieces(
 
     names = [reading.column for label in labels for reading in readings_of(label, columns)]
     named = any(name.startswith("time") for name in (*names, *options.mapping.values()))
-    _, start, step = next(iter(times), (None, None, 0.0))
-    labels += ["time [s]"] if times and not named else []
+    has_clock = bool(times) and not named
+    labels += ["time [s]"] if has_clock else []
     for at in range(0, lengths.pop(), PIECE):
         piece = [channel[at : at + PIECE] for channel in channels]
-        piece += [(start or 0.0) + step * np.arange(at, at + len(piece[0]))]
-        yield labels, piece[: len(labels)]
+        if has_clock:
+            (_, start, step), *_ = times
+            piece.append((start or 0.0) + step * np.arange(at, at + len(piece[0])))
+        yield labels, piece
