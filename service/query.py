@@ -169,13 +169,10 @@ def plain_query(fields: Any) -> Query | None:
 
 def answer(table: ServedTable, query: Query) -> Reply:
     """Return the table's reply to a query: nothing is read, queued or counted."""
-    tolerance = query.tolerance
-    limits = None if tolerance is None else table.limits(tolerance)
-    reply = table.packed.answer(query.wrench, limits, query.method)
-    if reply.row is not None:
-        text = f"{EXACT if reply.exact else ROUNDED} {reply.reason}".rstrip()
-        reply = reply._replace(reason=text)
-    return reply
+    reply = table.packed.answer(query.wrench, table.limits(query.tolerance), query.method)
+    if reply.row is None:
+        return reply
+    return reply._replace(reason=f"{EXACT if reply.exact else ROUNDED} {reply.reason}".rstrip())
 
 
 def answered(workspace: Workspace, name: str, query: Query) -> Outcome:
