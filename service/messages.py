@@ -36,17 +36,15 @@ Part = Literal["translation", "rotation"]
 class FloatArray:
     """Marks a field as an array of floats: `shape` of its JSON, None for a variable length."""
 
-    number: ClassVar[tuple[dict[str, Any], Any]] = (
-        {"anyOf": [{"type": "number"}, {"type": "null"}]},
-        np.float64,
-    )
+    item: ClassVar[dict[str, Any]] = {"anyOf": [{"type": "number"}, {"type": "null"}]}
+    dtype: ClassVar[Any] = np.float64
 
     def __init__(self, *shape: int | None) -> None:
         self.shape = shape
 
     def schema(self) -> dict[str, Any]:
         """Return the JSON schema."""
-        schema: dict[str, Any] = self.number[0]
+        schema = self.item
         for size in reversed(self.shape):
             limits = {} if size is None else {"minItems": size, "maxItems": size}
             schema = {"type": "array", "items": schema, **limits}
@@ -54,7 +52,7 @@ class FloatArray:
 
     def read(self, values: Any) -> Vector:
         """Return the array of JSON values, NaN for null, as a read-only array."""
-        array = np.array(values, dtype=self.number[1])
+        array = np.array(values, dtype=self.dtype)
         if not array.size and len(self.shape) == 2:
             array = array.reshape(0, self.shape[1] or 6)
         array.flags.writeable = False
@@ -71,13 +69,14 @@ class FloatArray:
 class IntArray(FloatArray):
     """Marks a field as an array of integers."""
 
-    number: ClassVar = {"type": "integer"}, np.int64
+    item: ClassVar = {"type": "integer"}
+    dtype: ClassVar = np.int64
 
 
 class FiniteArray(FloatArray):
     """Marks a field as an array of floats without null."""
 
-    number: ClassVar = {"type": "number"}, np.float64
+    item: ClassVar = {"type": "number"}
 
 
 Wrench = Annotated[Vector, FiniteArray(6)]
@@ -286,7 +285,7 @@ class Stress(Message):
 
     largest: float
     error: float | None
-    at: Annotated[Vector, FloatArray(3)]
+    at: Three
     region: str
     yield_strength: float | None
     yields: bool | None

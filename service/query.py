@@ -14,7 +14,6 @@ from time import perf_counter_ns
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
@@ -31,9 +30,8 @@ from wrenchbook.surrogate.kernel.explain import explain
 from wrenchbook.surrogate.kernel.replies import Replies, Reply
 from wrenchbook.surrogate.solver_error import UNKNOWN
 from wrenchbook.surrogate.table.merging import RowIndex
-from wrenchbook.surrogate.table.rows import Rows, Tolerance, acting_wrench, why_beyond
+from wrenchbook.surrogate.table.rows import Floats, Rows, Tolerance, acting_wrench, why_beyond
 
-Floats = NDArray[np.float64]
 Wanted = OnThin | Literal["solve"]
 
 _PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})
@@ -171,13 +169,10 @@ def plain_query(fields: Any) -> Query | None:
 
 def answer(table: ServedTable, query: Query) -> Reply:
     """Return the table's reply to a query: nothing is read, queued or counted."""
-    tolerance = query.tolerance
-    limits = None if tolerance is None else table.limits(tolerance)
-    reply = table.packed.answer(query.wrench, limits, query.method)
-    if reply.row is not None:
-        text = f"{EXACT if reply.exact else ROUNDED} {reply.reason}".rstrip()
-        reply = reply._replace(reason=text)
-    return reply
+    reply = table.packed.answer(query.wrench, table.limits(query.tolerance), query.method)
+    if reply.row is None:
+        return reply
+    return reply._replace(reason=f"{EXACT if reply.exact else ROUNDED} {reply.reason}".rstrip())
 
 
 def answered(workspace: Workspace, name: str, query: Query) -> Outcome:
@@ -263,30 +258,26 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     outcome.unsolved = True
     submission = workspace.submission
     component = submission.solvable(name, outcome.reply.reason)
-    beyond = ""
     if not query.beyond_range and not component.load_range.holds(wrench)[0]:
         beyond = why_beyond(component.load_range, wrench[0])
+        remedy = "solve it nevertheless, set beyond_range to true (--beyond-range)"
+        if query.on_thin != "queue":
+            message = f"{beyond}. Nothing was queued. To {remedy}."
+            raise BeyondRangeError(message, coverage="outside")
+        reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
+        why = f"{beyond}; no solve is queued for it: to {remedy}"
+        outcome.reply = outcome.reply._replace(reason=_also(reason, why))
+        return outcome
     if query.on_thin == "queue":
-        placement = Placement(None, exact=False)
-        if not beyond:
-            (placement,) = submission.queue(name, wrench)
-    elif beyond:
-        raise BeyondRangeError(
-            f"{beyond}. Nothing was queued. To solve it nevertheless, set beyond_range to "
-            "true (--beyond-range).",
-            coverage="outside",
-        )
+        (placement,) = submission.queue(name, wrench)
     else:
         urgent = query.wait_s > 0
         job = submission.accept(name, query.wrench, urgent=urgent, asked_by=query.on_thin)
         placement = Placement(job, exact=True)
     outcome.job = placement.job
     if placement.job is None:
-        set_it = "to solve it nevertheless, set beyond_range to true (--beyond-range)"
-        unqueued = f"{beyond}; no solve is queued for it: {set_it}"
-        why = unqueued if beyond else placement.refusal
-        reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
-        outcome.reply = outcome.reply._replace(reason=_also(reason, why))
+        reason = _also(outcome.reply.reason, placement.refusal)
+        outcome.reply = outcome.reply._replace(reason=reason)
         return outcome
     return _ended(workspace, query, outcome) if placement.exact else outcome
 
@@ -425,7 +416,7 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
         )
 
     rows = dict(zip(uncovered.tolist(), _rows_at(component, new, acting[uncovered]), strict=True))
-    known = {place: row for place, row in rows.items() if row is not None}
+    known = {index: row for index, row in rows.items() if row is not None}
     uncovered = uncovered[[row is None for row in rows.values()]]
     component = workspace.submission.solvable(name, soon)
     is_beyond = ~component.load_range.holds(acting[uncovered]) & (not query.beyond_range)
@@ -453,7 +444,7 @@ def known_slopes(derivative: Floats) -> Floats | None:
 
 
 def _also(reason: str, more: str) -> str:
-    """Return two reasons as one text; either may be empty."""
+    """Join two reasons to one text; either may be empty."""
     return f"{reason}; {more}" if reason and more else reason or more
 
 
@@ -476,28 +467,24 @@ def _rows_at(component: Component, rows: Rows, wrenches: Floats) -> list[Rows | 
     """Return the row at each wrench (k, inputs), within 1e-6 of the range in each load."""
     if not len(rows):
         return [None] * len(wrenches)
-    positions = RowIndex(rows.wrench, component.load_range.scale).indices(wrenches)
-    return [None if place < 0 else rows.take([place]) for place in positions.tolist()]
+    indices = RowIndex(rows.wrench, component.load_range.scale).indices(wrenches)
+    return [None if index < 0 else rows.take([index]) for index in indices.tolist()]
 
 
-def _table_of_row(
-    workspace: Workspace, component: Component, newest: ServedTable, row: Rows | int
-) -> ServedTable:
-    """Return a table of one row, or of a row's number, from which the kernel answers as usual."""
-    if isinstance(row, int):
-        stored = workspace.ledger.row(row)
-        names = ("seq", "compliance", "curvature", "uncertainty", "source", "fingerprint")
-        values = {name: getattr(stored, name) for name in names}
-        columns = {name: [value] for name, value in values.items() if value is not None}
-        row = Rows.of(stored.wrench, stored.displacement, component.space, **columns)
-    return mapped.row_table(component, row, workspace.solver_error(component, newest), newest)
+def _stored_row(workspace: Workspace, component: Component, seq: int) -> Rows:
+    """Return the ledger's row of a number."""
+    stored = workspace.ledger.row(seq)
+    names = ("seq", "compliance", "curvature", "uncertainty", "source", "fingerprint")
+    values = {name: getattr(stored, name) for name in names}
+    columns = {name: [value] for name, value in values.items() if value is not None}
+    return Rows.of(stored.wrench, stored.displacement, component.space, **columns)
 
 
-def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: Rows | int) -> Outcome:
+def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: Rows) -> Outcome:
     """Return the answer of a row that no table has yet."""
     name, job = outcome.component, outcome.job
     component, newest = workspace.library[name], workspace.tables.surrogate(name)
-    table = _table_of_row(workspace, component, newest, row)
+    table = mapped.row_table(component, row, workspace.solver_error(component, newest), newest)
     query = query._replace(method=None)
     notes = workspace.notes(job) if job else []
     reply = answer(table, query)
@@ -516,7 +503,10 @@ def _ended(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     assert job is not None
     if job.status == "failed":
         raise SolveFailedError(job)
-    return outcome if job.row is None else _by_row(workspace, query, outcome, job.row)
+    if job.row is None:
+        return outcome
+    row = _stored_row(workspace, workspace.library[outcome.component], job.row)
+    return _by_row(workspace, query, outcome, row)
 
 
 def _describe(workspace: Workspace, query: Query, outcome: Outcome) -> None:
@@ -528,7 +518,7 @@ def _describe(workspace: Workspace, query: Query, outcome: Outcome) -> None:
     if not query.detail:
         return
     by_row = outcome.row is not None or reply.method == mapped.ROW
-    # A row answers without the axes, which only a component of a single wrench has.
+    # Only a component of a single wrench has axes, and a row answers without them.
     by_axes = table.load_range.space.is_default and not by_row
     details["axes"] = explain(table.packed, *options) if by_axes else []
     details["method_detail"] = mapped.ROW_DETAIL if by_row else table.method_detail(reply.method)
@@ -567,7 +557,7 @@ def _take_rows(
     wrenches: Floats,
     query: Query,
     outcome: BatchOutcome,
-    rows: Mapping[int, Rows | int],
+    rows: Mapping[int, Rows],
     jobs: Sequence[JobRecord] = (),
 ) -> None:
     """Replace the table's answers to wrenches (k, inputs) by those of rows and of done jobs.
@@ -575,23 +565,23 @@ def _take_rows(
     `rows` are by the wrench's index; `jobs` have the newest state of the outcome's, after a wait.
     """
     component = workspace.library[outcome.component]
-    near = workspace.tables.surrogate(outcome.component)
+    newest = workspace.tables.surrogate(outcome.component)
     wrenches = component.acting(wrenches)
-    newest = {job.id: job for job in jobs}
-    by_place = dict(rows)
-    for place, placement in outcome.jobs.items():
+    states = {job.id: job for job in jobs}
+    by_index = dict(rows)
+    for index, placement in outcome.jobs.items():
         if placement.job is not None:
-            job = newest.get(placement.job.id, placement.job)
-            outcome.jobs[place] = replace(placement, job=job)
+            job = states.get(placement.job.id, placement.job)
+            outcome.jobs[index] = replace(placement, job=job)
             if job.row is not None and placement.exact:
-                by_place[place] = job.row
+                by_index[index] = _stored_row(workspace, component, job.row)
     replies = outcome.replies
-    for place, row in by_place.items():
-        table = _table_of_row(workspace, component, near, row)
-        wrench = wrenches[place, None]
+    for index, row in by_index.items():
+        table = mapped.row_table(component, row, workspace.solver_error(component, newest), newest)
+        wrench = wrenches[index, None]
         limits = table.limits(query.tolerance)
         new = table.packed.batch(wrench, limits)
-        replies.outputs[place], replies.errors[place] = new.outputs[0], new.errors[0]
-        replies.coverage[place] = new.coverage[0]
+        replies.outputs[index], replies.errors[index] = new.outputs[0], new.errors[0]
+        replies.coverage[index] = new.coverage[0]
         if outcome.derivatives is not None:
-            outcome.derivatives[place] = table.packed.derivatives(wrench, limits)[0]
+            outcome.derivatives[index] = table.packed.derivatives(wrench, limits)[0]

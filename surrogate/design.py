@@ -40,15 +40,15 @@ AXIS_CANDIDATES = 32  # candidates on each axis alone, where the rows of a table
 # ends of the range, and rows left out there show little of its inside. Over five synthetic
 # responses with 39 solves, the part of errors inside the bar of the worst output rises from 89 to
 # 93 % by this, and errors stay the same.
-EVENLY = 4
-FAR = 10_000  # offset into the sequence, so that the even wrenches are not in the sample
+EVEN_PERIOD = 4
+EVEN_START = 10_000  # in the sequence, so that the even wrenches are not in the sample
 # Candidates chosen between two checks of the remaining bars: a check costs as much as these.
 BETWEEN_CHECKS = 3
 # Upper limit of the estimated number of solves: a larger number has no further use.
 MAX_SOLVES = 1e6
 # Smallest power of the number of solves by which errors fall: below, they do not fall.
 MIN_RATE = 0.01
-RECOMPUTED = 16  # candidates recomputed at once: the largest loss is nearly always among the first
+RECOMPUTED = 16  # candidates recomputed at once: the largest loss is nearly always among them
 
 # First wrenches of six loads, in eighths of half ranges: a Latin hypercube based on an orthogonal
 # array (Tang 1993). Its signs are those of the third 2^(6-3) fraction, which confounds no load's
@@ -77,7 +77,7 @@ HYPERCUBE = np.array(
 # Wrenches of the first design: two for each load and three more, 15 for six loads. With second
 # derivatives 1 for each load and three more, 9 for six loads.
 PER_LOAD, PER_LOAD_CURVED, FURTHER = 2, 1, 3
-_FAR = 2.0**62  # half the range of an int64, for rounded wrenches in steps; no query is as large
+_MAX_STEPS = 2.0**62  # half the range of an int64, for wrenches in steps; no query is as large
 
 
 class Known:
@@ -92,7 +92,7 @@ class Known:
         """Return a wrench (6,), N and N·m, in integer steps; the same wrench has the same steps."""
         with np.errstate(over="ignore"):
             steps = np.round(wrench / self.scale / ZERO_LOAD)
-        return tuple(np.clip(steps, -_FAR, _FAR).astype(np.int64).tolist())
+        return tuple(np.clip(steps, -_MAX_STEPS, _MAX_STEPS).astype(np.int64).tolist())
 
     def new(self, wrenches: Floats) -> Floats:
         """Return the wrenches (k, 6), N and N·m, that are not known yet, without duplicates.
@@ -101,8 +101,7 @@ class Known:
         """
         fresh = []
         for wrench in wrenches:
-            key = self._key(wrench)
-            if key not in self.keys:
+            if (key := self._key(wrench)) not in self.keys:
                 self.keys.add(key)
                 fresh.append(wrench)
         return np.array(fresh).reshape(-1, len(self.scale))
@@ -113,9 +112,9 @@ def first_count(span: LoadRange, rows: Rows) -> int:
 
     The number is smaller as long as all `rows` of the table bring second derivatives.
     """
-    vary = int((span.high > span.low).sum())
+    loads = int((span.high > span.low).sum())
     has_curvature = not len(rows) or (rows.curvature.shape[1] and np.isfinite(rows.curvature).all())
-    return (PER_LOAD_CURVED if has_curvature else PER_LOAD) * vary + FURTHER if vary else 1
+    return (PER_LOAD_CURVED if has_curvature else PER_LOAD) * loads + FURTHER if loads else 1
 
 
 def first_design(span: LoadRange, known: Known, count: int) -> Floats:
@@ -327,8 +326,8 @@ class _Refinement:
                 if float(within.mean()) >= ENOUGH:
                     break
             number = before + count
-            even = spread_wrenches(self.span, 1, FAR + number // EVENLY)
-            fresh = self.known.new(even) if number % EVENLY == 0 else even[:0]
+            even = spread_wrenches(self.span, 1, EVEN_START + number // EVEN_PERIOD)
+            fresh = self.known.new(even) if number % EVEN_PERIOD == 0 else even[:0]
             if not len(fresh):
                 computed = np.zeros(len(expected), dtype=bool)
                 while not computed[best := int(np.argmax(expected))]:
@@ -348,8 +347,7 @@ class _Refinement:
         the rows and the error with all rows. `worst` is the latter, over the tolerance.
         """
         rows, before = self.surrogate.rows, np.nan
-        count = len(rows)
-        half_count = len(rows) // 2
+        count, half_count = len(rows), len(rows) // 2
         half = build(rows.take(np.arange(half_count)), self.surrogate.load_range).groups[0]
         if half.kriging is not None:
             bars = half.kriging.sigma_with(sample[:0], sample) / self.allowed

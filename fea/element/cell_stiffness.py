@@ -108,8 +108,7 @@ class CellStiffness(ABC):
         Result: shape (k, size, size), N/m.
         """
         out = np.empty((len(cells), self.size, self.size))
-        for start in range(0, len(cells), _CHUNK):
-            chunk = slice(start, start + _CHUNK)
+        for chunk in self.chunks(len(cells)):
             state = self.state(cells[chunk], None if displacement is None else displacement[chunk])
             if step is not None:
                 state.extrapolate(step[:, chunk])
@@ -188,7 +187,7 @@ class CellStiffness(ABC):
         return strain, self.state(part, None).weighted_change(strain)
 
     def chunks(self, cells: int | None = None) -> Iterator[slice]:
-        """Yield slices of all cells, or of the first `cells`, whose temporaries fit the cache."""
+        """Yield slices of all cells, or of `cells` of them, whose temporaries fit the cache."""
         count = len(self) if cells is None else cells
         for start in range(0, count, _CHUNK):
             yield slice(start, min(start + _CHUNK, count))

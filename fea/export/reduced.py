@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from wrenchbook.fea.solver.reduction import CraigBampton
 
-_NAMES = {"stiffness": "K", "mass": "M", "damping": "B"}  # in Nastran's case control
+_NASTRAN = {"stiffness": "K", "mass": "M", "damping": "B"}  # matrices in the case control
+_ABAQUS = {"stiffness": "STIFFNESS", "mass": "MASS", "damping": "VISCOUS DAMPING"}  # in an assembly
 _RIGID_MOTIONS = 6  # motions of a free part: its lowest modes
 _WIDTH = 16  # characters of a large field of Nastran
 
@@ -35,7 +36,7 @@ def arrays(part: CraigBampton, damping: float = 0.0) -> dict[str, Any]:
 
 def nastran(part: Mapping[str, Any], first: int) -> str:
     """Return bulk data GRID, SPOINT and DMIG; `first` is the number of the first frame's point."""
-    names = {key: name for key, name in _NAMES.items() if key in part}
+    names = {key: name for key, name in _NASTRAN.items() if key in part}
     control = ", ".join(f"{name}2GG = {name}AAX" for name in names.values())
     lines = [f"$ Reduced part, SI units. Case control: {control}"]
     rows = _rows(part, first, 0)
@@ -55,7 +56,7 @@ def nastran(part: Mapping[str, Any], first: int) -> str:
 def abaqus(part: Mapping[str, Any], first: int) -> str:
     """Return *NODE and *MATRIX; `first` is the number of the first frame's node."""
     rows = _rows(part, first, 1)
-    keys = [key for key in _NAMES if key in part]
+    keys = [key for key in _ABAQUS if key in part]
     points = {node: np.zeros(3) for node, _ in rows} | dict(enumerate(part["origins"], first))
     lines = ["** Reduced part, SI units", "*NODE"]
     lines += ["{}, {:.16e}, {:.16e}, {:.16e}".format(node, *at) for node, at in points.items()]
@@ -63,8 +64,8 @@ def abaqus(part: Mapping[str, Any], first: int) -> str:
         lines.append(f"*MATRIX INPUT, NAME={key.upper()}, TYPE=SYMMETRIC")
         for i, j in zip(*np.nonzero(np.tril(part[key])), strict=True):
             lines.append("{},{},{},{},{:.16e}".format(*rows[i], *rows[j], part[key][i, j]))
-    kinds = ", ".join(f"{'viscous ' * (key == 'damping')}{key}={key}" for key in keys)
-    return "\n".join([*lines, f"*MATRIX ASSEMBLE, {kinds.upper()}"]) + "\n"
+    assembly = ", ".join(f"{_ABAQUS[key]}={key.upper()}" for key in keys)
+    return "\n".join([*lines, f"*MATRIX ASSEMBLE, {assembly}"]) + "\n"
 
 
 def _rows(part: Mapping[str, Any], first: int, scalar: int) -> list[tuple[int, int]]:

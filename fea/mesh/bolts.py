@@ -56,14 +56,14 @@ def cut_bolts(
     cuts: list[BoltCut] = []
     entries = [mesh.dependents.entries] if mesh.dependents is not None else []
     for number, bolt in enumerate(bolts):
-        sides = _sides(mesh, bolt, f"bolt[{number}]", problems)
+        key = f"bolt[{number}]"
+        sides = _sides(mesh, bolt, key, problems)
         if sides is None:
             continue
-        upper, nodes = sides.above, sides.nodes
+        nodes = sides.nodes
         slip = len(mesh.points) + len(nodes)
-        cut = BoltCut(
-            f"bolt[{number}]", bolt, nodes, slip, tuple(map(np.flatnonzero, upper)), sides.area
-        )
+        cells = tuple(map(np.flatnonzero, sides.above))
+        cut = BoltCut(key, bolt, nodes, slip, cells, sides.area)
         cuts.append(cut)
         ones = np.ones(len(nodes))
         entries.append(Entries(cut.copies, nodes, ones))
@@ -72,7 +72,7 @@ def cut_bolts(
         renumbered[nodes] = cut.copies
         blocks = tuple(
             CellBlock(block.kind, np.where(above[:, None], renumbered[block.nodes], block.nodes))
-            for block, above in zip(mesh.blocks, upper, strict=True)
+            for block, above in zip(mesh.blocks, sides.above, strict=True)
         )
         points = np.vstack([mesh.points, mesh.points[nodes], mesh.points[nodes].mean(axis=0)])
         mesh = replace(mesh, points=points, blocks=blocks)
@@ -179,9 +179,9 @@ def _why_uncut(
             f"{point_text(mesh.points[outside[0]])} m, with cells outside the region, which "
             "support the shank there; move point to where the shank is free"
         )
-    n_shanks = _pieces(mesh, above, nodes)
-    if n_shanks > 1:
-        return f"has {n_shanks} separate shanks at its cut; write a [[bolt]] for each"
+    shanks = _count_pieces(mesh, above, nodes)
+    if shanks > 1:
+        return f"has {shanks} separate shanks at its cut; write a [[bolt]] for each"
     return ""
 
 
@@ -218,7 +218,7 @@ def _of_group(mesh: Mesh, bolt: Bolt, heights: np.ndarray) -> _Shank:
     return _Shank([touch.sum(axis=1) > 0 for touch in touched], levels)
 
 
-def _pieces(mesh: Mesh, chosen: Sequence[np.ndarray], nodes: np.ndarray) -> int:
+def _count_pieces(mesh: Mesh, chosen: Sequence[np.ndarray], nodes: np.ndarray) -> int:
     """Return the number of pieces of cells, (m,) bool of each block, connected by some nodes."""
     links = []  # indices of a cell and of a node of it
     first = len(mesh.points)  # indices of cells come after those of nodes

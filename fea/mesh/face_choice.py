@@ -21,13 +21,13 @@ from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
 from wrenchbook.fea.tensors import TINY
 
 # Part of a facet's size: its triangles deviate less from a round face, at 16 cells a turn.
-_EDGE = 2e-2
-_ANGLE = 10.0  # degrees: tolerance of `normal` without `angle`
+_CHORD_ERROR = 2e-2
+_DEFAULT_ANGLE = 10.0  # degrees: tolerance of `normal` without `angle`
 # Part of the side of a square of the chosen area: a thinner wall has two sides in a box.
 _THIN = 0.5
-_ACROSS = 0.5  # cosine of a cylinder's axis and a facet's normal: its ends have 1, its side 0
+_MAX_ALONG = 0.5  # cosine of a cylinder's axis and a facet's normal: its ends have 1, its side 0
 _OPPOSED = -0.99  # cosine of the normals of two sides of a wall: 8 degrees
-_ROUNDOFF = 1e-9  # relative: bundles write directions and positions with about as many digits
+_ROUNDING = 1e-9  # relative: bundles write directions and positions with about as many digits
 _ALIGNED = 1 - 1e-6  # cosine of a normal with a plane's: 0.08 degrees
 
 
@@ -39,7 +39,7 @@ def choose(surface: Surface, groups: Mapping[str, FaceSelector]) -> Mesh:
     masks: dict[str, np.ndarray] = {}
     problems: list[BundleProblem] = []
     existing = {*surface.mesh.node_groups, *surface.mesh.facet_groups}
-    enclosing = {n: {group for group in groups if group == c.inside} for n, c in groups.items()}
+    enclosing = {name: {*groups} & {choice.inside} for name, choice in groups.items()}
     try:
         order = [*TopologicalSorter(enclosing).static_order()]
     except CycleError as error:
@@ -74,9 +74,9 @@ def _of_file(
 ) -> np.ndarray | None:
     """Return the facets of a group of the mesh file, a mask of shape (f,)."""
     if (group := surface.mesh.facet_groups.get(name)) is not None:
-        rows = [n[:, : corners_of(kind)].tolist() for kind, n in group.blocks]
-        known = {frozenset(row) for block in rows for row in block}
-        return np.fromiter((frozenset(row) in known for row in surface.corners.tolist()), bool)
+        blocks = [nodes[:, : corners_of(kind)].tolist() for kind, nodes in group.blocks]
+        facets = {frozenset(corners) for block in blocks for corners in block}
+        return np.fromiter((frozenset(row) in facets for row in surface.corners.tolist()), bool)
     nodes = group_nodes(surface.mesh, where, name, problems)
     return np.asarray(np.isin(surface.corners, nodes).all(axis=1)) if len(nodes) else None
 
@@ -91,8 +91,10 @@ def _chosen(
     adding = [np.isin(surface.numbers, choice.faces)] if choice.faces else []
     numbers = [_nearest(surface, point, f"{where}.near") for point in choice.near]
     adding += [surface.numbers == number for number in numbers]
-    adding += [] if choice.plane is None else [_in_plane(surface, choice, f"{where}.plane")]
-    adding += [] if choice.radius is None else [_round(surface, choice, f"{where}.radius")]
+    if choice.plane is not None:
+        adding.append(_in_plane(surface, choice, f"{where}.plane"))
+    if choice.radius is not None:
+        adding.append(_on_cylinder(surface, choice, f"{where}.radius"))
     chosen = np.any(adding, axis=0) if adding else np.ones(len(surface.areas), dtype=bool)
 
     for key, allowed, excess, meaning in _restrictions(surface, choice, inside):
@@ -124,7 +126,7 @@ def _restrictions(
         yield "box", outside <= NEAR * surface.sizes, outside, "m out of it by a corner"
     if choice.normal is not None:
         angles = np.degrees(np.arccos(np.clip(surface.normals @ choice.normal, -1, 1)))
-        yield "normal", angles <= (choice.angle or _ANGLE), angles, "degrees from it"
+        yield "normal", angles <= (choice.angle or _DEFAULT_ANGLE), angles, "degrees from it"
     if inside is not None:
         apart = np.linalg.norm(surface.middles - surface.middles[inside].mean(axis=0), axis=1)
         yield "inside", inside, apart, f"m from the middle of {choice.inside}"
@@ -133,7 +135,7 @@ def _restrictions(
 def _nearest(surface: Surface, point: Point, where: str) -> int:
     """Return the number of the face nearest to a point; raise BundleError unless one is."""
     off = np.linalg.norm(surface.middles - np.array(point), axis=1)
-    limit = (off + surface.sizes).min() + _EDGE * surface.sizes.max()
+    limit = (off + surface.sizes).min() + _CHORD_ERROR * surface.sizes.max()
     close = (off - surface.sizes <= limit)[surface.owners]
     owners = surface.owners[close]
     normals = unit(surface.vectors[close])
@@ -147,7 +149,7 @@ def _nearest(surface: Surface, point: Point, where: str) -> int:
     distance = np.where((sides >= 0).all(axis=1), height, to_edges)
     least = distance.min()
     size = surface.sizes[owners[distance.argmin()]]
-    near = distance <= least + (_EDGE * size if least <= size else 0.0)
+    near = distance <= least + (_CHORD_ERROR * size if least <= size else 0.0)
     numbers = np.unique(surface.numbers[owners[near]]).tolist()
     if message := near_message(point, "face", numbers, least, size):
         _refuse(where, message)
@@ -161,20 +163,20 @@ def _in_plane(surface: Surface, choice: FaceSelector, where: str) -> np.ndarray:
     at = float(normal @ choice.at) if isinstance(choice.at, tuple) else float(choice.at or 0)
     heights = surface.mesh.points[surface.corners] @ normal - at
     # A facet of a round face that touches the plane is parallel to it too.
-    even = [face.number for face in surface.faces if face.kind in ("Plane", "Curved")]
+    plane_faces = [face.number for face in surface.faces if face.kind in ("Plane", "Curved")]
     level = np.abs(heights).max(axis=1) <= NEAR * surface.sizes
-    level &= np.isin(surface.numbers, even)
+    level &= np.isin(surface.numbers, plane_faces)
     if not level.any():
-        square = [f for f in surface.faces if f.normal and abs(normal @ f.normal) > _ALIGNED]
-        positions = sorted({round(float(normal @ face.centre), 9) for face in square})
-        listed = ", ".join(f"{place:g}" for place in positions)
+        parallel = [f for f in surface.faces if f.normal and abs(normal @ f.normal) > _ALIGNED]
+        positions = sorted({round(float(normal @ face.centre), 9) for face in parallel})
+        listed = ", ".join(f"{position:g}" for position in positions)
         along = plane if isinstance(plane, str) else f"x . {point_text(normal)}"
         remedy = f"choose one at: {listed}" if listed else "none is parallel; use near or faces"
         _refuse(where, f"there is no plane face at {along} = {at:g} m; {remedy}")
     return level
 
 
-def _round(surface: Surface, choice: FaceSelector, where: str) -> np.ndarray:
+def _on_cylinder(surface: Surface, choice: FaceSelector, where: str) -> np.ndarray:
     """Return the facets on a cylinder, or on all of a radius, a mask of shape (f,)."""
     radius = float(choice.radius or 0)
     if choice.cylinder is None:
@@ -188,7 +190,7 @@ def _round(surface: Surface, choice: FaceSelector, where: str) -> np.ndarray:
     axis = np.array(choice.cylinder.axis)
     arms = np.cross(surface.mesh.points[surface.corners] - choice.cylinder.point, axis)
     off = np.abs(np.linalg.norm(arms, axis=2) - radius).max(axis=1)
-    on = (off < NEAR * radius) & (np.abs(surface.normals @ axis) < _ACROSS)
+    on = (off < NEAR * radius) & (np.abs(surface.normals @ axis) < _MAX_ALONG)
     if not on.any():
         message = (
             f"no facet lies on the cylinder of radius {radius:g} m about this axis; the "
@@ -201,9 +203,8 @@ def _round(surface: Surface, choice: FaceSelector, where: str) -> np.ndarray:
 
 def _check_sides(surface: Surface, chosen: np.ndarray, where: str) -> None:
     """Refuse a box round both sides of a thin wall."""
-    parts = {
-        f: chosen & (surface.numbers == f.number) for f in surface.faces if f.normal is not None
-    }
+    planes = [face for face in surface.faces if face.normal is not None]
+    parts = {face: chosen & (surface.numbers == face.number) for face in planes}
     for a, b in combinations([face for face, part in parts.items() if part.any()], 2):
         normal = np.array(a.normal)
         gap = float(normal @ np.subtract(a.centre, b.centre))
@@ -220,24 +221,23 @@ def _check_sides(surface: Surface, chosen: np.ndarray, where: str) -> None:
 def line(surface: Surface, face: Face) -> str:
     """Return the TOML that selects a face alone, in the simplest form."""
     members = surface.numbers == face.number
-    middle = _short(*face.centre)
-    at = surface.middles[members]
-    ways: list[dict[str, Any]] = [  # keys of a `FaceSelector`, the simplest first
-        {"near": _short(*at[np.linalg.norm(at - face.centre, axis=1).argmin()])},
-        {"faces": [face.number]},
-    ]
-    if face.radius is not None:
-        ways.insert(0, {"radius": float(f"{face.radius:.6g}")})
+    centre = _short(*face.centre)
+    selectors: list[dict[str, Any]] = []  # keys of a `FaceSelector`, the simplest first
     if face.normal is not None:
         axis = int(np.abs(face.normal).argmax())
-        even = abs(face.normal[axis]) > 1 - _ROUNDOFF
-        square = {"plane": "xyz"[axis], "at": middle[axis]}
-        ways.insert(0, square if even else {"plane": _short(*face.normal), "at": middle})
-    for way in ways:
-        text = f"{{{', '.join(f'{key} = {json.dumps(value)}' for key, value in way.items())}}}"
+        if abs(face.normal[axis]) > 1 - _ROUNDING:
+            selectors.append({"plane": "xyz"[axis], "at": centre[axis]})
+        else:
+            selectors.append({"plane": _short(*face.normal), "at": centre})
+    if face.radius is not None:
+        selectors.append({"radius": float(f"{face.radius:.6g}")})
+    middles = surface.middles[members]
+    nearest = middles[np.linalg.norm(middles - face.centre, axis=1).argmin()]
+    selectors += {"near": _short(*nearest)}, {"faces": [face.number]}
+    for keys in selectors:
         with contextlib.suppress(BundleError):
-            if np.array_equal(_chosen(surface, FaceSelector(**way), "", None), members):
-                return text
+            if np.array_equal(_chosen(surface, FaceSelector(**keys), "", None), members):
+                return f"{{{', '.join(f'{key} = {json.dumps(keys[key])}' for key in keys)}}}"
     raise AssertionError(face)  # its number selects it
 
 

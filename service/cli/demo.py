@@ -29,8 +29,8 @@ BUDGET = 120  # largest number of solves of the fill
 CHECKED = 30  # random wrenches compared with solves: on two idle cores the demonstration takes 50 s
 FINER = 2  # ratio of cells a side: the solver's own error is an eighth on smooth parts
 SEED = 20170726
-OTHER = 0.9  # factor on the force: a wrench near WRENCH that was not solved
-WRENCH = ((150.0, -100.0, -900.0), (20.0, 30.0, 5.0))
+FORCE, MOMENT = (150.0, -100.0, -900.0), (20.0, 30.0, 5.0)  # N, N·m: the wrench that is solved
+NEAR = 0.9  # factor on the force: a wrench near it that was not solved
 
 
 class Compared(NamedTuple):
@@ -46,31 +46,32 @@ def run(out: Console, keep: Path | None = None) -> dict[str, Any]:
     from wrenchbook.service.workers.private import private_server
 
     started = time.monotonic()
-    complaint = None
-    room = nullcontext(str(keep)) if keep else tempfile.TemporaryDirectory(prefix="wrenchbook-")
-    with room as folder, private_server(Path(folder), SOLVERS) as client:
+    failure = None
+    data = nullcontext(str(keep)) if keep else tempfile.TemporaryDirectory(prefix="wrenchbook-")
+    with data as folder, private_server(Path(folder), SOLVERS) as client:
+        # The docstring of a step is its heading.
         steps = (_ask_an_empty_table, _solve_it, _fill, _refine, _compare)
         for number, step in enumerate(steps, start=1):
             heading = (step.__doc__ or "").rstrip(".")
             out.rule(Text(f"{number}. {heading}", style="bold"), align="left")
-            complaint = step(out, client)
-            if complaint:
-                out.print(Text("The demonstration failed:", style="red"), complaint)
+            failure = step(out, client)
+            if failure:
+                out.print(Text("The demonstration failed:", style="red"), failure)
                 break
-        answer = client.displacement(COMPONENT, *WRENCH)
+        answer = client.displacement(COMPONENT, FORCE, MOMENT)
         component = client.component(COMPONENT, wait_s=60.0)  # with the solves of the comparison
     seconds = time.monotonic() - started
-    if complaint is None:
+    if failure is None:
         out.print(f"Done in {seconds:.0f} s.")
     figures = {"component": COMPONENT, "rows": component["rows"], "answer": answer.raw}
-    return {"failed": complaint, "seconds": round(seconds, 3), **figures}
+    return {"failed": failure, "seconds": round(seconds, 3), **figures}
 
 
 def _ask_an_empty_table(out: Console, client: Client) -> str | None:
     """Ask an empty table: the solve is queued."""
     component = client.component(COMPONENT)
     out.print(f"{component['title']}: {counted(component['rows'], 'row')}.")
-    answer = client.displacement(COMPONENT, *WRENCH)
+    answer = client.displacement(COMPONENT, FORCE, MOMENT)
     out.print(answer_shown(answer))
     if answer.job is None or answer.coverage == "covered":
         return "an empty table should have queued a solve"
@@ -79,10 +80,10 @@ def _ask_an_empty_table(out: Console, client: Client) -> str | None:
 
 def _solve_it(out: Console, client: Client) -> str | None:
     """Follow the job, and ask the same wrench with on_thin 'wait'."""
-    job = client.displacement(COMPONENT, *WRENCH).job
+    job = client.displacement(COMPONENT, FORCE, MOMENT).job
     if job is not None:
         progress.follow(out, client, [job])
-    answer = client.displacement(COMPONENT, *WRENCH, on_thin="wait")
+    answer = client.displacement(COMPONENT, FORCE, MOMENT, on_thin="wait")
     out.print(answer_shown(answer))
     return None if answer.source == "fea" else f"expected source fea, got {answer.source}"
 
@@ -98,9 +99,8 @@ def _fill(out: Console, client: Client) -> str | None:
 
 def _refine(out: Console, client: Client) -> str | None:
     """Ask a wrench that no solve was made for, and solve it on a finer mesh."""
-    force = [OTHER * load for load in WRENCH[0]]
-    moment = WRENCH[1]
-    answer = client.displacement(COMPONENT, force, moment)
+    force = [NEAR * load for load in FORCE]
+    answer = client.displacement(COMPONENT, force, MOMENT)
     out.print(answer_shown(answer))
     if answer.coverage != "covered":
         return f"not covered: {answer.reason}"
@@ -113,7 +113,7 @@ def _refine(out: Console, client: Client) -> str | None:
         file.write_text(cells.sub(lambda key: f"{key[1]} = {FINER * int(key[2])}", text))
         finer = client.add_component(bundle)["name"]
 
-    job = client.solve(finer, force, moment).job
+    job = client.solve(finer, force, MOMENT).job
     assert job is not None
     (job,) = progress.follow(out, client, [job])
     true = np.array([*job.raw["translation"], *job.raw["rotation"]])
@@ -123,8 +123,9 @@ def _refine(out: Console, client: Client) -> str | None:
         f"On a mesh of {FINER} x {FINER} cells for each, u_z is {true[2]:.4e} m: the answer is "
         f"{error[2]:.1e} m off, its error bar {bars[2]:.1e} m."
     )
-    exceeded = "the error bar does not hold the answer of the finer mesh"
-    return None if (error <= bars).all() else exceeded
+    if not (error <= bars).all():
+        return "the error bar does not hold the answer of the finer mesh"
+    return None
 
 
 def _compare(out: Console, client: Client) -> str | None:
@@ -175,7 +176,7 @@ def _compare(out: Console, client: Client) -> str | None:
 
 
 def _answers(client: Client, wrenches: Floats, method: str | None) -> list[Displacement]:
-    """Return the table's answers to wrenches (n, 6), N and N·m, by a method."""
+    """Return the table's answers to wrenches (n, 6), N and N·m, by a method; None: by its own."""
     return [
         client.displacement(COMPONENT, row[:3], row[3:], on_thin="estimate", method=method)
         for row in wrenches
@@ -187,13 +188,11 @@ def _time_table(times: Floats, seconds: Floats) -> Table:
     table = Table(title="Run time of one answer")
     for heading in ("", "median", "95 %"):
         table.add_column(heading, justify="right" if heading else "left")
-    middle = np.median(times)
-    late = np.quantile(times, 0.95)
-    table.add_row("table", f"{middle:.0f} µs", f"{late:.0f} µs")
-    solve = np.median(seconds)
-    slow = np.quantile(seconds, 0.95)
-    table.add_row("FEA, a process of its own", f"{solve:.2f} s", f"{slow:.2f} s")
-    table.caption = f"The table is {1e6 * solve / middle:,.0f} times faster."
+    answer, solve = np.median(times), np.median(seconds)
+    table.add_row("table", f"{answer:.0f} µs", f"{np.quantile(times, 0.95):.0f} µs")
+    slow = f"{np.quantile(seconds, 0.95):.2f} s"
+    table.add_row("FEA, a process of its own", f"{solve:.2f} s", slow)
+    table.caption = f"The table is {1e6 * solve / answer:,.0f} times faster."
     return table
 
 
@@ -209,17 +208,17 @@ def _error_table(compared: Sequence[Compared]) -> Table:
     table = Table(title=f"{method} against FEA, {len(compared)} full wrenches not in the table")
     for heading in ("", "range", "RMS error", "largest", "RMS/range", "in bar", "griddata"):
         table.add_column(heading, justify="right" if heading else "left")
-    for place, (name, unit) in enumerate(UNITS.items()):
-        rms = np.sqrt(np.mean(error[:, place] ** 2))
-        plain_rms = np.sqrt(np.mean(plain_error[:, place] ** 2))
+    for output, (name, unit) in enumerate(UNITS.items()):
+        rms = np.sqrt(np.mean(error[:, output] ** 2))
+        plain_rms = np.sqrt(np.mean(plain_error[:, output] ** 2))
         table.add_row(
             f"{name}, {unit}",
-            f"{span[place]:.2e}",
+            f"{span[output]:.2e}",
             f"{rms:.2e}",
-            f"{error[:, place].max():.2e}",
-            f"{rms / span[place]:.3%}",
-            f"{np.mean(error[:, place] <= bars[:, place]):.0%}",
-            f"{plain_rms / span[place]:.1%}",
+            f"{error[:, output].max():.2e}",
+            f"{rms / span[output]:.3%}",
+            f"{np.mean(error[:, output] <= bars[:, output]):.0%}",
+            f"{plain_rms / span[output]:.1%}",
         )
     table.caption = "griddata: what interpolation between the same rows misses, RMS/range"
     return table

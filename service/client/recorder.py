@@ -29,11 +29,19 @@ FLUSH_S = 1.0  # s after which an incomplete block is sent: a slow loop is recor
 BACKOFF_S = (0.1, 5.0)
 FLOAT_BYTES = 8  # size of a number in a block, float64
 AT_EXIT_S = 5.0  # s that the end of the program waits for unsent wrenches
-_AGAIN = (408, 425, 429)  # statuses besides 5xx after which the same block may be accepted
+_PASSING = (408, 425, 429)  # statuses besides 5xx after which the same block may be accepted
 
 
 class RecorderError(WrenchbookError, RuntimeError):
     """Wrenches could not be recorded; the message has the cause, and where they are."""
+
+
+def _is_passing(error: Exception) -> bool:
+    """Return whether the server may accept the same block later; it stores a block only once."""
+    if isinstance(error, ProblemError):
+        return error.status >= 500 or error.status in _PASSING
+    passing = OSError | http.client.HTTPException | ValueError
+    return isinstance(error, passing) and not isinstance(error, InvalidArgument)
 
 
 class Recorder:
@@ -93,8 +101,9 @@ class Recorder:
         self.kind: Kind = kind
         self.reply: Document = {}
         self._client = client
-        self._width = FLOAT_BYTES * inputs
-        self._size = block * self._width
+        self._inputs = inputs
+        self._width = FLOAT_BYTES * inputs  # bytes of a wrench
+        self._size = block * self._width  # bytes of a full block
         self._key = secrets.token_hex(16)
         self._sequence = 0
         self._changed = threading.Condition()
@@ -105,7 +114,7 @@ class Recorder:
         self._trouble: Exception | None = None
         self._failed = False
         self._closing = False
-        self._hurry = False  # `flush` waits: the pause between attempts ends
+        self._hurry = False  # whether `flush` waits, which ends the pause between attempts
         self._thread = threading.Thread(target=self._send_all, name="recorder", daemon=True)
         self._thread.start()
         atexit.register(self._at_exit)
@@ -142,16 +151,15 @@ class Recorder:
         RecorderError
             If the server refuses what is recorded, if 100,000 wrenches wait, or after `close`.
         """
-        inputs = self._width // FLOAT_BYTES
         shape = np.shape(wrench)
-        default = inputs == len(LOADS)
-        if shape != (inputs,):
-            form = "six numbers, force then moment" if default else f"{inputs} numbers"
+        is_default = self._inputs == len(LOADS)
+        if shape != (self._inputs,):
+            form = "six numbers, force then moment" if is_default else f"{self._inputs} numbers"
             raise InvalidArgument(
                 f"a wrench must be {form}, but this one has the shape {shape}; for a component "
                 "with another number of inputs create the Recorder with inputs=NUMBER"
             )
-        checked = single_wrench(wrench) if default else many_wrenches(np.stack([wrench]), None)
+        checked = single_wrench(wrench) if is_default else many_wrenches(np.stack([wrench]), None)
         packed = checked.astype("<f8").tobytes()
 
         with self._changed:
@@ -176,9 +184,7 @@ class Recorder:
         """Return the wrenches not acknowledged, shape (n, inputs), N and N·m, to keep elsewhere."""
         with self._changed:
             packed = b"".join([*self._blocks, self._open])
-        return (
-            np.frombuffer(packed, dtype="<f8").reshape(-1, self._width // FLOAT_BYTES).astype(float)
-        )
+        return np.frombuffer(packed, dtype="<f8").reshape(-1, self._inputs).astype(float)
 
     def flush(self, timeout_s: float = 30.0) -> None:
         """Wait until all that was added is on the server's disk.
@@ -262,17 +268,12 @@ class Recorder:
                 block = self._blocks[0]
 
             try:
-                sent = block, self._width // FLOAT_BYTES, self._key, self._sequence
-                reply = self._client.send_block(self.component, self.kind, *sent)
+                arguments = block, self._inputs, self._key, self._sequence
+                reply = self._client.send_block(self.component, self.kind, *arguments)
             except Exception as error:
-                # Sending a block again is safe, so it is sent again after a passing error.
-                passing = OSError | http.client.HTTPException | ValueError
-                again = isinstance(error, passing) and not isinstance(error, InvalidArgument)
-                if isinstance(error, ProblemError):
-                    again = error.status >= 500 or error.status in _AGAIN
                 with self._changed:
                     self._trouble = error
-                    self._failed = not again
+                    self._failed = not _is_passing(error)
                     self._changed.notify_all()
                     if self._failed:
                         return

@@ -9,8 +9,12 @@ from decimal import Decimal
 from typing import Any
 
 MAX_TEXT = 131_072  # characters of one text: the limit of the csv module
-_QUOTED = 40  # characters of a cell in a message: longer ones are cut
+_MAX_QUOTED = 40  # characters of a cell in a message: a longer one would hide the remedy
 NO_VALUE = "#NO VALUE: "  # before the place of a formula that a program wrote without its value
+
+
+class ContentError(ValueError):
+    """The file is no readable table; the message is complete, with the remedy."""
 
 
 class Digits(str):
@@ -38,7 +42,7 @@ _CLOCK_FORMATS = (
 # A spreadsheet executes a text that begins with one of these signs as a formula (OWASP, CSV
 # injection). The wide forms count too: spreadsheets with East Asian input convert them.
 _FORMULA = re.compile(r"'*\s*[=+\-@\t\r\n|%＝＋－＠]")
-_GUARDED = re.compile(r"''*\s*[=+\-@\t\r\n|%＝＋－＠]")
+_GUARDED = re.compile("'" + _FORMULA.pattern)
 # 1.234 is 1.234 with a decimal point and 1234 with a point between thousands.
 EITHER_MARK = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}")
 # A number with a mark between thousands: 1,234.5 and 1 234 567.
@@ -94,7 +98,7 @@ def decimal_mark(cell: str) -> str | None:
 def quoted(cell: str) -> str:
     """Return a cell in quotation marks, cut to 40 characters."""
     cell = cell.strip()
-    return f"'{cell}'" if len(cell) <= _QUOTED else f"'{cell[:_QUOTED]}...'"
+    return f"'{cell}'" if len(cell) <= _MAX_QUOTED else f"'{cell[:_MAX_QUOTED]}...'"
 
 
 def number_problem(cell: str, *, comma: bool) -> str:
@@ -177,10 +181,6 @@ def cell_text(value: Any, label: str) -> str:
     return text
 
 
-class ContentError(ValueError):
-    """The file is no readable table; the message is complete, with the remedy."""
-
-
-def vanished(text: str) -> bool:
+def underflows(text: str) -> bool:
     """Return whether a text that `float` reads as zero is a smaller number, such as 1e-400."""
     return any(mark in "123456789" for mark in text.lower().partition("e")[0])

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.formats.cells import Digits, quoted, vanished
+from wrenchbook.service.formats.cells import Digits, quoted, underflows
 from wrenchbook.service.formats.columns import ARRAYS, ORIGIN, TEXTS, Columns, WritableRows
 from wrenchbook.service.formats.header import Record, array_header
 from wrenchbook.service.formats.options import (
@@ -294,7 +294,7 @@ def _number_cells(key: str, line: list[Any], problems: list[tuple[str, str]]) ->
         is_null = value is None and key in ("displacement", "uncertainty")
         if type(value) is Digits and not math.isfinite(float(value)):
             problem = f"{quoted(value)} is not finite; correct it or leave the row out"
-        elif type(value) is Digits and float(value) == 0.0 and vanished(value):
+        elif type(value) is Digits and float(value) == 0.0 and underflows(value):
             problem = f"{quoted(value)} is too small for a float and would become 0; write 0"
         elif not (is_null or type(value) in (Digits, float)):
             problem = f"{json.dumps(value)[:40]} must be a number"

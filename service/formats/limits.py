@@ -32,13 +32,13 @@ LOAD_LIMIT = 10.0
 
 def within_limits(piece: ParsedTable, options: Options, report: ReadReport) -> ParsedTable:
     """Return the rows within all limits; the others become mistakes."""
-    good = is_within_limits(vars(piece), options, report)
+    good = check_limits(vars(piece), options, report)
     report.mistakes.trim()
     return piece.take(good)
 
 
-def is_within_limits(columns: Mapping[str, Any], options: Options, report: ReadReport) -> Array:
-    """Return which rows of the columns of a `ParsedTable` are within all limits, (n,)."""
+def check_limits(columns: Mapping[str, Any], options: Options, report: ReadReport) -> Array:
+    """Return which rows of a `ParsedTable`'s columns are within all limits, (n,); report others."""
     good = np.ones(len(columns["seq"]), dtype=bool)
     problems = chain(
         _excess_displacements(columns["displacement"], options.columns),
@@ -78,20 +78,23 @@ def _excess_displacements(displacement: Array, columns: Columns) -> Iterator[Pro
                 f"{math.degrees(ROTATION_LIMIT):g}; check the unit (rad or deg)"
             )
             yield at, name, message
-    for at, axis in np.argwhere((np.abs(displacement) > TRANSLATION_LIMIT) & ~is_rotation).tolist():
+    too_far = (np.abs(displacement) > TRANSLATION_LIMIT) & ~is_rotation
+    for at, output in np.argwhere(too_far).tolist():
         message = (
-            f"the translation is {displacement[at, axis]:.4g} m, but a table ends at "
+            f"the translation is {displacement[at, output]:.4g} m, but a table ends at "
             f"{TRANSLATION_LIMIT:g} m; check the unit (m or mm)"
         )
-        yield at, columns.displacement[axis], message
+        yield at, columns.displacement[output], message
 
 
 def _excess_uncertainties(uncertainty: Array, columns: Columns) -> Iterator[Problem]:
     """Yield the uncertainties (n, outputs), m and rad, beyond a limit."""
+    if not any(uncertainty.strides):  # one value stands for all: no uncertainty is known
+        return
     is_rotation = columns.space.is_rotation
     limit = np.where(is_rotation, LONGEST, TRANSLATION_LIMIT)
-    known = any(uncertainty.strides)  # infinite uncertainties are other mistakes
-    beyond = np.isfinite(uncertainty) & (uncertainty > limit) if known else np.zeros((0, 0))
+    # An infinite uncertainty is another mistake.
+    beyond = np.isfinite(uncertainty) & (uncertainty > limit)
     for at, output in np.argwhere(beyond).tolist():
         unit, end = ("rad", ROTATION_LIMIT) if is_rotation[output] else ("m", TRANSLATION_LIMIT)
         message = (
@@ -124,7 +127,8 @@ def of_current_setup(
     """Yield the rows that a table of the setup `options.fingerprint` may hold."""
     setup = options.fingerprint
     for piece in pieces:
-        if setup is None or not ((piece.fingerprint != "") | (piece.source == FEA)).any():
+        is_solve = (piece.fingerprint != "") | (piece.source == FEA)
+        if setup is None or not is_solve.any():
             yield piece
             continue
         good = np.ones(len(piece), dtype=bool)

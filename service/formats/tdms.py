@@ -15,7 +15,11 @@ from wrenchbook.service.formats.text import PIECE, read_columns
 from wrenchbook.service.formats.xlsx import chosen_sheet
 
 _HEAD_BYTES = 28  # of a segment: tag, flags, version, and two lengths
-_BIG_ENDIAN = 1 << 6  # the flag, in the lowest byte, of numbers with the highest byte first
+_BIG_ENDIAN = 1 << 6  # flag, in the lowest byte, of big-endian numbers
+_CUT_OFF = (
+    "ends within a segment, because its writing or copying was cut off; copy it again, or "
+    "export the complete rows as CSV"
+)
 _MAX_NAMED = 8  # channels in a message: more would hide its remedy
 
 
@@ -28,20 +32,19 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
     from nptdms import TdmsFile
 
     _require_whole_segments(path)
+    columns, mapping = options.columns, options.mapping
     with TdmsFile.open(path) as file:
         groups = {
             group.name: [channel for channel in group.channels() if len(channel)]
             for group in file.groups()
         }
-        named = {
-            name: named_columns(
-                [channel.name for channel in group], options.columns, options.mapping
-            )
+        counts = {
+            name: named_columns([channel.name for channel in group], columns, mapping)
             for name, group in groups.items()
             if group
         }
-        best = {name for name, count in named.items() if count == max(named.values())}
-        sheet = chosen_sheet(list(named), options.sheet, best.__contains__, report)
+        best = {name for name, count in counts.items() if count == max(counts.values())}
+        sheet = chosen_sheet(list(counts), options.sheet, best.__contains__, report)
         report.ignored += [channel.name for channel in file[sheet].channels() if not len(channel)]
         yield from read_columns(_pieces(groups[sheet], options), options, report)
 
@@ -52,22 +55,17 @@ def _require_whole_segments(path: Path) -> None:
     Each segment begins with "TDSm", flags, version and the number of bytes behind this head (NI,
     "TDMS File Format Internal Structure"). A program that stopped leaves the number as -1.
     """
-    size = path.stat().st_size
-    start = 0
+    size, start = path.stat().st_size, 0
     with path.open("rb") as file:
         while start < size:
             file.seek(start)
             head = file.read(_HEAD_BYTES)
             if len(head) < _HEAD_BYTES or not head.startswith(b"TDSm"):
-                start = size + 1
-                break
+                raise ContentError(_CUT_OFF)
             order = "big" if head[4] & _BIG_ENDIAN else "little"
             start += _HEAD_BYTES + int.from_bytes(head[12:20], order)
     if start > size:
-        raise ContentError(
-            "ends within a segment, because its writing or copying was cut off; copy it again, or "
-            "export the complete rows as CSV"
-        )
+        raise ContentError(_CUT_OFF)
 
 
 def _pieces(
@@ -105,9 +103,11 @@ def _pieces(
 
     names = [reading.column for label in labels for reading in readings_of(label, columns)]
     named = any(name.startswith("time") for name in (*names, *options.mapping.values()))
-    _, start, step = next(iter(times), (None, None, 0.0))
-    labels += ["time [s]"] if times and not named else []
+    has_clock = bool(times) and not named
+    labels += ["time [s]"] if has_clock else []
     for at in range(0, lengths.pop(), PIECE):
         piece = [channel[at : at + PIECE] for channel in channels]
-        piece += [(start or 0.0) + step * np.arange(at, at + len(piece[0]))]
-        yield labels, piece[: len(labels)]
+        if has_clock:
+            (_, start, step), *_ = times
+            piece.append((start or 0.0) + step * np.arange(at, at + len(piece[0])))
+        yield labels, piece

@@ -24,8 +24,8 @@ from wrenchbook.service.formats.cells import (
     quoted,
     text_problem,
     time_seconds,
+    underflows,
     unguard_formula,
-    vanished,
 )
 from wrenchbook.service.formats.columns import TEXTS, TIME_COLUMN
 from wrenchbook.service.formats.header import (
@@ -35,7 +35,7 @@ from wrenchbook.service.formats.header import (
     is_second_header,
     read_head,
 )
-from wrenchbook.service.formats.limits import is_within_limits
+from wrenchbook.service.formats.limits import check_limits
 from wrenchbook.service.formats.options import (
     Array,
     Mistakes,
@@ -356,7 +356,7 @@ class _Conversion:
             "time": time,
         }
         if not is_corrected(options):
-            self._good &= is_within_limits(piece, options, report)
+            self._good &= check_limits(piece, options, report)
         report.mistakes.trim()
         return ParsedTable(**picked(piece, self._good))
 
@@ -427,10 +427,10 @@ class _Conversion:
         zero = np.flatnonzero(converted == 0.0) if not column.zero else np.empty(0, dtype=int)
         if isinstance(cells, np.ndarray):
             zero = zero[values[zero] != 0.0]
-        elif not any(map(vanished, {cells[at] for at in zero.tolist()})):
+        elif not any(map(underflows, {cells[at] for at in zero.tolist()})):
             zero = zero[:0]  # a file has many zeros, in few spellings
         for at in zero.tolist():
-            if vanished(cell := self._cell(column, at)):
+            if underflows(cell := self._cell(column, at)):
                 message = f"{quoted(cell)} is too small for a float and would become 0; write 0"
                 self._refuse(at, column.label, message)
 

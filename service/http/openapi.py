@@ -31,21 +31,19 @@ JSON: Final = "application/json"
 BYTES: Final[Schema] = {"schema": {"type": "string", "format": "binary"}}
 TEXT: Final[Schema] = {"schema": {"type": "string"}}
 _PROBLEM: Final = {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}
-_WITH_KEYS: Final = (401, 413, 429)
-_WITH_BODY: Final = (413, 415)
+_KEY_STATUSES: Final = (401, 413, 429)  # refusals of any call of a server with keys
+_BODY_STATUSES: Final = (413, 415)  # refusals of any call with a body
 _REFERENCE: Final = "#/components/schemas/{model}"
 _TOML: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
 BODIES: Final[dict[str, str]] = _TOML["bodies"]
 TEXTS: Final[dict[str, dict[str, str]]] = {
     **{name: _TOML[name] for name in ("fields", "parameters")},
-    **{
-        f"{kind}.{name}": _TOML[kind][name] for kind in ("schemas", "calls") for name in _TOML[kind]
-    },
+    **{f"schemas.{name}": texts for name, texts in _TOML["schemas"].items()},
+    **{f"calls.{name}": texts for name, texts in _TOML["calls"].items()},
 }
-_KINDS: Final[dict[str, Any]] = {"Problem": Problem}  # the types of bodies, by their names
-_DEFAULT: Final = "Successful Response"
+_body_types: dict[str, Any] = {"Problem": Problem}  # by name; `takes` adds those of its calls
+_DEFAULT: Final = "Successful Response"  # FastAPI's description of a reply
 _OWN_ERRORS: Final = "/umbridge/"  # a protocol with its own form of errors
-
 
 # Options of the application, and of the router of its calls.
 OPTIONS: Final[dict[str, Any]] = {
@@ -91,7 +89,7 @@ def takes(body: Any, more: Mapping[str, Any] | None = None, query: Any = None) -
 
     `more`: OpenAPI's description of further content types.
     """
-    _KINDS[body.__name__] = body  # the document has its schema by its name
+    _body_types[body.__name__] = body  # the document has its schema by its name
     schema = {"$ref": _REFERENCE.format(model=body.__name__)}
     content = {JSON: {"schema": schema}, **(more or {})}
     extra: Schema = {"requestBody": {"required": True, "content": content}}
@@ -103,10 +101,7 @@ def takes(body: Any, more: Mapping[str, Any] | None = None, query: Any = None) -
 
 def install(app: FastAPI) -> None:
     """Serve the document, with one cached form with keys and one without."""
-    documents: dict[tuple[bool, str], tuple[bytes, str]] = {}
-
-    def document() -> dict[str, Any]:
-        return _document(app, app.state.access.keys_needed, "")
+    documents: dict[tuple[bool, str], tuple[bytes, str]] = {}  # bytes and entity tag
 
     def serve(request: Request) -> Response:
         form = app.state.access.keys_needed, request.scope.get("root_path", "")
@@ -118,26 +113,26 @@ def install(app: FastAPI) -> None:
             return Response(None, 304, naming(tag))
         return Response(content, 200, naming(tag), JSON)
 
-    app.openapi = document
+    app.openapi = lambda: _document(app, app.state.access.keys_needed, "")
     app.add_route("/openapi.json", serve, include_in_schema=False)
 
 
-def _document(app: FastAPI, keys: bool, below: str) -> dict[str, Any]:
+def _document(app: FastAPI, with_keys: bool, root_path: str) -> dict[str, Any]:
     """Return FastAPI's document with the refusals that depend on keys and on bodies."""
     document = get_openapi(
         title=app.title,
         version=app.version,
         summary=app.summary,
         description=app.description,
-        servers=[{"url": below}] if below else None,
+        servers=[{"url": root_path}] if root_path else None,
         routes=app.routes,
     )
-    parts = document["components"]
-    kinds: list[Any] = [(name, "validation", TypeAdapter(kind)) for name, kind in _KINDS.items()]
-    _, named = TypeAdapter.json_schemas(kinds, ref_template=_REFERENCE)
-    parts["schemas"] |= named["$defs"]
-    if keys:
-        parts["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
+    components = document["components"]
+    bodies: list[Any] = [(name, "validation", TypeAdapter(t)) for name, t in _body_types.items()]
+    _, schemas = TypeAdapter.json_schemas(bodies, ref_template=_REFERENCE)
+    components["schemas"] |= schemas["$defs"]
+    if with_keys:
+        components["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
         document["security"] = [{"key": []}]
     for path, operations in document["paths"].items():
         for operation in operations.values():
@@ -145,9 +140,8 @@ def _document(app: FastAPI, keys: bool, below: str) -> dict[str, Any]:
                 operation["summary"] = operation.pop("description").removesuffix(".")
             if path.startswith(_OWN_ERRORS):
                 continue
-            statuses = (_WITH_KEYS if keys else ()) + (
-                _WITH_BODY if "requestBody" in operation else ()
-            )
+            statuses: tuple[int, ...] = _KEY_STATUSES if with_keys else ()
+            statuses += _BODY_STATUSES if "requestBody" in operation else ()
             refusals = {str(status): text for status, text in refused(*statuses).items()}
             operation["responses"] = refusals | operation["responses"]
     for item, key, *tables in places(document):

@@ -19,12 +19,12 @@ from wrenchbook.surrogate.table.space import Space
 _log = logging.getLogger(__name__)
 
 _NAN = np.float64(np.nan)
-KEY_BYTES = 16
+KEY_BYTES = 16  # of a row's key and a record's seal: 128 bits of BLAKE2b
 # Rows of one record: 100 KB or so, read and written in well under a millisecond. To read a single
 # row, its complete record is read.
 MAX_COUNT = 1000
-MIN_NUMBERS = 6
-"""Smallest number of a packed vector's numbers: those of one interface."""
+MIN_NUMBERS = 6  # of a packed vector: the loads of one interface
+_COLUMNS = "wrench", "displacement", "compliance", "curvature", "uncertainty"
 
 
 def pack_vector(values: Sequence[float]) -> bytes:
@@ -61,7 +61,7 @@ def content_key(*parts: bytes) -> bytes:
 
 
 def key_hashes(keys: bytes) -> np.ndarray:
-    """Return the first 8 bytes of each of the keys as a number, for `row_keys`."""
+    """Return the first 8 bytes of each key as an integer, for `row_keys`, shape (n,)."""
     return np.frombuffer(keys, ">i8")[::2].astype(np.int64)
 
 
@@ -106,9 +106,10 @@ class Record(NamedTuple):
 
     def computed_seal(self) -> bytes:
         """Return 16 bytes over the keys and the columns that keys leave out."""
-        parts = self.key, self.compliance or b"", self.origin.encode()
-        third = () if self.curvature is None else (self.curvature,)  # rows of version 0.2 have none
-        return content_key(*parts, *third)
+        parts = [self.key, self.compliance or b"", self.origin.encode()]
+        if self.curvature is not None:  # rows of version 0.2 have none
+            parts.append(self.curvature)
+        return content_key(*parts)
 
     def is_sealed(self) -> bool:
         """Return whether keys, compliance, curvature and note are as they were written."""
@@ -168,9 +169,6 @@ class Record(NamedTuple):
         )
 
 
-_COLUMNS = "wrench", "displacement", "compliance", "curvature", "uncertainty"
-
-
 def row_keys(component: str, block: NotedRows) -> list[bytes]:
     """Return the content key of each row.
 
@@ -198,8 +196,7 @@ def records_of(
     job: int | None = None,
 ) -> Iterator[Record]:
     """Yield rows as records, numbered from `first`."""
-    rows = block.rows
-    total = len(block.rows)
+    rows, total = block.rows, len(block.rows)
     texts = list(zip(rows.fingerprint.tolist(), rows.source.tolist(), block.note, strict=True))
     wrench, displacement = _plain(rows.wrench).tobytes(), _plain(rows.displacement).tobytes()
     compliance, curvature = _known(rows.compliance, np.all), _known(rows.curvature, np.all)
@@ -277,11 +274,9 @@ def _note_damaged(
     """Add the rows of the mask `damaged_rows` to `damaged`, and log the new ones."""
     if not damaged_rows.any():
         return
-    names = [record.component for record in records]
-    component = np.repeat(np.array(names, dtype=object), [record.count for record in records])
-    for seq, name in zip(
-        numbers_of(records)[damaged_rows].tolist(), component[damaged_rows], strict=True
-    ):
+    components = np.array([record.component for record in records], dtype=object)
+    names = np.repeat(components, [record.count for record in records])[damaged_rows]
+    for seq, name in zip(numbers_of(records)[damaged_rows].tolist(), names, strict=True):
         if seq not in damaged:
             _log.error("row %d of %s is damaged on the disk and left out", seq, name)
         damaged[seq] = name
@@ -363,7 +358,7 @@ def _keys(
     moves = np.frombuffer(displacements, f"V{size}").tolist()
     tails = [unknown] * len(texts)
     if uncertainties is not None:
-        # An output with unknown uncertainty is NaN; 0 would mean exact.
+        # NaN for an output with unknown uncertainty; 0 would mean exact.
         columns = np.frombuffer(uncertainties, f"V{size}").tolist()
         tails = [unknown if _is_unknown(column) else _part(column) for column in columns]
     keys = []
@@ -415,6 +410,7 @@ def _unpacked_if_known(column: bytes | None) -> Vector | None:
 
 
 def _part(content: bytes) -> bytes:
+    """Return the content after its length, so that joined parts are unambiguous."""
     return _length(len(content)) + content
 
 

@@ -26,9 +26,10 @@ ORDER, FAILURE = "order.json", "failure.json"
 
 
 def main(folder: Path) -> int:
-    """Make the report of ``order.json``; return the exit status."""
+    """Make the report of ``order.json``; return the exit status, 1 after a failure."""
 
     def note(fraction: float, message: str) -> None:
+        """Write the progress, 0 to 1; exit if the report is cancelled."""
         if (folder / CANCEL).exists():
             sys.exit(1)
         write_json(folder / PROGRESS, asdict(Progress(fraction, message)))
@@ -38,16 +39,13 @@ def main(folder: Path) -> int:
         order = json.loads((folder / ORDER).read_bytes())
         rows, meta = read_table(order["table"])
         bundle = read_bundle(order["bundle"])
-        chosen = (order["wrenches"], order["seed"])
-        report = measure(bundle, rows, meta.load_range, *chosen, note)
+        report = measure(bundle, rows, meta.load_range, order["wrenches"], order["seed"], note)
         report |= {"summary": layout.summary_of(report), **layout.advice_of(report)}
         report["sections"] = [asdict(section) for section in layout.sections_of(report)]
         report["made"] = datetime.now(UTC).isoformat(timespec="seconds")
         report["table_version"] = meta.last_seq
-        for name, text in (
-            ("report.md", layout.as_markdown(report)),
-            ("report.html", layout.as_page(report)),
-        ):
+        texts = {"report.md": layout.as_markdown(report), "report.html": layout.as_page(report)}
+        for name, text in texts.items():
             write_atomically(folder / name, text.encode(), durable=False)
         write_json(folder / "report.json", report, durable=True)
     except Exception as error:

@@ -12,14 +12,14 @@ from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.answer import NAMES
 from wrenchbook.surrogate.findings.find import loop_of
 from wrenchbook.surrogate.kernel.replies import InverseError
-from wrenchbook.surrogate.table.rows import why_beyond
+from wrenchbook.surrogate.table.rows import Floats, why_beyond
 
 Others = Literal["displacement", "load"]
-HALVINGS = 40  # halvings of the distance to the end of a curve: to 1e-12 of it
-SHORT = 1e-3  # part of the load range: a shorter curve is left out
+_HALVINGS = 40  # steps of the bisection for the end of a curve: to 1e-12 of its length
+_MIN_SPAN = 1e-3  # part of the load range: a shorter curve is left out
 _ROUNDING = 1e-9  # part of the load range: rows this near to an end of a curve count as on it
 _NO_ROWS = "the table has no rows; fill it (wrenchbook fill), or import some"
-_TIGHT = 1e-15  # part of the load range: the last digit of the load of a displacement
+_LOAD_TOLERANCE = 1e-15  # part of the load range: tolerance of the root search for a load
 _OUTSIDE, _COVERED = NAMES.index("outside"), NAMES.index("covered")
 _HEAD = "axis,displacement [m or rad],load [N or N*m],bar [N or N*m],loop [N or N*m],coverage\n"
 
@@ -34,8 +34,8 @@ class _Point(NamedTuple):
     load: float
     bar: float  # 95 % half width of the load, NaN if unknown
     stiffness: float  # stiffness of the axis, N/m or N·m/rad
-    moved: float  # 95 % half width of the axis' displacement
-    coverage: int
+    displacement_bar: float  # 95 % half width of the axis' displacement
+    coverage: int  # index in `NAMES`
 
 
 def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
@@ -54,7 +54,7 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
         )
     loop, hidden = loop_of(table.rows, table.load_range)
     lines = [_HEAD]
-    why = ""
+    problem = ""  # of the first axis without a curve
     for axis in range(len(LOADS)):
         if axis in table.locked:
             continue
@@ -62,11 +62,11 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
             curve = _Curve(table, axis, others)
             low, high = curve.end(-1), curve.end(1)
             loads = curve.at(high).load - curve.at(low).load
-            if not abs(loads) > SHORT * (curve.high - curve.low):
-                span = f"{SHORT:.1%} of its load range {curve.low:g} to {curve.high:g}"
+            if not abs(loads) > _MIN_SPAN * (curve.high - curve.low):
+                span = f"{_MIN_SPAN:.1%} of its load range {curve.low:g} to {curve.high:g}"
                 raise BushingError(f"its rows cover less than {span}; add rows under load")
         except (InverseError, BushingError) as error:
-            why = why or f"{OUTPUTS[axis]}: {error}"
+            problem = problem or f"{OUTPUTS[axis]}: {error}"
             continue
         for d in np.linspace(low, high, points).tolist():
             try:
@@ -74,14 +74,14 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
             except (InverseError, BushingError):  # a gap between the ends
                 point = _Point(np.nan, np.nan, np.nan, np.nan, _OUTSIDE)
             width = abs(loop[axis]) * point.stiffness
-            if not loop[axis] and not hidden[axis] <= point.moved:
+            if not loop[axis] and not hidden[axis] <= point.displacement_bar:
                 width = np.nan  # no loop shows, but rows would not show a loop as large as the bar
             numbers = (d, point.load, point.bar, width)
             cells = ["" if value != value else repr(float(value)) for value in numbers]
             lines.append(",".join([OUTPUTS[axis], *cells, NAMES[point.coverage]]) + "\n")
     if len(lines) == 1:
         remedy = "" if others == "load" else "; others=load needs rows that load one axis only"
-        text = f"the table has no curve of any axis: {why}{remedy}"
+        text = f"the table has no curve of any axis: {problem}{remedy}"
         raise BushingError(text if table.row_count else _NO_ROWS)
     return "".join(lines)
 
@@ -89,8 +89,8 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
 class _Curve:
     """The load of one axis over its displacement.
 
-    `rows` are the least and the largest load of the table's rows, `at_zero` the displacement at
-    zero load, m or rad.
+    `row_loads` are the least and the largest load of the table's rows and 0, `at_zero` the
+    displacement at zero load, m or rad.
 
     Raises BushingError if the axis has no curve.
     """
@@ -111,11 +111,11 @@ class _Curve:
             )
         loads = table.rows.wrench[:, axis]
         rounding = _ROUNDING * (self.high - self.low)
-        self.rows = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
+        self.row_loads = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
         self.at_zero = 0.0 if others == "displacement" else self._moved(0.0)
         if self.at_zero != self.at_zero:
             raise BushingError("its displacement at zero load is unknown; add rows")
-        self.at(self.at_zero)
+        self.at(self.at_zero)  # raises if the curve has no start
 
     def _moved(self, load: float) -> float:
         """Return the displacement of the axis by its load alone, m or rad."""
@@ -124,10 +124,9 @@ class _Curve:
 
     def end(self, side: int) -> float:
         """Return the last covered displacement on a side, m or rad."""
-        inside = self.at_zero
-        outside = self._moved(self.high if side > 0 else self.low)
+        inside, outside = self.at_zero, self._moved(self.high if side > 0 else self.low)
         middle = outside
-        for _ in range(HALVINGS):
+        for _ in range(_HALVINGS):
             try:
                 self.at(middle)
                 inside = middle
@@ -143,36 +142,37 @@ class _Curve:
 
         Raises InverseError or BushingError if the table has none within its load range.
         """
-        packed, axis = self.table.packed, self.axis
-        if self.others == "displacement":
-            wrench, stiffness = packed.inverse(d * self.unit)
-            row = stiffness[axis]
-        else:
-            low, high = (self._moved(load) - d for load in (self.low, self.high))
-            if not low * high <= 0:
-                span = f"{self.low:g} to {self.high:g}"
-                raise BushingError(f"no load in its range {span} moves it by {d:.4g}; widen it")
-            span = self.low, self.high
-            tight = _TIGHT * (self.high - self.low)
-            load = root_scalar(lambda f: self._moved(f) - d, bracket=span, xtol=tight).root
-            wrench = load * self.unit + 0.0
-            slope = packed.derivatives(wrench[None], without_rows=True)[0, axis, axis]
-            if slope == 0.0:  # a stop, or a single row
-                why = f"loads near {load:.4g} do not change its displacement"
-                raise BushingError(f"{why}; add rows at other loads")
-            row = self.unit / slope
-        reply = packed.batch(wrench[None], without_rows=True)
-        coverage = int(reply.coverage[0])
-        errors = reply.errors[0]
-        # Beyond its rows a thin table extrapolates, and a linear one answers.
-        load = wrench[axis]
-        loads = self.table.load_range
-        if not loads.holds(wrench[None])[0]:
-            raise BushingError(f"{why_beyond(loads, wrench)}; widen the load range")
-        if coverage != _COVERED and not self.rows[0] <= load <= self.rows[1]:
-            ends = f"{self.rows[0]:.4g} to {self.rows[1]:.4g}"
+        wrench, stiffness = self._wrench_at(d)
+        load, load_range = wrench[self.axis], self.table.load_range
+        if not load_range.holds(wrench[None])[0]:
+            raise BushingError(f"{why_beyond(load_range, wrench)}; widen the load range")
+        reply = self.table.packed.batch(wrench[None], without_rows=True)
+        coverage, errors = int(reply.coverage[0]), reply.errors[0]
+        # Beyond its rows a thin table extrapolates; a linear one is covered.
+        if coverage != _COVERED and not self.row_loads[0] <= load <= self.row_loads[1]:
+            ends = f"{self.row_loads[0]:.4g} to {self.row_loads[1]:.4g}"
             raise BushingError(f"its load {load:.4g} is beyond its rows, {ends}; add rows there")
         if coverage == _OUTSIDE:
             raise BushingError(f"no rows surround its wrench at {d:.4g}; add rows there")
-        bar = float(np.abs(row) @ np.where(row == 0, 0.0, errors))
-        return _Point(wrench[axis], bar, abs(row[axis]), errors[axis], coverage)
+        bar = float(np.abs(stiffness) @ np.where(stiffness == 0, 0.0, errors))
+        return _Point(load, bar, abs(stiffness[self.axis]), errors[self.axis], coverage)
+
+    def _wrench_at(self, d: float) -> tuple[Floats, Floats]:
+        """Return the wrench of a displacement and the stiffness row of the axis, (6,) each, SI."""
+        packed, axis = self.table.packed, self.axis
+        if self.others == "displacement":
+            wrench, stiffness = packed.inverse(d * self.unit)
+            return wrench, stiffness[axis]
+        span = self.low, self.high
+        low, high = (self._moved(load) - d for load in span)
+        if not low * high <= 0:
+            text = f"no load in its range {self.low:g} to {self.high:g} moves it by {d:.4g}"
+            raise BushingError(f"{text}; widen it")
+        tolerance = _LOAD_TOLERANCE * (self.high - self.low)
+        load = root_scalar(lambda f: self._moved(f) - d, bracket=span, xtol=tolerance).root
+        wrench = load * self.unit + 0.0  # no negative zeros
+        slope = packed.derivatives(wrench[None], without_rows=True)[0, axis, axis]
+        if slope == 0.0:  # a stop, or a single row
+            why = f"loads near {load:.4g} do not change its displacement"
+            raise BushingError(f"{why}; add rows at other loads")
+        return wrench, self.unit / slope

@@ -27,7 +27,7 @@ from wrenchbook.service.settings import Settings
 
 log = logging.getLogger(__name__)
 
-HOUR = 3600.0
+HOUR = 3600.0  # s
 POLL_S = 10.0  # pause between checks whether a backup, whose period is hours, is due
 LATE_PERIODS = 1.5  # backup periods without a backup after which health reports it
 # Time without a report after which health reports it, and pause before a failed backup is repeated.
@@ -44,7 +44,8 @@ def run(settings: Settings, started: threading.Event) -> None:
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     os.umask(0o077)  # only the owner may read copies, like the ledger
     started.set()
-    backups = threading.Thread(target=keep, args=(settings, stop), name="backups", daemon=True)
+    arguments = settings, stop
+    backups = threading.Thread(target=make_backups, args=arguments, name="backups", daemon=True)
     if settings.backup_every:
         backups.start()
     if settings.replicate:
@@ -77,30 +78,31 @@ def ship(settings: Settings, stop: threading.Event) -> None:
     (settings.data / COPY).unlink(missing_ok=True)
 
 
-def keep(settings: Settings, stop: threading.Event) -> None:
+def make_backups(settings: Settings, stop: threading.Event) -> None:
     """Make a backup whenever one is due, test it by a restore, and remove old ones."""
     folder = settings.backup_folder or settings.data / "backups"
-    period = settings.backup_every
+    period_s = settings.backup_every * HOUR
     pause = 0.0
-    for left_over in folder.glob(f"{_UNTESTED}*"):  # of a process that was killed
-        shutil.rmtree(left_over, ignore_errors=True)
+    for interrupted in folder.glob(f"{_UNTESTED}*"):  # by a kill
+        shutil.rmtree(interrupted, ignore_errors=True)
     while not stop.wait(pause):
         pause = POLL_S
         try:
             ages = [time.time() - path.stat().st_mtime for path in folder.glob(_PATTERN)]
             # A backup dated in the future, by a wrong clock, must not postpone the others.
-            if not all(abs(age) >= period * HOUR for age in ages):
+            if not all(abs(age) >= period_s for age in ages):
                 continue
             facts = {"trouble": None, **tested_backup(settings.data, folder)}
             newest = folder / facts["file"]
+            # Backups dated in the future first, then from the oldest to the newest.
             files = sorted(folder.glob(_PATTERN), key=lambda file: (file <= newest, file))
-            for path in files[: -settings.backup_keep]:  # begins with dates in the future
-                path.unlink(missing_ok=True)
+            for file in files[: -settings.backup_keep]:
+                file.unlink(missing_ok=True)
         except Exception as error:
             log.exception("the scheduled backup failed")
             facts = {"trouble": str(error) or repr(error)}
             pause = SLACK_S
-        _report(settings, "backup", LATE_PERIODS * period * HOUR + SLACK_S, facts)
+        _report(settings, "backup", LATE_PERIODS * period_s + SLACK_S, facts)
 
 
 def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
@@ -119,9 +121,9 @@ def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
             restore(file, restored)
             faults = [finding.problem for finding in examine(restored) if finding.kind == "fault"]
             if faults:
-                why = f"{name}, restored, has {len(faults)} faults, first: {faults[0]}"
                 raise RuntimeError(
-                    why + f". Examine the data with: wrenchbook doctor --data {data}"
+                    f"{name}, restored, has {len(faults)} faults, first: {faults[0]}. "
+                    f"Examine the data with: wrenchbook doctor --data {data}"
                 )
         except BaseException:
             for former in folder.glob("wrenchbook-*.failed"):

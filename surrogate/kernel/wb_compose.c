@@ -1,9 +1,7 @@
 /* Three axes to one answer. MIT license.
  *
- * All six outputs are composed, u = u(0) + sum over axes of (axis - u(0)) - sum over moments of
- * (that moment alone - u(0)); `griddata` has each translation of its
- * axis alone, as that method answers.
- */
+ * u = u(0) + sum over axes of (axis - u(0)) - sum over moments of (that moment alone - u(0)) for all
+ * six outputs; with the method `griddata` each translation is that of its axis alone. */
 #include "wb_internal.h"
 
 #include <math.h>
@@ -15,11 +13,11 @@ typedef struct {
     int state;
 } alone_part;
 
-/* Which stretch holds a scaled moment; beyond the ends the last one there. */
+/* The stretch that holds a scaled moment; beyond an end the stretch at this end. */
 static int stretch_of(const wb_cut *cut, double along) {
     int64_t bucket = wb_bucket(along, cut->bucket, cut->buckets);
     int low = cut->start[bucket], high = cut->start[bucket + 1];
-    while (low < high) { /* the first station above it */
+    while (low < high) { /* bisection for the first station above the moment */
         int middle = low + (high - low) / 2;
         if (cut->stations[middle] <= along) low = middle + 1;
         else high = middle;
@@ -48,8 +46,8 @@ static void read_cut(const wb_cut *cut, double along, int stretch, int with_slop
         for (int q = 0; q < 6; q++) out->slopes[q] = o[6 + q] / cut->scale;
 }
 
-/* The fitted compliance's part, for a moment that has no rows. */
-static void guess(const wb_composition *c, int load, double amount, alone_part *out) {
+/* The answer to a moment that has no rows, by the fitted compliance. */
+static void read_fit(const wb_composition *c, int load, double amount, alone_part *out) {
     for (int q = 0; q < 6; q++) {
         double slope = c->fit->matrix[6 * q + load];
         out->outputs[q] = c->zero_load[q] + amount * slope;
@@ -57,7 +55,7 @@ static void guess(const wb_composition *c, int load, double amount, alone_part *
     }
 }
 
-/* The answer to one moment alone, from the axis the moment comes first in, or from the other one. */
+/* The answer to one moment alone, by the axis that has the moment first, or by the other axis. */
 static void read_alone(const wb_composition *c, int moment, double amount, int with_slopes,
                        alone_part *out) {
     const wb_cut *best = NULL;
@@ -73,15 +71,17 @@ static void read_alone(const wb_composition *c, int moment, double amount, int w
         }
         double scaled = amount / cut->scale;
         int stretch = stretch_of(cut, scaled), state = state_at(cut, scaled, stretch);
-        if (state < out->state) out->state = state, best = cut, along = scaled, best_stretch = stretch;
+        if (state >= out->state) continue;
+        out->state = state;
+        best = cut, along = scaled, best_stretch = stretch;
     }
-    if (!best) guess(c, moment + 3, amount, out);
+    if (!best) read_fit(c, moment + 3, amount, out);
     else read_cut(best, along, best_stretch, with_slopes, out);
 }
 
 static int worse(int a, int b) { return a > b ? a : b; }
 
-/* Add an answer so many times. */
+/* Add `times` of an answer. */
 static void add_part(const double outputs[6], double times, wb_composed *out) {
     for (int q = 0; q < 6; q++) out->moved[q] += times * outputs[q];
     out->times += times;
@@ -92,14 +92,14 @@ void wb_compose_start(const wb_composition *c, wb_composed *out) {
     memcpy(out->griddata, c->zero_load, sizeof out->griddata);
 }
 
-/* Add the answer at no load as often as the parts leave room for it. */
+/* Add the answer at zero load, so that the factors of all parts sum to one. */
 static void add_zero_load(const wb_composition *c, wb_composed *out) {
     double remaining = 1.0 - out->times;
     if (remaining == 0.0) return;
     for (int q = 0; q < 6; q++) out->moved[q] += remaining * c->zero_load[q];
 }
 
-/* Whether the axis' triangulation is read: its force, or both of its moments, are there. */
+/* Whether the axis' triangulation is needed: its force, or both of its moments, are not zero. */
 int wb_needs_axis(const double small[6], const double wrench[6], int axis) {
     int first = 3 + (axis + 1) % 3, second = 3 + (axis + 2) % 3;
     if (fabs(wrench[axis]) > small[axis]) return 1;
@@ -112,15 +112,15 @@ void wb_add_axis(const wb_part *part, int axis, wb_composed *out) {
     out->states[axis] = part->state;
 }
 
-/* Add what single moments and no load answer, after the axes. */
+/* Add the answers to single moments and to zero load, after those of the axes. */
 void wb_add_moments(const wb_composition *c, const double small[6], const double wrench[6],
                     wb_composed *out) {
     for (int m = 0; m < 3; m++) {
         alone_part alone;
-        double times = -1.0;
+        double times = -1.0; /* plus one for each axis that has this moment as its only load */
         if (!(fabs(wrench[3 + m]) > small[3 + m])) continue;
         read_alone(c, m, wrench[3 + m], 0, &alone);
-        int base = (m + 2) % 3; /* the axis that the moment comes first in; then the other one */
+        int base = (m + 2) % 3; /* the axis that has the moment first */
         for (int k = 0; k < 2; k++) {
             int axis = (m + 2 - k) % 3;
             int other = 3 + (axis + 1 + !k) % 3; /* the axis' other moment */
@@ -137,7 +137,6 @@ void wb_add_moments(const wb_composition *c, const double small[6], const double
     out->state = worse(worse(out->states[0], out->states[1]), out->states[2]);
 }
 
-/* Compose the answers of axes, single moments and no load. */
 void wb_compose(const wb_composition *c, const double small[6], const double wrench[6],
                 wb_composed *out) {
     wb_compose_start(c, out);
@@ -150,8 +149,7 @@ void wb_compose(const wb_composition *c, const double small[6], const double wre
     wb_add_moments(c, small, wrench, out);
 }
 
-/* du/dw of the law with all axes and moments in it, so that a load that is
- * zero has its slope too. */
+/* du/dw of the sum over all axes and moments, so that a load of zero has its slope too. */
 void wb_compose_derivative(const wb_composition *c, const double wrench[6], int method,
                            double derivative[36]) {
     int additive = method == WB_ADDITIVE;

@@ -1,4 +1,4 @@
-/* From the answers of groups of outputs to a reply: the solver's error, limits. MIT license. */
+/* From the answers of groups of outputs to a reply, with the solver's error. MIT license. */
 #include "wb_internal.h"
 
 #include <math.h>
@@ -27,7 +27,8 @@ static int is_of_group(int code) {
     return code == WB_REASON_AXIS_OFF_HULL || code == WB_REASON_BEYOND_SPAN;
 }
 
-static int is_reason_of(const wb_reply *reply, const wb_reason *reason, int group) {
+/* Whether the reply has a reason already. */
+static int has_reason(const wb_reply *reply, const wb_reason *reason, int group) {
     for (int i = 0; i < reply->reasons; i++) {
         const wb_reason *known = &reply->reason[i];
         if (known->group != group && is_of_group(reason->code)) continue;
@@ -38,7 +39,7 @@ static int is_reason_of(const wb_reply *reply, const wb_reason *reason, int grou
     return 0;
 }
 
-/* Take a group's outputs. The worst group decides; an answer is a row's only if all are. */
+/* Copy a group's outputs to the reply. Coverage, method and row are those of the worst group. */
 static void take_group(const wb_table *t, const wb_group *g, const wb_result *result, wb_work *work,
                        wb_reply *reply, int *worst) {
     const int32_t *held = g->held ? g->held : g->outputs;
@@ -53,7 +54,7 @@ static void take_group(const wb_table *t, const wb_group *g, const wb_result *re
     }
     if (!read) return;
     for (int i = 0; i < result->reasons; i++) {
-        if (reply->reasons == WB_MAX_REASONS || is_reason_of(reply, &result->reason[i], number))
+        if (reply->reasons == WB_MAX_REASONS || has_reason(reply, &result->reason[i], number))
             continue;
         reply->reason[reply->reasons] = result->reason[i];
         reply->reason[reply->reasons++].group = number;
@@ -98,16 +99,16 @@ void wb_reply_derivative(const wb_table *t, const wb_options *o, wb_work *work,
     }
 }
 
-/* What the mesh lacks: |T D u| by the answer's tangent T, with its displacement u and what the mesh
- * adds to the stiffness D. NaN where no tangent is known. */
-static void lacking_of(const wb_table *t, const wb_options *o, wb_work *work, const wb_reply *reply,
-                       double *lacking) {
+/* The mesh's error |T D u|: T is the answer's tangent, u its displacement, D the stiffness that the
+ * mesh adds. NaN where no tangent is known. */
+static void mesh_error(const wb_table *t, const wb_options *o, wb_work *work, const wb_reply *reply,
+                       double *error) {
     int n = t->inputs, m = t->outputs;
     double pushed[WB_MAX], slopes[WB_MAX];
     wb_times(t->solver.stiffness, work->moved, n, m, pushed);
     for (int k = 0; k < n; k++)
         if (t->locked[k]) pushed[k] = 0.0;
-    for (int q = 0; q < m; q++) lacking[q] = NAN;
+    for (int q = 0; q < m; q++) error[q] = NAN;
     for (int i = 0; i < t->groups; i++) {
         const wb_group *g = &t->group[i];
         int64_t row = reply->method == WB_ROW ? wb_find_row(t, g, reply->inputs) : -1;
@@ -115,7 +116,7 @@ static void lacking_of(const wb_table *t, const wb_options *o, wb_work *work, co
         if (index >= 0) wb_times(g->rows.tangent + (int64_t)n * m * index, pushed, m, n, slopes);
         else wb_group_along(t, g, work, reply->inputs, wb_method_of(g, o), pushed, slopes);
         for (int q = 0; q < m; q++)
-            if (g->outputs[q]) lacking[q] = fabs(slopes[q]);
+            if (g->outputs[q]) error[q] = fabs(slopes[q]);
     }
 }
 
@@ -129,10 +130,10 @@ static void without_solver_error(const wb_table *t, wb_reply *reply) {
     }
 }
 
-/* What a linear analysis neglects of an output: half the second derivatives times the loads twice,
- * and the remainder, which grows with the cube of the largest load, and in the end with the load if
- * it saturates; without second derivatives with its square. */
-static double neglected(const wb_table *t, int q, const double *acting, double largest) {
+/* The error of a linear analysis: half the second derivatives times the loads twice, and a remainder
+ * with the cube of the largest load; without second derivatives with its square. A remainder that
+ * saturates grows with the load in the end. */
+static double linearity_error(const wb_table *t, int q, const double *acting, double largest) {
     const wb_solver *s = &t->solver;
     int n = t->inputs;
     double b = s->saturation ? s->saturation[q] : 0, sum = 0;
@@ -144,21 +145,21 @@ static double neglected(const wb_table *t, int q, const double *acting, double l
     return 0.5 * fabs(sum) + remainder;
 }
 
-/* Add what the solver of the rows may itself be wrong by: what its mesh lacks by the answer's tangent,
- * and no less than by the compliance at small loads. */
+/* Add the solver's errors: of its mesh by the answer's tangent, and no less than by the compliance at
+ * small loads; of a linear analysis. */
 static void add_solver_error(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     const wb_solver *s = &t->solver;
-    double largest = 0, lacking[WB_MAX], by_loads[WB_MAX], acting[WB_MAX], size[WB_MAX];
+    double largest = 0, by_tangent[WB_MAX], by_loads[WB_MAX], acting[WB_MAX], size[WB_MAX];
     for (int k = 0; k < t->inputs; k++) {
         acting[k] = reply->inputs[k] - (s->zero ? s->zero[k] : 0.0);
         size[k] = fabs(acting[k]);
         largest = larger(size[k] * s->one_over[k], largest);
     }
     wb_times(s->mesh, size, t->outputs, t->inputs, by_loads);
-    if (s->by_tangent) lacking_of(t, o, work, reply, lacking);
+    if (s->by_tangent) mesh_error(t, o, work, reply, by_tangent);
     for (int q = 0; q < t->outputs; q++) {
-        double mesh = s->by_tangent && lacking[q] > by_loads[q] ? lacking[q] : by_loads[q];
-        double linearity = neglected(t, q, acting, largest);
+        double mesh = s->by_tangent && by_tangent[q] > by_loads[q] ? by_tangent[q] : by_loads[q];
+        double linearity = linearity_error(t, q, acting, largest);
         reply->error[q] = reply->interpolation[q] + mesh + linearity;
         reply->discretisation[q] = s->mesh_known ? mesh : NAN;
         reply->linearity[q] = !s->linear || s->linearity_known ? linearity : NAN;
@@ -167,22 +168,22 @@ static void add_solver_error(const wb_table *t, const wb_options *o, wb_work *wo
 
 /* Whether the total error is within the tolerance; outputs without a value are left out. */
 static int is_within(const wb_table *t, const wb_options *o, const wb_reply *reply) {
-    int known = -1, open = 0;
+    int known = -1, unjudged = 0;
     if (!t->solver.whole) return -1; /* a part of the error is not known */
     for (int q = 0; q < t->outputs; q++) {
         double allowed = o->tolerance && !isnan(o->tolerance[q]) ? o->tolerance[q] : t->tolerance[q];
         if (isnan(allowed)) return -1; /* no tolerance */
         if (isnan(reply->error[q])) {
-            open |= !isnan(reply->outputs[q]); /* answered, but with no error: a dead channel */
+            unjudged |= !isnan(reply->outputs[q]); /* an output without an error: a dead channel */
             continue;
         }
         if (!(reply->error[q] <= allowed)) return 0;
         known = 1;
     }
-    return open ? -1 : known;
+    return unjudged ? -1 : known;
 }
 
-/* Whether no table may hold such a displacement: 20 degrees, 10 m. */
+/* Whether a displacement exceeds the limits of tables: 20 degrees, 10 m. */
 static int beyond_limits(const wb_table *t, const double *outputs) {
     for (int q = 0; q < t->outputs; q++)
         if (fabs(outputs[q]) > t->limit[q]) return 1;
@@ -195,10 +196,9 @@ static int beyond_limits(const wb_table *t, const double *outputs) {
     return 0;
 }
 
-/* A table cut to a scene: beyond its loads it estimates without an error, or not at all. */
+/* A table cut to a scene: beyond the scene's loads it has estimates without an error, or none. */
 static void judge_scene(const wb_table *t, wb_reply *reply) {
-    int leaves = wb_leaves_scene(t, reply->inputs), n = t->inputs;
-    int known = 0;
+    int leaves = wb_leaves_scene(t, reply->inputs), n = t->inputs, known = 0;
     for (int q = 0; q < t->outputs; q++) known |= !(reply->missing >> q & 1);
     if (!known) reply->coverage = WB_OUTSIDE; /* no row holds an output that the scene reads */
     if (!leaves) return;
@@ -217,7 +217,7 @@ static void judge_scene(const wb_table *t, wb_reply *reply) {
     }
 }
 
-/* Add the errors of solver and rig; take an estimate away that no table could hold. */
+/* Add the errors of solver and rig; remove an estimate beyond the limits of tables. */
 void wb_conclude(const wb_table *t, const wb_options *o, wb_work *work, wb_reply *reply) {
     if (t->scene_ends) judge_scene(t, reply);
     if (t->solver.none) without_solver_error(t, reply);
@@ -261,7 +261,7 @@ static void count_unknown(const wb_table *t, wb_reply *reply) {
     }
 }
 
-/* What the groups of outputs answer: of one wrench and, wrench by wrench, of a batch.
+/* The answers of the groups of outputs to one wrench.
  * `composed`: the axes of the only group, where a batch has composed them; else NULL. */
 void wb_reply_of(const wb_table *t, const wb_options *o, wb_work *work, const double *inputs,
                  const wb_composed *composed, int with_reasons, wb_reply *reply) {

@@ -140,11 +140,18 @@ def _from_displacements(rows: Rows, load_range: LoadRange, *, linear: bool) -> C
     elif linear:
         error = UNCHECKED * np.abs(rows.displacement).max(axis=0)
     else:
-        # The error bar of the secant of a nonlinear table, (m,), m and rad. It holds 95 % of the
-        # rows, each predicted from the others (PRESS residuals: Allen 1974). A row outside the span
-        # of the others has no such residual: its bar is its displacement.
-        free = 1.0 - (basis**2).sum(axis=1)[:, None]
-        alone = free < MIN_FREE
-        deleted = np.where(alone, rows.displacement, residual / np.where(alone, 1.0, free))
-        error = conformal_factor(np.abs(deleted)) + stored
+        error = _secant_error(rows.displacement, residual, basis) + stored
     return ComplianceFit(matrix, known, error, "fitted", offset)
+
+
+def _secant_error(displacement: Floats, residual: Floats, basis: Floats) -> Floats:
+    """Return the error bar of a nonlinear table's secant, (m,), m and rad.
+
+    The bar holds 95 % of the rows (n, m), each predicted from the others (PRESS residuals: Allen
+    1974) by the orthonormal `basis` (n, rank). A row outside the span of the others has no such
+    residual: its bar is its displacement.
+    """
+    free = 1.0 - (basis**2).sum(axis=1)[:, None]
+    alone = free < MIN_FREE
+    deleted = np.where(alone, displacement, residual / np.where(alone, 1.0, free))
+    return conformal_factor(np.abs(deleted))

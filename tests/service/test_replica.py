@@ -361,7 +361,7 @@ def test_a_scheduled_backup_is_tested_by_its_restore_and_old_ones_go(shipped, tm
         old.touch()
         os.utime(old, ((year - 1970) * 31_556_952,) * 2)
     settings = Settings(shipped.folder, backup_every=1.0, backup_folder=folder, backup_keep=2)
-    thread = threading.Thread(target=copier.keep, args=(settings, stop))
+    thread = threading.Thread(target=copier.make_backups, args=(settings, stop))
     thread.start()
     status = until(lambda: replica.read_status(shipped.folder).get("backup"))
     stop.set()
@@ -384,7 +384,7 @@ def test_backups_go_on_after_an_outcome_that_could_not_be_noted(shipped, tmp_pat
     monkeypatch.setattr(copier, "write_status", full_once)
     monkeypatch.setattr(copier, "POLL_S", 0.0)
     settings = Settings(shipped.folder, backup_every=1e-9, backup_folder=tmp_path / "backups")
-    thread = threading.Thread(target=copier.keep, args=(settings, stop), daemon=True)
+    thread = threading.Thread(target=copier.make_backups, args=(settings, stop), daemon=True)
     thread.start()
     until(lambda: len(calls) > 1 or not thread.is_alive())
     stop.set()
@@ -422,7 +422,7 @@ def test_folders_of_tests_that_were_killed_are_removed_at_the_start(tmp_path):
     (tmp_path / "backups/.tested-ab/data").mkdir(parents=True)
     stop = threading.Event()
     stop.set()
-    copier.keep(Settings(tmp_path, backup_every=1.0), stop)
+    copier.make_backups(Settings(tmp_path, backup_every=1.0), stop)
     assert list((tmp_path / "backups").iterdir()) == []
 
 
@@ -441,7 +441,7 @@ def test_a_copier_that_ends_completes_the_backup_that_it_has_begun(tmp_path, mon
 
     handler = []
     monkeypatch.setattr(signal, "signal", lambda _, function: handler.insert(0, function))
-    monkeypatch.setattr(copier, "keep", keep)
+    monkeypatch.setattr(copier, "make_backups", keep)
     monkeypatch.setattr(copier, "ship", end_once_begun)
     monkeypatch.setattr(os, "umask", lambda _: None)
     settings = Settings(tmp_path, backup_every=1.0, replicate=f"file://{tmp_path}/replica")
