@@ -485,7 +485,8 @@ def _free_sliding(
         message = f"{slide}, which is all of them, so their mean is not free; let fewer nodes slide"
         problems.append(BundleProblem(attached.where, message))
     elif off > _ROUNDOFF * max(np.abs(arms).max(), 1.0):
-        message = f"{slide}, but its free motions would move them off; let none of them slide"
+        message = f"{slide}, but its free motions would move them along a held direction"
+        message += "; let none of them slide"
         if attached.key.startswith("interface"):  # bushings and joints have no locked freedoms
             message += ", or lock those motions with locked"
         problems.append(BundleProblem(attached.where, message))

@@ -19,7 +19,7 @@ from starlette.concurrency import run_in_threadpool
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.client.replies import EXACT, ROUNDED
-from wrenchbook.service.contract import QUERY_WAIT_S, OnThin, by_part
+from wrenchbook.service.contract import QUERY_WAIT_S, OnThin, by_part, counted
 from wrenchbook.service.ledger import JobRecord, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.submission import Placement
@@ -285,7 +285,8 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         set_it = "to solve it nevertheless, set beyond_range to true (--beyond-range)"
         unqueued = f"{beyond}; no solve is queued for it: {set_it}"
         why = unqueued if beyond else placement.refusal
-        reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
+        told = beyond.split("; ")  # once is enough
+        reason = "; ".join(part for part in outcome.reply.reason.split("; ") if part not in told)
         outcome.reply = outcome.reply._replace(reason=_also(reason, why))
         return outcome
     return _ended(workspace, query, outcome) if placement.exact else outcome
@@ -415,9 +416,10 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
     if query.on_thin == "reject":
         first = query._replace(wrench=tuple(wrenches[uncovered[0]].tolist()))
         reason = _also(answer(table, first).reason, soon)
+        are = "is" if len(uncovered) == 1 else "are"
         raise NotCoveredError(
-            f"{len(uncovered)} of {len(wrenches)} wrenches are not covered. The first is "
-            f"number {uncovered[0]}: {reason}.",
+            f"{counted(len(uncovered), 'wrench')} of {len(wrenches)} {are} not covered. The first "
+            f"is number {uncovered[0]}: {reason}.",
             component,
             query.tolerance or table.tolerance,
             reason=reason,
@@ -434,10 +436,12 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
     if query.on_thin == "wait":
         place_jobs = workspace.submission.each
         if beyond:
+            are = "is" if len(beyond) == 1 else "are"
             raise BeyondRangeError(
-                f"{len(beyond)} wrenches are outside the load range. The first is number "
-                f"{beyond[0]}: {why_beyond(component.load_range, acting[beyond[0]])}. Nothing was "
-                "queued. To solve them nevertheless, set beyond_range to true (--beyond-range).",
+                f"{counted(len(beyond), 'wrench')} {are} outside the load range. The first is "
+                f"number {beyond[0]}: {why_beyond(component.load_range, acting[beyond[0]])}. "
+                "Nothing was queued. To solve them nevertheless, set beyond_range to true "
+                "(--beyond-range).",
                 beyond=beyond,
             )
     jobs = dict(zip(inside.tolist(), place_jobs(name, acting[inside]), strict=True))

@@ -243,9 +243,11 @@ class Recorder:
         atexit.unregister(self._at_exit)
         if self.pending:
             why = self.trouble or f"the server has not acknowledged them in {timeout_s:g} s"
+            are = "is" if self.pending == 1 else "are"
             raise RecorderError(
-                f"{counted(self.pending, 'wrench')} of {self.component!r} not recorded: {why}. "
-                "Correct this, then give the wrenches that `unsent` returns to a new Recorder"
+                f"{counted(self.pending, 'wrench')} of {self.component!r} {are} not recorded: "
+                f"{why}. Correct this, then give the wrenches that `unsent` returns to a new "
+                "Recorder"
             ) from cause
 
     def _send_all(self) -> None:

@@ -217,7 +217,9 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         problem = f"in its {MANIFEST} {reason_of(error)}" if there else f"it has no {MANIFEST}"
         raise BackupError(f"{source} is a zip, but no backup: {problem}; name another") from error
     if kind != FORMAT:
-        raise BackupError(f"{source} is a {str(kind)[:60]!r}, not a {FORMAT!r}; name another")
+        raise BackupError(
+            f"{source} has the format {str(kind)[:60]!r}, not {FORMAT!r}; name another"
+        )
     if schema > SCHEMA:
         raise BackupError(
             f"{source} was written by a newer wrenchbook ({fields.get('program')}, form {schema}; "

@@ -127,8 +127,8 @@ class Replica:
             if name != _name(fields["number"], content):
                 raise ValueError("its digest is not that of its name")
             if fields["format"] != FORMAT:
-                problem = f"{name} of {self.url} is a {str(fields['format'])[:60]!r}"
-                raise BackupError(f"{problem}, not a {FORMAT!r}; install the version that wrote it")
+                problem = f"{name} of {self.url} has the format {str(fields['format'])[:60]!r}"
+                raise BackupError(f"{problem}, not {FORMAT!r}; install the version that wrote it")
             if fields["ledger_schema"] > VERSION:
                 raise BackupError(
                     f"{self.url} has ledger format {fields['ledger_schema']}, but this wrenchbook "
