@@ -329,8 +329,8 @@ def _material_numbers(
         pairs = zip(mesh.blocks, numbers, strict=True)
         nodes = np.concatenate([block.nodes[number < 0, 0] for block, number in pairs])
         message = (
-            f"{count} cells have no material, one of them near "
-            f'{point_text(mesh.points[nodes[0]])} m; add a [[material]] with region = "all", or '
+            f"no material covers {count} of the {sum(map(len, numbers))} cells, such as the one "
+            f'near {point_text(mesh.points[nodes[0]])} m; add a [[material]] with region = "all", or '
             "one with the region of these cells"
         )
         problems.append(BundleProblem("material", message))

@@ -210,8 +210,8 @@ def _mapping(columns: Sequence[str], units: Sequence[str]) -> dict[str, str]:
     without_unit = [label for label, meaning in mapping.items() if "[" not in meaning]
     if units and len(units) != len(without_unit):
         raise typer.BadParameter(
-            f"--unit is there {len(units)} times for {len(without_unit)} --column without "
-            "brackets; write each as --column 'COLUMN=fz [kN]'"
+            f"--unit is there {counted(len(units), 'time')} for {len(without_unit)} --column "
+            "without brackets; write each as --column 'COLUMN=fz [kN]'"
         )
     for label, unit in zip(without_unit, units, strict=False):  # without --unit there is none
         mapping[label] += f" [{unit.strip('[]')}]"

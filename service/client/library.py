@@ -200,8 +200,10 @@ class LibraryCalls(Connection):
 
         Raises
         ------
-        ValueError, ProblemError
-            If the file cannot be read; if rows have mistakes (422), which ``errors`` names.
+        OSError
+            If the path cannot be read.
+        InvalidArgument, ProblemError
+            If it is no table; if rows have mistakes (422), which ``errors`` names.
         """
         if format is not None:
             require_one_of("format", format, get_args(ImportFormat))
@@ -212,6 +214,11 @@ class LibraryCalls(Connection):
         else:
             filename = ""
             content = table.encode() if isinstance(table, str) else table
+            if not isinstance(content, bytes | bytearray | memoryview):
+                raise InvalidArgument(
+                    "table must be a path, or the content of a file as str or bytes, not "
+                    f"{type(table).__name__}"
+                )
         kind = BINARY
         if displacements is not None:
             logs = {"loads": (filename, content), "displacements": _named_file(displacements)}

@@ -81,7 +81,9 @@ def back_up(folder: Path, target: Path) -> Manifest:
     """
     folder, target = folder.absolute(), target.absolute()
     if not (folder / LEDGER).is_file():
-        raise BackupError(f"{folder} has no {LEDGER}, so it is no data directory; name another")
+        raise BackupError(
+            f"{folder} has no {LEDGER}, so it is no data directory; name one with --data"
+        )
     root = folder.resolve()
     real = target.resolve()
     if real.is_relative_to(root) and HELD.fullmatch(real.relative_to(root).as_posix()):
