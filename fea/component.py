@@ -330,8 +330,8 @@ def _material_numbers(
         nodes = np.concatenate([block.nodes[number < 0, 0] for block, number in pairs])
         message = (
             f"no material covers {count} of the {sum(map(len, numbers))} cells, such as the one "
-            f'near {point_text(mesh.points[nodes[0]])} m; add a [[material]] with region = "all", or '
-            "one with the region of these cells"
+            f'near {point_text(mesh.points[nodes[0]])} m; add a [[material]] with region = "all", '
+            "or one with the region of these cells"
         )
         problems.append(BundleProblem("material", message))
     for block in numbers:
