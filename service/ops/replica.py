@@ -145,10 +145,11 @@ class Replica:
 
     def newest(self, until: float = float("inf")) -> Manifest:
         """Return the newest complete manifest that was created `until` then; raises BackupError."""
-        why = ReplicaError(
-            f"{self.url} has no manifest{' of that time' * (until < 1e99)}; check the URL or --at"
-        )
-        for name in self.manifests():
+        names = self.manifests()
+        missing = "as old as the time of --at; name a later time"
+        missing = missing if names else "of a data directory; check the URL"
+        why = ReplicaError(f"{self.url} has no copy {missing}")
+        for name in names:
             try:
                 if (manifest := self.manifest(name)).created <= until:
                     return manifest

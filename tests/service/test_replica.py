@@ -215,7 +215,7 @@ def test_a_restore_leaves_the_last_use_of_keys(shipped, tmp_path):
 
 
 def test_reading_makes_no_folder(tmp_path):
-    with pytest.raises(ReplicaError, match="has no manifest"):
+    with pytest.raises(ReplicaError, match="has no copy of a data directory; check the URL"):
         restore(f"file://{tmp_path}/typo", tmp_path / "again")
     assert not (tmp_path / "typo").exists()
 
