@@ -363,11 +363,11 @@ class LibraryCalls(Connection):
         ProblemError
             If there is no such component or row (404).
         """
-        self.call("DELETE", component_path(name, f"table/{int(row)}"))
+        self.call("DELETE", component_path(name, f"table/{_whole('row', row)}"))
 
     def restore_row(self, name: str, row: int) -> None:
         """Restore a withdrawn row of a table; parameters and errors as `invalidate_row`."""
-        self.call("POST", component_path(name, f"table/{int(row)}/restore"))
+        self.call("POST", component_path(name, f"table/{_whole('row', row)}/restore"))
 
     def withdraw_import(
         self, name: str, number: int, finding: str | None = None, *, restore: bool = False
@@ -396,7 +396,9 @@ class LibraryCalls(Connection):
         ProblemError
             If there is no such component, import or finding (404).
         """
-        path = component_path(name, f"imports/{int(number)}{'/restore' if restore else ''}")
+        path = component_path(
+            name, f"imports/{_whole('number', number)}{'/restore' if restore else ''}"
+        )
         return self.call("POST" if restore else "DELETE", path, query={"finding": finding}).json()
 
     def stiffness(
@@ -494,6 +496,14 @@ class LibraryCalls(Connection):
         except (ServerUnreachable, ServerTimeout, ProblemError):
             return False
         return True
+
+
+def _whole(name: str, value: int) -> int:
+    """Return the number of a row or an import; raises InvalidArgument for a text."""
+    try:
+        return int(value)
+    except (TypeError, ValueError):
+        raise InvalidArgument(f"{name} must be a whole number, not {value!r:.80}") from None
 
 
 def _named_file(file: str | Path) -> tuple[str, bytes]:

@@ -216,8 +216,8 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
 
 def require_one_of(name: str, value: str, known: Sequence[str]) -> None:
     """Raise InvalidArgument if the value of an argument is not among the known ones."""
-    if value not in known:
-        raise InvalidArgument(f"{name} must be one of {', '.join(known)}, not {value!r}")
+    if not isinstance(value, str) or value not in known:  # an array has no single truth value
+        raise InvalidArgument(f"{name} must be one of {', '.join(known)}, not {value!r:.80}")
 
 
 def floats_of(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Vector:
