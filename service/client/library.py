@@ -396,9 +396,8 @@ class LibraryCalls(Connection):
         ProblemError
             If there is no such component, import or finding (404).
         """
-        path = component_path(
-            name, f"imports/{_whole('number', number)}{'/restore' if restore else ''}"
-        )
+        call = f"imports/{_whole('number', number)}"
+        path = component_path(name, call + "/restore" if restore else call)
         return self.call("POST" if restore else "DELETE", path, query={"finding": finding}).json()
 
     def stiffness(
