@@ -285,8 +285,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         set_it = "to solve it nevertheless, set beyond_range to true (--beyond-range)"
         unqueued = f"{beyond}; no solve is queued for it: {set_it}"
         why = unqueued if beyond else placement.refusal
-        told = beyond.split("; ")  # once is enough
-        reason = "; ".join(part for part in outcome.reply.reason.split("; ") if part not in told)
+        reason = without_parts(outcome.reply.reason, beyond)
         outcome.reply = outcome.reply._replace(reason=_also(reason, why))
         return outcome
     return _ended(workspace, query, outcome) if placement.exact else outcome
@@ -459,6 +458,12 @@ def known_slopes(derivative: Floats) -> Floats | None:
 def _also(reason: str, more: str) -> str:
     """Return two reasons as one text; either may be empty."""
     return f"{reason}; {more}" if reason and more else reason or more
+
+
+def without_parts(reason: str, repeated: str) -> str:
+    """Return a reason without the statements of another."""
+    statements = repeated.split("; ")
+    return "; ".join(part for part in reason.split("; ") if part not in statements)
 
 
 def _being_built(component: Component, table: ServedTable, count: int) -> str:

@@ -189,8 +189,6 @@ def test_resolving_keeps_to_the_load_range_and_needs_a_setup_and_rows(served, to
     solve_many(served, 1)
     edit(toml, narrower=("force = [1000, 1000, 2000]", "force = [1, 1, 1]"), stiffer=STIFFER)
     settled(served, lambda one: one["another_setup"]["rows"])
-    queued = served.post(f"{CALL}/displacement", json={**WRENCH, "on_thin": "queue"}).json()
-    assert queued["reason"].count("fz = ") == 1  # stated once, beside the note on the rows
     reply = served.post(f"{CALL}/table/resolve", json={}).json()
     assert (reply["jobs"], reply["beyond_range"]) == ([], 1)
     assert "beyond_range" in reply["reason"]
