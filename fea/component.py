@@ -329,9 +329,9 @@ def _material_numbers(
         pairs = zip(mesh.blocks, numbers, strict=True)
         nodes = np.concatenate([block.nodes[number < 0, 0] for block, number in pairs])
         message = (
-            f"{count} cells have no material, one of them near "
-            f'{point_text(mesh.points[nodes[0]])} m; add a [[material]] with region = "all", or '
-            "one with the region of these cells"
+            f"no material covers {count} of the {sum(map(len, numbers))} cells, such as the one "
+            f'near {point_text(mesh.points[nodes[0]])} m; add a [[material]] with region = "all", '
+            "or one with the region of these cells"
         )
         problems.append(BundleProblem("material", message))
     for block in numbers:
@@ -485,7 +485,8 @@ def _free_sliding(
         message = f"{slide}, which is all of them, so their mean is not free; let fewer nodes slide"
         problems.append(BundleProblem(attached.where, message))
     elif off > _ROUNDOFF * max(np.abs(arms).max(), 1.0):
-        message = f"{slide}, but its free motions would move them off; let none of them slide"
+        message = f"{slide}, but its free motions would move them along a held direction"
+        message += "; let none of them slide"
         if attached.key.startswith("interface"):  # bushings and joints have no locked freedoms
             message += ", or lock those motions with locked"
         problems.append(BundleProblem(attached.where, message))

@@ -203,8 +203,9 @@ def section_warnings(component: ComponentModel) -> Iterator[BundleProblem]:
     ]
     corners = np.concatenate(rigid_cells)  # one node of each rigid cell
     if corners.size:
+        cells = sum(len(block.nodes) for block in mesh.blocks)
         message = (
-            f"{corners.size} cells cannot deform, such as one near "
+            f"{corners.size} of the {cells} cells cannot deform, such as the one near "
             f"{point_text(mesh.points[corners[0]])} m, because all their nodes are fixed or in the "
             "section; mesh more cells between section and supports"
         )

@@ -432,7 +432,7 @@ def _checked(values: dict[str, Any]) -> Key:
     for name in key.components:
         if not _PATTERN.fullmatch(str(name)):
             why = f"the pattern {name!r} must have 1 to 64 letters, digits, _ - * and ?, such as "
-            raise ValueError(why + _EXAMPLE)
+            raise ValueError(why + "plate_*")
     # Before the year 5138: a time in milliseconds is a mistake.
     end = 1 if key.expires is None else key.expires
     if not (isinstance(end, int | float) and 0 < end < 1e11):

@@ -18,7 +18,7 @@ from starlette.concurrency import run_in_threadpool
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
 from wrenchbook.service.client.replies import EXACT, ROUNDED
-from wrenchbook.service.contract import QUERY_WAIT_S, OnThin, by_part
+from wrenchbook.service.contract import QUERY_WAIT_S, OnThin, by_part, counted
 from wrenchbook.service.ledger import JobRecord, LedgerUnavailableError
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.submission import Placement
@@ -264,7 +264,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         if query.on_thin != "queue":
             message = f"{beyond}. Nothing was queued. To {remedy}."
             raise BeyondRangeError(message, coverage="outside")
-        reason = "" if outcome.reply.reason == beyond else outcome.reply.reason
+        reason = without_parts(outcome.reply.reason, beyond)
         why = f"{beyond}; no solve is queued for it: to {remedy}"
         outcome.reply = outcome.reply._replace(reason=_also(reason, why))
         return outcome
@@ -406,9 +406,10 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
     if query.on_thin == "reject":
         first = query._replace(wrench=tuple(wrenches[uncovered[0]].tolist()))
         reason = _also(answer(table, first).reason, soon)
+        are = "is" if len(uncovered) == 1 else "are"
         raise NotCoveredError(
-            f"{len(uncovered)} of {len(wrenches)} wrenches are not covered. The first is "
-            f"number {uncovered[0]}: {reason}.",
+            f"{counted(len(uncovered), 'wrench')} of {len(wrenches)} {are} not covered. The first "
+            f"is number {uncovered[0]}: {reason}.",
             component,
             query.tolerance or table.tolerance,
             reason=reason,
@@ -425,10 +426,12 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
     if query.on_thin == "wait":
         place_jobs = workspace.submission.each
         if beyond:
+            are = "is" if len(beyond) == 1 else "are"
             raise BeyondRangeError(
-                f"{len(beyond)} wrenches are outside the load range. The first is number "
-                f"{beyond[0]}: {why_beyond(component.load_range, acting[beyond[0]])}. Nothing was "
-                "queued. To solve them nevertheless, set beyond_range to true (--beyond-range).",
+                f"{counted(len(beyond), 'wrench')} {are} outside the load range. The first is "
+                f"number {beyond[0]}: {why_beyond(component.load_range, acting[beyond[0]])}. "
+                "Nothing was queued. To solve them nevertheless, set beyond_range to true "
+                "(--beyond-range).",
                 beyond=beyond,
             )
     jobs = dict(zip(inside.tolist(), place_jobs(name, acting[inside]), strict=True))
@@ -446,6 +449,12 @@ def known_slopes(derivative: Floats) -> Floats | None:
 def _also(reason: str, more: str) -> str:
     """Join two reasons to one text; either may be empty."""
     return f"{reason}; {more}" if reason and more else reason or more
+
+
+def without_parts(reason: str, repeated: str) -> str:
+    """Return a reason without the statements of another."""
+    statements = repeated.split("; ")
+    return "; ".join(part for part in reason.split("; ") if part not in statements)
 
 
 def _being_built(component: Component, table: ServedTable, count: int) -> str:

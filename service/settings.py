@@ -180,10 +180,11 @@ def check_copies(settings: Settings) -> None:
         folder = Path(path).resolve()
         inside = folder.is_relative_to(settings.data.resolve())
         if scheme == "file" and path and (inside or (folder / "ledger.sqlite").exists()):
-            raise SettingsError(f"{name}: {folder} is in a data directory; name one outside")
+            option = f"--{name.replace('_', '-')}"
+            raise SettingsError(f"{option}: {folder} is in a data directory; name one outside")
     if settings.read_only and (settings.replicate or settings.backup_every):
-        copying = "replicate" if settings.replicate else "backup_every"
-        raise SettingsError(f"{copying}: a server with read_only makes no copies; remove {copying}")
+        copying = "--replicate" if settings.replicate else "--backup-every"
+        raise SettingsError(f"{copying}: a server with --read-only makes no copies; remove either")
 
 
 def check_names(settings: Settings) -> None:

@@ -279,7 +279,8 @@ class _Refinement:
                 reason += f", that of a joint's wrench {part}, the compliance positive definite"
             return Design(sample[:0], "met", reason)
         unit = "the tolerance" if self.tolerance is not None else "the outputs' range"
-        unit += " or a joint's share of the load range" if self.joint is not None else ""
+        if self.joint is not None:
+            unit += f" (of a joint's wrench: {FORCE_ERROR:.0%} of the load range)"
         reason = f"95 % of the interpolation errors are at most {worst:.3g} times {unit}"
         if not known.any():
             reason = "the rows are too few to show the interpolation error"

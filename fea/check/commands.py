@@ -202,7 +202,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     The status is 1 if something is wrong with the part; a wrong call ends the process with 2.
     """
-    options = _parser().parse_args(arguments)
+    options, unknown = _parser().parse_known_args(arguments)
+    if unknown:  # with the usage of the command, which argparse would not print
+        options.usage_error(f"unknown arguments: {' '.join(unknown)}; leave them out")
     try:
         status, reply, text = options.run(options)
     except options.errors as error:

@@ -78,7 +78,7 @@ def _first_order_stresses(solver: Solver) -> list[LargestStress]:
     count = len(component.bundle.range.low)
     limit = _MAX_CORNERS * 2 ** len(component.further)
     if len(corners) > limit:
-        end = f"at most {limit} are compared; write 0 as the range of loads that do not act"
+        end = f"more than {limit}; write 0 as the range of loads that do not act"
         raise ValueError(f"[range] has {len(corners)} corners, {end}")
     unit = solver.unit_stresses()
     loads = corners

@@ -121,8 +121,8 @@ def _name(value: str) -> str:
 def different(values: tuple[_T, ...]) -> tuple[_T, ...]:
     """Return values of which no two are equal."""
     if len(set(values)) < len(values):
-        twice = str(next(value for value in values if values.count(value) > 1))[:100]
-        raise ValueError(f"has {twice} twice; remove one of the two")
+        twice = next(value for value in values if values.count(value) > 1)
+        raise ValueError(f"has {shown(twice)} twice; remove one of the two")
     return values
 
 

@@ -18,6 +18,8 @@ from wrenchbook.service.client.errors import InvalidArgument
 
 DEFAULT_SERVER = "http://127.0.0.1:8000"
 _NO_NUMBER = re.compile(r"^(.+) is not a valid (int|integer|float)( range)?\.$")
+_NO_RANGE = re.compile(r"^(\S+) is not in the range (?:(\S+?)(<=?))?x(?:([<>]=?)(\S+?))?\.$")
+_BOUNDS = {">=": "at least", ">": "above", "<=": "at most", "<": "below"}
 COMPLETION_S = 2.0  # s for which a shell waits at each tab
 
 
@@ -64,10 +66,21 @@ class NumbersCommand(TyperCommand):
         try:
             return super().parse_args(ctx, args)
         except typer.BadParameter as error:
-            if text := _NO_NUMBER.match(error.message):
-                kind = "a number" if text[2] == "float" else "a whole number"
-                error.message = f"must be {kind}, not {text[1]}."
+            error.message = _in_plain_words(error.message)
             raise
+
+
+def _in_plain_words(message: str) -> str:
+    """Return click's message on a wrong number in other words; any other message as it is."""
+    if text := _NO_NUMBER.match(message):
+        kind = "a number" if text[2] == "float" else "a whole number"
+        return f"must be {kind}, not {text[1]}."
+    if text := _NO_RANGE.match(message):
+        value, low, less, sign, end = text.groups()
+        bounds = [f"{_BOUNDS[less.replace('<', '>')]} {low}"] if low else []
+        bounds += [f"{_BOUNDS[sign]} {end}"] if sign else []
+        return f"must be {' and '.join(bounds)}, not {value}."
+    return message
 
 
 class Commands(typer.Typer):

@@ -34,6 +34,7 @@ MAX_ROWS_SHOWN = 10  # rows of a finding: a line of a terminal
 _RIG_METHODS = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}
 _UNNAMED_RIG = re.compile("[0-9a-f]{8}")  # the server's name for a rig that has none: its digest
 _IDENTITY = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]  # the frame of a rig with the interface's axes
+_BINARY = (".xlsx", ".xls", ".parquet", ".h5", ".hdf5", ".mat", ".tdms")
 _NOT_LOADED = {  # texts by the state of an import's rows
     "refused": "have mistakes",
     "tare": "are the tare",
@@ -95,7 +96,10 @@ def import_table(
     ] = None,
     sheet: Annotated[
         str | None,
-        typer.Option(help="sheet of a workbook, by default the first; group of a TDMS file"),
+        typer.Option(
+            help="sheet of a workbook, by default the first with named columns; group of a TDMS "
+            "file"
+        ),
     ] = None,
     displacements: Annotated[
         Path | None,
@@ -178,7 +182,12 @@ def import_table(
             note=note,
             wait_s=None if wait_s == WAIT_S else wait_s,
         )
-    print_json(reply) if as_json else _print_import(name, reply)
+    if as_json:
+        print_json(reply)
+    else:
+        if displacements is None:
+            _print_format(file, reply["format"])
+        _print_import(name, reply)
     raise typer.Exit(1 if reply["errors"] and not partial else 0)
 
 
@@ -201,8 +210,8 @@ def _mapping(columns: Sequence[str], units: Sequence[str]) -> dict[str, str]:
     without_unit = [label for label, meaning in mapping.items() if "[" not in meaning]
     if units and len(units) != len(without_unit):
         raise typer.BadParameter(
-            f"--unit is there {len(units)} times for {len(without_unit)} --column without "
-            "brackets; write each as --column 'COLUMN=fz [kN]'"
+            f"--unit is there {counted(len(units), 'time')} for {len(without_unit)} --column "
+            "without brackets; write each as --column 'COLUMN=fz [kN]'"
         )
     for label, unit in zip(without_unit, units, strict=False):  # without --unit there is none
         mapping[label] += f" [{unit.strip('[]')}]"
@@ -425,6 +434,13 @@ def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> No
         command = f"wrenchbook withdraw {name} {number} --finding {finding['cause']}"
         rows = counted(finding["count"], "row") if finding["count"] else "all rows"
         plain(Screen(), f"  to withdraw {rows} of this import: {command}")
+
+
+def _print_format(file: Path, form: str) -> None:
+    """Print that a file with the ending of a workbook, or of another binary format, is text."""
+    if form in ("csv", "json") and file.suffix.lower() in _BINARY:
+        text = f"{file.name} was read as {form.upper()}: its content is text, whatever its ending."
+        plain(Screen(), text)
 
 
 def _print_import(name: str, reply: dict[str, Any]) -> None:

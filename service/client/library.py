@@ -200,8 +200,10 @@ class LibraryCalls(Connection):
 
         Raises
         ------
-        ValueError, ProblemError
-            If the file cannot be read; if rows have mistakes (422), which ``errors`` names.
+        OSError
+            If the path cannot be read.
+        InvalidArgument, ProblemError
+            If it is no table; if rows have mistakes (422), which ``errors`` names.
         """
         if format is not None:
             require_one_of("format", format, get_args(ImportFormat))
@@ -212,6 +214,11 @@ class LibraryCalls(Connection):
         else:
             filename = ""
             content = table.encode() if isinstance(table, str) else table
+            if not isinstance(content, bytes | bytearray | memoryview):
+                raise InvalidArgument(
+                    "table must be a path, or the content of a file as str or bytes, not "
+                    f"{type(table).__name__}"
+                )
         kind = BINARY
         if displacements is not None:
             logs = {"loads": (filename, content), "displacements": _named_file(displacements)}
@@ -356,11 +363,11 @@ class LibraryCalls(Connection):
         ProblemError
             If there is no such component or row (404).
         """
-        self.call("DELETE", component_path(name, f"table/{int(row)}"))
+        self.call("DELETE", component_path(name, f"table/{_whole('row', row)}"))
 
     def restore_row(self, name: str, row: int) -> None:
         """Restore a withdrawn row of a table; parameters and errors as `invalidate_row`."""
-        self.call("POST", component_path(name, f"table/{int(row)}/restore"))
+        self.call("POST", component_path(name, f"table/{_whole('row', row)}/restore"))
 
     def withdraw_import(
         self, name: str, number: int, finding: str | None = None, *, restore: bool = False
@@ -389,7 +396,8 @@ class LibraryCalls(Connection):
         ProblemError
             If there is no such component, import or finding (404).
         """
-        path = component_path(name, f"imports/{int(number)}{'/restore' if restore else ''}")
+        call = f"imports/{_whole('number', number)}"
+        path = component_path(name, call + "/restore" if restore else call)
         return self.call("POST" if restore else "DELETE", path, query={"finding": finding}).json()
 
     def stiffness(
@@ -487,6 +495,14 @@ class LibraryCalls(Connection):
         except (ServerUnreachable, ServerTimeout, ProblemError):
             return False
         return True
+
+
+def _whole(name: str, value: int) -> int:
+    """Return the number of a row or an import; raises InvalidArgument for a text."""
+    try:
+        return int(value)
+    except (TypeError, ValueError):
+        raise InvalidArgument(f"{name} must be a whole number, not {value!r:.80}") from None
 
 
 def _named_file(file: str | Path) -> tuple[str, bytes]:

@@ -206,7 +206,7 @@ class Recorder:
                 return
             self._check_failed()
             raise ServerTimeout(
-                f"{self._count} wrenches are not recorded after {timeout_s:g} s: "
+                f"{_wrenches_are(self._count)} not recorded after {timeout_s:g} s: "
                 f"{self._trouble or 'the server is slow'}. The Recorder keeps them and sends them "
                 "when the server answers; check that it runs"
             )
@@ -250,7 +250,7 @@ class Recorder:
         if self.pending:
             why = self.trouble or f"the server has not acknowledged them in {timeout_s:g} s"
             raise RecorderError(
-                f"{counted(self.pending, 'wrench')} of {self.component!r} not recorded: {why}. "
+                f"{_wrenches_are(self.pending)} not recorded for {self.component!r}: {why}. "
                 "Correct this, then give the wrenches that `unsent` returns to a new Recorder"
             ) from cause
 
@@ -307,7 +307,7 @@ class Recorder:
         if self._failed:
             raise RecorderError(
                 f"the server refused the recording of {self.component!r}: {self._trouble}. "
-                f"{self._count} wrenches are not stored. Correct this, then give the wrenches "
+                f"{_wrenches_are(self._count)} not stored. Correct this, then give the wrenches "
                 "that `unsent` returns to a new Recorder"
             ) from self._trouble
 
@@ -319,3 +319,8 @@ class Recorder:
             self.close(AT_EXIT_S)
         except RecorderError as error:
             print(f"wrenchbook: {error}", file=sys.stderr)
+
+
+def _wrenches_are(count: int) -> str:
+    """Return the begin of a statement: ``1 wrench is``, ``2 wrenches are``."""
+    return f"{counted(count, 'wrench')} {'is' if count == 1 else 'are'}"

@@ -59,9 +59,10 @@ def single_wrench(force: ArrayLike, moment: ArrayLike | None = None) -> Vector:
         parts = wrench, np.zeros(3) if moment is None else _numbers(moment, "moment")
         for name, part in zip(("force", "moment"), parts, strict=True):
             if part.shape != (3,):
+                six = "; to give a wrench of six numbers, pass it as force and leave moment out"
                 raise InvalidArgument(
-                    f"{name} must be three numbers (x, y, z), but has the shape {part.shape}; to "
-                    "give a wrench of six numbers, pass it as force and leave moment out"
+                    f"{name} must be three numbers (x, y, z), but has the shape {part.shape}"
+                    f"{six * (part.shape == (6,))}"
                 )
         wrench = np.concatenate(parts)
     _require_finite(wrench[None, :], "")
@@ -142,9 +143,10 @@ def many_wrenches(wrenches: ArrayLike, inputs: int | None = len(LOADS)) -> Vecto
         return np.empty((0, inputs or len(LOADS)))
     if block.ndim != 2 or block.shape[1] < len(LOADS) or inputs not in (None, block.shape[1]):
         width = f"{len(LOADS)} or more" if inputs is None else inputs
+        single = "; put a single wrench in brackets: [wrench]" * (block.ndim == 1)
         raise InvalidArgument(
             f"wrenches must have the shape (n, {width}), one wrench in each row, not "
-            f"{block.shape}; put a single wrench in brackets: [wrench]"
+            f"{block.shape}{single}"
         )
     _require_finite(block, "wrench {}: ")
     return block
@@ -214,8 +216,8 @@ def _numbers(values: ArrayLike, name: str) -> Vector:
 
 def require_one_of(name: str, value: str, known: Sequence[str]) -> None:
     """Raise InvalidArgument if the value of an argument is not among the known ones."""
-    if value not in known:
-        raise InvalidArgument(f"{name} must be one of {', '.join(known)}, not {value!r}")
+    if not isinstance(value, str) or value not in known:  # an array has no single truth value
+        raise InvalidArgument(f"{name} must be one of {', '.join(known)}, not {value!r:.80}")
 
 
 def floats_of(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Vector:

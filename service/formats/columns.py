@@ -48,8 +48,11 @@ _LETTERS = {"f": FORCE, "m": MOMENT, "u": TRANSLATION, "r": ROTATION}
 _SYNONYMS = {
     "f": ("f", "force", "kraft"),
     "m": ("m", "moment", "torque", "t", "drehmoment"),
-    "u": ("u", "d", "disp", "displacement", "translation", "trans", "t", "deflection"),
-    "r": ("r", "rot", "rotation", "theta", "phi"),
+    "u": (
+        *("u", "d", "disp", "displacement", "translation", "trans", "t", "deflection"),
+        *("weg", "verschiebung"),
+    ),
+    "r": ("r", "rot", "rotation", "theta", "phi", "angle", "winkel", "verdrehung"),
 }
 _NAMES: dict[str, set[str]] = {}
 for _letter, _spellings in _SYNONYMS.items():
@@ -207,9 +210,14 @@ class Columns:
             return f"{name} [{self.unit_of_curvature(name)}]"
         return ", ".join(f"{name} [{unit}]" for unit in self.quantity(name).examples[:3])
 
-    def example_in(self, unit: str) -> str:
-        """Return a load or displacement along z that `unit` measures; a force if none is."""
-        names = [name for name in (*self.loads, *self.displacement) if name.endswith("z")]
+    def example_in(self, unit: str, label: str) -> str:
+        """Return a load or displacement that `unit` measures; a force if none is.
+
+        Its direction is the last word of `label`, or z.
+        """
+        direction = _GAP.split(label.lower())[-1]
+        direction = direction if direction in ("x", "y") else "z"
+        names = [name for name in (*self.loads, *self.displacement) if name.endswith(direction)]
         for name in names:
             with suppress(UnitError):
                 if unit and self.factor(name, unit):

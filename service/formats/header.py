@@ -499,9 +499,9 @@ def _unknown(name: str, unit: str, columns: Columns) -> str:
     if near and not unit and near[0] not in TEXTS:
         hint += f" Write units in brackets: {columns.examples(near[0]).split(', ')[0]}"
     return (
-        f"is not a known column{hint}. Rename it, map it with mapping (--column '{name}="
-        f"{columns.example_in(unit)}'), or skip it with ignore (--ignore '{name}'). Known are "
-        f"{' '.join(columns.wrench)} {' '.join(columns.displacement)}"
+        f"is not a known column{hint}. Rename it, map it with mapping (--column "
+        f"'{name}={columns.example_in(unit, name)}'), or skip it with ignore (--ignore "
+        f"'{name}'). Known are {' '.join(columns.wrench)} {' '.join(columns.displacement)}"
     )
 
 

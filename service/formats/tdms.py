@@ -44,7 +44,7 @@ def read_tdms(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
             if group
         }
         best = {name for name, count in counts.items() if count == max(counts.values())}
-        sheet = chosen_sheet(list(counts), options.sheet, best.__contains__, report)
+        sheet = chosen_sheet(list(counts), options.sheet, [best.__contains__], report)
         report.ignored += [channel.name for channel in file[sheet].channels() if not len(channel)]
         yield from read_columns(_pieces(groups[sheet], options), options, report)
 

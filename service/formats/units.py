@@ -66,8 +66,8 @@ _HINTS = {
     "kg": "kg is a mass; write kgf",
     "g": "g is a mass; write gf or N",
     "oz": "oz is a mass; write ozf",
-    "mil": "mil is an angle to a unit library; write thou or um",
-    "mils": "mils are angles to a unit library; write thou or um",
+    "mil": "mil can also be an angle; write thou or um",
+    "mils": "mils can also be angles; write thou or um",
 }
 # Newton metres without a sign between them: Nm, kNm, Nmm, mNm, daNcm.
 _NEWTON_METRE = re.compile(r"((?:k|m|M|d|da|c|u|µ|μ)?N)((?:m|c|d|k)?m)")
@@ -124,7 +124,7 @@ def chosen_units(units: Mapping[str, str] | None) -> dict[Quantity, tuple[str, f
         chosen[quantity] = (unit, si_factor(unit, quantity))
     if others:
         names = ", ".join(quantity.name for quantity in QUANTITIES)
-        raise UnitError(f"{', '.join(others)} is no quantity with a unit; choose units of {names}")
+        raise UnitError(f"{next(iter(others))} is no quantity with a unit; choose units of {names}")
     return chosen
 
 

@@ -16,13 +16,18 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime, timedelta
-from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from wrenchbook.service.formats.cells import NO_VALUE, ContentError, Digits
 from wrenchbook.service.formats.columns import Layout, WritableRows
-from wrenchbook.service.formats.header import MAX_TITLES, Record
+from wrenchbook.service.formats.header import (
+    MAX_TITLES,
+    POSITION,
+    Record,
+    is_row,
+    named_columns,
+)
 from wrenchbook.service.formats.options import Options, ParsedTable, ReadReport
 from wrenchbook.service.formats.text import read_records
 
@@ -60,11 +65,12 @@ def read_xlsx(path: Path, options: Options, report: ReadReport) -> Iterator[Pars
         warnings.simplefilter("ignore")  # warnings about styles and extensions
         sheets = _sheets(values, values=True)
 
-        def is_filled(name: str) -> bool:
-            rows = sheets[name].iter_rows(values_only=True)
-            return any(any(row) for row in islice(rows, MAX_TITLES))
+        def head(name: str) -> list[list[str]]:
+            rows = sheets[name].iter_rows(values_only=True, max_row=MAX_TITLES + 1)
+            return [[*map(_text, row)] for row in rows]
 
-        name = chosen_sheet(list(sheets), options.sheet, is_filled, report)
+        fits = _fits(head, options)
+        name = chosen_sheet(list(sheets), options.sheet, fits, report)
         records = _records(
             sheets[name],
             lambda: _sheets(formulas, values=False)[name],
@@ -144,20 +150,44 @@ def read_xls(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     with path.open("rb") as content:
         book = CalamineWorkbook.from_filelike(content)
 
-    def is_filled(name: str) -> bool:
-        return any(map(any, book.get_sheet_by_name(name).to_python(nrows=MAX_TITLES)))
+    def head(name: str) -> list[list[str]]:
+        rows = book.get_sheet_by_name(name).to_python(nrows=MAX_TITLES + 1)
+        return [[*map(_text, row)] for row in rows]
 
-    name = chosen_sheet(book.sheet_names, options.sheet, is_filled, report)
+    fits = _fits(head, options)
+    name = chosen_sheet(book.sheet_names, options.sheet, fits, report)
     sheet = book.get_sheet_by_name(name)
     empty = [""] * (sheet.start or (0, 0))[1]  # columns on the left
     cells = enumerate(([*empty, *map(_text, row)] for row in sheet.iter_rows()), start=1)
     yield from read_records(filter(lambda row: any(row[1]), cells), options, report)
 
 
+def _fits(
+    head: Callable[[str], list[list[str]]], options: Options
+) -> tuple[Callable[[str], bool], ...]:
+    """Return whether a sheet's first rows, `head`, are a table, and whether they have text."""
+    has_positions = any(map(POSITION.fullmatch, options.mapping))
+
+    def is_table(name: str) -> bool:
+        return any(
+            named_columns(row, options.columns, options.mapping) > 1
+            or (has_positions and is_row(row))
+            for row in head(name)
+        )
+
+    return is_table, lambda name: any(map(any, head(name)))
+
+
 def chosen_sheet(
-    names: Sequence[str], wanted: str | None, is_filled: Callable[[str], bool], report: ReadReport
+    names: Sequence[str],
+    wanted: str | None,
+    fits: Sequence[Callable[[str], bool]],
+    report: ReadReport,
 ) -> str:
-    """Return `wanted`, or the first sheet with rows, and report it; raises ContentError."""
+    """Return `wanted`, or the first sheet that fits, and report it; raises ContentError.
+
+    `fits`: conditions on a sheet's name. A later one counts if no sheet meets an earlier one.
+    """
     report.sheets = list(names)
     if not names:
         raise ContentError("there is no sheet with data; export the file again")
@@ -166,8 +196,9 @@ def chosen_sheet(
         raise ContentError(
             f"there is no sheet {wanted!r}; choose {known} with sheet=NAME (--sheet NAME)"
         )
-    filled = (name for name in names if name != ABOUT_SHEET and is_filled(name))
-    report.sheet = wanted if wanted is not None else next(filled, names[0])
+    tables = [name for name in names if name != ABOUT_SHEET]
+    fitting = (name for is_fit in fits for name in tables if is_fit(name))
+    report.sheet = wanted if wanted is not None else next(fitting, names[0])
     return report.sheet
 
 

@@ -264,9 +264,20 @@ def other_width(place: int, length: int, inputs: int) -> HttpProblemError:
     return bad_body([{"loc": f"wrenches.{place}", "msg": message}])
 
 
-def read_body(kind: type[Body], body: bytes) -> Any:
-    """Read any other body with pydantic; an empty one counts as ``{}``."""
-    return checked(kind, parsed_json(body or b"{}"))
+def read_body(kind: type[Body], body: bytes, parameter: str = "") -> Any:
+    """Read any other body with pydantic; an empty one counts as ``{}``.
+
+    `parameter`: that of the query which holds the JSON in place of the body, for messages.
+    """
+    try:
+        return checked(kind, parsed_json(body or b"{}"))
+    except HttpProblemError as error:
+        if not parameter:
+            raise
+        places = (mistake["loc"] for mistake in error.body["errors"])
+        locs = [parameter if place == "body" else f"{parameter}.{place}" for place in places]
+        pairs = zip(error.body["errors"], locs, strict=True)
+        raise bad_body([{**mistake, "loc": loc} for mistake, loc in pairs]) from None
 
 
 def parsed_json(body: bytes) -> Any:

@@ -220,6 +220,9 @@ def install(app: FastAPI) -> None:
         text = f"{call}: {error.detail}. See /openapi.json for all calls."
         if error.status_code == 404:
             text = f"There is no call {call}. Correct the path; /openapi.json has all calls."
+            if request.url.path.startswith("/v1/v1/"):  # Client("http://host/v1")
+                text = f"There is no call {call}. Leave /v1 out of the server's address; a client "
+                text += "adds it to the address."
         elif error.status_code == 405:  # the error has the methods of one of the path's routes
             headers["Allow"] = ", ".join(_methods_of(app, request.scope["path"]))
             text = f"There is no call {call}. The path accepts {headers['Allow']}."
@@ -230,7 +233,7 @@ def install(app: FastAPI) -> None:
 
     def crash(request: Request, _: Exception) -> Response:
         path = request.url.path[:MAX_PLACE]
-        detail = f"{request.method} {path} failed by a bug of the server (request "
+        detail = f"{request.method} {path} failed because of a bug in the server (request "
         detail += f"{REQUEST_ID.get()}). Report it with the traceback, which the server's log has "
         detail += "under this number; its operator can read it."
         return HttpProblemError(500, "internal", "Internal server error", detail).response()

@@ -221,7 +221,7 @@ def read_outcome(attempt: Attempt) -> Outcome | None:
     except (OSError, ValueError) as error:
         raise BadOutcomeError(f"{path} cannot be read as JSON ({error})") from error
     if not isinstance(content, dict) or not {"digest", "asked", "status"} <= content.keys():
-        raise BadOutcomeError(f"{path} is no outcome: it lacks digest, asked or status")
+        raise BadOutcomeError(f"{path} is not a solve's result: it lacks digest, asked or status")
     if content.pop("digest") != _digest(content):
         raise BadOutcomeError(f"{path} is damaged: its checksum is wrong")
     answered = content.pop("asked")

@@ -176,7 +176,7 @@ def open_file(path: Path) -> Connection:
             # SQLite would delete the log, and with it what it holds.
             raise LedgerFileError(
                 f"{log.name} is there, but {path} was moved or deleted; nothing was changed. Put "
-                "this file back; if it is lost, create it from the tables with: wrenchbook "
+                f"{path.name} back; if it is lost, create it from the tables with: wrenchbook "
                 f"doctor --repair --data {path.parent}"
             )
         if problem := unfinished_restore(path):

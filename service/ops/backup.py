@@ -81,7 +81,9 @@ def back_up(folder: Path, target: Path) -> Manifest:
     """
     folder, target = folder.absolute(), target.absolute()
     if not (folder / LEDGER).is_file():
-        raise BackupError(f"{folder} has no {LEDGER}, so it is no data directory; name another")
+        raise BackupError(
+            f"{folder} has no {LEDGER}, so it is no data directory; name one with --data"
+        )
     root = folder.resolve()
     real = target.resolve()
     if real.is_relative_to(root) and HELD.fullmatch(real.relative_to(root).as_posix()):
@@ -217,7 +219,9 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         problem = f"in its {MANIFEST} {reason_of(error)}" if there else f"it has no {MANIFEST}"
         raise BackupError(f"{source} is a zip, but no backup: {problem}; name another") from error
     if kind != FORMAT:
-        raise BackupError(f"{source} is a {str(kind)[:60]!r}, not a {FORMAT!r}; name another")
+        raise BackupError(
+            f"{source} has the format {str(kind)[:60]!r}, not {FORMAT!r}; name another"
+        )
     if schema > SCHEMA:
         raise BackupError(
             f"{source} was written by a newer wrenchbook ({fields.get('program')}, form {schema}; "

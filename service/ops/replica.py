@@ -127,8 +127,8 @@ class Replica:
             if name != _name(fields["number"], content):
                 raise ValueError("its digest is not that of its name")
             if fields["format"] != FORMAT:
-                problem = f"{name} of {self.url} is a {str(fields['format'])[:60]!r}"
-                raise BackupError(f"{problem}, not a {FORMAT!r}; install the version that wrote it")
+                problem = f"{name} of {self.url} has the format {str(fields['format'])[:60]!r}"
+                raise BackupError(f"{problem}, not {FORMAT!r}; install the version that wrote it")
             if fields["ledger_schema"] > VERSION:
                 raise BackupError(
                     f"{self.url} has ledger format {fields['ledger_schema']}, but this wrenchbook "
@@ -145,10 +145,11 @@ class Replica:
 
     def newest(self, until: float = float("inf")) -> Manifest:
         """Return the newest complete manifest that was created `until` then; raises BackupError."""
-        why = ReplicaError(
-            f"{self.url} has no manifest{' of that time' * (until < 1e99)}; check the URL or --at"
-        )
-        for name in self.manifests():
+        names = self.manifests()
+        missing = "as old as the time of --at; name a later time"
+        missing = missing if names else "of a data directory; check the URL"
+        why = ReplicaError(f"{self.url} has no copy {missing}")
+        for name in names:
             try:
                 if (manifest := self.manifest(name)).created <= until:
                     return manifest

@@ -16,6 +16,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from wrenchbook.service.contract import counted
 from wrenchbook.service.files.durable import sync
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.ledger.connection import with_remedy
@@ -122,7 +123,7 @@ def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
             faults = [finding.problem for finding in examine(restored) if finding.kind == "fault"]
             if faults:
                 raise RuntimeError(
-                    f"{name}, restored, has {len(faults)} faults, first: {faults[0]}. "
+                    f"{name}, restored, has {counted(len(faults), 'fault')}, first: {faults[0]}. "
                     f"Examine the data with: wrenchbook doctor --data {data}"
                 )
         except BaseException:

@@ -189,7 +189,7 @@ LARGE = (MANIFEST, "fields/rig/1.fields")
 REFUSED = [
     *((partial(cut, kept=kept), None) for kept in (0, 1, 100, -5000, -30, -1)),
     (partial(planted, schema=99, program="9.9"), r"newer wrenchbook.*9\.9"),
-    (partial(planted, format="another"), "is a 'another', not a 'wrenchbook backup'"),
+    (partial(planted, format="another"), "has the format 'another', not 'wrenchbook backup'"),
     (partial(planted, text='{"schema": 2}'), "in its backup.json the member 'format' is missing"),
     (written, "is no backup .File is not a zip file.; name a file that wrenchbook backup wrote"),
     (lambda backup: backup.parent, "cannot be read: Is a directory; name a backup"),

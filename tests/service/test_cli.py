@@ -242,6 +242,17 @@ def test_import_sends_a_lag_and_prints_what_the_logs_show(stub: Stub, run: Run, 
     )
 
 
+def test_import_says_that_a_workbook_by_its_ending_is_text(stub: Stub, run: Run, tmp_path: Path):
+    file = tmp_path / "rows.xlsx"
+    file.write_text("fx [N],ux [mm]")
+    counts = {"read": 9, "loaded": 9, "refused": 0, "tare": 0, "unmatched": 0}
+    empty = {key: [] for key in ("errors", "causes", "findings", "ignored", "above", "sheets")}
+    reply = {"inserted": 9, "existing": 0, **empty, "rig": None, "dry_run": False, "format": "csv"}
+    stub.answers(Answer({**reply, "in_use": True, "rows": counts, "clock": None}))
+    out = " ".join(run("import", "plate", str(file))[1].split())
+    assert "rows.xlsx was read as CSV: its content is text, whatever its ending." in out
+
+
 def test_a_lag_that_is_refused_has_the_name_of_its_option(stub: Stub, run: Run, tmp_path: Path):
     (tmp_path / "loads.csv").write_text("time [s]")
     detail = "time_offset_s: needs two logs"

@@ -117,7 +117,7 @@ def test_while_the_server_is_away_wrenches_are_kept_and_flush_says_so():
     assert recorder.trouble is not None
     assert "no answer from" in recorder.trouble
     assert recorder.unsent().tolist() == [WRENCH] * 6
-    with pytest.raises(RecorderError, match="6 wrenches of 'plate' not recorded"):
+    with pytest.raises(RecorderError, match="6 wrenches are not recorded for 'plate'"):
         recorder.close(0.2)
 
 
@@ -154,7 +154,7 @@ def test_a_second_close_names_the_lost_wrenches_again():
     recorder = Recorder(Client("http://127.0.0.1:9", timeout=1), "plate")
     recorder.add(WRENCH)
     for _ in range(2):
-        with pytest.raises(RecorderError, match="1 wrench of 'plate' not recorded"):
+        with pytest.raises(RecorderError, match="1 wrench is not recorded for 'plate'"):
             recorder.close(0.2)
 
 
@@ -260,10 +260,10 @@ def test_a_program_that_forgets_to_close_sends_what_is_left(server):
 
 def test_a_program_that_ends_while_the_server_is_away_says_what_is_lost():
     reported = run_forgetful("http://127.0.0.1:9").stderr
-    assert "1 wrench of 'plate' not recorded" in reported
+    assert "1 wrench is not recorded for 'plate'" in reported
     assert "no answer from" in reported
 
 
 def test_a_close_that_is_interrupted_still_says_at_the_end_what_is_lost():
     reported = run_forgetful("http://127.0.0.1:9", INTERRUPTED).stderr
-    assert "1 wrench of 'plate' not recorded" in reported
+    assert "1 wrench is not recorded for 'plate'" in reported

@@ -89,7 +89,7 @@ def test_a_500_and_the_lines_of_its_request_share_the_id(crashing, lines):
     reply = crashing.get("/v1/jobs/1", headers={"X-Request-ID": "req-7"})
     assert (reply.status_code, reply.json()["request_id"]) == (500, "req-7")
     assert reply.headers["x-request-id"] == "req-7"
-    assert "failed by a bug of the server (request req-7)" in reply.json()["detail"]
+    assert "failed because of a bug in the server (request req-7)" in reply.json()["detail"]
     (line,) = [item for item in lines() if item["message"] == "about to fail"]
     assert line["request_id"] == "req-7"
 

@@ -8,6 +8,7 @@ import pytest
 from tests.service.ledger_rows import claim
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.library.library import Library
+from wrenchbook.service.query import without_parts
 from wrenchbook.service.submission import GRAINS, Submission, spread
 
 NAME = "plate_thin"
@@ -110,3 +111,14 @@ def test_a_loop_on_a_linear_component_queues_one_solve_not_sixty_four(opened):
     ]
     assert {item.job.id for item in placed} == {1}
     assert [item.exact for item in placed[:20]] == [True] + 19 * [False]
+
+
+def test_a_load_beyond_the_range_is_stated_once():
+    beyond = (
+        "fx = 2 N is outside the load range, -1..1 N; fz = 3 N is outside the load range, 0..1 N"
+    )
+    reason = f"{beyond}; 1 new row is being built; the table answers from them soon"
+    rest = "1 new row is being built; the table answers from them soon"
+    assert without_parts(reason, beyond) == rest
+    assert without_parts(reason, "") == reason
+    assert without_parts(beyond, beyond) == ""

@@ -292,6 +292,20 @@ def test_a_spreadsheet_s_own_numbers_and_empty_cells_are_read_from_the_first_she
     assert report.read == 3
 
 
+def test_a_sheet_of_a_title_is_not_read_if_another_has_a_table():
+    title, rows = [["Report 17"], ["Customer"]], [["fz [N]", "uz [mm]"], [100, 0.25]]
+    table, report = read(workbook(title, rows))
+    assert (table.wrench[:, 2].tolist(), report.sheet) == ([100], report.sheets[1])
+    numbers = replace(ZERO, mapping={"1": "fz [N]", "2": "uz [mm]"})
+    table, report = read(workbook(title, rows[1:]), numbers)
+    assert (table.wrench[:, 2].tolist(), report.sheet) == ([100], report.sheets[1])
+
+
+def test_an_example_of_a_meaning_has_the_direction_of_its_label():
+    *_, last = errors(b"fx [N],ux [mm],Bogen y [mm]\n1,2,3\n")[0]
+    assert "--column 'Bogen y=uy [mm]'" in last
+
+
 def test_a_time_of_day_in_a_workbook_is_a_time_and_in_a_load_a_mistake_of_its_row():
     """The whole file was no readable workbook."""
     clock = datetime.time(1, 2, 3)

@@ -273,6 +273,7 @@ def test_a_fill_for_a_joint_goes_on_where_the_tolerance_alone_ends_it() -> None:
     assert next_wrenches(filled, 6).stage == "met"
     design = next_wrenches(filled, 6, for_joint=True)
     assert design.stage == "refine"
+    assert "times the tolerance (of a joint's wrench: 5% of the load range)" in design.reason
     assert 0 < len(design.wrenches) <= 6
 
 

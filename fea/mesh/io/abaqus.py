@@ -178,8 +178,8 @@ def _take_nodes(deck: Deck, keyword: Keyword) -> None:
             index = list(deck.nodes).index(label)
             earlier = [line for first, line in deck.node_lines if first <= index][-1]
             raise MeshFileError(
-                f"has node {row[0]} at ({here}), but the *NODE of line {earlier} has it at "
-                f"({there}); give one of the two another number"
+                f"has node {row[0]} at ({here}) in line {keyword.deck.place(line)}, but the *NODE "
+                f"of line {earlier} has it at ({there}); give one of the two another number"
             )
         labels.append(label)
     if "NSET" in keyword.options:

@@ -186,8 +186,8 @@ def _facet_groups(
         lost = sum(missing for _, missing in results)
         if lost:
             raise MeshFileError(
-                f'has a group "{name}" with {lost} facets that are not faces of a solid cell; '
-                "mesh the surface and the solid together, or leave the group out"
+                f'has facets in the group "{name}" that are not faces of a solid cell ({lost} of '
+                "them); mesh the surface and the solid together, or leave the group out"
             )
         by_kind: dict[str, list[np.ndarray]] = {}
         for kind, nodes in (face for faces, _ in results for face in faces):

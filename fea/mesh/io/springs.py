@@ -198,7 +198,10 @@ def _check_between(case: LoadCase, ends: list[CoupledGroup], shift: np.ndarray) 
     if first.weighted != second.weighted:
         raise MeshFileError("it joins a coupling with weights and one without")
     if across > ALONG * np.abs(points).max():
-        raise MeshFileError(f"its points are {across:.3g} off the line of its direction")
+        raise MeshFileError(
+            f"its points are {across:.3g} of the deck's unit of length off the line of its "
+            "direction"
+        )
     if case.nonlinear:
         raise MeshFileError("with NLGEOM its direction stays, but that of [[spring]] rotates")
 

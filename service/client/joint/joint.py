@@ -397,8 +397,8 @@ class Joint:
             smallest = float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0])
             raise InvalidArgument(
                 f"{self._name}: the inverse effective mass must be symmetric and positive "
-                f"definite, but its smallest eigenvalue is {smallest:.3g}, and it differs from its "
-                f"transpose by {np.abs(matrix - matrix.T).max():.3g}. {self._mass_remedy}"
+                f"definite. Its smallest eigenvalue is {smallest:.3g}, and it differs from "
+                f"its transpose by {np.abs(matrix - matrix.T).max():.3g}. {self._mass_remedy}"
             )
         elif status == Status.NOT_FINITE:
             pose = self._steps.poses[self._entry]

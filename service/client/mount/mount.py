@@ -307,11 +307,11 @@ class Mount:
         the scene is called with it. Read the sensor in that pose.
         """
         vectors = [np.asarray(vector, dtype=float) for vector in (force, moment, point)]
-        if any(vector.size != 3 for vector in vectors):
-            shapes = ", ".join(str(vector.shape) for vector in vectors)
-            raise InvalidArgument(
-                f"force, moment and point need three numbers each, not shapes {shapes}"
-            )
+        for name, vector in zip(("force", "moment", "point"), vectors, strict=True):
+            if vector.size != 3:
+                raise InvalidArgument(
+                    f"{name} must be three numbers (x, y, z), but has the shape {vector.shape}"
+                )
         f, m, s = (vector.reshape(3) for vector in vectors)
         return from_world(f, m, s, (self._undeformed[0], self.pose[1]))
 

@@ -107,9 +107,8 @@ def _known_frequency(
         mass = floats_of("carried, a mass or its matrix,", carried, () if is_mass else (6, 6))
         matrix = np.diag([float(mass)] * 3 + [0.0] * 3) if is_mass else mass
         if (np.diag(matrix) < 0.0).any():
-            raise InvalidArgument(
-                f"carried must be 0 kg or more on its diagonal, not {mass.tolist()}"
-            )
+            where = "" if is_mass else " on its diagonal"
+            raise InvalidArgument(f"carried must be 0 kg or more{where}, not {mass.tolist()}")
         facts = client.compliance(component)
         # At zero load, if there is a row: a part that stiffens under load oscillates slower there.
         compliance = np.array(facts.get("tangent") or facts["matrix"], dtype=float)

@@ -77,7 +77,7 @@ def scene_table(
 ) -> Response:
     """Download a packed table reduced to a scene."""
     component = workspace.library[name]
-    body = read_body(bodies.SceneComponent, wanted.encode())
+    body = read_body(bodies.SceneComponent, wanted.encode(), "wanted")
     need = _need_of(component, body, "wanted")
     scene = orjson.dumps(body.model_dump(), option=orjson.OPT_SORT_KEYS)
     digest = hashlib.sha256(scene + component.fingerprint.encode()).hexdigest()[:16]

@@ -279,8 +279,8 @@ def _failure(error: Exception) -> tuple[Kind, str]:
     except Exception:
         log.exception("a call of /umbridge failed")
         number = REQUEST_ID.get()
-        bug = f"the call failed by a bug of the server (request {number}); report it with the "
-        return "InvalidOutput", bug + "traceback, which the server's log has under this number"
+        bug = f"the call failed because of a bug in the server (request {number}); report it with "
+        return "InvalidOutput", bug + "the traceback, which the server's log has under this number"
     message = str(problem.body["detail"])
     mistakes = problem.body.get("errors")
     if problem.status == 422 and mistakes:

@@ -246,7 +246,7 @@ def test_a_group_of_facets_off_the_solid_is_named(tmp_path):
 
     loose = {"loose": [np.zeros(16, dtype=int), np.ones(1, dtype=int)]}
     message = refusal(bar_file(tmp_path / "a.vtu", cells, cell_data=loose))
-    assert 'group "loose" with 1 facets that are not faces' in message
+    assert 'facets in the group "loose" that are not faces of a solid cell (1 of them)' in message
 
 
 @pytest.mark.parametrize("wrong", [-1, 4, 2**40])
