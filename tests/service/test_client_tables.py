@@ -202,6 +202,7 @@ LOADED = {
     "findings": [],
     "ignored": [],
     "above": [],
+    "format": "hdf5",
     "sheets": [],
     "rig": None,
     "clock": None,
