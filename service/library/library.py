@@ -97,8 +97,8 @@ class Library:
 
     def all(self) -> list[Component]:
         """Return all components, by name."""
-        found = [self.get(name) for name in sorted(self._components)]
-        return [component for component in found if component is not None]
+        components = [self.get(name) for name in sorted(self._components)]
+        return [component for component in components if component is not None]
 
     def names(self) -> list[str]:
         """Return the names of all components, sorted."""
