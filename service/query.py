@@ -71,9 +71,15 @@ class NotCoveredError(RefusedError):
     """
 
     def __init__(
-        self, message: str, component: Component, limit: Tolerance | None, **facts: Any
+        self,
+        message: str,
+        component: Component,
+        wrench: Floats,
+        limit: Tolerance | None,
+        **facts: Any,
     ) -> None:
-        solve = "'queue' or 'wait' for a solve, or " if component.has_fea else ""
+        beyond = "" if component.load_range.holds(wrench)[0] else " with beyond_range (--beyond-range)"
+        solve = f"'queue' or 'wait'{beyond} for a solve, or " if component.has_fea else ""
         message = f"{message} Ask with on_thin {solve}'estimate' for the best guess."
         tolerance = None
         if limit is not None:
@@ -302,6 +308,7 @@ def _uncovered(workspace: Workspace, component: Component, query: Query, outcome
         raise NotCoveredError(
             f"{reason}.",
             component,
+            component.acting(np.atleast_2d(query.wrench)),
             query.tolerance or table.tolerance,
             reason=reason,
             coverage=reply.coverage,
@@ -411,6 +418,7 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
             f"{counted(len(uncovered), 'wrench')} of {len(wrenches)} {are} not covered. The first "
             f"is number {uncovered[0]}: {reason}.",
             component,
+            acting[uncovered[:1]],
             query.tolerance or table.tolerance,
             reason=reason,
             uncovered=uncovered.tolist(),

@@ -334,3 +334,10 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_another_host(t
         for page in styles
         if re.search(r"url\([\"']?(?:https?:)?//|@import [\"'](?:https?:)?//", page.read_text())
     ] == []
+
+
+@pytest.mark.parametrize("file", ["CITATION.cff", "data/docs/citation.md"])
+def test_the_version_of_a_citation_is_that_of_the_program(file):
+    assert re.search(r"^ *version *[:=] *\{?([\d.]+)", (ROOT / file).read_text(), re.M)[1] == (
+        wrenchbook.__version__
+    )

@@ -115,6 +115,11 @@ def test_reject_is_a_problem_that_names_the_coverage(http):
     assert http.get("/v1/jobs").json()["jobs"] == []
 
 
+def test_a_reject_beyond_the_range_names_beyond_range_as_the_way_to_a_solve(http):
+    body = ask(http, force=[0, 0, 1e5], on_thin="reject").json()
+    assert "'queue' or 'wait' with beyond_range (--beyond-range) for a solve" in body["detail"]
+
+
 def test_a_failed_solve_is_a_problem_with_kind_and_remedy(http, stand_in):
     stand_in("diverges")
     reply = ask(http, on_thin="wait", wait_s=60)
