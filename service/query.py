@@ -78,8 +78,9 @@ class NotCoveredError(RefusedError):
         limit: Tolerance | None,
         **facts: Any,
     ) -> None:
-        beyond = "" if component.load_range.holds(wrench)[0] else " with beyond_range (--beyond-range)"
-        solve = f"'queue' or 'wait'{beyond} for a solve, or " if component.has_fea else ""
+        inside = component.load_range.holds(wrench)[0]
+        how = "" if inside else " with beyond_range (--beyond-range)"
+        solve = f"'queue' or 'wait'{how} for a solve, or " if component.has_fea else ""
         message = f"{message} Ask with on_thin {solve}'estimate' for the best guess."
         tolerance = None
         if limit is not None:
