@@ -148,7 +148,7 @@ class Keyring:
         self._stamp: tuple[int, int, int] | None = None
         self._keys: dict[str, Key] = {}
         self._next_poll = 0.0
-        self._next_end = 0.0
+        self._same_keys = 0.0, 0.0  # interval of the clock in which the same keys are valid
         self.version = 0
         self._read()
 
@@ -198,9 +198,10 @@ class Keyring:
                     self._read()
             except KeysError as error:
                 log.error("keys stay as they were: %s", error)
-        if time.time() >= self._next_end:
+        begin, end = self._same_keys
+        if not begin <= (clock := time.time()) < end:  # before: the clock was set back
             ends = (key.expires for key in self._keys.values() if key.expires and key.is_valid())
-            self._next_end = min(ends, default=math.inf)
+            self._same_keys = clock, min(ends, default=math.inf)
             self.version += 1
         return self.version
 
@@ -316,7 +317,7 @@ class Keyring:
         self._keys = {key.digest: key for key in keys}
         self._stamp = stamp
         self.version = self.version + 1
-        self._next_end = 0.0
+        self._same_keys = 0.0, 0.0
 
     def _file_stamp(self) -> tuple[int, int, int] | None:
         try:

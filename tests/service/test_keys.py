@@ -3,6 +3,7 @@
 import errno
 import os
 import stat
+import time
 
 import pytest
 from typer.testing import CliRunner
@@ -49,6 +50,17 @@ def test_a_server_takes_up_what_a_command_changes(keyring, tmp_path):
     keyring.refresh(0.0)
     assert keyring.find(secret) is None
     assert len(keyring) == 0
+
+
+def test_a_key_ends_at_its_time_although_the_clock_was_set_back_before(keyring, monkeypatch):
+    now = time.time()
+    key = keyring.find(keyring.add("ann", "read", expires=now + 100.0))
+    versions = []
+    for clock in (now + 3600.0, now, now + 200.0):  # a wrong clock, its correction, the end
+        monkeypatch.setattr(time, "time", lambda clock=clock: clock)
+        versions.append(keyring.refresh(0.0))
+    assert not key.is_valid()
+    assert versions == sorted({*versions})  # permissions are read again each time
 
 
 @pytest.mark.parametrize(
