@@ -163,7 +163,10 @@ class Keyring:
     def find(self, secret: str) -> Key | None:
         """Return the key of a secret, expired or not; None if no key has it."""
         # Searched by digest: the duration reveals nothing about the secrets.
-        return self._keys.get(digest_of(secret))
+        digest = digest_of(secret)
+        if digest not in self._keys:
+            self.refresh(0.0)  # another process may just have made it
+        return self._keys.get(digest)
 
     def has(self, key: Key) -> bool:
         """Return whether a key is one of these, with the same scope and limits."""
@@ -281,7 +284,7 @@ class Keyring:
     @contextmanager
     def _changing(self) -> Iterator[dict[str, Key]]:
         """Yield the present keys to be changed, and replace the file of all keys afterwards."""
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._path.parent.mkdir(0o700, parents=True, exist_ok=True)
         descriptor = take(self._path.with_name(f"{FILE}.lock"))
         if descriptor is None:
             raise KeysBusyError(f"another command is changing {FILE}; repeat yours in a second")

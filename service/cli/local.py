@@ -142,7 +142,7 @@ def _make_folder(folder: Path) -> None:
     from wrenchbook.service.ops.checks import not_writable
 
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(0o700, parents=True, exist_ok=True)
     except OSError as error:
         raise _refused(
             f"the data directory {folder} cannot be created: {error.strerror}; name another with "
