@@ -399,7 +399,8 @@ def revoke(name: KeyName, as_json: AsJson = False, data: Folder = DEFAULT_DATA) 
         Keyring(data).revoke(name)
     text = f"The key {name} is revoked."
     if not len(Keyring(data)):
-        text += f" {data} has no keys left: {_KEYLESS.format(_data_option(data))}"
+        text += f" {data} has no keys left. A running server refuses all calls until it is "
+        text += f"restarted; then {_KEYLESS.format(_data_option(data))}"
     show({"name": name, "revoked": True}, as_json, text)
 
 
