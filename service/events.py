@@ -42,7 +42,13 @@ Notice = tuple[str, str | None, dict[str, Any]]  # kind, component (None for all
 
 
 class TooManyListenersError(Exception):
-    """The server already has `MAX_LISTENERS` listeners, or `MAX_OF_ACTOR` of this caller."""
+    """The server already has `MAX_LISTENERS` listeners."""
+
+
+class ListenerQuotaError(Exception):
+    """The caller's key or user already has `MAX_OF_ACTOR` listeners."""
+
+    retry_s = 20.0  # after which the server drops a listener that reads nothing
 
 
 class Listener:
@@ -118,8 +124,8 @@ class Feed:
     def listen(self, component: str | None, last_id: str | None, hello: dict[str, Any]) -> Listener:
         """Add a listener, which reads the events after `last_id` and then new ones.
 
-        Raises TooManyListenersError if there are `MAX_LISTENERS` already, or `MAX_OF_ACTOR` of the
-        caller's key or user.
+        Raises TooManyListenersError if there are `MAX_LISTENERS` already, and ListenerQuotaError if
+        `MAX_OF_ACTOR` of the caller's key or user are.
         """
         if len(self._listeners) >= MAX_LISTENERS:
             raise TooManyListenersError(
@@ -129,7 +135,7 @@ class Feed:
         actor = CALLER.get().actor
         held = sum(listener.actor == actor for listener in self._listeners)
         if held >= MAX_OF_ACTOR and actor not in (ANONYMOUS, LOCAL):
-            raise TooManyListenersError(
+            raise ListenerQuotaError(
                 f"{held} listeners of {actor!r} are connected, the limit of a key or user; close "
                 "one, or poll GET /v1/jobs and GET /v1/components. Nothing was changed."
             )
@@ -228,8 +234,7 @@ class Events:
 
         A first poll precedes the greeting, so that no change between the two is lost.
 
-        Raises LedgerBusyError if the ledger cannot be read, and TooManyListenersError if there are
-        too many listeners.
+        Raises LedgerBusyError if the ledger cannot be read, and the errors of `Feed.listen`.
         """
         if self._task is None or self._task.done():
             self._polled.clear()

@@ -148,7 +148,7 @@ class Keyring:
         self._stamp: tuple[int, int, int] | None = None
         self._keys: dict[str, Key] = {}
         self._next_poll = 0.0
-        self._next_end = 0.0
+        self._same_keys = 0.0, 0.0  # interval of the clock in which the same keys are valid
         self.version = 0
         self._read()
 
@@ -163,7 +163,10 @@ class Keyring:
     def find(self, secret: str) -> Key | None:
         """Return the key of a secret, expired or not; None if no key has it."""
         # Searched by digest: the duration reveals nothing about the secrets.
-        return self._keys.get(digest_of(secret))
+        digest = digest_of(secret)
+        if digest not in self._keys:
+            self.refresh(0.0)  # another process may just have made it
+        return self._keys.get(digest)
 
     def has(self, key: Key) -> bool:
         """Return whether a key is one of these, with the same scope and limits."""
@@ -198,9 +201,10 @@ class Keyring:
                     self._read()
             except KeysError as error:
                 log.error("keys stay as they were: %s", error)
-        if time.time() >= self._next_end:
+        begin, end = self._same_keys
+        if not begin <= (clock := time.time()) < end:  # before: the clock was set back
             ends = (key.expires for key in self._keys.values() if key.expires and key.is_valid())
-            self._next_end = min(ends, default=math.inf)
+            self._same_keys = clock, min(ends, default=math.inf)
             self.version += 1
         return self.version
 
@@ -280,7 +284,7 @@ class Keyring:
     @contextmanager
     def _changing(self) -> Iterator[dict[str, Key]]:
         """Yield the present keys to be changed, and replace the file of all keys afterwards."""
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._path.parent.mkdir(0o700, parents=True, exist_ok=True)
         descriptor = take(self._path.with_name(f"{FILE}.lock"))
         if descriptor is None:
             raise KeysBusyError(f"another command is changing {FILE}; repeat yours in a second")
@@ -316,7 +320,7 @@ class Keyring:
         self._keys = {key.digest: key for key in keys}
         self._stamp = stamp
         self.version = self.version + 1
-        self._next_end = 0.0
+        self._same_keys = 0.0, 0.0
 
     def _file_stamp(self) -> tuple[int, int, int] | None:
         try:

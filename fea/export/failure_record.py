@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import sys
@@ -57,10 +58,9 @@ def _write(path: Path, write: Callable[[Path], object]) -> None:
     try:
         write(path)
     except (OSError, ValueError, meshio.WriteError) as error:
-        print(
-            f'"{path}" was not kept: {error}; correct this and solve again for the file',
-            file=sys.stderr,
-        )
+        why = f'"{path}" was not kept: {error}; correct this and solve again for the file'
+        with contextlib.suppress(OSError):  # on a full disk the log has no room either
+            print(why, file=sys.stderr)
 
 
 def write_state(path: Path, component: ComponentModel, displacements: np.ndarray) -> None:

@@ -142,7 +142,7 @@ def _make_folder(folder: Path) -> None:
     from wrenchbook.service.ops.checks import not_writable
 
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(0o700, parents=True, exist_ok=True)
     except OSError as error:
         raise _refused(
             f"the data directory {folder} cannot be created: {error.strerror}; name another with "
@@ -399,7 +399,8 @@ def revoke(name: KeyName, as_json: AsJson = False, data: Folder = DEFAULT_DATA) 
         Keyring(data).revoke(name)
     text = f"The key {name} is revoked."
     if not len(Keyring(data)):
-        text += f" {data} has no keys left: {_KEYLESS.format(_data_option(data))}"
+        text += f" {data} has no keys left. A running server refuses all calls until it is "
+        text += f"restarted; then {_KEYLESS.format(_data_option(data))}"
     show({"name": name, "revoked": True}, as_json, text)
 
 

@@ -302,7 +302,7 @@ class EventCalls(Connection):
         Raises
         ------
         ProblemError
-            If there is no such component (404), or too many listen (503).
+            If there is no such component (404), or too many listen (503; of this key 429).
         ServerUnreachable
             If nothing answers at the first attempt.
         """

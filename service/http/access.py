@@ -48,7 +48,7 @@ _DATA: Final = "--data FOLDER (the server's data directory)"
 class SecuritySettings:
     """Whether keys are needed; allowed hosts (all if None) and other sites; the server's own key.
 
-    Keys are always needed once a key is stored. `server_key` permits all calls and is not stored.
+    Keys are always needed once a key was stored. `server_key` permits all calls and is not stored.
     """
 
     keys_needed: bool = False
@@ -88,11 +88,15 @@ class AccessControl:
         self._streams: weakref.WeakKeyDictionary[Listener, Permission] = weakref.WeakKeyDictionary()
         self.heads: dict[bytes, Any] = {}  # cache of the fast path, emptied when a key changes
         self._version = keyring.version
+        self._had_keys = len(keyring) > 0
 
     @property
     def keys_needed(self) -> bool:
-        """Whether every call needs a key."""
-        return self.always_needs_keys or len(self.keyring) > 0
+        """Whether every call needs a key: after the first key always.
+
+        A server whose last key is revoked or moved away may be before a proxy's network.
+        """
+        return self.always_needs_keys or self._had_keys
 
     @property
     def always_needs_keys(self) -> bool:
@@ -263,6 +267,7 @@ class AccessControl:
         if self.keyring.refresh() == self._version:
             return
         self._version = self.keyring.version
+        self._had_keys |= len(self.keyring) > 0
         self.heads.clear()
         self._permissions.clear()
         for listener, permission in list(self._streams.items()):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 import secrets
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -47,7 +48,7 @@ from wrenchbook.service.http.routes import (
     table,
     umbridge,
 )
-from wrenchbook.service.keys import Keyring
+from wrenchbook.service.keys import PREFIX, Keyring
 from wrenchbook.service.ledger import ReadOnlyError
 from wrenchbook.service.ops.counts import Counts
 from wrenchbook.service.ops.logs import REQUEST_ID
@@ -72,6 +73,7 @@ access_log = logging.getLogger("wrenchbook.access")
 # Route name of a request that is no call of the API, or was refused before the router.
 NO_ROUTE: Final = "none"
 _METHODS: Final = frozenset({*problems.METHODS, "OPTIONS"})
+_SECRET: Final = re.compile(PREFIX + r"[\w-]{40,}")  # of a caller who puts the key into the URL
 # The caller until the access control has identified it.
 _UNKNOWN: Final = Caller("-", (), admin=False)
 _STOPPING: Final = HttpProblemError(
@@ -148,7 +150,7 @@ class Application(FastAPI):
             query = scope["query_string"].decode("latin-1")
             # The path as sent: a decoded path may contain a line end.
             target = scope["raw_path"].decode("latin-1").partition("?")[0]
-            target += "?" + query if query else ""
+            target = _SECRET.sub(f"{PREFIX}...", target + "?" * bool(query) + query)
             actor = CALLER.get().actor
             record = host, actor, method, target, status, 1e3 * seconds
             access_log.info('%s %s "%s %s" %d %.1f ms', *record, extra={"actor": actor})

@@ -21,7 +21,7 @@ from starlette.routing import Match
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.service import keys, ledger
 from wrenchbook.service.actors import NotPermittedError
-from wrenchbook.service.events import TooManyListenersError
+from wrenchbook.service.events import ListenerQuotaError, TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.formats.rig import RigError
@@ -80,6 +80,7 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ledger.BlockKeyError: (409, "block-key", "The block's number cannot be used"),
     ledger.InvalidTransitionError: (409, "job-status", "The job's status does not allow this"),
     TooManyPollsError: (503, "busy", "Too many callers wait for jobs"),
+    ListenerQuotaError: (429, "listeners", "The key has too many listeners"),
     TooManyListenersError: (503, "too-many-listeners", "Too many listeners"),
     NotPermittedError: (403, "not-permitted", "The caller may not do this"),
     ledger.QuotaError: (429, "quota", "The quota is used up"),

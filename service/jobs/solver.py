@@ -323,7 +323,8 @@ class _Reporter:
         try:
             write_json(self._path, asdict(Progress(fraction, str(message))))
         except OSError as error:
-            print(f"progress not written: {error}", file=sys.stderr)
+            with contextlib.suppress(OSError):  # on a full disk the log has no room either
+                print(f"progress not written: {error}", file=sys.stderr)
 
 
 def _named_solver() -> Solve | None:

@@ -167,7 +167,7 @@ def open_file(path: Path) -> Connection:
     """
     log = path.with_name(f"{path.name}-wal")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(0o700, parents=True, exist_ok=True)
         if path.is_dir():
             # SQLite would delete the log with its content.
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))

@@ -234,10 +234,12 @@ class Library:
             with tempfile.TemporaryDirectory(prefix=".incoming-", dir=self._local) as folder:
                 yield Path(folder)
         except OSError as error:
-            full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-            remedy = "make room on its disk" if full else "let the server's user write there"
+            why = error.strerror or str(error)  # those of a copy are texts
+            codes = [code for code in (errno.ENOSPC, errno.EDQUOT) if os.strerror(code) in why]
+            why = os.strerror(codes[0]) if codes else why
+            remedy = "make room on its disk" if codes else "let the server's user write there"
             raise LibraryUnavailableError(
-                f"The component could not be written to {self._local}: {error.strerror or error}. "
+                f"The component could not be written to {self._local}: {why}. "
                 f"Nothing was added; {remedy}, then send the component again."
             ) from error
 

@@ -3,7 +3,9 @@
 import json
 import pickle
 import re
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import meshio
 import numpy as np
@@ -263,6 +265,15 @@ def test_a_history_that_cannot_be_written_does_not_keep_back_the_state(tmp_path,
     keep(tmp_path, SolveFailed("not_converged", "It stopped."), component(box("tet10", (1, 1, 1))))
     assert (tmp_path / LAST_STATE).is_file()
     assert f'{HISTORY}" was not kept' in capsys.readouterr().err
+
+
+def test_a_full_disk_of_record_and_log_does_not_hide_the_failure(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(sys, "stderr", SimpleNamespace(write=full))
+    part = component(box("tet10", (1, 1, 1)), poisson=0.499)
+    assert failed(part, [1, 0, 0, 0, 0, 0], tmp_path / "gone").kind == "locking_material"
 
 
 @pytest.mark.parametrize("kind", KINDS)

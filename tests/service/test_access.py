@@ -227,6 +227,21 @@ def test_of_two_keys_that_are_revoked_at_once_one_stays(keyed, monkeypatch):
     assert client.get("/v1/jobs").status_code == 401
 
 
+@pytest.mark.parametrize("end", ["revoked", "moved"])
+def test_a_server_whose_last_key_is_gone_is_not_open(keyed, tmp_path, end):
+    """Between `keys revoke` and `keys add` a proxy's network could change tables."""
+    client, _ = keyed
+    if end == "moved":
+        (tmp_path / FILE).rename(tmp_path / "keys.bak")
+    else:
+        for name in ("first", "second"):
+            Keyring(tmp_path).revoke(name)
+    client.app.state.access.keyring.refresh(0.0)
+    assert client.get("/v1/jobs").status_code == 401
+    secret = Keyring(tmp_path).add("third", "read")
+    assert client.get("/v1/jobs", headers=bearer(secret)).status_code == 200
+
+
 def test_the_last_key_is_not_revoked_while_it_has_two_secrets(keyed):
     """A rotated key counted as two."""
     client, secret = keyed

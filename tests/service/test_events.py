@@ -16,7 +16,7 @@ from wrenchbook.service import events as feed_module
 from wrenchbook.service.actors import CALLER, Caller, acting_as
 from wrenchbook.service.client import Client, ProblemError, ServerUnreachable
 from wrenchbook.service.client.client import EventParser
-from wrenchbook.service.events import Feed, TooManyListenersError
+from wrenchbook.service.events import Feed, ListenerQuotaError
 from wrenchbook.service.http.access import AccessControl, SecuritySettings
 from wrenchbook.service.http.permission import Permission
 from wrenchbook.service.http.problems import problem_of
@@ -317,13 +317,15 @@ def test_one_listener_too_many_is_503_and_a_place_is_free_when_one_goes(tmp_path
         next(client.events())
 
 
-def test_one_key_leaves_places_of_listeners_to_others():
+def test_a_key_with_32_listeners_is_429_and_leaves_places_to_others():
     feed = Feed()
     with acting_as("rig"):
         for _ in range(32):
             feed.listen(None, None, {})
-        with pytest.raises(TooManyListenersError, match="32 listeners of 'rig' are connected"):
+        with pytest.raises(ListenerQuotaError, match="32 listeners of 'rig' are connected") as over:
             feed.listen(None, None, {})
+    refusal = problem_of(over.value)
+    assert (refusal.status, refusal.headers) == (429, {"Retry-After": "20"})
     with acting_as("other"):
         assert not feed.listen(None, None, {}).ended
 

@@ -3,6 +3,8 @@
 import errno
 import os
 import stat
+import time
+from contextlib import suppress
 
 import pytest
 from typer.testing import CliRunner
@@ -11,6 +13,7 @@ from tests.service.expired import add_expired_key
 from wrenchbook.service.cli.local import make_first_key
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.keys import FILE, PREFIX, Keyring, KeysError, KeysNeededError
+from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.workers import supervisor
 
 
@@ -49,6 +52,23 @@ def test_a_server_takes_up_what_a_command_changes(keyring, tmp_path):
     keyring.refresh(0.0)
     assert keyring.find(secret) is None
     assert len(keyring) == 0
+
+
+def test_a_key_that_another_process_has_made_is_found_at_once(keyring, tmp_path):
+    """The second of two web workers answered 401 to it for half a second."""
+    keyring.refresh()
+    assert keyring.find(Keyring(tmp_path).add("ann", "read")) is not None
+
+
+def test_a_key_ends_at_its_time_although_the_clock_was_set_back_before(keyring, monkeypatch):
+    now = time.time()
+    key = keyring.find(keyring.add("ann", "read", expires=now + 100.0))
+    versions = []
+    for clock in (now + 3600.0, now, now + 200.0):  # a wrong clock, its correction, the end
+        monkeypatch.setattr(time, "time", lambda clock=clock: clock)
+        versions.append(keyring.refresh(0.0))
+    assert not key.is_valid()
+    assert versions == sorted({*versions})  # permissions are read again each time
 
 
 @pytest.mark.parametrize(
@@ -191,6 +211,25 @@ def test_a_server_that_others_reach_does_not_start_without_keys_and_says_how(
         )
 
 
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda folder: Keyring(folder).add("ann", "read"),
+        lambda folder: Ledger(folder / "ledger.sqlite").close(),
+        lambda folder: app(["serve", "--data", str(folder), "--host", "::"], standalone_mode=False),
+    ],
+)
+def test_a_new_data_directory_is_its_owners_alone(make, tmp_path):
+    """Every user of the machine could read its tables, past the keys."""
+    umask = os.umask(0)
+    try:
+        with suppress(KeysNeededError):
+            make(tmp_path / "data")
+    finally:
+        os.umask(umask)
+    assert stat.S_IMODE((tmp_path / "data").stat().st_mode) == 0o700
+
+
 def test_the_first_key_is_for_admin_printed_once_and_made_once(tmp_path, capsys):
     make_first_key(tmp_path)
     secret = capsys.readouterr().out.split()[-1]
@@ -211,6 +250,6 @@ def test_keys_are_added_listed_and_revoked_by_commands(tmp_path):
     assert secret not in listed
     revoked = run("revoke", "ann")
     assert revoked.exit_code == 0
-    assert "has no keys left: anybody" in revoked.stdout
+    assert "has no keys left. A running server refuses" in revoked.stdout
     assert len(Keyring(tmp_path)) == 0
     assert run("revoke", "ann").exit_code != 0

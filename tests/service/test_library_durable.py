@@ -93,6 +93,19 @@ def test_a_bundle_that_cannot_be_written_is_refused_by_name_and_leaves_nothing(
     assert library.add_zip(rig_zip()).name == "rig"
 
 
+def test_a_copy_on_a_full_disk_is_refused_with_its_remedy(library, tmp_path, monkeypatch):
+    """The message was a list of Python with each file, and asked for permissions."""
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device", "mesh.msh")
+
+    (tmp_path / "components" / "rig").mkdir()
+    (tmp_path / "components" / "rig" / "component.toml").write_text(TEXT)
+    monkeypatch.setattr("shutil.copystat", full)  # copytree collects the errors of all files
+    with pytest.raises(LibraryUnavailableError, match=r"components: No space left .* make room"):
+        library.add_copy("rig", "rig2", None)
+
+
 def test_a_component_is_taken_up_once_its_files_are_mended(library, tmp_path):
     folder = tmp_path / "components" / "rig"
     folder.mkdir()

@@ -10,6 +10,7 @@ from starlette.testclient import TestClient
 from tests.service.ledger_rows import claim
 from wrenchbook.service.files.redact import redact, redact_values
 from wrenchbook.service.http.app import create_app
+from wrenchbook.service.keys import Keyring
 from wrenchbook.service.ops.logs import JsonLines, Repeats, TextLines, add_request_id
 from wrenchbook.service.workspace import Settings
 
@@ -107,6 +108,14 @@ def test_a_text_line_ends_in_the_id_of_its_request():
         {"name": "a", "levelname": "INFO", "msg": "m", "request_id": "7"}
     )
     assert TextLines().format(record).endswith("a: m [request 7]")
+
+
+def test_the_access_log_has_no_key_that_a_caller_has_put_into_the_url(folder, lines):
+    secret = Keyring(folder).add("ann", "read")
+    with TestClient(create_app(Settings(folder, solvers=0, access_log=True))) as client:
+        assert client.get(f"/v1/components?key={secret}&a=1").status_code == 401
+    (line,) = (line["message"] for line in lines() if line["logger"] == "wrenchbook.access")
+    assert '"GET /v1/components?key=wb_...&a=1" 401' in line
 
 
 def test_the_access_log_has_a_line_of_every_request(folder, stand_in, lines):

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -259,3 +260,21 @@ def test_an_outcome_waits_for_room_on_a_full_disk(tmp_path, monkeypatch):
     assert solver.run_attempt(tmp_path / "1", lambda *_: {"displacement": [0.0] * 6}) == 0
     assert outcome_in(tmp_path / "1").status == "done"
     assert len(refused) == 2
+
+
+def test_a_full_disk_of_progress_and_log_fails_no_solve(tmp_path, monkeypatch):
+    """The line of the log that reports it had no room either, and failed the job for good."""
+    prepare(Attempt(1, 1, "bar", "/nowhere", "f1", (1.0,) * 6, folder=tmp_path / "1"))
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(sys, "stderr", SimpleNamespace(write=full))
+    monkeypatch.setattr(solver, "write_json", full)
+
+    def solve(_, report):
+        report(0.5, "half")
+        return {"displacement": [0.0] * 6}
+
+    assert solver.run_attempt(tmp_path / "1", solve) == 0
+    assert outcome_in(tmp_path / "1").status == "done"

@@ -91,6 +91,14 @@ def several(tmp_path_factory):
     one.end()
 
 
+@pytest.fixture
+def keyed(tmp_path):
+    """Servers that are given keys: without the last one they would refuse the other tests."""
+    one = SeveralProcesses(tmp_path)
+    yield one
+    one.end()
+
+
 @contextmanager
 def clients_of_each(several):
     """Give a client of each process that answers, told by the port its connection has."""
@@ -143,35 +151,26 @@ def statuses_of_each(clients, method="GET", key=None):
     return result
 
 
-def test_every_process_has_the_same_access_control(several):
+def test_every_process_has_the_same_access_control(keyed):
     for headers in ({"Host": "evil.example"}, {"Origin": "http://evil.example"}):
-        assert statuses(several, headers) == {403}
-    keyring = Keyring(several.folder)
-    with clients_of_each(several) as clients:
-        key = keyring.add("ann", "read")
-        try:
-            # New connections go to one process for a while: only those held tell of each.
-            until(lambda: statuses_of_each(clients) == {401})
-            assert statuses_of_each(clients, key=key) == {200}
-            assert statuses_of_each(clients, "DELETE", key) == {403}
-            assert statuses_of_each(clients, key="wrong") == {401}
-        finally:
-            keyring.revoke("ann")
-            until(lambda: statuses_of_each(clients) == {200})
+        assert statuses(keyed, headers) == {403}
+    with clients_of_each(keyed) as clients:
+        key = Keyring(keyed.folder).add("ann", "read")
+        # New connections go to one process for a while: only those held tell of each.
+        until(lambda: statuses_of_each(clients) == {401})
+        assert statuses_of_each(clients, key=key) == {200}
+        assert statuses_of_each(clients, "DELETE", key) == {403}
+        assert statuses_of_each(clients, key="wrong") == {401}
 
 
-def test_a_key_has_one_rate_for_all_processes(several):
+def test_a_key_has_one_rate_for_all_processes(keyed):
     """Each web worker counted for itself: 109 requests for 40."""
-    keyring = Keyring(several.folder)
-    with clients_of_each(several) as clients:
-        key = keyring.add("slow", "read", rate=1e-4)  # one now, and the next in hours
-        try:
-            until(lambda: statuses_of_each(clients) == {401})
-            result = [statuses_of_each([client], key=key) for client in [*clients, *clients]]
-            assert sorted(map(min, result)) == [200, 429, 429, 429]
-        finally:
-            keyring.revoke("slow")
-            until(lambda: statuses_of_each(clients) == {200})
+    with clients_of_each(keyed) as clients:
+        # One request now, and the next in hours.
+        key = Keyring(keyed.folder).add("slow", "read", rate=1e-4)
+        until(lambda: statuses_of_each(clients) == {401})
+        result = [statuses_of_each([client], key=key) for client in [*clients, *clients]]
+        assert sorted(map(min, result)) == [200, 429, 429, 429]
 
 
 def test_a_row_taken_by_one_process_is_answered_by_all(several):
