@@ -207,7 +207,7 @@ def answered_at_once(workspace: Workspace, name: str, query: Query) -> tuple[Out
         return outcome, False
     component = workspace.library.as_read(name)
     wrench = tuple(acting_wrench(query.wrench, component.idle))
-    workspace.query_counts.note(name, component.load_range, wrench, coverage)
+    workspace.demand_maps.note(name, component.load_range, wrench, coverage)
     return outcome, True
 
 
@@ -291,7 +291,7 @@ def _uncovered(workspace: Workspace, component: Component, query: Query, outcome
     count, rows = workspace.unbuilt(component, table)
     soon = _being_built(component, table, count)
     reason = _also(reply.reason if table.row_count or not soon else "", soon)
-    workspace.query_counts.note(component.name, component.load_range, query.wrench, reply.coverage)
+    workspace.demand_maps.note(component.name, component.load_range, query.wrench, reply.coverage)
     if table.needs_compliance and query.on_thin in ("estimate", "reject"):
         with suppress(LedgerUnavailableError):  # an estimate needs no ledger
             for job in workspace.ledger.open_jobs(component.name, component.fingerprint)[:1]:
@@ -400,7 +400,7 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
     count, new = workspace.unbuilt(component, table)
     soon = _being_built(component, table, count)
     acting = component.acting(wrenches)
-    workspace.query_counts.note_batch(name, component.load_range, acting, coverage)
+    workspace.demand_maps.note_batch(name, component.load_range, acting, coverage)
     if query.on_thin == "estimate":
         return outcome
     if query.on_thin == "reject":

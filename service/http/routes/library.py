@@ -12,6 +12,7 @@ from starlette.responses import Response
 from typing_extensions import TypedDict
 
 from wrenchbook.service.actors import CALLER
+from wrenchbook.service.demand import Demand
 from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
 from wrenchbook.service.http.body import JsonRoute, read_body, read_limited
@@ -23,7 +24,7 @@ from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import ImportOrigin, UnknownImportError, import_numbers
 from wrenchbook.service.ledger.imports import findings, import_spans, imports, withdrawn_counts
-from wrenchbook.service.messages import ImportFinding, Message, Six
+from wrenchbook.service.messages import ImportFinding, Message
 from wrenchbook.service.mistakes import MAX_VALUE
 from wrenchbook.service.tables.comparison import (
     Comparison,
@@ -73,24 +74,6 @@ class Import(FileImport):
 
 class Imports(Message):
     imports: Sequence[Import]
-
-
-class DemandCell(Message):
-    wrench: Six
-    count: int
-    thin: int
-    outside: int
-    coverage: Literal["thin", "outside"]
-
-
-class Demand(Message):
-    component: str
-    asked: int
-    elsewhere: int
-    since: float | None
-    cell_size: Six
-    cells: Sequence[DemandCell]
-    latest: Sequence[dict[Literal["wrench", "coverage", "when"], Any]]
 
 
 # A dataclass cannot have a field named `import`.
@@ -300,14 +283,14 @@ def _two_loads(between: str) -> tuple[float, float]:
 @router.get("/demand", response_model=Demand)
 def demand(name: str, workspace: Opened) -> Response:
     """Demand map of queries that were not covered."""
-    counts = workspace.query_counts.map_of(name, workspace.library[name].load_range)
-    return json_reply(Demand(component=name, **counts))
+    span = workspace.library[name].load_range
+    return json_reply(workspace.demand_maps.map_of(name, span))
 
 
 @router.delete("/demand")
 def forget_demand(name: str, workspace: Opened) -> dict[str, Any]:
     """Clear the demand map."""
-    workspace.query_counts.forget(workspace.library[name].name)
+    workspace.demand_maps.forget(workspace.library[name].name)
     return {"component": name, "asked": 0}
 
 
