@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import re
 from collections.abc import Mapping, Sequence
 from itertools import islice
@@ -23,6 +22,7 @@ from wrenchbook.service import keys, ledger
 from wrenchbook.service.actors import NotPermittedError
 from wrenchbook.service.events import TooManyListenersError
 from wrenchbook.service.fields.deformed import NoFieldsError, TooFarError
+from wrenchbook.service.files.durable import NO_ROOM
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.formats.rig import RigError
 from wrenchbook.service.formats.units import UnitError
@@ -93,9 +93,6 @@ _NAMED: dict[type[Exception], tuple[int, str, str]] = {
     ledger.LedgerBusyError: (503, "ledger", "The ledger is busy"),
     ledger.LedgerUnavailableError: (503, "ledger", "The ledger cannot be used"),
 }
-# Errors of a full disk, a quota and a limit of file sizes: bodies and parsed files are temporary
-# files.
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _NAMED_PARAMETER = re.compile(r"([a-z_]+): ")
 _TYPE_ROOT = "urn:wrenchbook:problem:"
 
@@ -180,10 +177,10 @@ def problem_of(error: Exception) -> HttpProblemError:
         title = "The component bundle has mistakes"
         detail = f"Nothing was added. {error}"
         return HttpProblemError(422, "bad-bundle", title, detail, errors=errors)
-    if isinstance(error, OSError) and error.errno in _FULL:
-        detail = f"{error.strerror}: the disk of the data directory or of temporary files "
-        detail += "(TMPDIR) is full. Make room there, then send the request again."
-        return HttpProblemError(507, "disk", "The disk is full", detail)
+    if isinstance(error, OSError) and error.errno in NO_ROOM:  # of a body's temporary file too
+        where = "a file in the data directory or in TMPDIR cannot be written"
+        detail = f"{error.strerror}: {where}; {NO_ROOM[error.errno]}, then send the request again."
+        return HttpProblemError(507, "disk", "A file cannot be written", detail)
     kind = next((kind for kind in type(error).__mro__ if kind in _NAMED), None)
     if kind is None:
         raise error

@@ -19,7 +19,7 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.spec.keys import is_slug
 from wrenchbook.service.actors import CALLER, NotPermittedError
-from wrenchbook.service.files.durable import sync, sync_tree
+from wrenchbook.service.files.durable import NO_ROOM, sync, sync_tree
 from wrenchbook.service.library import bundles
 from wrenchbook.service.library.component import (
     CHECK_FILE,
@@ -234,8 +234,7 @@ class Library:
             with tempfile.TemporaryDirectory(prefix=".incoming-", dir=self._local) as folder:
                 yield Path(folder)
         except OSError as error:
-            full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-            remedy = "make room on its disk" if full else "let the server's user write there"
+            remedy = NO_ROOM.get(error.errno or 0, "let the server's user write there")
             raise LibraryUnavailableError(
                 f"The component could not be written to {self._local}: {error.strerror or error}. "
                 f"Nothing was added; {remedy}, then send the component again."
