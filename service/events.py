@@ -63,7 +63,7 @@ class Listener:
     def hears(self, component: str | None) -> bool:
         """Return whether the listener reads the events of a component; None: of all components."""
         of_listener = self._component in (None, component)
-        return component is None or (of_listener and self._caller.touches(component))
+        return component is None or (of_listener and self._caller.may_use(component))
 
     def end(self) -> None:
         """End the listener; it reads no further event."""
@@ -246,7 +246,7 @@ class Events:
         versions: dict[str, int | None] = {**self._last.versions} if self._last else {}
         if component is not None:
             versions = {component: versions.get(component)}
-        versions = {name: versions[name] for name in filter(CALLER.get().touches, versions)}
+        versions = {name: versions[name] for name in filter(CALLER.get().may_use, versions)}
         return self.feed.listen(component, last_id, {"tables": versions})
 
     async def _poll(self) -> None:

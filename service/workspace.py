@@ -375,8 +375,8 @@ class Workspace:
         for seq, name in self.ledger.damaged.copy().items():  # others add to it
             damaged[name] = f"row {seq} is damaged on the disk and left out of the table"
         broken = {**damaged, **self.tables.faults()}
-        touches = CALLER.get().touches
-        return {k: v for k, v in broken.items() if touches(k)} | self.library.broken()
+        may_use = CALLER.get().may_use
+        return {k: v for k, v in broken.items() if may_use(k)} | self.library.broken()
 
     def age(self) -> float | None:
         """Return the largest age of a read-only server's state, s; None for other servers."""

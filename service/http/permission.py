@@ -96,7 +96,7 @@ class Permission:
         self._remaining = 0
         self._keyring = keyring
         self._note_at = 0.0  # when the use of a stored key is noted next
-        self.caller = Caller(ANONYMOUS)
+        self.caller = Caller.unlimited(ANONYMOUS)
         if key is not None:
             self.caller = Caller(key.name, key.components, key.allows("admin"))
 

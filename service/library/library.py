@@ -128,15 +128,15 @@ class Library:
     def broken(self) -> dict[str, str]:
         """Return by folder of the library the reason why its component cannot be used."""
         broken = self._broken.items()
-        touches = CALLER.get().touches
-        return {folder.name: reason for folder, reason in broken if touches(folder.name)}
+        may_use = CALLER.get().may_use
+        return {folder.name: reason for folder, reason in broken if may_use(folder.name)}
 
     def __contains__(self, name: str) -> bool:
         return self.get(name) is not None
 
     def get(self, name: str) -> Component | None:
         """Return a component; None if there is none."""
-        return self._find(name) if CALLER.get().touches(name) else None
+        return self._find(name) if CALLER.get().may_use(name) else None
 
     def __getitem__(self, name: str) -> Component:
         component = self.get(name)
@@ -246,7 +246,7 @@ class Library:
         `before` is called with that name while the component is still invisible.
         """
         name = read_bundle(folder).name
-        if not CALLER.get().touches(name):
+        if not CALLER.get().may_use(name):
             patterns = ", ".join(CALLER.get().components)
             raise NotPermittedError(
                 f"the key allows {patterns}, not {name!r}; give the component a name that matches, "

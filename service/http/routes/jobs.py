@@ -44,7 +44,7 @@ async def _check_access(request: Request, workspace: Opened) -> None:
     if job_id.isdecimal() and len(job_id) < len(str(MAX_ID)):
         with suppress(UnknownJobError):
             job = await run_in_threadpool(workspace.ledger.job, int(job_id))
-            if caller.touches(job.component):
+            if caller.may_use(job.component):
                 return
     raise UnknownJobError("the key does not allow this job; list its jobs with GET /v1/jobs")
 
