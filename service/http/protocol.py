@@ -97,7 +97,7 @@ def id_of(headers: Iterable[tuple[bytes, bytes]]) -> bytes | None:
 
 
 class Head(NamedTuple):
-    """The head of a query; `request_id` is empty without one."""
+    """The head of a query, of `size` bytes; `request_id` is empty without one."""
 
     component: str
     permission: Permission
@@ -124,7 +124,7 @@ class _Fields:
 
 
 class FastPath:
-    """Answers queries without the application.
+    """Answers queries without the application; caches the heads of a loop's requests.
 
     `state` is the application's, with `access`, `counts` and, while the server runs, `workspace`.
     """

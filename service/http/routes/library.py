@@ -96,7 +96,7 @@ ImportEdited = TypedDict(
 )
 def copy_component(name: str, request: Request, body: CopyBody) -> Response:
     """Copy a component, with or without its rows."""
-    return _copied(request, name, body)
+    return _copy(request, name, body)
 
 
 @router.post(
@@ -106,7 +106,7 @@ def copy_component(name: str, request: Request, body: CopyBody) -> Response:
 )
 def rename_component(name: str, request: Request, body: RenameBody) -> Response:
     """Rename: copy under another name and archive the original."""
-    return _copied(request, name, CopyBody(name=body.name), renamed=True)
+    return _copy(request, name, CopyBody(name=body.name), renamed=True)
 
 
 @router.post("/archive", response_model=Card)
@@ -161,7 +161,7 @@ def withdraw_import(
     name: str, number: ImportId, workspace: Opened, finding: Finding = None
 ) -> Response:
     """Withdraw an import's rows, or the rows of one finding."""
-    return _edited(workspace, name, number, finding, withdrawn=True)
+    return _edit_import(workspace, name, number, finding, withdrawn=True)
 
 
 @router.post("/imports/{number}/restore", response_model=ImportEdited)
@@ -169,7 +169,7 @@ def restore_import(
     name: str, number: ImportId, workspace: Opened, finding: Finding = None
 ) -> Response:
     """Restore an import's withdrawn rows, or the rows of one finding."""
-    return _edited(workspace, name, number, finding, withdrawn=False)
+    return _edit_import(workspace, name, number, finding, withdrawn=False)
 
 
 @router.get("/disagreement", response_model=Disagreement)
@@ -200,10 +200,10 @@ async def get_comparison(
     """Compare measured rows with solved rows or with another import."""
     table = await workspace.newest(name, CATCH_UP_S)
     async with workspace.comparison_lock:
-        return await run_in_threadpool(_compared, workspace, name, table, number, against, format)
+        return await run_in_threadpool(_compare, workspace, name, table, number, against, format)
 
 
-def _compared(
+def _compare(
     workspace: Workspace,
     name: str,
     table: ServedTable,
@@ -250,10 +250,11 @@ def get_stiffness(
     # By default the load that these rows vary most, relative to its range.
     varied = np.ptp(rows.wrench, axis=0) / span.scale if len(rows) else span.scale
     axis = axis or loads[int(np.argmax(varied[: len(loads)]))]
-    for word, names, place in ((axis, loads, "axis"), (of, ("", *space.output_names), "of")):
-        if word not in names:
-            message = f"must be one of {', '.join(filter(None, names))}, not {word[:MAX_VALUE]!r}"
-            raise bad_body([{"loc": place, "msg": message}])
+    outputs = "", *space.output_names
+    for parameter, value, names in (("axis", axis, loads), ("of", of, outputs)):
+        if value not in names:
+            message = f"must be one of {', '.join(filter(None, names))}, not {value[:MAX_VALUE]!r}"
+            raise bad_body([{"loc": parameter, "msg": message}])
     load = loads.index(axis)
     output = space.output_names.index(of) if of else load  # each interface has six of both
     reply = {
@@ -294,12 +295,13 @@ def forget_demand(name: str, workspace: Opened) -> dict[str, Any]:
     return {"component": name, "asked": 0}
 
 
-def _edited(
+def _edit_import(
     workspace: Workspace, name: str, number: int, finding: str | None, *, withdrawn: bool
 ) -> Response:
     component = workspace.library[name].name
     count = workspace.ledger.edit_import(component, number, finding, withdrawn=withdrawn)
-    version = workspace.ledger.last_seq(component)  # before the wait for it, which later ones pass
+    # Read before the wait, after which others may have added rows that no table has yet.
+    version = workspace.ledger.last_seq(component)
     body = {
         "component": component,
         "import": number,
@@ -317,7 +319,7 @@ def _put(request: Request, name: str, **fields: Any) -> Response:
     return json_reply(Card(component=name, archived=card.archived, notes=card.notes))
 
 
-def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) -> Response:
+def _copy(request: Request, name: str, body: CopyBody, renamed: bool = False) -> Response:
     """Copy a component; after an error while its rows are copied the copy has no rows."""
     workspace: Workspace = request.app.state.workspace
     source = workspace.library[name]
@@ -331,15 +333,11 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
     newer = card.renamed_to
     if renamed and newer:
         shown = CALLER.get().visible(newer)
-        now = (
-            f"{name!r} is {shown!r} now. Rename that"
-            if shown
-            else (
-                f"{name!r} has a new name now, which this key does not allow. Ask for a key of it"
-            )
-        )
-        now += f", or copy: POST /v1/components/{name}/copy."
-        raise HttpProblemError(409, "renamed", "The component was renamed already", now)
+        why = f"{name!r} has a new name now, which this key does not allow. Ask for a key of it"
+        if shown:
+            why = f"{name!r} is {shown!r} now. Rename that"
+        why += f", or copy: POST /v1/components/{name}/copy."
+        raise HttpProblemError(409, "renamed", "The component was renamed already", why)
     copy = workspace.library.add_copy(name, body.name, body.title)
     workspace.catalogue.change(copy.name, notes=card.notes, copied_from=name)
     if body.rows:

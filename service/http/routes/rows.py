@@ -67,16 +67,16 @@ def get_row(name: str, row: RowId, workspace: Opened) -> Response:
 @router.delete("", responses=_CONFLICTS)
 def withdraw_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     """Withdraw a row."""
-    return _edited(workspace, name, row, withdrawn=True)
+    return _edit_row(workspace, name, row, withdrawn=True)
 
 
 @router.post("/restore", responses=_CONFLICTS)
 def restore_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     """Restore a withdrawn row."""
-    return _edited(workspace, name, row, withdrawn=False)
+    return _edit_row(workspace, name, row, withdrawn=False)
 
 
-def _edited(workspace: Workspace, name: str, row: int, *, withdrawn: bool) -> dict[str, Any]:
+def _edit_row(workspace: Workspace, name: str, row: int, *, withdrawn: bool) -> dict[str, Any]:
     """Write a row's new state, wait for the table, and return the reply."""
     workspace.ledger.withdraw(workspace.library[name].name, row, withdrawn=withdrawn)
     is_current = workspace.tables.catch_up(name, CATCH_UP_S)
