@@ -20,7 +20,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
-from wrenchbook.service.contract import MAX_BATCH, MAX_BLOCK, QUERY_WAIT_S, OnThin
+from wrenchbook.service.contract import MAX_BATCH, MAX_BLOCK, NUMBER_LIMIT, QUERY_WAIT_S, OnThin
 from wrenchbook.service.query import Query
 from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.table.rows import Tolerance
@@ -53,8 +53,7 @@ Flag = Annotated[bool, Field(strict=True)]
 # Components of a scene: each is measured, tenths of a second, while the caller waits.
 MAX_SCENE_COMPONENTS = 64
 ClientName = Annotated[str, Field(min_length=1, max_length=64)]
-# The ledger's numbers are SQLite's: 64 bits with a sign.
-SequenceNumber = Annotated[int, Field(ge=0, lt=2**63)]
+SequenceNumber = Annotated[int, Field(ge=0, lt=NUMBER_LIMIT)]
 # Numbers of each wrench in a binary body, whose bytes do not show them.
 BinaryWidth = Annotated[int, Field(ge=1)] | None
 

@@ -20,6 +20,7 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.spec.keys import is_slug
 from wrenchbook.service.actors import CALLER, NotPermittedError
 from wrenchbook.service.files.durable import NO_ROOM, sync, sync_tree
+from wrenchbook.service.files.toml import toml_value
 from wrenchbook.service.library import bundles
 from wrenchbook.service.library.component import (
     CHECK_FILE,
@@ -204,7 +205,7 @@ class Library:
 
         Raises the errors of `add_zip`.
         """
-        lines = [f"{key} = {bundles.toml_value(value)}" for key, value in entries.items()]
+        lines = [f"{key} = {toml_value(value)}" for key, value in entries.items()]
         with self._incoming() as incoming:
             folder = incoming / "bundle"
             folder.mkdir()

@@ -12,6 +12,7 @@ from starlette.responses import Response
 from typing_extensions import TypedDict
 
 from wrenchbook.service.actors import CALLER
+from wrenchbook.service.contract import NUMBER_LIMIT
 from wrenchbook.service.demand import Demand
 from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
@@ -41,7 +42,7 @@ from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.findings.cycles import measured_stiffness
 
 router = component_router("library", route=JsonRoute)
-ImportId = Annotated[int, Path(ge=1, lt=2**63)]
+ImportId = Annotated[int, Path(ge=1, lt=NUMBER_LIMIT)]
 Finding = Annotated[str | None, Query(max_length=100)]
 MAX_NOTES_BYTES = 1 << 20  # bytes: 100,000 characters, escaped
 
@@ -193,8 +194,8 @@ def list_disagreements(name: str, workspace: Opened) -> Response:
 async def get_comparison(
     name: str,
     workspace: Opened,
-    number: Annotated[int | None, Query(alias="import", ge=1, lt=2**63)] = None,
-    against: Annotated[int | None, Query(ge=1, lt=2**63)] = None,
+    number: Annotated[int | None, Query(alias="import", ge=1, lt=NUMBER_LIMIT)] = None,
+    against: Annotated[int | None, Query(ge=1, lt=NUMBER_LIMIT)] = None,
     format: Literal["json", "csv"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
     """Compare measured rows with solved rows or with another import."""
@@ -231,7 +232,7 @@ def get_stiffness(
     between: Annotated[str, Query(max_length=100)],
     axis: str = "",
     of: str = "",
-    number: Annotated[int | None, Query(alias="import", ge=1, lt=2**63)] = None,
+    number: Annotated[int | None, Query(alias="import", ge=1, lt=NUMBER_LIMIT)] = None,
 ) -> Response:
     """Stiffness and play of measured rows between two loads."""
     component = workspace.library[name]

@@ -8,6 +8,7 @@ from fastapi import Path
 from starlette.responses import Response
 
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
+from wrenchbook.service.contract import NUMBER_LIMIT
 from wrenchbook.service.http.openapi import component_router, refused
 from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.ledger import ImportRecord, LedgerRow, UnknownRowError
@@ -17,7 +18,7 @@ from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
 router = component_router("table", "/table/{row}")
 
-RowId = Annotated[int, Path(ge=1, lt=2**63)]  # SQLite's integers have 64 bits with a sign
+RowId = Annotated[int, Path(ge=1, lt=NUMBER_LIMIT)]
 _CONFLICTS = refused(s409="the row is already withdrawn, or already in the table")
 
 

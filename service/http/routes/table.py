@@ -20,7 +20,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.responses import FileResponse, Response
 
-from wrenchbook.service.contract import ExportFormat, counted
+from wrenchbook.service.contract import NUMBER_LIMIT, ExportFormat, counted
 from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.imports import Imported, ImportQuery
 from wrenchbook.service.http.openapi import BODIES, BYTES, answers, component_router, refused, takes
@@ -103,7 +103,7 @@ async def get_table(
     moment: str = "N*m",
     translation: str = "m",
     rotation: str = "rad",
-    table_version: Annotated[int | None, Query(ge=0, lt=2**63)] = None,
+    table_version: Annotated[int | None, Query(ge=0, lt=NUMBER_LIMIT)] = None,
     comments: bool = False,
     points: Annotated[int, Query(ge=2, le=1001)] = 21,
     others: Others = "displacement",
