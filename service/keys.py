@@ -427,7 +427,7 @@ def _checked(values: dict[str, Any]) -> Key:
             f"give 1 to {MAX_PATTERNS} patterns of components, not {len(key.components)}"
         )
     for name in key.components:
-        if not _PATTERN.fullmatch(str(name)):
+        if not (isinstance(name, str) and _PATTERN.fullmatch(name)):
             why = f"the pattern {name!r} must have 1 to 64 letters, digits, _ - * and ?, such as "
             raise ValueError(why + "plate_*")
     # Before the year 5138: a time in milliseconds is a mistake.

@@ -46,7 +46,7 @@ _NOT_BY_THIS_KEY = (
     "A deck names a command that solvers run, so only an admin key may add one; create such a key "
     "with: wrenchbook keys add NAME --scope admin --data FOLDER (the server's data directory)"
 )
-_TAKEN = (
+_NAME_EXISTS = (
     "There already is a component {name!r}. Give the new one another name, because rows of "
     "different setups are never mixed."
 )
@@ -92,9 +92,9 @@ class Library:
         with contextlib.suppress(OSError):  # the upload of a component reports it
             local.mkdir(parents=True, exist_ok=True)
         for folder in _bundle_folders(shipped):
-            self._try(folder, shipped=True)
+            self._load(folder, shipped=True)
         for folder in _bundle_folders(local):
-            self._try(folder, shipped=False)
+            self._load(folder, shipped=False)
 
     def all(self) -> list[Component]:
         """Return all components, by name."""
@@ -168,7 +168,7 @@ class Library:
         if folder is not None:
             with self._lock:
                 if self._components.get(name) is before:
-                    self._try(folder, shipped=folder.parent == self._shipped)
+                    self._load(folder, shipped=folder.parent == self._shipped)
         return self._components.get(name)
 
     def add_zip(self, archive: BinaryIO, *, decks: bool = True) -> Component:
@@ -258,7 +258,7 @@ class Library:
         with self._lock:
             # On the disk too: another process may have added it, or its files may be damaged.
             if name in self._components or os.path.lexists(final):
-                raise ComponentExistsError(_TAKEN.format(name=name))
+                raise ComponentExistsError(_NAME_EXISTS.format(name=name))
             sync_tree(folder)
             before(name)
             with self._noted(name):
@@ -266,12 +266,12 @@ class Library:
                     folder.rename(final)  # never into an existing folder, as shutil.move would
                 except OSError as error:
                     if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
-                        raise ComponentExistsError(_TAKEN.format(name=name)) from error
+                        raise ComponentExistsError(_NAME_EXISTS.format(name=name)) from error
                     raise
                 sync(self._local)
             return self._register(final, shipped=False)
 
-    def _try(self, folder: Path, *, shipped: bool) -> None:
+    def _load(self, folder: Path, *, shipped: bool) -> None:
         """Register a folder's component, or record why it cannot be registered."""
         try:
             self._register(folder, shipped=shipped)

@@ -278,7 +278,7 @@ def test_the_demand_map_begins_anew_when_the_component_has_another_number_of_inp
     demand, span = DemandMaps(ledger), LoadRange(-np.ones(6), np.ones(6))
     demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
     demand.save()
-    inputs = (*DEFAULT.inputs, Input("temperature", "K", "temperature"))
+    inputs = (*DEFAULT.inputs, Input("temperature", "K", "scalar"))
     warm = LoadRange(-np.ones(7), np.ones(7), Space(inputs, DEFAULT.outputs))
     assert demand.map_of("rig", warm).asked == 0
     demand.note("rig", warm, (2.0, 0, 0, 0, 0, 0, 0), "outside")
