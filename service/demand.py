@@ -19,7 +19,7 @@ from typing import Final, Literal, NamedTuple, Self
 import numpy as np
 from typing_extensions import TypedDict
 
-from wrenchbook.service.contract import COVERAGE, Coverage
+from wrenchbook.service.contract import COVERAGE
 from wrenchbook.service.ledger import Ledger, LedgerError
 from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.ledger.connection import Connection
@@ -56,7 +56,7 @@ class UncoveredQuery(TypedDict):
     """A query that was not covered."""
 
     wrench: Sequence[float]
-    coverage: Coverage
+    coverage: str
     when: float
 
 
@@ -198,7 +198,7 @@ class DemandMaps:
         self.save()
 
     def note(
-        self, name: str, span: LoadRange, wrench: Numbers, coverage: Coverage, count: int = 1
+        self, name: str, span: LoadRange, wrench: Numbers, coverage: str, count: int = 1
     ) -> None:
         """Count a wrench (n,), N and N·m, that was not covered."""
         scale = tuple(span.scale.tolist())

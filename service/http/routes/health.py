@@ -60,7 +60,7 @@ def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
     }
     pending = {name: count for name, count in rows.items() if count}
     names = {item.name for item in components} | workspace.library.broken().keys()
-    tables = table_states(names, present, broken, pending)
+    tables: dict[str, TableState] = table_states(names, present, broken, pending)
     if component is not None:
         if component in tables:
             tables = {component: tables[component]}
