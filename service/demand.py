@@ -159,18 +159,13 @@ class DemandMap:
             tuple(map(int, cell)): CellCount(int(thin), int(outside))
             for *cell, thin, outside in stored["cells"]
         }
-        latest: list[UncoveredQuery] = [
-            {
-                "wrench": [float(load) for load in query["wrench"]],
-                "coverage": query["coverage"],
-                "when": float(query["when"]),
-            }
-            for query in stored.get("latest", ())
-        ]
+        latest = deque[UncoveredQuery](maxlen=MAX_LATEST)
+        for query in stored.get("latest", ()):
+            wrench, when = [*map(float, query["wrench"])], float(query["when"])
+            latest.append({"wrench": wrench, "coverage": query["coverage"], "when": when})
         if any(len(loads) != len(scale) for loads in (*cells, *(q["wrench"] for q in latest))):
             raise ValueError(f"it has wrenches that are not of {len(scale)} inputs")
-        since, elsewhere = float(stored["since"]), int(stored["elsewhere"])
-        return cls(scale, since, cells, elsewhere, deque(latest, maxlen=MAX_LATEST))
+        return cls(scale, float(stored["since"]), cells, int(stored["elsewhere"]), latest)
 
 
 class DemandMaps:
@@ -207,16 +202,13 @@ class DemandMaps:
         with self._lock:
             if name not in self._unsaved and len(self._unsaved) >= MAX_COMPONENTS:
                 return
-            counts = self._unsaved.get(name)
-            if counts is None:
-                counts = self._unsaved[name] = DemandMap(scale)
+            if name not in self._unsaved:
+                self._unsaved[name] = DemandMap(scale)
+            counts = self._unsaved[name]
             counts.rescale(scale)
             counts.since = counts.since or now
             counts.latest.append({"wrench": list(wrench), "coverage": coverage, "when": now})
-            if coverage == "outside":
-                counts.count(cell, 0, count)
-            else:
-                counts.count(cell, count, 0)
+            counts.count(cell, *((0, count) if coverage == "outside" else (count, 0)))
 
     def note_batch(
         self, name: str, span: LoadRange, wrenches: np.ndarray, coverage: np.ndarray
