@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from fnmatch import fnmatchcase
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 ANY: Final = ("*",)  # patterns that match all components
 # Names of keys have no parentheses, and names of users begin with `USER`, so that no caller can
@@ -25,27 +25,33 @@ class Caller(NamedTuple):
     """An actor, the patterns of its permitted components, and its rights on others' jobs."""
 
     actor: str
-    components: tuple[str, ...] = ANY
-    admin: bool = True  # may cancel jobs of others
+    components: tuple[str, ...]
+    admin: bool  # may cancel jobs of others
 
-    def touches(self, component: str) -> bool:
+    @classmethod
+    def unlimited(cls, actor: str) -> Self:
+        """Return an actor that may use all components and jobs."""
+        return cls(actor, ANY, admin=True)
+
+    def may_use(self, component: str) -> bool:
         """Return whether a component matches one of the patterns."""
         patterns = self.components
         return patterns == ANY or any(fnmatchcase(component, pattern) for pattern in patterns)
 
     def visible(self, component: str | None) -> str | None:
-        """Return a component's name; None if the caller may not use it."""
-        return component if component and self.touches(component) else None
+        """Return a component's name to show; None if there is none, or it may not be used."""
+        return component if component and self.may_use(component) else None
 
 
-CALLER: ContextVar[Caller] = ContextVar("caller", default=Caller(LOCAL))  # noqa: B039 (a tuple)
+_LOCAL_CALLER: Final = Caller.unlimited(LOCAL)
+CALLER: ContextVar[Caller] = ContextVar("caller", default=_LOCAL_CALLER)
 """The caller of this context; threads of a server have the default, without limits."""
 
 
 @contextmanager
 def acting_as(actor: str) -> Iterator[None]:
     """Set another actor for writes, without limits, within a `with`."""
-    token = CALLER.set(Caller(actor))
+    token = CALLER.set(Caller.unlimited(actor))
     try:
         yield
     finally:

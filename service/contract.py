@@ -18,6 +18,8 @@ ImportFormat = Literal["csv", "xlsx", "parquet", "hdf5", "json", "mat", "lvm", "
 ExportFormat = Literal["csv", "xlsx", "parquet", "hdf5", "json", "packed", "bushing"]
 
 QUERY_WAIT_S: Final = 30.0  # s that a query waits for its solve without `wait_s`
+# Numbers of jobs, rows and imports are below it: SQLite's integers have 64 bits with a sign.
+NUMBER_LIMIT: Final = 2**63
 MAX_BATCH: Final = 1_000_000  # wrenches of a batch: 48 MB as float64
 MAX_BLOCK: Final = 10_000  # wrenches of a block: the most that a recording keeps
 

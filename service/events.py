@@ -32,9 +32,8 @@ MAX_LISTENERS = 64  # listeners, each with a connection
 MAX_OF_ACTOR = 32  # of one key or user: half, so that no single one locks out the others
 
 POLL_S = 0.25  # s between polls of progress and tables, which no commit announces
-FIRST_POLL_S = (
-    LedgerBusyError.retry_s
-)  # s for which a ledger may be busy; later the caller must retry
+# s for which a ledger may be busy; later the caller must retry.
+FIRST_POLL_S = LedgerBusyError.retry_s
 LINGER_S = 300.0  # s of polls after the last listener has left: it may be reconnecting
 ONE_BY_ONE = 50  # changed jobs with an event each; a larger number is reported as a count
 
@@ -69,7 +68,7 @@ class Listener:
     def hears(self, component: str | None) -> bool:
         """Return whether the listener reads the events of a component; None: of all components."""
         of_listener = self._component in (None, component)
-        return component is None or (of_listener and self._caller.touches(component))
+        return component is None or (of_listener and self._caller.may_use(component))
 
     def end(self) -> None:
         """End the listener; it reads no further event."""
@@ -133,22 +132,21 @@ class Feed:
                 "poll GET /v1/jobs and GET /v1/components. Nothing was changed."
             )
         actor = CALLER.get().actor
-        held = sum(listener.actor == actor for listener in self._listeners)
-        if held >= MAX_OF_ACTOR and actor not in (ANONYMOUS, LOCAL):
+        count = sum(listener.actor == actor for listener in self._listeners)
+        if count >= MAX_OF_ACTOR and actor not in (ANONYMOUS, LOCAL):
             raise ListenerQuotaError(
-                f"{held} listeners of {actor!r} are connected, the limit of a key or user; close "
+                f"{count} listeners of {actor!r} are connected, the limit of a key or user; close "
                 "one, or poll GET /v1/jobs and GET /v1/components. Nothing was changed."
             )
         mark, _, number = (last_id or self._newest()).partition(".")
-        known = mark == self._mark and number.isdecimal()
-        last = int(number) if known else -1
-        known = self._number - len(self._events) <= last <= self._number
-        all_read = not known or last == self._number
+        last = int(number) if mark == self._mark and number.isdecimal() else -1
+        is_stored = self._number - len(self._events) <= last <= self._number
+        all_read = not is_stored or last == self._number
         greeting = b"retry: 2000\n" + _wire("hello", hello, self._newest() if all_read else None)
-        if not known:
+        if not is_stored:
             reason = "the events since your last one are no longer stored; read jobs and tables"
             greeting += _wire("missed", {"reason": reason}, self._newest())
-        listener = Listener(self, component, last if known else self._number, greeting)
+        listener = Listener(self, component, last if is_stored else self._number, greeting)
         self._listeners.add(listener)
         if self.closed:
             listener.end()
@@ -251,7 +249,7 @@ class Events:
         versions: dict[str, int | None] = {**self._last.versions} if self._last else {}
         if component is not None:
             versions = {component: versions.get(component)}
-        versions = {name: versions[name] for name in filter(CALLER.get().touches, versions)}
+        versions = {name: versions[name] for name in filter(CALLER.get().may_use, versions)}
         return self.feed.listen(component, last_id, {"tables": versions})
 
     async def _poll(self) -> None:
@@ -308,7 +306,7 @@ def poll(workspace: Workspace, last: Snapshot | None) -> tuple[Snapshot, list[No
                 job for job in jobs if before.jobs.get(job.id, ())[:2] != (job.status, job.attempt)
             ]
         now.jobs = {job.id: (job.status, job.attempt, 0.0) for job in jobs if not job.is_final}
-    return now, [*_of_jobs(changed), *_progressed(workspace, before, now), *tables]
+    return now, [*_job_notices(changed), *_progress_notices(workspace, before, now), *tables]
 
 
 def _job_event(job: JobRecord, **more: Any) -> Notice:
@@ -325,7 +323,7 @@ def _job_event(job: JobRecord, **more: Any) -> Notice:
     return "job", job.component, body
 
 
-def _of_jobs(changed: list[JobRecord]) -> list[Notice]:
+def _job_notices(changed: list[JobRecord]) -> list[Notice]:
     """Return an event for each changed job, or for each component with many the number."""
     of_component: dict[str, list[JobRecord]] = {}
     for job in sorted(changed, key=lambda job: job.id):
@@ -340,7 +338,7 @@ def _of_jobs(changed: list[JobRecord]) -> list[Notice]:
     return notices
 
 
-def _progressed(workspace: Workspace, before: Snapshot, now: Snapshot) -> list[Notice]:
+def _progress_notices(workspace: Workspace, before: Snapshot, now: Snapshot) -> list[Notice]:
     """Return events of running jobs whose progress has changed."""
     notices: list[Notice] = []
     running = [number for number, state in now.jobs.items() if state[0] == "running"]

@@ -6,7 +6,6 @@ readers compare the file's date first.
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import ipaddress
 import json
@@ -25,7 +24,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from wrenchbook.service.actors import ANY
-from wrenchbook.service.files.durable import write_atomically
+from wrenchbook.service.files.durable import NO_ROOM, write_atomically
 from wrenchbook.service.files.lock import take
 
 log = logging.getLogger(__name__)
@@ -335,10 +334,8 @@ class Keyring:
 def _unusable(path: Path, done: str, error: OSError) -> KeysUnavailableError:
     """Return the error of a file of keys that cannot be read or written, by the disk's error."""
     user = os.geteuid()
-    remedy = "check its disk and how it is mounted"
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        remedy = "make room on its disk"
-    elif isinstance(error, PermissionError):
+    remedy = NO_ROOM.get(error.errno or 0, "check its disk and how it is mounted")
+    if isinstance(error, PermissionError):
         remedy = f"run this as the owner of {path.parent}, or give it to user {user}"
     why = f"{path} cannot be {done} ({error.strerror}); {remedy}, then repeat this"
     return KeysUnavailableError(why + ". No key changed")
@@ -434,7 +431,7 @@ def _checked(values: dict[str, Any]) -> Key:
             f"give 1 to {MAX_PATTERNS} patterns of components, not {len(key.components)}"
         )
     for name in key.components:
-        if not _PATTERN.fullmatch(str(name)):
+        if not (isinstance(name, str) and _PATTERN.fullmatch(name)):
             why = f"the pattern {name!r} must have 1 to 64 letters, digits, _ - * and ?, such as "
             raise ValueError(why + "plate_*")
     # Before the year 5138: a time in milliseconds is a mistake.

@@ -32,7 +32,7 @@ from wrenchbook.surrogate.solver_error import UNKNOWN
 from wrenchbook.surrogate.table.merging import RowIndex
 from wrenchbook.surrogate.table.rows import Floats, Rows, Tolerance, acting_wrench, why_beyond
 
-Wanted = OnThin | Literal["solve"]
+Handling = OnThin | Literal["solve"]
 
 _PLAIN_FIELDS = frozenset({"force", "moment", "on_thin"})
 _NUMBERS = frozenset({int, float})  # not bool, which is an int to isinstance
@@ -40,14 +40,15 @@ _ON_THIN: dict[str, OnThin] = {word: word for word in get_args(OnThin)}
 
 
 class Query(NamedTuple):
-    """A query of the main call, of a batch or of DirectFEA; a tuple takes a third of the time.
+    """A query of the main call, of a batch or of DirectFEA.
 
+    A tuple, since a dataclass takes three times as long to make, in each call of a loop.
     `on_thin` "solve" uses no table; without `method` or `tolerance` the component's apply. A batch
     has its wrenches separately: its `wrench` is empty.
     """
 
     wrench: tuple[float, ...]
-    on_thin: Wanted = "queue"
+    on_thin: Handling = "queue"
     wait_s: float = QUERY_WAIT_S
     tolerance: Tolerance | None = None
     method: str | None = None
@@ -182,7 +183,7 @@ def answer(table: ServedTable, query: Query) -> Reply:
     return reply._replace(reason=f"{EXACT if reply.exact else ROUNDED} {reply.reason}".rstrip())
 
 
-def answered(workspace: Workspace, name: str, query: Query) -> Outcome:
+def table_answer(workspace: Workspace, name: str, query: Query) -> Outcome:
     """Return the answer of a component's newest table.
 
     Raises UnknownComponentError if there is no such component.
@@ -194,19 +195,19 @@ def answered(workspace: Workspace, name: str, query: Query) -> Outcome:
     reply = answer(table, query)
     elapsed_us = (perf_counter_ns() - started) / 1e3
     if reply.coverage != "covered" and table.other_wrenches:
-        reply = reply._replace(reason=_also(reply.reason, mapped.note_on_other_rows(name, table)))
+        reply = reply._replace(reason=_joined(reply.reason, mapped.note_on_other_rows(name, table)))
     outcome = Outcome(name, table, reply, elapsed_us)
     if query.derivatives or query.detail:
         _describe(workspace, query, outcome)
     return outcome
 
 
-def answered_at_once(workspace: Workspace, name: str, query: Query) -> tuple[Outcome, bool]:
+def answer_at_once(workspace: Workspace, name: str, query: Query) -> tuple[Outcome, bool]:
     """Return the table's answer, and whether it completes the reply to a plain query.
 
     It does not if the reply needs a solve, another thread or a refusal.
     """
-    outcome = answered(workspace, name, query)
+    outcome = table_answer(workspace, name, query)
     table, coverage = outcome.table, outcome.reply.coverage
     if coverage == "covered":
         return outcome, True
@@ -214,7 +215,7 @@ def answered_at_once(workspace: Workspace, name: str, query: Query) -> tuple[Out
         return outcome, False
     component = workspace.library.as_read(name)
     wrench = tuple(acting_wrench(query.wrench, component.idle))
-    workspace.query_counts.note(name, component.load_range, wrench, coverage)
+    workspace.demand_maps.note(name, component.load_range, wrench, coverage)
     return outcome, True
 
 
@@ -228,15 +229,15 @@ async def answer_or_submit(
     Raises UnknownComponentError if there is no such component, and the errors of `submit`.
     """
     if outcome is None and (query.detail or query.method is not None):
-        outcome = await run_in_threadpool(answered, workspace, name, query)
-    outcome = outcome or answered(workspace, name, query)
+        outcome = await run_in_threadpool(table_answer, workspace, name, query)
+    outcome = outcome or table_answer(workspace, name, query)
     if outcome.reply.coverage == "covered":
         return outcome
     outcome = await run_in_threadpool(submit, workspace, query, outcome)
     job = outcome.job
     if query.on_thin in ("wait", "solve") and query.wait_s and job and not job.is_final:
         (outcome.job,) = await workspace.polls.wait_all([job.id], query.wait_s)
-        outcome = await run_in_threadpool(_ended, workspace, query, outcome)
+        outcome = await run_in_threadpool(_finish, workspace, query, outcome)
     return outcome
 
 
@@ -256,7 +257,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     query = query._replace(wrench=tuple(acting_wrench(query.wrench, component.idle)))
     wrench = np.array([query.wrench])
     if query.on_thin != "solve":
-        rows = _uncovered(workspace, component, query, outcome)
+        rows = _note_uncovered(workspace, component, query, outcome)
         if query.on_thin == "estimate":
             return outcome
         row = _rows_at(component, rows, wrench)[0]
@@ -273,7 +274,7 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
             raise BeyondRangeError(message, coverage="outside")
         reason = without_parts(outcome.reply.reason, beyond)
         why = f"{beyond}; no solve is queued for it: to {remedy}"
-        outcome.reply = outcome.reply._replace(reason=_also(reason, why))
+        outcome.reply = outcome.reply._replace(reason=_joined(reason, why))
         return outcome
     if query.on_thin == "queue":
         (placement,) = submission.queue(name, wrench)
@@ -283,27 +284,29 @@ def submit(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
         placement = Placement(job, exact=True)
     outcome.job = placement.job
     if placement.job is None:
-        reason = _also(outcome.reply.reason, placement.refusal)
+        reason = _joined(outcome.reply.reason, placement.refusal)
         outcome.reply = outcome.reply._replace(reason=reason)
         return outcome
-    return _ended(workspace, query, outcome) if placement.exact else outcome
+    return _finish(workspace, query, outcome) if placement.exact else outcome
 
 
-def _uncovered(workspace: Workspace, component: Component, query: Query, outcome: Outcome) -> Rows:
+def _note_uncovered(
+    workspace: Workspace, component: Component, query: Query, outcome: Outcome
+) -> Rows:
     """Count a query that the table does not cover, complete the reason, and refuse it for `reject`.
 
     Returns the rows that no table has yet.
     """
     table, reply = outcome.table, outcome.reply
     count, rows = workspace.unbuilt(component, table)
-    soon = _being_built(component, table, count)
-    reason = _also(reply.reason if table.row_count or not soon else "", soon)
-    workspace.query_counts.note(component.name, component.load_range, query.wrench, reply.coverage)
+    soon = _unbuilt_text(component, table, count)
+    reason = _joined(reply.reason if table.row_count or not soon else "", soon)
+    workspace.demand_maps.note(component.name, component.load_range, query.wrench, reply.coverage)
     if table.needs_compliance and query.on_thin in ("estimate", "reject"):
         with suppress(LedgerUnavailableError):  # an estimate needs no ledger
             for job in workspace.ledger.open_jobs(component.name, component.fingerprint)[:1]:
                 awaited = f"job {job.id} solves the component's compliance"
-                reason = _also(reason, f"{awaited}; ask again once it is done")
+                reason = _joined(reason, f"{awaited}; ask again once it is done")
     outcome.reply = reply._replace(reason=reason)
     if query.on_thin == "reject":
         raise NotCoveredError(
@@ -406,14 +409,14 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
         return outcome
     component = workspace.library[name]
     count, new = workspace.unbuilt(component, table)
-    soon = _being_built(component, table, count)
+    soon = _unbuilt_text(component, table, count)
     acting = component.acting(wrenches)
-    workspace.query_counts.note_batch(name, component.load_range, acting, coverage)
+    workspace.demand_maps.note_batch(name, component.load_range, acting, coverage)
     if query.on_thin == "estimate":
         return outcome
     if query.on_thin == "reject":
         first = query._replace(wrench=tuple(wrenches[uncovered[0]].tolist()))
-        reason = _also(answer(table, first).reason, soon)
+        reason = _joined(answer(table, first).reason, soon)
         are = "is" if len(uncovered) == 1 else "are"
         raise NotCoveredError(
             f"{counted(len(uncovered), 'wrench')} of {len(wrenches)} {are} not covered. The first "
@@ -455,7 +458,7 @@ def known_slopes(derivative: Floats) -> Floats | None:
     return None if np.isnan(derivative).all() else np.ascontiguousarray(derivative)
 
 
-def _also(reason: str, more: str) -> str:
+def _joined(reason: str, more: str) -> str:
     """Join two reasons to one text; either may be empty."""
     return f"{reason}; {more}" if reason and more else reason or more
 
@@ -466,7 +469,7 @@ def without_parts(reason: str, repeated: str) -> str:
     return "; ".join(part for part in reason.split("; ") if part not in statements)
 
 
-def _being_built(component: Component, table: ServedTable, count: int) -> str:
+def _unbuilt_text(component: Component, table: ServedTable, count: int) -> str:
     """Return the number of rows that are being built into a table, as text; "" if none.
 
     A table with rows answers, or refuses, by its own version, for any rate of new rows.
@@ -512,7 +515,7 @@ def _by_row(workspace: Workspace, query: Query, outcome: Outcome, row: Rows) -> 
     return solved
 
 
-def _ended(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
+def _finish(workspace: Workspace, query: Query, outcome: Outcome) -> Outcome:
     """Return the answer of the outcome's job if it has ended.
 
     Raises SolveFailedError if it failed.

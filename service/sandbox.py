@@ -300,7 +300,7 @@ def _read(descriptor: int) -> tuple[list[Part], dict[str, Any]]:
         )
     except SandboxError:
         raise
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:  # of a length beyond 2^63
         raise SandboxError(
             "crash",
             "The file's reader gave no valid result. Write the file again with another program.",

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 import os
 import re
 import tomllib
@@ -20,6 +19,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Le
 
 from wrenchbook.service.files.program import usable_cores
+from wrenchbook.service.files.toml import toml_value
 from wrenchbook.service.mistakes import mistake_of
 
 PREFIX = "WRENCHBOOK_"
@@ -209,9 +209,9 @@ def as_file(settings: Settings, origins: Mapping[str, str]) -> str:
     lines = []
     for name, origin in origins.items():
         value = getattr(settings, name)
-        # JSON's texts, numbers and truth values are TOML's too.
-        written = json.dumps(value if isinstance(value, int | float) else str(value))
-        line = f"# {name} is not set" if value is None else f"{name} = {written}"
+        if isinstance(value, str | Path):  # a path may have bytes that no text has
+            value = str(value).encode(errors="replace").decode()
+        line = f"# {name} is not set" if value is None else f"{name} = {toml_value(value)}"
         lines.append(f"{line}  # {origin}")
     return "\n".join(lines) + "\n"
 

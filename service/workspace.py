@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from wrenchbook.service.actors import CALLER, SERVER, acting_as
-from wrenchbook.service.demand import QueryStatistics
+from wrenchbook.service.demand import DemandMaps
 from wrenchbook.service.fields.deformed import DeformedSurfaces
 from wrenchbook.service.fields.shape import Deformed
 from wrenchbook.service.fields.store import FieldStore
@@ -192,7 +192,7 @@ class Workspace:
             noted=lambda name: noted(self.ledger, "component.add", name, component=name),
         )
         self.catalogue = Catalogue(self.ledger)
-        self.query_counts = QueryStatistics(self.ledger)
+        self.demand_maps = DemandMaps(self.ledger)
         self.quota = Quota(settings.actor_jobs, settings.actor_seconds)
         self.submission = Submission(self.ledger, self.library, settings.queue_limit, self.quota)
         self.errors = SolverErrors(self.ledger)
@@ -222,7 +222,7 @@ class Workspace:
         self.watcher.start()
         self.tables.start()
         if not self.settings.read_only:
-            self.query_counts.start()
+            self.demand_maps.start()
 
     def close(self) -> None:
         """Stop watching, mapping and counting, and close the ledger."""
@@ -231,7 +231,7 @@ class Workspace:
         self.shapes.close()
         self.tables.stop()
         if not self.settings.read_only:
-            self.query_counts.stop()
+            self.demand_maps.stop()
         self.ledger.close()
 
     def surrogate(self, name: str) -> ServedTable:
@@ -375,8 +375,8 @@ class Workspace:
         for seq, name in self.ledger.damaged.copy().items():  # others add to it
             damaged[name] = f"row {seq} is damaged on the disk and left out of the table"
         broken = {**damaged, **self.tables.faults()}
-        touches = CALLER.get().touches
-        return {k: v for k, v in broken.items() if touches(k)} | self.library.broken()
+        may_use = CALLER.get().may_use
+        return {k: v for k, v in broken.items() if may_use(k)} | self.library.broken()
 
     def age(self) -> float | None:
         """Return the largest age of a read-only server's state, s; None for other servers."""

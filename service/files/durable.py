@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
+
+# Errors of a write without room, with the remedy of each.
+NO_ROOM: Final = {
+    errno.ENOSPC: "make room on its disk",
+    errno.EDQUOT: "raise the disk quota of the server's user, or remove some of its files",
+    errno.EFBIG: "raise the limit of file sizes of the server's process (ulimit -f)",
+}
 
 
 def sync(path: Path) -> None:

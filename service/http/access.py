@@ -314,7 +314,7 @@ def _check_components(caller: Caller, method: str, path: str) -> None:
     name = path.split("/")[3] if path.startswith("/v1/components/") else None
     is_read_rig = method == "GET" and f"{path}/".startswith(_RIGS)
     limited = path in _LIMITED or path.startswith(_LIMITED_NAMED) or is_read_rig
-    if limited and (name is None or caller.touches(name)):
+    if limited and (name is None or caller.may_use(name)):
         return
     concern, command = "the whole server", "wrenchbook keys add NAME"
     if name is not None:

@@ -143,8 +143,8 @@ class Application(FastAPI):
         """Count an answered request, and write its line of the access log."""
         # The template of the route, such as ``/v1/jobs/{job_id}``, without the caller's words.
         route = getattr(scope.get("route"), "path", NO_ROUTE)
-        known = method if method in _METHODS else "other"
-        self.state.counts.add_request(route, known, status, seconds)
+        label = method if method in _METHODS else "other"
+        self.state.counts.add_request(route, label, status, seconds)
         if self.logged:
             host = (scope.get("client") or ("-",))[0]
             query = scope["query_string"].decode("latin-1")
@@ -182,7 +182,7 @@ def _reads(scope: Scope) -> bool:
 
 
 @asynccontextmanager
-async def _opened(app: FastAPI) -> AsyncIterator[None]:
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     """Open the workspace of an application while its server runs."""
     state = app.state
     settings: Settings = state.settings
@@ -232,7 +232,7 @@ def create_app(settings: Settings, security: SecuritySettings | None = None) -> 
         version=version("wrenchbook"),
         summary=_SUMMARY,
         description=f"The wrench contract:\n\n{CONTRACT_MARKDOWN}",
-        lifespan=_opened,
+        lifespan=_lifespan,
         redirect_slashes=False,
         routes=_routes(),
         **openapi.OPTIONS,

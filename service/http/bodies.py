@@ -20,7 +20,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from wrenchbook.fea.spec.schema import LARGEST_LOAD
-from wrenchbook.service.contract import MAX_BATCH, MAX_BLOCK, QUERY_WAIT_S, OnThin
+from wrenchbook.service.contract import MAX_BATCH, MAX_BLOCK, NUMBER_LIMIT, QUERY_WAIT_S, OnThin
 from wrenchbook.service.query import Query
 from wrenchbook.surrogate.answer import METHODS
 from wrenchbook.surrogate.table.rows import Tolerance
@@ -31,19 +31,19 @@ NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Load = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST_LOAD, le=LARGEST_LOAD)]
 
 
-def _of(count: int, contents: str) -> BeforeValidator:
+def _length(count: int, contents: str) -> BeforeValidator:
     """Return the check of a list's length, with one message for both limits."""
 
     def check(values: Any) -> Any:
         if isinstance(values, list) and len(values) != count:
-            known = {"contents": contents, "length": len(values)}
-            raise PydanticCustomError("length", "must be {contents}, not {length}", known)
+            context = {"contents": contents, "length": len(values)}
+            raise PydanticCustomError("length", "must be {contents}, not {length}", context)
         return values
 
     return BeforeValidator(check)
 
 
-Vector = Annotated[list[Load], Field(min_length=3, max_length=3), _of(3, "3 numbers (x, y, z)")]
+Vector = Annotated[list[Load], Field(min_length=3, max_length=3), _length(3, "3 numbers (x, y, z)")]
 Wrench = list[Load]
 # A list of a million mistakes would take gigabytes.
 Wrenches = Annotated[list[Wrench], FailFast()]
@@ -53,8 +53,7 @@ Flag = Annotated[bool, Field(strict=True)]
 # Components of a scene: each is measured, tenths of a second, while the caller waits.
 MAX_SCENE_COMPONENTS = 64
 ClientName = Annotated[str, Field(min_length=1, max_length=64)]
-# The ledger's numbers are SQLite's: 64 bits with a sign.
-Sequence = Annotated[int, Field(ge=0, lt=2**63)]
+SequenceNumber = Annotated[int, Field(ge=0, lt=NUMBER_LIMIT)]
 # Numbers of each wrench in a binary body, whose bytes do not show them.
 BinaryWidth = Annotated[int, Field(ge=1)] | None
 
@@ -65,7 +64,7 @@ class Body(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-def _as_many(count: Literal["inputs", "outputs"]) -> AfterValidator:
+def _space_size(count: Literal["inputs", "outputs"]) -> AfterValidator:
     """Return the check of a vector's length against the space in the validation's context."""
 
     def check(values: list[float], info: ValidationInfo) -> list[float]:
@@ -73,25 +72,25 @@ def _as_many(count: Literal["inputs", "outputs"]) -> AfterValidator:
         length = len(values)
         if length == size:
             return values
-        known = {"size": size, "length": length}
-        raise PydanticCustomError("length", "must be {size} numbers, not {length}", known)
+        context = {"size": size, "length": length}
+        raise PydanticCustomError("length", "must be {size} numbers, not {length}", context)
 
     return AfterValidator(check)
 
 
-InputVector = Annotated[list[Finite], _as_many("inputs")]
-OutputVector = Annotated[list[Finite], _as_many("outputs")]
+InputVector = Annotated[list[Finite], _space_size("inputs")]
+OutputVector = Annotated[list[Finite], _space_size("outputs")]
 
 
-def _known(method: str | None) -> str | None:
+def _check_method(method: str | None) -> str | None:
     if method is not None and method not in METHODS:
         text = "the method must be one of {methods}, not {method}"
-        known = {"method": repr(method[:40]), "methods": ", ".join(METHODS)}
-        raise PydanticCustomError("unknown_method", text, known)
+        context = {"method": repr(method[:40]), "methods": ", ".join(METHODS)}
+        raise PydanticCustomError("unknown_method", text, context)
     return method
 
 
-Method = Annotated[str | None, AfterValidator(_known)]
+Method = Annotated[str | None, AfterValidator(_check_method)]
 
 
 class ToleranceBody(Body):
@@ -181,7 +180,7 @@ class SolveBody(LoadsBody):
     beyond_range: Flag = False
 
 
-def _span(span: Any) -> Any:
+def _check_span(span: Any) -> Any:
     is_number = isinstance(span, int | float) and not isinstance(span, bool)
     if len(span) == 2 if isinstance(span, list) else is_number and span >= 0:
         return span
@@ -194,13 +193,13 @@ Span = Annotated[
     | Annotated[NotNegative, Tag(FORMS[1])],
     # A mistake in a span is reported for its own form alone.
     Discriminator(lambda span: FORMS[not isinstance(span, list)]),
-    BeforeValidator(_span),
+    BeforeValidator(_check_span),
 ]
 
 
 MAX_VALUES = 64  # inputs, or outputs, of a table
 Outputs = Annotated[list[str] | None, Field(min_length=1, max_length=MAX_VALUES)]
-Spans = Annotated[list[Span], Field(min_length=3, max_length=3), _of(3, "3 ranges (x, y, z)")]
+Spans = Annotated[list[Span], Field(min_length=3, max_length=3), _length(3, "3 ranges (x, y, z)")]
 
 
 class RangeBody(Body):
@@ -307,7 +306,7 @@ class BlockKey(Body):
     """Identifies a block that is sent twice: its client, and the number the client gives it."""
 
     client: ClientName | None = None
-    sequence: Sequence | None = None
+    sequence: SequenceNumber | None = None
 
     @model_validator(mode="after")
     def _both_or_none(self) -> BlockKey:

@@ -218,15 +218,15 @@ def loads_of(body: LoadsBody, space: Space) -> tuple[float, ...]:
     that is missing.
     """
     loads = {name: wrench.wrench() for name, wrench in body.loads.items()}
-    if not super(LoadsBody, body).is_empty():
-        place = "moment" if body.force is None else "force"
+    if body.force is not None or body.moment is not None:
+        given = "moment" if body.force is None else "force"
         if space.several:
             message = "give force and moment of each interface in loads "
             message += f"(--load {space.several[0]}=FX,FY,FZ): {' or '.join(space.several)}"
-            raise bad_body([{"loc": place, "msg": message}])
+            raise bad_body([{"loc": given, "msg": message}])
         if loads:
             message = "is given beside loads, which has the same wrench; leave one of the two out"
-            raise bad_body([{"loc": place, "msg": message}])
+            raise bad_body([{"loc": given, "msg": message}])
         loads = {space.interfaces[0]: body.wrench()}
     try:
         return space.vector(loads, {name: value + 0.0 for name, value in body.inputs.items()})

@@ -18,7 +18,7 @@ PERMISSION: Final = "wrenchbook.permission"  # key of the permission in a reques
 _BURST_S: Final = 2.0  # s: a burst is the requests that this time allows
 # Part of a second's requests that a process takes from the common bucket at a time: a lock costs 2
 # µs, an answer 50. Unused requests of a process are at most half a percent of a burst.
-_TAKEN: Final = 0.01
+_BATCH: Final = 0.01
 _USED_S: Final = 60.0  # s between two notes of a key's use
 # Beginning of a key's digest; monotonic time at which the bucket is full.
 _BUCKET: Final = Struct("=8sd")
@@ -68,7 +68,7 @@ class Rates:
             full = now
         # 1e-6: rounding does not withhold a request that is due.
         due = int((now + burst_s - full) * key.rate + 1e-6)
-        count = min(due, max(1, int(_TAKEN * key.rate)))
+        count = min(due, max(1, int(_BATCH * key.rate)))
         if count:
             buckets[name] = self._known[name] = full + count / key.rate
 
@@ -96,7 +96,7 @@ class Permission:
         self._remaining = 0
         self._keyring = keyring
         self._note_at = 0.0  # when the use of a stored key is noted next
-        self.caller = Caller(ANONYMOUS)
+        self.caller = Caller.unlimited(ANONYMOUS)
         if key is not None:
             self.caller = Caller(key.name, key.components, key.allows("admin"))
 

@@ -29,7 +29,7 @@ from wrenchbook.service.http.headers import PLAIN
 from wrenchbook.service.http.permission import PERMISSION, Permission
 from wrenchbook.service.http.problems import HttpProblemError
 from wrenchbook.service.http.proxy import PEER
-from wrenchbook.service.query import answered_at_once, fields_of, plain_query
+from wrenchbook.service.query import answer_at_once, fields_of, plain_query
 
 log = logging.getLogger(__name__)
 
@@ -97,7 +97,7 @@ def id_of(headers: Iterable[tuple[bytes, bytes]]) -> bytes | None:
 
 
 class Head(NamedTuple):
-    """The head of a query; `request_id` is empty without one."""
+    """The head of a query, of `size` bytes; `request_id` is empty without one."""
 
     component: str
     permission: Permission
@@ -124,7 +124,7 @@ class _Fields:
 
 
 class FastPath:
-    """Answers queries without the application.
+    """Answers queries without the application; caches the heads of a loop's requests.
 
     `state` is the application's, with `access`, `counts` and, while the server runs, `workspace`.
     """
@@ -159,7 +159,7 @@ class FastPath:
             # With more colons than keys, a key is repeated or anything else is unusual.
             query = plain_query(fields) if len(fields) == body.count(b":") else None
             if query is not None:
-                outcome, is_complete = answered_at_once(state.workspace, head.component, query)
+                outcome, is_complete = answer_at_once(state.workspace, head.component, query)
                 known[ANSWERED] = query, outcome
                 if is_complete:
                     content = orjson.dumps(fields_of(outcome))

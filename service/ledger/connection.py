@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.service.files.durable import sync
+from wrenchbook.service.files.durable import NO_ROOM, sync
 from wrenchbook.service.ledger import earlier
 from wrenchbook.service.ledger.packing import KEY_BYTES, Record, key_hashes
 from wrenchbook.service.ledger.records import (
@@ -33,9 +33,8 @@ _log = logging.getLogger(__name__)
 # Errors of a file in use; damaged text may not be UTF-8.
 USE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)
 _REMEDIES = {
-    **dict.fromkeys(_FULL, "make room on its disk"),
+    **NO_ROOM,
     **dict.fromkeys(
         (errno.EACCES, errno.EPERM),
         "make its folder and files writable for the user of the server",
@@ -369,7 +368,7 @@ def unavailable(path: Path, error: Exception) -> LedgerUnavailableError:
     """Return the ledger's error for an error of SQLite or the disk, with cause and remedy."""
     number = _errno_of(error)
     remedy = _REMEDIES.get(number, "check that its disk has space and is writable")
-    kind = LedgerFullError if number in _FULL else LedgerUnavailableError
+    kind = LedgerFullError if number in NO_ROOM else LedgerUnavailableError
     return kind(
         f"the ledger {path} could not be used: {error}. Nothing was changed; {remedy}, "
         "then ask again"

@@ -8,6 +8,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 from wrenchbook.service.actors import ANY, CALLER, NotPermittedError, acting_as
+from wrenchbook.service.contract import NUMBER_LIMIT
 from wrenchbook.service.ledger import rows
 from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.ledger.connection import Connection
@@ -445,7 +446,7 @@ def unfinished(db: Connection, after: int | None = None) -> list[JobRecord]:
 def attempts(db: Connection, job_ids: Iterable[int]) -> dict[int, tuple[Status, int, float | None]]:
     """Return status, newest attempt and end (s since the epoch) of those jobs that exist."""
     states: dict[int, tuple[Status, int, float | None]] = {}
-    for marks, part in rows.in_parts(job_ids):
+    for marks, part in rows.in_parts(number for number in job_ids if number < NUMBER_LIMIT):
         select = f"SELECT id, status, attempt, finished FROM jobs WHERE id IN ({marks})"
         states |= {job: tuple(state) for job, *state in db.execute(select, part)}
     return states

@@ -15,7 +15,7 @@ import shutil
 import tomllib
 import zipfile
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -25,6 +25,7 @@ import numpy as np
 from wrenchbook.fea.bundle.read import BundleError, BundleProblem, read_bundle
 from wrenchbook.fea.spec.problems import STEERING
 from wrenchbook.service.files.redact import redact
+from wrenchbook.service.files.toml import toml_text
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.sandbox import MIB, Limits, Part, Sandbox, SandboxError, run
 from wrenchbook.surrogate.table.foreign import leads_out
@@ -61,7 +62,6 @@ _NO_REPORT: Final = "The mesh check stopped ({why}). Check it with: wrenchbook c
 # Patterns of a component.toml: the first table, below the top-level keys; the lines of these keys.
 _FIRST_TABLE = re.compile(r"^\s*\[", re.MULTILINE)
 _LINE = {key: re.compile(rf"^[ \t]*{key}[ \t]*=.*$", re.MULTILINE) for key in ("name", "title")}
-_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")  # TOML requires quotes around any other key
 # Slots separate from those of `run`: a check may take minutes. It imports 75 MB, so no process
 # stays.
 _checks: Final = Sandbox(keep=False)
@@ -189,41 +189,6 @@ def copy_bundle(component: Component, name: str, title: str | None, folder: Path
         )
     shutil.copytree(component.folder, folder, symlinks=False, dirs_exist_ok=False)
     (folder / "component.toml").write_text(edited, encoding="utf-8")
-
-
-def toml_value(value: Any) -> str:
-    """Return a text, a number, a list or a mapping as a value of TOML, on one line.
-
-    Raises TypeError for any other type, such as None, which TOML does not have.
-    """
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return toml_text(value)
-    if isinstance(value, Mapping):
-        pairs = (
-            f"{key if _BARE_KEY.fullmatch(key) else toml_text(key)} = {toml_value(entry)}"
-            for key, entry in value.items()
-        )
-        return f"{{{', '.join(pairs)}}}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(toml_value, value))}]"
-    if isinstance(value, float):
-        return repr(float(value))  # numpy's float64 too, whose repr is np.float64(1.5)
-    if isinstance(value, int):
-        return repr(value)
-    raise TypeError(
-        f"{value!r} of type {type(value).__name__} is no value of TOML; give a text, a number, a "
-        "list or a mapping, or leave the entry out"
-    )
-
-
-def toml_text(text: str) -> str:
-    """Return a TOML basic string; raises ValueError for a text that no UTF-8 has."""
-    if any("\ud800" <= c <= "\udfff" for c in text):
-        raise ValueError(f"{text!r} has an unpaired surrogate (invalid Unicode); remove it")
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'
 
 
 # -- in the sandbox ---------------------------------------------------------------------------

@@ -31,6 +31,10 @@ UNTIGHTENED = (
     "it is the displacement by their preload, and the sag under gravity if there is any"
 )
 
+CHECK_FILE = "check.json"  # file in a bundle: findings of its check at the upload
+MAX_QUOTED = 64  # characters of a requested name in a message: no component has more
+MAX_NAMES = 20  # names in a message: those most like the requested one, if there are more
+
 FileStamp = tuple[tuple[int, int] | None, ...]
 
 
@@ -101,10 +105,6 @@ def file_stamp(files: Iterable[Path]) -> FileStamp:
         except OSError:
             stamps.append(None)
     return tuple(stamps)
-
-
-MAX_QUOTED = 64  # characters of a requested name in a message: no component has more
-MAX_NAMES = 20  # names in a message: those most like the requested one, if there are more
 
 
 class UnknownComponentError(KeyError):
@@ -202,9 +202,6 @@ def component_of(bundle: Bundle, *, shipped: bool) -> Component:
         },
         mesh=mesh,
     )
-
-
-CHECK_FILE = "check.json"  # file in a bundle: findings of its check at the upload
 
 
 def interface_of(component: Component) -> dict[str, Any] | None:

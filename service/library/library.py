@@ -19,7 +19,8 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.spec.keys import is_slug
 from wrenchbook.service.actors import CALLER, NotPermittedError
-from wrenchbook.service.files.durable import sync, sync_tree
+from wrenchbook.service.files.durable import NO_ROOM, sync, sync_tree
+from wrenchbook.service.files.toml import toml_value
 from wrenchbook.service.library import bundles
 from wrenchbook.service.library.component import (
     CHECK_FILE,
@@ -45,7 +46,7 @@ _NOT_BY_THIS_KEY = (
     "A deck names a command that solvers run, so only an admin key may add one; create such a key "
     "with: wrenchbook keys add NAME --scope admin --data FOLDER (the server's data directory)"
 )
-_TAKEN = (
+_NAME_EXISTS = (
     "There already is a component {name!r}. Give the new one another name, because rows of "
     "different setups are never mixed."
 )
@@ -91,9 +92,9 @@ class Library:
         with contextlib.suppress(OSError):  # the upload of a component reports it
             local.mkdir(parents=True, exist_ok=True)
         for folder in _bundle_folders(shipped):
-            self._try(folder, shipped=True)
+            self._load(folder, shipped=True)
         for folder in _bundle_folders(local):
-            self._try(folder, shipped=False)
+            self._load(folder, shipped=False)
 
     def all(self) -> list[Component]:
         """Return all components, by name."""
@@ -128,15 +129,15 @@ class Library:
     def broken(self) -> dict[str, str]:
         """Return by folder of the library the reason why its component cannot be used."""
         broken = self._broken.items()
-        touches = CALLER.get().touches
-        return {folder.name: reason for folder, reason in broken if touches(folder.name)}
+        may_use = CALLER.get().may_use
+        return {folder.name: reason for folder, reason in broken if may_use(folder.name)}
 
     def __contains__(self, name: str) -> bool:
         return self.get(name) is not None
 
     def get(self, name: str) -> Component | None:
         """Return a component; None if there is none."""
-        return self._find(name) if CALLER.get().touches(name) else None
+        return self._find(name) if CALLER.get().may_use(name) else None
 
     def __getitem__(self, name: str) -> Component:
         component = self.get(name)
@@ -167,7 +168,7 @@ class Library:
         if folder is not None:
             with self._lock:
                 if self._components.get(name) is before:
-                    self._try(folder, shipped=folder.parent == self._shipped)
+                    self._load(folder, shipped=folder.parent == self._shipped)
         return self._components.get(name)
 
     def add_zip(self, archive: BinaryIO, *, decks: bool = True) -> Component:
@@ -204,7 +205,7 @@ class Library:
 
         Raises the errors of `add_zip`.
         """
-        lines = [f"{key} = {bundles.toml_value(value)}" for key, value in entries.items()]
+        lines = [f"{key} = {toml_value(value)}" for key, value in entries.items()]
         with self._incoming() as incoming:
             folder = incoming / "bundle"
             folder.mkdir()
@@ -235,9 +236,9 @@ class Library:
                 yield Path(folder)
         except OSError as error:
             why = error.strerror or str(error)  # those of a copy are texts
-            codes = [code for code in (errno.ENOSPC, errno.EDQUOT) if os.strerror(code) in why]
+            codes = [code for code in NO_ROOM if os.strerror(code) in why]
             why = os.strerror(codes[0]) if codes else why
-            remedy = "make room on its disk" if codes else "let the server's user write there"
+            remedy = NO_ROOM[codes[0]] if codes else "let the server's user write there"
             raise LibraryUnavailableError(
                 f"The component could not be written to {self._local}: {why}. "
                 f"Nothing was added; {remedy}, then send the component again."
@@ -249,7 +250,7 @@ class Library:
         `before` is called with that name while the component is still invisible.
         """
         name = read_bundle(folder).name
-        if not CALLER.get().touches(name):
+        if not CALLER.get().may_use(name):
             patterns = ", ".join(CALLER.get().components)
             raise NotPermittedError(
                 f"the key allows {patterns}, not {name!r}; give the component a name that matches, "
@@ -260,7 +261,7 @@ class Library:
         with self._lock:
             # On the disk too: another process may have added it, or its files may be damaged.
             if name in self._components or os.path.lexists(final):
-                raise ComponentExistsError(_TAKEN.format(name=name))
+                raise ComponentExistsError(_NAME_EXISTS.format(name=name))
             sync_tree(folder)
             before(name)
             with self._noted(name):
@@ -268,12 +269,12 @@ class Library:
                     folder.rename(final)  # never into an existing folder, as shutil.move would
                 except OSError as error:
                     if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
-                        raise ComponentExistsError(_TAKEN.format(name=name)) from error
+                        raise ComponentExistsError(_NAME_EXISTS.format(name=name)) from error
                     raise
                 sync(self._local)
             return self._register(final, shipped=False)
 
-    def _try(self, folder: Path, *, shipped: bool) -> None:
+    def _load(self, folder: Path, *, shipped: bool) -> None:
         """Register a folder's component, or record why it cannot be registered."""
         try:
             self._register(folder, shipped=shipped)

@@ -15,7 +15,7 @@ import tempfile
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from hashlib import blake2b
 from importlib.metadata import version
@@ -43,11 +43,10 @@ HELD = re.compile(
     rf"{'|'.join(map(re.escape, (LEDGER, *_EARLIER_FILES)))}|{TABLES}/(?!\.)[^/]+\.h5|"
     rf"(?:{'|'.join((*_FOLDERS, *_EARLIER_FOLDERS))})(?:/(?!\.)[^/]+)+"
 )
-# Errors of reading an entry or the manifest of a damaged or changed file.
-_UNREADABLE = (
-    *(KeyError, ValueError, TypeError, AttributeError, OverflowError),
-    *(RuntimeError, EOFError, zipfile.BadZipFile),
-)
+# Errors of a damaged or changed file: of the manifest's members and numbers, and of zipfile, which
+# raises RuntimeError for an encrypted entry or an unknown compression.
+_BAD_MANIFEST = (KeyError, ValueError, TypeError, AttributeError, OverflowError)
+_UNREADABLE = (*_BAD_MANIFEST, RuntimeError, EOFError, zipfile.BadZipFile)
 _DAMAGED = "the backup is damaged and nothing was changed. Use another one"
 
 
@@ -76,8 +75,8 @@ def back_up(folder: Path, target: Path) -> Manifest:
     library after it, so that no row is without its component. The backup is read again and compared
     before the file gets its name. Only a complete backup replaces an existing file.
 
-    Raises BackupError if there is nothing to back up, the ledger is damaged, or the file cannot be
-    written.
+    Raises BackupError if there is nothing to back up, the ledger is damaged, the name of a file is
+    not UTF-8, or the file cannot be written.
     """
     folder, target = folder.absolute(), target.absolute()
     if not (folder / LEDGER).is_file():
@@ -103,7 +102,7 @@ def back_up(folder: Path, target: Path) -> Manifest:
         ):
             created = time.time()
             files = _files(folder, Path(scratch) / LEDGER)
-            manifest = Manifest(created, VERSION, _archived(files, archive))
+            manifest = Manifest(created, VERSION, _write_entries(files, archive))
             archive.writestr(MANIFEST, json.dumps(asdict(manifest)))
         manifest = verify(draft)
         sync(draft)
@@ -111,9 +110,10 @@ def back_up(folder: Path, target: Path) -> Manifest:
         sync(target.parent)
     except OSError as error:
         path = Path(str(error.filename))
-        problem = f"{target} cannot be written: {with_remedy(error)}"
         if path.is_relative_to(folder) and HELD.fullmatch(path.relative_to(folder).as_posix()):
             problem = f"{path} cannot be read: {error.strerror}; let this user read it"
+        else:
+            problem = f"{target} cannot be written: {with_remedy(error)}"
         raise BackupError(f"{problem}. No backup was made") from error
     except LedgerError as error:
         raise BackupError(f"no backup was made: {error}") from error
@@ -122,7 +122,7 @@ def back_up(folder: Path, target: Path) -> Manifest:
     return manifest
 
 
-def _archived(
+def _write_entries(
     files: Iterator[tuple[str, Path]], archive: zipfile.ZipFile
 ) -> dict[str, tuple[int, str]]:
     """Write files into an archive; return the length and digest of each."""
@@ -135,7 +135,7 @@ def _archived(
             path.open("rb") as file,
             archive.open(name, "w", force_zip64=True) as entry,
         ):
-            written[name] = _copied(file, entry)
+            written[name] = _copy_hashed(file, entry)
     return written
 
 
@@ -150,14 +150,14 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
     Raises BackupError if the backup is damaged, of a newer format, of another user, or has a file
     that backups never have.
     """
-    archive, status = _opened(source)
-    # Only its owner may read a backup; another user's backup was passed on.
-    if status.st_uid not in (0, os.geteuid()):
-        raise BackupError(
-            f"{source} belongs to user {status.st_uid}, who may have changed it. If you trust it, "
-            "copy it and restore the copy; nothing was changed"
-        )
-    with archive:
+    with ExitStack() as stack:
+        archive, status = _open(source, stack)
+        # Only its owner may read a backup; another user's backup was passed on.
+        if status.st_uid not in (0, os.geteuid()):
+            raise BackupError(
+                f"{source} belongs to user {status.st_uid}, who may have changed it. If you trust "
+                "it, copy it and restore the copy; nothing was changed"
+            )
         # A small file cannot fill memory or disk: entries are neither compressed nor do they
         # overlap.
         entries = archive.infolist()
@@ -171,7 +171,7 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
         for name, expected in manifest.files.items():
             try:
                 with archive.open(name) as file, place(name) as target:
-                    copied = _copied(file, target)
+                    copied = _copy_hashed(file, target)
             except _UNREADABLE as error:
                 problem = f"{name} in {source} cannot be read ({error}); {_DAMAGED}"
                 raise BackupError(problem) from error
@@ -180,11 +180,14 @@ def unpack(source: Path, place: Callable[[str], IO[bytes]]) -> Manifest:
     return manifest
 
 
-def _opened(source: Path) -> tuple[zipfile.ZipFile, os.stat_result]:
-    """Open a backup; return it and its file's status; raises BackupError if it is unreadable."""
+def _open(source: Path, stack: ExitStack) -> tuple[zipfile.ZipFile, os.stat_result]:
+    """Open a backup until `stack` ends; return it and the status of the open file.
+
+    Raises BackupError if it is unreadable.
+    """
     try:
-        status = source.stat()
-        return zipfile.ZipFile(source), status
+        file = stack.enter_context(source.open("rb"))
+        return stack.enter_context(zipfile.ZipFile(file)), os.fstat(file.fileno())
     except FileNotFoundError:
         raise BackupError(f"the file {source} does not exist; give the path of a backup") from None
     except OSError as error:
@@ -215,8 +218,9 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         kind = fields["format"]
         schema = int(fields["schema"])
     except _UNREADABLE as error:
-        there = MANIFEST in archive.namelist()
-        problem = f"in its {MANIFEST} {reason_of(error)}" if there else f"it has no {MANIFEST}"
+        problem = f"it has no {MANIFEST}"
+        if MANIFEST in archive.namelist():
+            problem = f"in its {MANIFEST} {reason_of(error)}"
         raise BackupError(f"{source} is a zip, but no backup: {problem}; name another") from error
     if kind != FORMAT:
         raise BackupError(
@@ -231,7 +235,8 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
     try:
         files = {str(name): (int(n), str(digest)) for name, (n, digest) in fields["files"].items()}
         created, ledger_schema = float(fields["created"]), int(fields["ledger_schema"])
-    except _UNREADABLE as error:
+        program = str(fields["program"])
+    except _BAD_MANIFEST as error:
         problem = f"in its {MANIFEST} {reason_of(error)}"
         raise BackupError(f"{source} is damaged: {problem}; use another backup") from error
 
@@ -245,10 +250,12 @@ def _manifest(archive: zipfile.ZipFile, source: Path) -> Manifest:
         )
     if LEDGER not in restored:
         raise BackupError(f"{source} has no {LEDGER}, so it is no backup; name another file")
-    return Manifest(created, ledger_schema, restored, skipped=tuple(sorted(skipped)))
+    return Manifest(
+        created, ledger_schema, restored, program, schema=schema, skipped=tuple(sorted(skipped))
+    )
 
 
-def _copied(file: IO[bytes], target: IO[bytes]) -> tuple[int, str]:
+def _copy_hashed(file: IO[bytes], target: IO[bytes]) -> tuple[int, str]:
     """Copy a file; return its length and digest."""
     length = 0
     digest = blake2b(digest_size=32)
@@ -263,11 +270,14 @@ def _files(folder: Path, copy: Path) -> Iterator[tuple[str, Path]]:
     """Yield the files of a backup, and a copy of the ledger made at its turn."""
 
     def files_in(name: str) -> Iterator[tuple[str, Path]]:
-        place = folder / name
-        paths = [place] if place.is_file() else sorted(place.rglob("*"))
+        paths = sorted((folder / name).rglob("*"))
         for path in paths:
             path_name = path.relative_to(folder).as_posix()
             if path.is_file() and HELD.fullmatch(path_name):
+                shown = os.fsencode(path_name).decode(errors="backslashreplace")
+                if shown != path_name:
+                    problem = f"the name of {shown} is not UTF-8, so no zip can have it; rename it"
+                    raise BackupError(f"{problem}. No backup was made")
                 yield path_name, path
 
     yield from files_in(TABLES)

@@ -60,7 +60,7 @@ def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
     if copies := trouble_of(read_status(folder)):
         remedy = "check that the target exists, has room and can be written; the server tries again"
         findings.append(DataFinding("fault", f"copies of this directory: {copies}", remedy))
-    ledger, of_ledger = _opened(folder, repair=repair)
+    ledger, of_ledger = _open_ledger(folder, repair=repair)
     findings += of_ledger
     if ledger is None:
         return findings
@@ -92,7 +92,7 @@ def examine(folder: Path, *, repair: bool = False) -> list[DataFinding]:
     return findings
 
 
-def _opened(folder: Path, *, repair: bool) -> tuple[Ledger | None, list[DataFinding]]:
+def _open_ledger(folder: Path, *, repair: bool) -> tuple[Ledger | None, list[DataFinding]]:
     """Return the ledger, repaired if necessary; None if it cannot be used."""
     path = folder / LEDGER
     log = path.with_name(f"{LEDGER}-wal")
@@ -114,11 +114,11 @@ def _opened(folder: Path, *, repair: bool) -> tuple[Ledger | None, list[DataFind
     except LedgerDamagedError as error:
         if repair and not in_use(folder):
             try:
-                findings += _rebuilt(folder, str(error))
+                findings += _rebuild(folder, str(error))
             except OSError as failure:
                 remedy = f"no new one could be written: {failure}. Nothing was changed; make room"
                 return None, [*findings, DataFinding("fault", str(error), remedy)]
-            ledger, more = _opened(folder, repair=False)
+            ledger, more = _open_ledger(folder, repair=False)
             return ledger, findings + more
         remedy = f"stop the server and restore a backup, or {REPAIR}"
         if repair:
@@ -132,7 +132,7 @@ def _has_bytes(path: Path) -> bool:
     return path.exists() and path.stat().st_size > 0
 
 
-def _rebuilt(folder: Path, problem: str) -> list[DataFinding]:
+def _rebuild(folder: Path, problem: str) -> list[DataFinding]:
     """Replace a damaged ledger by its readable part and the table files."""
     path = folder / LEDGER
     tables = folder / "tables"
@@ -163,7 +163,7 @@ def _rebuilt(folder: Path, problem: str) -> list[DataFinding]:
     text += ". The damaged one was moved aside; a backup may have more"
     return [
         DataFinding("repaired", problem, text),
-        *_gone(f"up to {salvaged.lost_rows} rows", salvaged.lost_rows),
+        *_report_lost(f"up to {salvaged.lost_rows} rows", salvaged.lost_rows),
     ]
 
 
@@ -177,10 +177,10 @@ def _losses(ledger: Ledger, *, repair: bool) -> list[DataFinding]:
         gone = acknowledged.lost(db)
     acknowledged.close(lambda file: move_aside(file, "settled"))
     findings = [DataFinding("repaired", loss, "noted; it is reported no more") for loss in losses]
-    return findings + _gone(f"up to {gone.rows} rows and {gone.jobs} jobs", sum(gone))
+    return findings + _report_lost(f"up to {gone.rows} rows and {gone.jobs} jobs", sum(gone))
 
 
-def _gone(subject: str, count: int) -> list[DataFinding]:
+def _report_lost(subject: str, count: int) -> list[DataFinding]:
     if not count:
         return []
     remedy = "restore a backup, or load or solve them again; the next check does not repeat this"
@@ -274,6 +274,8 @@ def _check_component(
     # One solve of a linear component determines its compliance.
     if not complete and len(wrenches):
         text = f"{sum(others.values())} rows of {name} belong to another setup of it"
-        again = f"wrenchbook resolve {name} solves their {len(wrenches)} wrenches again; "
-        back = "they come back if its files are restored"
-        yield DataFinding("note", text, again * component.has_fea + back)
+        remedy = "they come back if its files are restored"
+        if component.has_fea:
+            solves = f"wrenchbook resolve {name} solves their {len(wrenches)} wrenches again"
+            remedy = f"{solves}; {remedy}"
+        yield DataFinding("note", text, remedy)

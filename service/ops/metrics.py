@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
-from typing import Any, Protocol
+from typing import Protocol
 
 from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
 from prometheus_client.core import (
@@ -27,8 +27,10 @@ from wrenchbook.service.ledger.job_statistics import SOLVE_EDGES, Statistics
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.counts import FOLDER as COUNTS
 from wrenchbook.service.ops.counts import REQUEST_EDGES, Counts, SharedCounts, cumulative
+from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables.coordinator_state import FOLDER as SHARED
 from wrenchbook.service.tables.coordinator_state import CoordinatorState
+from wrenchbook.service.tables.mapped import MappedTables
 from wrenchbook.surrogate.kernel.build import sources_hash
 
 # Components with their own series: a component is a label and adds four; GET /v1/components has the
@@ -40,10 +42,10 @@ FRESH_S = 1.0  # s, age of cached ledger statistics: several scrapers cost one q
 class MetricsSource(Protocol):
     """The parts of an opened data directory that metrics read: `service.workspace.Workspace`."""
 
-    settings: Any
+    settings: Settings
     ledger: Ledger
     library: Library
-    tables: Any
+    tables: MappedTables
     faults: Callable[[], list[str]]
     broken: Callable[[], dict[str, str]]
 

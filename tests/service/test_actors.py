@@ -10,7 +10,7 @@ from starlette.testclient import TestClient
 from tests.service.expired import add_expired_key
 from tests.service.ledger_rows import claim
 from tests.service.test_access import CALLS, TABLE_ONLY, bearer
-from wrenchbook.service.actors import CALLER, Caller, NotPermittedError, acting_as
+from wrenchbook.service.actors import ANY, CALLER, Caller, NotPermittedError, acting_as
 from wrenchbook.service.http.access import SecuritySettings
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.http.proxy import proxy_trust
@@ -225,11 +225,11 @@ def test_own_jobs_may_be_cancelled_and_others_by_admin_alone(ledger):
     for actor in ("ann", "bob"):
         with acting_as(actor):
             jobs[actor] = ledger.accept("bar", "f", [len(jobs), 0, 0, 0, 0, 0])[0].id
-    CALLER.set(Caller("ann", admin=False))
+    CALLER.set(Caller("ann", ANY, admin=False))
     with pytest.raises(NotPermittedError, match="belongs to bob"):
         ledger.cancel(jobs["bob"])
     assert ledger.cancel_many(None, "waiting") == 1
-    CALLER.set(Caller("root"))
+    CALLER.set(Caller.unlimited("root"))
     assert ledger.cancel(jobs["bob"]).status == "cancelled"
 
 

@@ -337,6 +337,23 @@ def test_a_backup_names_the_file_that_cannot_be_read(folder, tmp_path, monkeypat
     assert not (tmp_path / "b").exists()
 
 
+def test_a_backup_names_a_file_whose_name_is_not_utf_8(folder, tmp_path):
+    os.close(os.open(os.fsencode(folder / "components/rig") + b"/tr\xe4ger.msh", os.O_CREAT))
+    with pytest.raises(BackupError, match=r"rig/tr\\xe4ger\.msh .* not UTF-8.* No backup was made"):
+        back_up(folder, tmp_path / "b")
+    assert not (tmp_path / "b").exists()
+
+
+def test_the_manifest_of_a_backup_names_the_program_that_wrote_it(backup):
+    with zipfile.ZipFile(backup) as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    fields = json.loads(entries[MANIFEST]) | {"program": "0.2"}
+    with zipfile.ZipFile(backup, "w") as archive:
+        for name, content in (entries | {MANIFEST: json.dumps(fields)}).items():
+            archive.writestr(name, content)
+    assert verify(backup).program == "0.2"
+
+
 def test_a_restore_that_fails_half_way_says_where_the_former_files_are(
     backup, tmp_path, monkeypatch
 ):

@@ -308,6 +308,11 @@ def test_what_else_is_wrong_with_a_folder_is_told(folder, monkeypatch, tmp_path)
     assert "no data directory" in words(examine(tmp_path / "nowhere"))
 
 
+def test_a_folder_with_a_number_that_no_job_can_have_is_a_leftover(folder):
+    (folder / "jobs" / "99999999999999999999").mkdir(parents=True)
+    assert "99999999999999999999" in words(examine(folder))
+
+
 def test_a_partial_file_of_a_running_process_is_no_leftover(folder, monkeypatch):
     path = folder / f".keys.json.{os.getpid()}.7"
     path.touch()

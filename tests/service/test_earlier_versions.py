@@ -16,7 +16,7 @@ from tests.service.ledger_rows import stored
 from tests.service.live import served
 from tests.service.test_durable_tables import Site
 from tests.until import until
-from wrenchbook.service.demand import QueryStatistics
+from wrenchbook.service.demand import DemandMaps
 from wrenchbook.service.ledger import Ledger, LedgerFileError
 from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.ops.doctor import examine
@@ -178,7 +178,7 @@ def test_a_damaged_file_of_0_3_is_left_and_keeps_no_other_from_being_read(direct
     with closing(Ledger(directory / "ledger.sqlite")) as ledger:
         assert f"{name} of an earlier version cannot be read and is left" in caplog.text
         assert (directory / name).exists()
-        asked = QueryStatistics(ledger).map_of("rig", RANGE)["asked"]
+        asked = DemandMaps(ledger).map_of("rig", RANGE).asked
         assert (asked == 3) == (name != "demand.json")
         assert Catalogue(ledger)["rig"].archived == (name != "library.json")
 
@@ -200,7 +200,7 @@ def test_a_ledger_of_0_3_that_is_made_anew_has_the_state_of_the_files(directory)
     assert examine(directory, repair=True) is not None
     with closing(Ledger(path)) as ledger:
         assert Catalogue(ledger)["rig"].notes == "bolts at 20 N m"
-        assert QueryStatistics(ledger).map_of("rig", RANGE)["asked"] == 3
+        assert DemandMaps(ledger).map_of("rig", RANGE).asked == 3
 
 
 @pytest.mark.parametrize("asked_since", [False, True])

@@ -51,7 +51,7 @@ def test_a_listener_is_greeted_and_told_what_comes_about_its_component():
 
 def test_a_key_of_some_components_hears_of_these_alone():
     feed = Feed()
-    token = CALLER.set(Caller("rig", components=("ba?",)))
+    token = CALLER.set(Caller("rig", ("ba?",), admin=True))
     listener = feed.listen(None, None, {})
     CALLER.reset(token)
     for name in ("bar", "plate"):
@@ -68,7 +68,7 @@ def test_a_key_of_some_components_that_listens_first_does_not_narrow_what_others
 
     async def run():
         events = feed_module.Events(None)
-        CALLER.set(Caller("rig", components=("bar",)))
+        CALLER.set(Caller("rig", ("bar",), admin=True))
         first = await (await events.listen(None, None)).read(1.0)
         await events.stop()
         return first
@@ -76,7 +76,7 @@ def test_a_key_of_some_components_that_listens_first_does_not_narrow_what_others
     monkeypatch.setattr(feed_module, "poll", poll)
     hello = asyncio.run(run())
     assert b'{"tables":{"bar":1}}' in hello
-    assert callers[0].touches("plate")
+    assert callers[0].may_use("plate")
 
 
 def test_who_comes_back_is_told_what_it_missed_and_nothing_twice():

@@ -19,8 +19,9 @@ from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.mesh.io.abaqus_content import read_deck
 from wrenchbook.fea.mesh.io.read import read_mesh
 from wrenchbook.fea.spec.problems import MeshFileError
+from wrenchbook.service.files.toml import toml_text, toml_value
 from wrenchbook.service.library import bundles
-from wrenchbook.service.library.bundles import check_mesh, surface_of, toml_text, toml_value, unpack
+from wrenchbook.service.library.bundles import check_mesh, surface_of, unpack
 
 BAR = (SHIPPED / "bar" / "component.toml").read_text().replace('"bar"', '"beam"', 1)
 

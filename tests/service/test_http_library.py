@@ -1,16 +1,19 @@
 """The library: search, copies, names, notes, where rows come from, what was asked in vain."""
 
+import json
+
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
 from tests.service.following import wait_for_version
 from tests.service.ledger_rows import NewRow, claim, insert
-from wrenchbook.service.demand import MAX_CELLS, QueryStatistics
+from wrenchbook.service.demand import MAX_CELLS, DemandMaps
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.ledger import Ledger
 from wrenchbook.service.workspace import Settings
 from wrenchbook.surrogate.table.rows import LoadRange
+from wrenchbook.surrogate.table.space import DEFAULT, Input, Space
 
 RIG = {
     "name": "rig",
@@ -209,50 +212,95 @@ def test_the_demand_map_has_what_was_asked_in_vain_and_nothing_else(http):
 
 def test_the_demand_map_outlives_the_server(http, tmp_path):
     asked(http, [440, 0, 0])
-    http.app.state.workspace.query_counts.save()
+    http.app.state.workspace.demand_maps.save()
     with TestClient(create_app(Settings(tmp_path / "workspace", solvers=0))) as again:
         assert again.get("/v1/components/rig/demand").json()["asked"] == 1
 
 
 def test_the_demand_map_does_not_grow_without_bound(ledger):
-    demand, span = QueryStatistics(ledger), LoadRange(-np.ones(6), np.ones(6))
+    demand, span = DemandMaps(ledger), LoadRange(-np.ones(6), np.ones(6))
     wrenches = np.random.default_rng(1).uniform(-3, 3, (20_000, 6))
     demand.note_batch("rig", span, wrenches, np.ones(20_000, dtype=int))
     reported = demand.map_of("rig", span)
-    assert len(reported["cells"]) == MAX_CELLS
-    assert reported["asked"] == 20_000
+    assert len(reported.cells) == MAX_CELLS
+    assert reported.asked == 20_000
     demand.note("rig", span, (1e300,) * 6, "outside")
-    assert demand.map_of("rig", span)["asked"] == 20_001
+    assert demand.map_of("rig", span).asked == 20_001
 
 
 def test_the_demand_map_of_two_processes_is_their_sum(ledger, tmp_path):
     """Each had counts of its own, and who stopped last wrote over those of the others."""
     span, other = LoadRange(-np.ones(6), np.ones(6)), Ledger(tmp_path / "ledger.sqlite")
-    first, second = QueryStatistics(ledger), QueryStatistics(other)
+    first, second = DemandMaps(ledger), DemandMaps(other)
     for demand in (first, second, second):
         demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
         demand.save()
-    assert [item.map_of("rig", span)["asked"] for item in (first, second)] == [3, 3]
-    assert len(first.map_of("rig", span)["latest"]) == 3
+    assert [item.map_of("rig", span).asked for item in (first, second)] == [3, 3]
+    assert len(first.map_of("rig", span).latest) == 3
     first.stop()
-    assert QueryStatistics(other).map_of("rig", span)["cells"][0]["outside"] == 3
+    assert DemandMaps(other).map_of("rig", span).cells[0].outside == 3
     second.forget("rig")
-    assert first.map_of("rig", span)["asked"] == 0
+    assert first.map_of("rig", span).asked == 0
     other.close()
 
 
 def test_a_demand_map_that_cannot_be_written_goes_on_counting(ledger):
-    demand, span = QueryStatistics(ledger), LoadRange(-np.ones(6), np.ones(6))
+    demand, span = DemandMaps(ledger), LoadRange(-np.ones(6), np.ones(6))
     demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
     demand.save()
     ledger._writer.execute("PRAGMA query_only = ON")  # as on a disk that was remounted read-only
     for _ in range(2):
         demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
         demand.save()
-    assert demand.map_of("rig", span)["asked"] == 3
+    assert demand.map_of("rig", span).asked == 3
     ledger._writer.execute("PRAGMA query_only = OFF")
     demand.save()
-    assert QueryStatistics(ledger).map_of("rig", span)["asked"] == 3
+    assert DemandMaps(ledger).map_of("rig", span).asked == 3
+
+
+def test_the_demand_map_keeps_its_loads_when_the_range_is_widened(ledger):
+    demand, span = DemandMaps(ledger), LoadRange(-np.ones(6), np.ones(6))
+    demand.note("rig", span, (1.6, 0, 0, 0, 0, 0), "outside")
+    demand.note("rig", span, (50.0, 0, 0, 0, 0, 0), "outside")
+    demand.save()
+    demand.note("rig", span, (1.6, 0, 0, 0, 0, 0), "outside")
+    wide = LoadRange(-2 * np.ones(6), 2 * np.ones(6))
+    for _ in range(2):
+        reported = demand.map_of("rig", wide)
+        assert [cell.wrench[0] for cell in reported.cells] == pytest.approx([1.6])
+        assert (reported.asked, reported.elsewhere) == (3, 1)
+        demand.note("other", wide, (1.6, 0, 0, 0, 0, 0), "outside")
+    demand.note("rig", wide, (1.6, 0, 0, 0, 0, 0), "outside")
+    assert demand.map_of("rig", wide).cells[0].count == 3
+
+
+def test_the_demand_map_begins_anew_when_the_component_has_another_number_of_inputs(ledger):
+    demand, span = DemandMaps(ledger), LoadRange(-np.ones(6), np.ones(6))
+    demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
+    demand.save()
+    inputs = (*DEFAULT.inputs, Input("temperature", "K", "scalar"))
+    warm = LoadRange(-np.ones(7), np.ones(7), Space(inputs, DEFAULT.outputs))
+    assert demand.map_of("rig", warm).asked == 0
+    demand.note("rig", warm, (2.0, 0, 0, 0, 0, 0, 0), "outside")
+    assert len(demand.map_of("rig", warm).cells[0].wrench) == 7
+
+
+def test_a_wrench_beyond_all_numbers_counts_in_the_outermost_cell(ledger):
+    demand, span = DemandMaps(ledger), LoadRange(-1e-3 * np.ones(6), 1e-3 * np.ones(6))
+    demand.note("rig", span, (1e308, 0, 0, 0, 0, 0), "outside")
+    assert demand.map_of("rig", span).cells[0].count == 1
+
+
+@pytest.mark.parametrize("damage", [{"latest": [{"x": 1}]}, {"cells": [[1, 2]]}, {"scale": "x"}])
+def test_a_damaged_demand_map_begins_anew_and_loses_no_new_query(ledger, damage):
+    demand, span = DemandMaps(ledger), LoadRange(-np.ones(6), np.ones(6))
+    demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
+    demand.save()
+    with ledger.writing(durable=False) as db:
+        (saved,) = db.execute("SELECT counts FROM demand").fetchone()
+        db.execute("UPDATE demand SET counts = ?", (json.dumps(json.loads(saved) | damage),))
+    demand.note("rig", span, (2.0, 0, 0, 0, 0, 0), "outside")
+    assert demand.map_of("rig", span).asked == 1
 
 
 def test_a_component_that_is_named_as_a_call_is_answered_as_any_other(http):

@@ -34,7 +34,7 @@ from wrenchbook.service.client import (
     Table,
 )
 from wrenchbook.service.client.mount import DisplacementUnknown, Mount, MountWarning
-from wrenchbook.service.demand import QueryStatistics
+from wrenchbook.service.demand import DemandMaps
 from wrenchbook.service.fmu.export import make_fmu
 from wrenchbook.service.http.app import create_app
 from wrenchbook.service.ledger import Ledger
@@ -365,15 +365,15 @@ def test_compliance_coverage_and_envelope_have_the_names_of_the_space(link):
 def test_the_demand_map_of_many_inputs_outlasts_a_restart(tmp_path):
     span = LoadRange(-np.ones(N), np.ones(N), SPACE)
     ledger = Ledger(tmp_path / "ledger.sqlite")
-    counts = QueryStatistics(ledger)
+    counts = DemandMaps(ledger)
     counts.note("two_ends", span, tuple([0.4] * N), "thin")
     counts.save()
     ledger.close()
     ledger = Ledger(tmp_path / "ledger.sqlite")
-    result = QueryStatistics(ledger).map_of("two_ends", span)
+    result = DemandMaps(ledger).map_of("two_ends", span)
     ledger.close()
-    assert result["asked"] == 1
-    assert len(result["cells"][0]["wrench"]) == N
+    assert result.asked == 1
+    assert len(result.cells[0].wrench) == N
 
 
 def test_a_method_of_axes_is_422_for_several_interfaces(link):

@@ -130,6 +130,7 @@ def test_a_key_is_rotated_while_it_is_valid(keyring, tmp_path):
             r"""keys\[0\]: components must be a list such as \["plate_\*"\], not '\*'""",
         ),
         ("a pattern", r"""keys\[0\]: the pattern '\+' must have .* such as plate_\*"""),
+        ("a number", r"""keys\[0\]: the pattern 5 must have .* such as plate_\*"""),
     ],
 )
 def test_damaged_keys_let_nobody_in_and_are_told_of(tmp_path, content, why):
@@ -137,6 +138,7 @@ def test_damaged_keys_let_nobody_in_and_are_told_of(tmp_path, content, why):
         "unknown field": ('"scope"', '"scope_": "admin", "scope"'),
         "unknown scope": ('"read"', '"root"'),
         "a pattern": ('"*"', '"+"'),
+        "a number": ('"*"', "5"),
         "texts": ('[\n    "*"\n   ]', '"*"'),
     }
     if content in edits:

@@ -153,16 +153,27 @@ def test_files_of_bodies_are_gone_once_they_are_read_or_refused(live, monkeypatc
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_body_that_a_full_disk_does_not_take_is_507_and_no_crash(asked, monkeypatch):
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [
+        (errno.ENOSPC, "make room on its disk"),
+        (errno.EDQUOT, "raise the disk quota"),
+        (errno.EFBIG, "raise the limit of file sizes"),
+    ],
+)
+def test_a_body_that_the_disk_has_no_room_for_is_507_with_the_remedy_of_its_cause(
+    asked, monkeypatch, number, remedy
+):
     """It was 500 with a traceback in the log, where the ledger's full disk is 507."""
 
     def full(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(bodies.Spooled, "append", full)
     reply = asked.post(f"{RIG}/table", content=b"fz [N],uz [m]\n1,1e-6\n")
     assert (reply.status_code, reply.json()["type"]) == (507, "urn:wrenchbook:problem:disk")
-    assert "No space left on device" in reply.json()["detail"]
+    assert os.strerror(number) in reply.json()["detail"]
+    assert remedy in reply.json()["detail"]
 
 
 def test_an_error_of_the_disk_that_is_not_full_stays_a_crash(asked, monkeypatch):

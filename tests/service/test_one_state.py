@@ -10,7 +10,7 @@ from starlette.testclient import TestClient
 
 from tests.service.ledger_rows import claim, insert, new_rows
 from tests.until import until
-from wrenchbook.service.demand import QueryStatistics
+from wrenchbook.service.demand import DemandMaps
 from wrenchbook.service.events import poll
 from wrenchbook.service.fields.deformed import TooFarError
 from wrenchbook.service.http.app import create_app
@@ -424,7 +424,7 @@ def test_queries_whose_counts_are_being_saved_are_on_the_map_and_forgotten(
     workspace, monkeypatch, call
 ):
     load_range = workspace.library["rig"].load_range
-    counts = QueryStatistics(workspace.ledger)
+    counts = DemandMaps(workspace.ledger)
     counts.note("rig", load_range, tuple(WRENCH), "thin")
     writing = workspace.ledger.writing
     begun, may_end = threading.Event(), threading.Event()
@@ -450,4 +450,4 @@ def test_queries_whose_counts_are_being_saved_are_on_the_map_and_forgotten(
     for thread in (saver, reader):
         thread.join(600)
     result = asked[0] if call == "map_of" else counts.map_of("rig", load_range)
-    assert result["asked"] == (1 if call == "map_of" else 0)
+    assert result.asked == (1 if call == "map_of" else 0)

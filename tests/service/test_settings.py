@@ -14,7 +14,14 @@ from tests.until import until
 from wrenchbook.service import workspace
 from wrenchbook.service.cli.main import app
 from wrenchbook.service.http.app import create_app
-from wrenchbook.service.settings import OTHERS, PREFIX, Settings, SettingsError, check_copies
+from wrenchbook.service.settings import (
+    OTHERS,
+    PREFIX,
+    Settings,
+    SettingsError,
+    as_file,
+    check_copies,
+)
 
 
 @pytest.fixture
@@ -135,3 +142,11 @@ def test_the_servers_method_answers_a_request_that_names_none(http, method):
 def test_the_method_of_a_request_goes_before_the_servers(http):
     asked = {**WRENCH, "method": "additive"}
     assert http.post(f"{CALL}/displacement", json=asked).json()["method"] == "additive"
+
+
+@pytest.mark.parametrize("text", ["/data/\U0001f600", "/data/\x7f"])
+def test_settings_are_a_file_with_the_same_meaning_for_any_text(text):
+    settings = Settings(Path(text), actor_seconds=float("inf"))
+    origins = {"data": "command line", "actor_seconds": "default", "access_log": "default"}
+    values = {"data": text, "actor_seconds": float("inf"), "access_log": False}
+    assert tomllib.loads(as_file(settings, origins)) == values

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Query
 from pydantic import AwareDatetime
 from starlette.responses import Response
 
+from wrenchbook.service.contract import NUMBER_LIMIT
 from wrenchbook.service.http.openapi import refused
 from wrenchbook.service.http.routes import Opened, cut_page
 from wrenchbook.service.tables.rows import iso_time
@@ -25,7 +26,7 @@ def list_audit(
     since: AwareDatetime | None = None,
     until: AwareDatetime | None = None,
     limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
-    after: Annotated[int | None, Query(ge=1, lt=2**63)] = None,
+    after: Annotated[int | None, Query(ge=1, lt=NUMBER_LIMIT)] = None,
 ) -> dict[str, Any]:
     """List writes, newest first, in pages; needs an admin key."""
     page = workspace.ledger.audit(

@@ -25,11 +25,11 @@ from wrenchbook.service.http.body import (
     read_body,
     read_limited,
 )
+from wrenchbook.service.http.needs import fill_need
 from wrenchbook.service.http.openapi import BYTES, answers, refused, takes
 from wrenchbook.service.http.permission import permission_of
 from wrenchbook.service.http.problems import HttpProblemError, bad_body
 from wrenchbook.service.http.routes import Opened, WaitSeconds, cut_page, json_reply
-from wrenchbook.service.http.routes.scenes import need_from
 from wrenchbook.service.library.bundles import MAX_BUNDLE_BYTES
 from wrenchbook.service.library.component import (
     Component,
@@ -164,9 +164,7 @@ def fill(name: str, workspace: Opened, order: FillBody) -> Response:
         raise bad_body([{"loc": "for_joint", "msg": message}])
 
     limit = tolerance_of(order.tolerance)
-    need = None
-    if is_part:
-        need = need_from(component, order.range, order.outputs, order.tolerance, "range", "outputs")
+    need = fill_need(component, order) if is_part else None
     design, jobs = workspace.fill(name, order.budget, limit, need, for_joint=order.for_joint)
     is_fewer = 0 < len(jobs) < order.budget
     fewer = f"{len(jobs)} of at most {order.budget} solves: " if is_fewer else ""

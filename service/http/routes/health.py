@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Any, Literal
 
 from fastapi import APIRouter, Request
@@ -12,6 +12,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 from wrenchbook.service.files.redact import redact_values
 from wrenchbook.service.http.openapi import answers, refused
 from wrenchbook.service.http.routes import Opened
+from wrenchbook.service.messages import Message
 from wrenchbook.service.ops.metrics import Metrics
 from wrenchbook.service.ops.replica import trouble_of
 from wrenchbook.service.tables.mapped import ServedTable
@@ -19,6 +20,21 @@ from wrenchbook.service.tables.mapped import ServedTable
 router = APIRouter(tags=["health"])
 
 TableState = Literal["ready", "building", "degraded", "broken"]
+Status = Literal["ready", "building", "degraded", "not ready"]
+
+
+class Readiness(Message):
+    status: Status
+    ready: bool
+    components: int
+    solvers: int
+    faults: Sequence[str]
+    broken: dict[str, str]
+    building: Sequence[str]
+    pending_rows: dict[str, int]
+    tables: dict[str, TableState]
+    copies: dict[str, Any]
+    age_s: float | None
 
 
 @router.get("/health/live", openapi_extra={"security": []})
@@ -29,12 +45,12 @@ async def live() -> dict[str, str]:
 
 @router.get(
     "/health/ready",
-    responses=answers(dict[str, Any], "ready, degraded, or tables are being built")
-    | answers(dict[str, Any], "not ready; see faults", 503)
+    responses=answers(Readiness, "ready, degraded, or tables are being built")
+    | answers(Readiness, "not ready; see faults", 503)
     | refused(404, 422),
 )
 def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
-    """Readiness of jobs and tables."""
+    """Readiness of the server, of its tables and of its copies."""
     faults, broken, copies = workspace.faults(), workspace.broken(), workspace.copies
     components, present = workspace.library.all(), workspace.tables.present()
     rows = {
@@ -44,36 +60,39 @@ def ready(workspace: Opened, component: str | None = None) -> JSONResponse:
     }
     pending = {name: count for name, count in rows.items() if count}
     names = {item.name for item in components} | workspace.library.broken().keys()
-    tables = table_states(names, present, broken, pending)
+    tables: dict[str, TableState] = table_states(names, present, broken, pending)
     if component is not None:
-        if component not in tables:
+        if component in tables:
+            tables = {component: tables[component]}
+        else:
             _ = workspace.library[component]  # raises if the component does not exist
-        tables = {component: tables.get(component, "building")}  # it may just have been added
+            tables = {component: "building"}  # it was added after the list was read
 
     states = set(tables.values())
-    trouble = trouble_of(copies, workspace.settings)
-    status = "ready"
+    copy_problem = trouble_of(copies, workspace.settings)
+    status: Status = "ready"
     if faults:
         status = "not ready"
     elif "building" in states:
         status = "building"
-    elif states & {"degraded", "broken"} or broken or trouble is not None:
+    elif states & {"degraded", "broken"} or broken or copy_problem is not None:
         status = "degraded"
-    body = {
-        "status": status,
-        "ready": not faults and states <= {"ready"},
-        "components": len(components),
-        "solvers": workspace.settings.solvers,
-        "faults": faults,
-        "broken": broken,
-        "building": [name for name, state in tables.items() if state == "building"],
-        "pending_rows": pending,
-        "tables": tables,
-        "copies": {**copies, "trouble": trouble},
-        "age_s": workspace.age(),
-    }
-    served = not faults and (component is None or tables[component] in ("ready", "degraded"))
-    return JSONResponse(redact_values(body), 200 if served else 503)
+    reply = Readiness(
+        status=status,
+        ready=not faults and states <= {"ready"},
+        components=len(components),
+        solvers=workspace.settings.solvers,
+        faults=faults,
+        broken=broken,
+        building=[name for name, state in tables.items() if state == "building"],
+        pending_rows=pending,
+        tables=tables,
+        copies={**copies, "trouble": copy_problem},
+        age_s=workspace.age(),
+    )
+    # 200 also while tables are built or damaged: a proxy goes on sending queries to the others.
+    table_answers = component is None or tables[component] in ("ready", "degraded")
+    return JSONResponse(redact_values(vars(reply)), 200 if table_answers and not faults else 503)
 
 
 def table_states(
@@ -103,6 +122,6 @@ def table_states(
     response_description="metrics in Prometheus' text form",
 )
 def metrics(request: Request) -> Response:
-    """Show counts and states for Prometheus."""
-    metrics: Metrics = request.app.state.metrics
-    return Response(metrics.text(), media_type=CONTENT_TYPE_LATEST)
+    """Get counts, times and states of the server, for Prometheus."""
+    collected: Metrics = request.app.state.metrics
+    return Response(collected.text(), media_type=CONTENT_TYPE_LATEST)

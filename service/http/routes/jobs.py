@@ -15,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
 from wrenchbook.service.actors import ANY, CALLER
-from wrenchbook.service.contract import OUTPUTS, by_part
+from wrenchbook.service.contract import NUMBER_LIMIT, OUTPUTS, by_part
 from wrenchbook.service.files.redact import cut_paths, redact_values
 from wrenchbook.service.http.openapi import BYTES, refused
 from wrenchbook.service.http.problems import HttpProblemError
@@ -29,7 +29,6 @@ from wrenchbook.service.workspace import Workspace
 from wrenchbook.surrogate.table.space import DEFAULT
 
 MAX_LOG_BYTES = 64 * 1024  # of the end of a log, which has the cause of a failure
-MAX_ID = 2**63 - 1  # the largest integer of SQLite
 PROGRAM = pathlib.Path(__file__).parents[3]
 
 
@@ -41,10 +40,10 @@ async def _check_access(request: Request, workspace: Opened) -> None:
         return
     # Checked before FastAPI has parsed the number. Both refusals are the same text, so that a key
     # cannot learn which other jobs exist.
-    if job_id.isdecimal() and len(job_id) < len(str(MAX_ID)):
+    if job_id.isdecimal() and len(job_id) < len(str(NUMBER_LIMIT)):
         with suppress(UnknownJobError):
             job = await run_in_threadpool(workspace.ledger.job, int(job_id))
-            if caller.touches(job.component):
+            if caller.may_use(job.component):
                 return
     raise UnknownJobError("the key does not allow this job; list its jobs with GET /v1/jobs")
 
@@ -59,7 +58,7 @@ router = APIRouter(
 
 def _check_id(job_id: int) -> int:
     """Raise UnknownJobError for a number that the ledger cannot have."""
-    if job_id > MAX_ID:
+    if job_id >= NUMBER_LIMIT:
         raise UnknownJobError(f"there is no job {str(job_id)[:30]}; list all with GET /v1/jobs")
     return job_id
 
@@ -116,7 +115,7 @@ def list_jobs(
     status: Status | None = None,
     actor: Annotated[str | None, Query(max_length=200)] = None,
     limit: Annotated[int, Query(ge=1, le=100_000)] = 1000,
-    after: Annotated[int | None, Query(ge=1, lt=2**63)] = None,
+    after: Annotated[int | None, Query(ge=1, lt=NUMBER_LIMIT)] = None,
 ) -> dict[str, Any]:
     """List jobs, newest first, in pages."""
     _check_known(workspace, component)

@@ -12,6 +12,8 @@ from starlette.responses import Response
 from typing_extensions import TypedDict
 
 from wrenchbook.service.actors import CALLER
+from wrenchbook.service.contract import NUMBER_LIMIT
+from wrenchbook.service.demand import Demand
 from wrenchbook.service.formats.cells import text_problem
 from wrenchbook.service.http.bodies import CopyBody, NotesBody, RenameBody
 from wrenchbook.service.http.body import JsonRoute, read_body, read_limited
@@ -23,7 +25,7 @@ from wrenchbook.service.http.routes.components import component_body
 from wrenchbook.service.http.routes.rows import file_fields
 from wrenchbook.service.ledger import ImportOrigin, UnknownImportError, import_numbers
 from wrenchbook.service.ledger.imports import findings, import_spans, imports, withdrawn_counts
-from wrenchbook.service.messages import ImportFinding, Message, Six
+from wrenchbook.service.messages import ImportFinding, Message
 from wrenchbook.service.mistakes import MAX_VALUE
 from wrenchbook.service.tables.comparison import (
     Comparison,
@@ -40,7 +42,7 @@ from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.findings.cycles import measured_stiffness
 
 router = component_router("library", route=JsonRoute)
-ImportId = Annotated[int, Path(ge=1, lt=2**63)]
+ImportId = Annotated[int, Path(ge=1, lt=NUMBER_LIMIT)]
 Finding = Annotated[str | None, Query(max_length=100)]
 MAX_NOTES_BYTES = 1 << 20  # bytes: 100,000 characters, escaped
 
@@ -75,24 +77,6 @@ class Imports(Message):
     imports: Sequence[Import]
 
 
-class DemandCell(Message):
-    wrench: Six
-    count: int
-    thin: int
-    outside: int
-    coverage: Literal["thin", "outside"]
-
-
-class Demand(Message):
-    component: str
-    asked: int
-    elsewhere: int
-    since: float | None
-    cell_size: Six
-    cells: Sequence[DemandCell]
-    latest: Sequence[dict[Literal["wrench", "coverage", "when"], Any]]
-
-
 # A dataclass cannot have a field named `import`.
 ImportEdited = TypedDict(
     "ImportEdited",
@@ -113,7 +97,7 @@ ImportEdited = TypedDict(
 )
 def copy_component(name: str, request: Request, body: CopyBody) -> Response:
     """Copy a component, with or without its rows."""
-    return _copied(request, name, body)
+    return _copy(request, name, body)
 
 
 @router.post(
@@ -123,7 +107,7 @@ def copy_component(name: str, request: Request, body: CopyBody) -> Response:
 )
 def rename_component(name: str, request: Request, body: RenameBody) -> Response:
     """Rename: copy under another name and archive the original."""
-    return _copied(request, name, CopyBody(name=body.name), renamed=True)
+    return _copy(request, name, CopyBody(name=body.name), renamed=True)
 
 
 @router.post("/archive", response_model=Card)
@@ -178,7 +162,7 @@ def withdraw_import(
     name: str, number: ImportId, workspace: Opened, finding: Finding = None
 ) -> Response:
     """Withdraw an import's rows, or the rows of one finding."""
-    return _edited(workspace, name, number, finding, withdrawn=True)
+    return _edit_import(workspace, name, number, finding, withdrawn=True)
 
 
 @router.post("/imports/{number}/restore", response_model=ImportEdited)
@@ -186,7 +170,7 @@ def restore_import(
     name: str, number: ImportId, workspace: Opened, finding: Finding = None
 ) -> Response:
     """Restore an import's withdrawn rows, or the rows of one finding."""
-    return _edited(workspace, name, number, finding, withdrawn=False)
+    return _edit_import(workspace, name, number, finding, withdrawn=False)
 
 
 @router.get("/disagreement", response_model=Disagreement)
@@ -210,17 +194,17 @@ def list_disagreements(name: str, workspace: Opened) -> Response:
 async def get_comparison(
     name: str,
     workspace: Opened,
-    number: Annotated[int | None, Query(alias="import", ge=1, lt=2**63)] = None,
-    against: Annotated[int | None, Query(ge=1, lt=2**63)] = None,
+    number: Annotated[int | None, Query(alias="import", ge=1, lt=NUMBER_LIMIT)] = None,
+    against: Annotated[int | None, Query(ge=1, lt=NUMBER_LIMIT)] = None,
     format: Literal["json", "csv"] = "json",  # noqa: A002 (the contract's word)
 ) -> Response:
     """Compare measured rows with solved rows or with another import."""
     table = await workspace.newest(name, CATCH_UP_S)
     async with workspace.comparison_lock:
-        return await run_in_threadpool(_compared, workspace, name, table, number, against, format)
+        return await run_in_threadpool(_compare, workspace, name, table, number, against, format)
 
 
-def _compared(
+def _compare(
     workspace: Workspace,
     name: str,
     table: ServedTable,
@@ -248,7 +232,7 @@ def get_stiffness(
     between: Annotated[str, Query(max_length=100)],
     axis: str = "",
     of: str = "",
-    number: Annotated[int | None, Query(alias="import", ge=1, lt=2**63)] = None,
+    number: Annotated[int | None, Query(alias="import", ge=1, lt=NUMBER_LIMIT)] = None,
 ) -> Response:
     """Stiffness and play of measured rows between two loads."""
     component = workspace.library[name]
@@ -267,10 +251,11 @@ def get_stiffness(
     # By default the load that these rows vary most, relative to its range.
     varied = np.ptp(rows.wrench, axis=0) / span.scale if len(rows) else span.scale
     axis = axis or loads[int(np.argmax(varied[: len(loads)]))]
-    for word, names, place in ((axis, loads, "axis"), (of, ("", *space.output_names), "of")):
-        if word not in names:
-            message = f"must be one of {', '.join(filter(None, names))}, not {word[:MAX_VALUE]!r}"
-            raise bad_body([{"loc": place, "msg": message}])
+    outputs = "", *space.output_names
+    for parameter, value, names in (("axis", axis, loads), ("of", of, outputs)):
+        if value not in names:
+            message = f"must be one of {', '.join(filter(None, names))}, not {value[:MAX_VALUE]!r}"
+            raise bad_body([{"loc": parameter, "msg": message}])
     load = loads.index(axis)
     output = space.output_names.index(of) if of else load  # each interface has six of both
     reply = {
@@ -300,23 +285,24 @@ def _two_loads(between: str) -> tuple[float, float]:
 @router.get("/demand", response_model=Demand)
 def demand(name: str, workspace: Opened) -> Response:
     """Demand map of queries that were not covered."""
-    counts = workspace.query_counts.map_of(name, workspace.library[name].load_range)
-    return json_reply(Demand(component=name, **counts))
+    span = workspace.library[name].load_range
+    return json_reply(workspace.demand_maps.map_of(name, span))
 
 
 @router.delete("/demand")
 def forget_demand(name: str, workspace: Opened) -> dict[str, Any]:
     """Clear the demand map."""
-    workspace.query_counts.forget(workspace.library[name].name)
+    workspace.demand_maps.forget(workspace.library[name].name)
     return {"component": name, "asked": 0}
 
 
-def _edited(
+def _edit_import(
     workspace: Workspace, name: str, number: int, finding: str | None, *, withdrawn: bool
 ) -> Response:
     component = workspace.library[name].name
     count = workspace.ledger.edit_import(component, number, finding, withdrawn=withdrawn)
-    version = workspace.ledger.last_seq(component)  # before the wait for it, which later ones pass
+    # Read before the wait, after which others may have added rows that no table has yet.
+    version = workspace.ledger.last_seq(component)
     body = {
         "component": component,
         "import": number,
@@ -334,7 +320,7 @@ def _put(request: Request, name: str, **fields: Any) -> Response:
     return json_reply(Card(component=name, archived=card.archived, notes=card.notes))
 
 
-def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) -> Response:
+def _copy(request: Request, name: str, body: CopyBody, renamed: bool = False) -> Response:
     """Copy a component; after an error while its rows are copied the copy has no rows."""
     workspace: Workspace = request.app.state.workspace
     source = workspace.library[name]
@@ -348,15 +334,11 @@ def _copied(request: Request, name: str, body: CopyBody, renamed: bool = False) 
     newer = card.renamed_to
     if renamed and newer:
         shown = CALLER.get().visible(newer)
-        now = (
-            f"{name!r} is {shown!r} now. Rename that"
-            if shown
-            else (
-                f"{name!r} has a new name now, which this key does not allow. Ask for a key of it"
-            )
-        )
-        now += f", or copy: POST /v1/components/{name}/copy."
-        raise HttpProblemError(409, "renamed", "The component was renamed already", now)
+        why = f"{name!r} has a new name now, which this key does not allow. Ask for a key of it"
+        if shown:
+            why = f"{name!r} is {shown!r} now. Rename that"
+        why += f", or copy: POST /v1/components/{name}/copy."
+        raise HttpProblemError(409, "renamed", "The component was renamed already", why)
     copy = workspace.library.add_copy(name, body.name, body.title)
     workspace.catalogue.change(copy.name, notes=card.notes, copied_from=name)
     if body.rows:

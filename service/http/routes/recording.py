@@ -113,7 +113,7 @@ def clear_recording(name: str, request: Request) -> Response:
 @router.post("/recording/start", response_model=messages.Started, responses=_QUEUED)
 def solve_recording(name: str, request: Request, order: StartBody) -> Response:
     """LM_start: queue solves of recorded wrenches that are not covered."""
-    return _started(name, request, order, start_recording, _store(request))
+    return _start(name, request, order, start_recording, _store(request))
 
 
 @blocks.post("/envelope", response_model=Widened, openapi_extra=_BLOCK)
@@ -166,13 +166,13 @@ def clear_envelope(name: str, request: Request) -> Response:
 @router.post("/envelope/start", response_model=messages.Started, responses=_QUEUED)
 def solve_envelope(name: str, request: Request, order: EnvelopeStartBody) -> Response:
     """LM_start: queue solves of the envelope's extreme wrenches."""
-    return _started(name, request, order, start_envelope, _store(request))
+    return _start(name, request, order, start_envelope, _store(request))
 
 
 @router.post("/table/resolve", response_model=messages.Started, responses=_QUEUED)
 def resolve_table(name: str, request: Request, order: StartBody) -> Response:
     """Queue solves of wrenches that only an earlier setup has solved."""
-    return _started(name, request, order, start_resolving)
+    return _start(name, request, order, start_resolving)
 
 
 def _store(request: Request) -> RecordingStore:
@@ -239,7 +239,7 @@ def _thinning(tally: Tally) -> str:
     return f"thinned out: {counted(tally.thinned, 'wrench')}; {near}"
 
 
-def _started(
+def _start(
     name: str,
     request: Request,
     order: Body,

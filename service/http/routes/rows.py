@@ -8,6 +8,7 @@ from fastapi import Path
 from starlette.responses import Response
 
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
+from wrenchbook.service.contract import NUMBER_LIMIT
 from wrenchbook.service.http.openapi import component_router, refused
 from wrenchbook.service.http.routes import Opened, json_reply
 from wrenchbook.service.ledger import ImportRecord, LedgerRow, UnknownRowError
@@ -17,7 +18,7 @@ from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 
 router = component_router("table", "/table/{row}")
 
-RowId = Annotated[int, Path(ge=1, lt=2**63)]  # SQLite's integers have 64 bits with a sign
+RowId = Annotated[int, Path(ge=1, lt=NUMBER_LIMIT)]
 _CONFLICTS = refused(s409="the row is already withdrawn, or already in the table")
 
 
@@ -67,16 +68,16 @@ def get_row(name: str, row: RowId, workspace: Opened) -> Response:
 @router.delete("", responses=_CONFLICTS)
 def withdraw_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     """Withdraw a row."""
-    return _edited(workspace, name, row, withdrawn=True)
+    return _edit_row(workspace, name, row, withdrawn=True)
 
 
 @router.post("/restore", responses=_CONFLICTS)
 def restore_row(name: str, row: RowId, workspace: Opened) -> dict[str, Any]:
     """Restore a withdrawn row."""
-    return _edited(workspace, name, row, withdrawn=False)
+    return _edit_row(workspace, name, row, withdrawn=False)
 
 
-def _edited(workspace: Workspace, name: str, row: int, *, withdrawn: bool) -> dict[str, Any]:
+def _edit_row(workspace: Workspace, name: str, row: int, *, withdrawn: bool) -> dict[str, Any]:
     """Write a row's new state, wait for the table, and return the reply."""
     workspace.ledger.withdraw(workspace.library[name].name, row, withdrawn=withdrawn)
     is_current = workspace.tables.catch_up(name, CATCH_UP_S)

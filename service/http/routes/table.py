@@ -20,7 +20,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.responses import FileResponse, Response
 
-from wrenchbook.service.contract import ExportFormat, counted
+from wrenchbook.service.contract import NUMBER_LIMIT, ExportFormat, counted
 from wrenchbook.service.http.body import PIECE, content_type, form_of, spooled
 from wrenchbook.service.http.imports import Imported, ImportQuery
 from wrenchbook.service.http.openapi import BODIES, BYTES, answers, component_router, refused, takes
@@ -67,18 +67,18 @@ _LOGS = {
         for name in ("table", "loads", "displacements")
     },
 }
-_SENT = {
+_REQUEST_BODIES = {
     **_FILES,
     PACKED_TYPE: BYTES,
     "application/gzip": BYTES,
     "multipart/form-data": {"schema": _LOGS},
 }
 _PACKED = {**BYTES["schema"], "description": BODIES["packed"]}
-_WRITTEN = {**_FILES, PACKED_TYPE: {"schema": _PACKED}}
+_REPLY_BODIES = {**_FILES, PACKED_TYPE: {"schema": _PACKED}}
 _ETAG = {"ETag": {"schema": {"type": "string"}, "description": BODIES["etag"]}}
 _CURRENT = "the version of If-None-Match is current"
 # A file of any form may be sent as plain bytes: its content identifies it.
-_TAKEN = frozenset(
+_ACCEPTED = frozenset(
     {
         *MEDIA_TYPES.values(),
         *("application/csv", "application/x-matlab-data", "application/octet-stream"),
@@ -91,7 +91,7 @@ _TAKEN = frozenset(
 @router.get(
     "",
     response_class=Response,
-    responses=answers(TableRows, "the table", content=_WRITTEN, headers=_ETAG)
+    responses=answers(TableRows, "the table", content=_REPLY_BODIES, headers=_ETAG)
     | {304: {"description": _CURRENT, "headers": _ETAG}}
     | refused(s409="the format cannot hold this table"),
 )
@@ -103,7 +103,7 @@ async def get_table(
     moment: str = "N*m",
     translation: str = "m",
     rotation: str = "rad",
-    table_version: Annotated[int | None, Query(ge=0, lt=2**63)] = None,
+    table_version: Annotated[int | None, Query(ge=0, lt=NUMBER_LIMIT)] = None,
     comments: bool = False,
     points: Annotated[int, Query(ge=2, le=1001)] = 21,
     others: Others = "displacement",
@@ -179,7 +179,7 @@ def _tag(component: Component, version: int, error: SolverError | None) -> str:
         s415="the content type is not a table format",
         s422="the table has mistakes; nothing was loaded",
     ),
-    openapi_extra=takes(TableRows, _SENT),
+    openapi_extra=takes(TableRows, _REQUEST_BODIES),
 )
 async def import_table(
     name: str, request: Request, workspace: Opened, query: Annotated[ImportQuery, Query()]
@@ -187,7 +187,7 @@ async def import_table(
     """Import rows from a file."""
     component = workspace.library[name]
     kind = content_type(request)
-    if kind and kind not in _TAKEN:
+    if kind and kind not in _ACCEPTED:
         why = (
             f"The content type is {kind}. Send {', '.join(MEDIA_TYPES.values())} or "
             "application/octet-stream, gzipped or not; the content decides the format."
@@ -199,7 +199,7 @@ async def import_table(
     rig = await run_in_threadpool(rig_of, workspace.ledger, query.rig)
     options = replace(query.options(rig), solved=solved, linear=component.linear)
     max_bytes = _MAX_APPENDED_BYTES if query.append else MAX_TABLE_BYTES
-    async with received(request, max_bytes) as sent:
+    async with sent_files(request, max_bytes) as sent:
         alone = query.model_fields_set & {"time_offset_s", "max_gap_s"}
         if len(sent.files) == 1 and alone:
             message = "needs two logs; send the second one (--displacements FILE), or leave it out"
@@ -248,10 +248,11 @@ def _bad_rows(reply: dict[str, Any], unit: str, is_ruined: bool) -> HttpProblemE
     sheet = f" of sheet {read} (--sheet reads {others})" if read and others else ""
     # 0: the mistake concerns the file, or a column.
     place = f"row {first['row']}, " if first["row"] else ""
-    has_good = rows["read"] > rows["refused"] and not is_ruined
-    partial = ", or add --partial (over HTTP partial=true) to load only the good rows"
+    partial = ""
+    if rows["read"] > rows["refused"] and not is_ruined:
+        partial = ", or add --partial (over HTTP partial=true) to load only the good rows"
     them = "it" if len(errors) == 1 else "them"
-    again = f" Correct {them} and send the {unit} again{partial * has_good}."
+    again = f" Correct {them} and send the {unit} again{partial}."
     if first["field"] == "file":  # its message has the remedy
         again = ""
     return HttpProblemError(
@@ -273,7 +274,7 @@ class Received(NamedTuple):
 
 
 @asynccontextmanager
-async def received(request: Request, max_bytes: int = MAX_TABLE_BYTES) -> AsyncIterator[Received]:
+async def sent_files(request: Request, max_bytes: int = MAX_TABLE_BYTES) -> AsyncIterator[Received]:
     """Yield a table's body as files, and delete them at the end.
 
     A plain body is one file; a form has the files ``loads`` and ``displacements``, or ``table``.

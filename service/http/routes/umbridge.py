@@ -40,7 +40,7 @@ Kind = Literal["ModelNotFound", "UnsupportedFeature", "InvalidInput", "InvalidOu
 
 
 class UmBridgeError(Exception):
-    """An error in the protocol's form."""
+    """An error of one of the protocol's kinds."""
 
     def __init__(self, kind: Kind, message: str) -> None:
         super().__init__(message)
@@ -48,7 +48,7 @@ class UmBridgeError(Exception):
 
 
 class Failure(TypedDict):
-    """An error in the protocol's form."""
+    """The JSON of an error."""
 
     type: Kind
     message: str

@@ -72,7 +72,7 @@ function picture(about, reply, axis, shade, camera) {
 
 const wide = ([low, high]) => [low - 0.05 * (high - low), high + 0.05 * (high - low)];
 
-const OUTERMOST = 10; // cells from zero; that cell counts all queries farther away too (_BEYOND in service/demand.py)
+const OUTERMOST = 10; // cells from zero; that cell counts all queries farther away too (OUTERMOST in service/demand.py)
 
 const share = (times) => (times ? count(times) : "–");
 

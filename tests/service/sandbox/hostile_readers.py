@@ -1,5 +1,6 @@
 """Functions that behave in the sandbox as a hostile file makes its reader behave."""
 
+import io
 import os
 import resource
 import signal
@@ -68,12 +69,19 @@ def stumbling(path):
     raise ValueError(f"{path}/none is not there")
 
 
-def lying(path):
+def lying(path, content=b"\xff" * 64):
     # The only regular file that is open is the one for the answer.
     mine = [fd for fd in range(3, 64) if Path(f"/proc/self/fd/{fd}").exists()]
     answer = next(fd for fd in mine if stat.S_ISREG(os.fstat(fd).st_mode))
-    os.write(answer, b"\xff" * 64)
+    os.write(answer, content)
     return ()
+
+
+def boasting(path):
+    header = io.BytesIO()
+    form = {"descr": "|u1", "fortran_order": False, "shape": (10**30,)}
+    np.lib.format.write_array_header_1_0(header, form)
+    return lying(path, header.getvalue())
 
 
 def babbling(path):

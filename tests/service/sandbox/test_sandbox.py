@@ -84,9 +84,10 @@ def test_an_exception_comes_back_by_its_name_without_its_traceback(run):
     assert caught.value.kind == "LookupError"
 
 
-def test_an_answer_that_is_not_of_the_form_is_refused(run):
+@pytest.mark.parametrize("reader", ["lying", "boasting"])
+def test_an_answer_that_is_not_of_the_form_is_refused(run, reader):
     with pytest.raises(SandboxError, match="gave no valid result"):
-        run("lying")
+        run(reader)
 
 
 def test_a_function_that_is_not_there_is_an_error_and_not_a_wait(sandbox, file):
