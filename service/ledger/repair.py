@@ -1,25 +1,16 @@
-"""Repair: lost acknowledged jobs and rows, and a new ledger from a damaged one.
+"""Repair: a new ledger from a damaged one, and damaged rows and lost edits from table files."""
 
-SQLite cannot notice a WAL file that was cut off, deleted or replaced by an older copy: the ledger
-is intact, but older. After each commit the highest numbers are therefore written to a file beside
-the ledger. It is not synced: after a power failure it may be older than the ledger, never newer, so
-that it reports no false loss.
-"""
-
-import json
-import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
-from hashlib import blake2b
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from wrenchbook.service.ledger import audit, rows
+from wrenchbook.service.ledger.acknowledged import Numbers
 from wrenchbook.service.ledger.connection import (
     USE_ERRORS,
     Connection,
@@ -32,7 +23,6 @@ from wrenchbook.service.ledger.packing import Record, records_of, row_keys
 from wrenchbook.service.ledger.records import NotedRows, RowEdit
 from wrenchbook.surrogate.table.rows import Rows
 
-_DIGEST = 8  # bytes of the digest of the acknowledged numbers
 _TABLES = (
     *("jobs", "rows", "edits", "gatherings", "recorded", "extremes", "blocks"),
     *("imports", "import_parts", "catalogue", "demand", "solver_errors", "rigs", "audit"),
@@ -48,113 +38,6 @@ _HEAD_BYTES = 100  # bytes of a file's header: https://www.sqlite.org/fileformat
 _MAGIC = b"SQLite format 3\0"
 _MAX_BYTES = 1 << 34  # bytes of a ledger; a damaged header may state more
 _MAX_MISSES = 50_000  # failed reads, 20 µs each, before the repair gives up a table
-
-
-class Numbers(NamedTuple):
-    """The highest used numbers: of jobs, and of rows and edits."""
-
-    jobs: int = 0
-    rows: int = 0
-
-
-class Acknowledged:
-    """The highest numbers that a ledger has acknowledged, in the file ``<ledger>-acknowledged``.
-
-    Losses are recorded in ``<ledger>-lost``.
-    """
-
-    def __init__(self, ledger: Path) -> None:
-        self._path = ledger.with_name(f"{ledger.name}-acknowledged")
-        self._losses = ledger.with_name(f"{ledger.name}-lost")
-        self._noted = Numbers()
-
-    def note(self, numbers: Numbers) -> None:
-        """Write the numbers of a commit; a disk error is ignored, as the commit is done."""
-        if numbers.jobs <= self._noted.jobs and numbers.rows <= self._noted.rows:
-            return
-        # If two processes write at once, either's numbers stay until the next commit.
-        self._noted = Numbers(*map(max, numbers, self.read()))
-        text = b"%d %d\n" % self._noted
-        content = text + blake2b(text, digest_size=_DIGEST).digest()
-        with suppress(OSError):
-            descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
-            try:
-                # The numbers only grow, so the text never becomes shorter; one write is atomic.
-                os.pwrite(descriptor, content, 0)
-            finally:
-                os.close(descriptor)
-
-    def read(self) -> Numbers:
-        """Return the last written numbers; zeros if the file is missing or damaged."""
-        try:
-            content = self._path.read_bytes()
-        except OSError:
-            return Numbers()
-        text = content[:-_DIGEST]
-        digest = content[-_DIGEST:]
-        if blake2b(text, digest_size=_DIGEST).digest() != digest:
-            return Numbers()
-        return Numbers(*map(int, text.split()))
-
-    def compare(self, noted: Numbers, present: Numbers) -> Numbers | None:
-        """Record a loss and return the acknowledged numbers if they are above the present ones."""
-        if noted.jobs <= present.jobs and noted.rows <= present.rows:
-            return None
-        loss = {
-            "seen": time.time(),
-            "jobs": [present.jobs + 1, max(noted.jobs, present.jobs)],
-            "rows": [present.rows + 1, max(noted.rows, present.rows)],
-        }
-        with suppress(OSError), self._losses.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(loss) + "\n")
-            os.fsync(file.fileno())
-        return noted
-
-    def losses(self) -> list[str]:
-        """Return the losses that no repair has handled yet, as sentences."""
-        return [sentence for sentence, _ in self._open_losses()]
-
-    def lost(self, db: Connection) -> Numbers:
-        """Return the numbers of lost acknowledged jobs and rows, without rows restored since.
-
-        Edits share the rows' numbers, so that there may be fewer rows.
-        """
-        losses = [loss for _, loss in self._open_losses()]
-        jobs = sum(loss["jobs"][1] - loss["jobs"][0] + 1 for loss in losses)
-        lost_rows = sum(loss["rows"][1] - loss["rows"][0] + 1 for loss in losses)
-        last = max((loss["rows"][1] for loss in losses), default=0)
-        select = "SELECT coalesce(sum(count), 0) FROM rows WHERE origin = 'table file' AND seq > ?"
-        return Numbers(jobs, max(0, lost_rows - db.execute(select, (last,)).fetchone()[0]))
-
-    def close(self, move: Callable[[Path], Path]) -> None:
-        """Move the record of losses aside, so that it is no longer reported."""
-        if self._losses.exists():
-            move(self._losses)
-
-    def _open_losses(self) -> list[tuple[str, dict[str, Any]]]:
-        """Return each loss, as a sentence and as recorded."""
-        try:
-            lines = self._losses.read_text(encoding="utf-8").splitlines()
-        except OSError:
-            return []
-        losses = []
-        for line in lines:
-            with suppress(ValueError, KeyError, TypeError):  # an incomplete line
-                loss = json.loads(line)
-                when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(loss["seen"]))
-                parts = [
-                    f"{kind} {first} to {last}"
-                    for kind in ("jobs", "rows")
-                    for first, last in [loss[kind]]
-                    if last >= first
-                ]
-                sentence = (
-                    f"{' and '.join(parts)} were acknowledged but are no longer in the ledger "
-                    f"(noticed {when} UTC): its -wal file was cut, or an older copy was put back. "
-                    "Rows in table files come back; ask for the others again"
-                )
-                losses.append((sentence, loss))
-        return losses
 
 
 @dataclass(frozen=True)

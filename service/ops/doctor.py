@@ -16,8 +16,9 @@ import numpy as np
 
 from wrenchbook.service.files.durable import sync
 from wrenchbook.service.ledger import Ledger, LedgerDamagedError, LedgerError
+from wrenchbook.service.ledger.acknowledged import Acknowledged
 from wrenchbook.service.ledger.connection import unfinished_restore
-from wrenchbook.service.ledger.repair import Acknowledged, salvage
+from wrenchbook.service.ledger.repair import salvage
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.backup import LEDGER
@@ -175,7 +176,7 @@ def _losses(ledger: Ledger, *, repair: bool) -> list[DataFinding]:
     acknowledged = Acknowledged(ledger.path)
     with ledger.reading() as db:
         gone = acknowledged.lost(db)
-    acknowledged.close(lambda file: move_aside(file, "settled"))
+    acknowledged.archive_losses(lambda file: move_aside(file, "settled"))
     findings = [DataFinding("repaired", loss, "noted; it is reported no more") for loss in losses]
     return findings + _gone(f"up to {gone.rows} rows and {gone.jobs} jobs", sum(gone))
 

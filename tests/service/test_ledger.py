@@ -23,6 +23,7 @@ from wrenchbook.service.ledger import (
     UnknownJobError,
     connection,
 )
+from wrenchbook.service.ledger.acknowledged import Acknowledged, Numbers
 from wrenchbook.service.ledger.jobs import BACKOFF_SECONDS, FORGOTTEN_SECONDS, TRANSITIONS
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.workers.builder import DAY, prune, shorten_log
@@ -624,3 +625,23 @@ def test_a_note_that_is_damaged_missing_or_unwritable_is_no_loss(ledger):
     note.mkdir()
     with closing(Ledger(ledger.path)) as again:
         assert again.accept("rig", "f", [2.0] * 6)[1]
+
+
+def test_a_note_is_read_again_after_a_commit_over_a_longer_damaged_one(ledger):
+    ledger.accept("rig", "f", [1.0] * 6)
+    ledger.close()
+    note = ledger.path.with_name(f"{ledger.path.name}-acknowledged")
+    note.write_bytes(note.read_bytes()[:1] + b"garbage" * 4)
+    with closing(Ledger(ledger.path)) as again:
+        again.accept("rig", "f", [2.0] * 6)
+    assert Acknowledged(ledger.path).read() == Numbers(jobs=2, rows=0)
+
+
+@pytest.mark.parametrize(
+    "damage", [b"\xff\n", b'{"seen": 1e300, "jobs": [1, 2], "rows": [1, 0]}\n']
+)
+def test_a_damaged_line_of_the_losses_hides_no_other_loss(ledger, damage):
+    losses = ledger.path.with_name(f"{ledger.path.name}-lost")
+    losses.write_bytes(damage + b'{"seen": 0, "jobs": [3, 4], "rows": [1, 0]}\n')
+    (sentence,) = ledger.losses()
+    assert sentence.startswith("jobs 3 to 4 were acknowledged")
