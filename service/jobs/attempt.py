@@ -263,7 +263,7 @@ def write_json(path: Path, content: Mapping[str, Any], *, durable: bool = False)
 
 def _digest(content: Mapping[str, Any]) -> str:
     """Return a digest that does not change by writing JSON and reading it again."""
-    text = json.dumps(content, allow_nan=False, sort_keys=True)
+    text = json.dumps(content, sort_keys=True)  # a damaged number may be infinite
     return blake2b(text.encode(), digest_size=16).hexdigest()
 
 
@@ -321,7 +321,7 @@ def pieces_of(file: IO[bytes]) -> Iterator[bytes]:
 
 
 # A solver's messages over its socket: it has begun an attempt, it waits for work, it ends.
-TAKEN, FREE, LEAVES = b"t", b"e", b"r"
+BEGUN, FREE, ENDS = b"t", b"e", b"r"
 State = Literal["submitted", "running", "finished", "lost"]
 ALIVE: tuple[State, ...] = ("submitted", "running")
 
