@@ -32,7 +32,6 @@ REPEAT_SECONDS = 30.0
 # A kill of a solver and then its worker, or of a machine, is not the job's fault: the death of a
 # solver counts if its worker outlives it by this time.
 OUTLIVE_SECONDS = 1.0
-GRACE_SECONDS = 5.0  # time between SIGTERM and SIGKILL of a solver, in which it writes its outcome
 
 _solvers: list[LocalEngine] = []  # the engine of this process, at most one
 _solvers_lock = threading.Lock()
@@ -43,7 +42,7 @@ def solvers(worker: Worker) -> LocalEngine:
     with _solvers_lock:
         if not _solvers:
             threads = worker.state.nthreads
-            _solvers.append(LocalEngine(threads, grace=GRACE_SECONDS, outlived_by_solvers=False))
+            _solvers.append(LocalEngine(threads, outlived_by_solvers=False))
         return _solvers[0]
 
 

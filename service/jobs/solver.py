@@ -1,4 +1,4 @@
-"""The solver: ``python -m wrenchbook.service.jobs.solver --line DESCRIPTOR``.
+"""The solver: ``python -m wrenchbook.service.jobs.solver --channel DESCRIPTOR``.
 
 The engine `local` starts it with one end of a socket pair, over which attempts come one by one
 (`service.jobs.solver_pool`). Imports and the component are reused for the next attempt. The process
@@ -36,10 +36,10 @@ from typing import Any
 from wrenchbook.service.fields.record import write_files
 from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs.attempt import (
+    BEGUN,
+    ENDS,
     FREE,
-    LEAVES,
     PROGRESS,
-    TAKEN,
     Attempt,
     Outcome,
     Progress,
@@ -455,34 +455,34 @@ def _unblocked_sigterm() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def serve(line: socket.socket, lives: int) -> None:
-    """Solve the attempts that come over the line, `lives` at most.
+def serve(channel: socket.socket, attempts: int) -> None:
+    """Solve the attempts that come over the channel, at most a number of `attempts`.
 
     End earlier after a long time without work, without a server, after a cancelled attempt, and if
     memory has run out or grown.
     """
-    line.settimeout(IDLE_SECONDS)
+    channel.settimeout(IDLE_SECONDS)
     solver = ComponentSolver()
     stays = True
-    while stays and (received := _receive(line)) is not None:
+    while stays and (received := _receive(channel)) is not None:
         folder, lock, log = received
         _print_to(log)
         os.chdir(folder)
         _block_sigterm()
         os.pwrite(lock, str(os.getpid()).encode(), 0)  # the solver has begun
-        is_connected = _send(line, TAKEN)
+        is_connected = _send(channel, BEGUN)
         code = run_attempt(folder, None if os.environ.get(SOLVE_VARIABLE) else solver.solve)
-        lives -= 1
+        attempts -= 1
         is_usable = not (solver.has_grown() or solver.spoiled)
-        stays = is_connected and is_usable and code != CANCELLED and lives > 0
+        stays = is_connected and is_usable and code != CANCELLED and attempts > 0
         _leave_attempt(lock)
-        stays = _send(line, FREE if stays else LEAVES) and stays
+        stays = _send(channel, FREE if stays else ENDS) and stays
 
 
-def _receive(line: socket.socket) -> tuple[Path, int, int] | None:
+def _receive(channel: socket.socket) -> tuple[Path, int, int] | None:
     """Return the next attempt's folder, lock and log; None if no further one will come."""
     try:
-        path, files, _, _ = socket.recv_fds(line, _MAX_PATH_BYTES, 2)
+        path, files, _, _ = socket.recv_fds(channel, _MAX_PATH_BYTES, 2)
     except OSError:  # a long time without work, or the server is gone
         return None
     if not path or len(files) != 2:
@@ -494,10 +494,10 @@ def _receive(line: socket.socket) -> tuple[Path, int, int] | None:
     return Path(os.fsdecode(path)), lock, log
 
 
-def _send(line: socket.socket, message: bytes) -> bool:
+def _send(channel: socket.socket, message: bytes) -> bool:
     """Send a message to the server; return False if it is gone."""
     try:
-        line.sendall(message)
+        channel.sendall(message)
     except OSError:
         return False
     return True
@@ -522,10 +522,10 @@ def _print_to(file: int) -> None:
     os.close(file)
 
 
-def _end_with(line: int) -> None:
-    """Kill this process and its children once the other end of the line is closed."""
+def _end_with(channel: int) -> None:
+    """Kill this process and its children once the other end of the channel is closed."""
     closed = select.poll()
-    closed.register(line, 0)  # a hang-up is always reported
+    closed.register(channel, 0)  # a hang-up is always reported
     closed.poll()
     os.killpg(0, signal.SIGKILL)
 
@@ -534,17 +534,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the solver process by its command line."""
     _block_sigterm()
     parser = argparse.ArgumentParser(prog="python -m wrenchbook.service.jobs.solver")
-    parser.add_argument("--line", type=int, required=True, help="open socket, the solver's end")
-    parser.add_argument("--lives", type=int, required=True, help="attempts before it ends")
+    parser.add_argument("--channel", type=int, required=True, help="open socket, the solver's end")
+    parser.add_argument("--attempts", type=int, required=True, help="attempts before it ends")
     parser.add_argument("--niceness", type=int, default=0)
     parser.add_argument("--end-with-engine", action="store_true", help="even in an attempt")
     options = parser.parse_args(arguments)
-    os.set_inheritable(options.line, False)
+    os.set_inheritable(options.channel, False)
     os.nice(options.niceness)
     if options.end_with_engine:
-        threading.Thread(target=_end_with, args=(options.line,), daemon=True).start()
-    with socket.socket(fileno=options.line) as line:
-        serve(line, options.lives)
+        threading.Thread(target=_end_with, args=(options.channel,), daemon=True).start()
+    with socket.socket(fileno=options.channel) as channel:
+        serve(channel, options.attempts)
 
 
 if __name__ == "__main__":
