@@ -119,7 +119,9 @@ def test_a_component_edited_between_two_attempts_is_solved_as_it_is_now(site):
 def test_two_components_in_turn_on_one_solver_each_get_their_own_rows(site):
     thick, thin = site.block(), site.block("thin", height=0.05)
     wrench, warm = wrenches(1)[0] / 10, site.engine()
-    expected = [site.solved(site.engine(max_attempts=1), bundle, wrench)[0] for bundle in (thick, thin)]
+    expected = [
+        site.solved(site.engine(max_attempts=1), bundle, wrench)[0] for bundle in (thick, thin)
+    ]
     results = [site.solved(warm, bundle, wrench) for bundle in (thick, thin, thick, thin)]
     assert [outcome for outcome, _ in results] == expected * 2
     assert len({pid for _, pid in results}) == 1

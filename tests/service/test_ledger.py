@@ -15,7 +15,6 @@ from tests.service.ledger_rows import claim, stored
 from tests.until import until
 from wrenchbook.service import workspace
 from wrenchbook.service.ledger import (
-    STATUSES,
     InvalidTransitionError,
     Ledger,
     LedgerError,
@@ -25,6 +24,7 @@ from wrenchbook.service.ledger import (
 )
 from wrenchbook.service.ledger.acknowledged import Acknowledged, Numbers
 from wrenchbook.service.ledger.jobs import BACKOFF_SECONDS, FORGOTTEN_SECONDS, TRANSITIONS
+from wrenchbook.service.ledger.records import STATUSES
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.workers.builder import DAY, prune, shorten_log
 from wrenchbook.service.workspace import Watcher

@@ -12,13 +12,13 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from tests.service.ledger_rows import NewRow, insert, stored
 from wrenchbook.service.ledger import (
-    STATUSES,
     InvalidTransitionError,
     Ledger,
     RowStatusError,
     StaleAttemptError,
     jobs,
 )
+from wrenchbook.service.ledger.records import STATUSES
 
 LOADS = st.sampled_from([nextafter(1.0, 2.0), -0.0, 0.0, 1.0])
 WRENCHES = st.tuples(LOADS, LOADS, *[st.just(0.0)] * 4)
