@@ -23,21 +23,23 @@ from wrenchbook.service.ledger.packing import Record, records_of, row_keys
 from wrenchbook.service.ledger.records import NotedRows, RowEdit
 from wrenchbook.surrogate.table.rows import Rows
 
+# All tables with content of their own: `row_keys` follows from the rows, leases end with a server.
 _TABLES = (
-    *("jobs", "rows", "edits", "gatherings", "recorded", "extremes", "blocks"),
-    *("imports", "import_parts", "catalogue", "demand", "solver_errors", "rigs", "audit"),
+    "SELECT name FROM sqlite_schema WHERE type = 'table'"
+    " AND name NOT IN ('row_keys', 'leases', 'sqlite_sequence') ORDER BY rowid"
 )
+# Whether the ledger has the row in the column `row`, of `jobs` or `edits`.
 _STORED = (
     "EXISTS (SELECT 1 FROM rows WHERE rows.seq = (SELECT max(seq) FROM rows WHERE seq <= row)"
     " AND row < rows.seq + count)"
 )
-_MAX_ROWID = 10_000_000  # assumed if the highest number is unknown
+_MAX_ROWID = 10_000_000  # if the highest number is unknown: ten times the largest tested import
 _OLDER = {"count": 1, "curvature": None}  # values of columns that records of earlier schemas lack
-_MAX_NUMBER = 1 << 48  # larger numbers are damaged
+_MAX_NUMBER = 1 << 48  # larger numbers are damaged: a million a second would take nine years
 _HEAD_BYTES = 100  # bytes of a file's header: https://www.sqlite.org/fileformat.html
 _MAGIC = b"SQLite format 3\0"
-_MAX_BYTES = 1 << 34  # bytes of a ledger; a damaged header may state more
-_MAX_MISSES = 50_000  # failed reads, 20 µs each, before the repair gives up a table
+_MAX_BYTES = 1 << 34  # bytes of a ledger, some 40 million rows; a damaged header may state more
+_MAX_MISSES = 50_000  # failed reads, 20 µs each, before the repair gives up a table: a second
 
 
 @dataclass(frozen=True)
@@ -55,18 +57,20 @@ class Salvaged:
 def salvage(
     damaged: Path, target: Path, spare: Iterable[tuple[str, Rows, float]], noted: Numbers
 ) -> Salvaged:
-    """Write a new ledger from a damaged one, which is only read, and from the table files.
+    """Write a new ledger from a copy of a damaged one, and from the table files.
 
     Rows come from the table files first, which have digests: `spare` has the component, the rows
     and the time of each. A done job without any copy of its row waits again, and no number that was
-    used, or `noted` as acknowledged, is used again. `damaged` is a copy that no other process uses,
-    with its log beside it; `target` must not exist.
+    used, or `noted` as acknowledged, is used again. No other process uses the copy `damaged`, which
+    has its log beside it; `target` must not exist.
+
+    Raises LedgerFileError if `target` cannot be written.
     """
     _pad(damaged)
     try:
         source = connect(damaged)
     except USE_ERRORS:  # the first page, with the schema, is damaged
-        source = connect(damaged.with_name("nothing.sqlite"))
+        source = connect(Path(":memory:"))  # no table
     new = open_file(target)
     try:
         highest = noted._asdict()
@@ -77,8 +81,9 @@ def salvage(
         new.execute("PRAGMA foreign_keys = OFF")
         new.execute("BEGIN IMMEDIATE")
         for component, table_rows, written in spare:
-            _place(new, component, table_rows, written)
-        read = {name: _copy(source, new, name, highest) for name in _TABLES}
+            _insert_spare(new, component, table_rows, written)
+        names = [name for (name,) in new.execute(_TABLES).fetchall()]
+        read = {name: _copy(source, new, name, highest) for name in names}
         # Remove references to missing jobs and rows.
         new.execute("UPDATE rows SET job = NULL WHERE job NOT IN (SELECT id FROM jobs)")
         new.execute(f"DELETE FROM edits WHERE NOT {_STORED}")
@@ -86,8 +91,8 @@ def salvage(
             "UPDATE jobs SET status = 'waiting', row = NULL, started = NULL, finished = NULL"
             f" WHERE row IS NOT NULL AND NOT {_STORED}"
         ).rowcount
-        there = "SELECT (SELECT coalesce(sum(count), 0) FROM rows) + (SELECT count(*) FROM edits)"
-        lost_rows = max(0, noted.rows - new.execute(there).fetchone()[0])
+        total = "SELECT (SELECT coalesce(sum(count), 0) FROM rows) + (SELECT count(*) FROM edits)"
+        lost_rows = max(0, noted.rows - new.execute(total).fetchone()[0])
         new.execute("COMMIT")
         raise_sequences(new, {name: highest.get(name, 0) for name in ("jobs", "rows")})
     finally:
@@ -110,29 +115,30 @@ def _pad(damaged: Path) -> None:
 def _copy(source: Connection, new: Connection, table: str, highest: dict[str, int]) -> int:
     """Copy the readable records of a table, and return their number.
 
-    highest: the highest used number of each table, where the search for records ends.
+    A range of numbers with an unreadable record is halved until the record is alone. `highest` has
+    the highest used number of each table, where the search ends.
     """
     columns = [name for _, name, *_ in new.execute(f"PRAGMA table_info({table})")]
     try:
-        there = [name for _, name, *_ in source.execute(f"PRAGMA table_info({table})")]
+        readable = [name for _, name, *_ in source.execute(f"PRAGMA table_info({table})")]
     except USE_ERRORS:
-        there = columns
-    common = [name for name in columns if name in there]
+        readable = columns
+    common = [name for name in columns if name in readable]
     if not common:
         return 0
     numbered = "rows" if table in ("edits", "import_parts") else table
-    until = highest.get(numbered) or _MAX_ROWID
+    end = highest.get(numbered) or _MAX_ROWID
     select = f"SELECT {', '.join(common)} FROM {table} NOT INDEXED WHERE rowid BETWEEN ? AND ?"
-    marks = ", ".join("?" * len(common))
-    insert = f"INSERT OR IGNORE INTO {table} ({', '.join(common)}) VALUES ({marks})"
+    values = ", ".join("?" * len(common))
+    insert = f"INSERT OR IGNORE INTO {table} ({', '.join(common)}) VALUES ({values})"
     count = 0
     misses = 0
-    ranges = [(0, until)]
+    ranges = [(0, end)]
     while ranges and misses < _MAX_MISSES:
         first, last = ranges.pop()
         try:
             records = source.execute(select, (first, last)).fetchall()
-        except USE_ERRORS:  # each range that is not readable is halved
+        except USE_ERRORS:
             misses += 1
             if first < last:
                 middle = (first + last) // 2
@@ -141,14 +147,14 @@ def _copy(source: Connection, new: Connection, table: str, highest: dict[str, in
         for record in records:
             with suppress(*USE_ERRORS, TypeError, ValueError):  # a record with damaged values
                 if table == "rows":
-                    values = dict(zip(common, record, strict=True))
-                    count += _restore_record(new, Record(**{**_OLDER, **values}))
+                    columns_of = dict(zip(common, record, strict=True))
+                    count += _restore_record(new, Record(**_OLDER | columns_of))
                 else:
                     count += new.execute(insert, record).rowcount
     return count
 
 
-def _place(db: Connection, component: str, table_rows: Rows, now: float) -> None:
+def _insert_spare(db: Connection, component: str, table_rows: Rows, now: float) -> None:
     """Insert rows of a table file under their numbers in a lost ledger."""
     if not len(table_rows):
         return
@@ -185,9 +191,9 @@ def _restore_record(db: Connection, record: Record) -> int:
 
 
 def rewrite(db: Connection, component: str, seq: int, copy: Rows) -> bool:
-    """Write a damaged row again from another copy, with its own number, job, time and note.
+    """Write a damaged row again from `copy`, one row, with its own number, job, time and note.
 
-    The note is kept if it fits the row's seal. Returns False if the row is not damaged, or if the
+    The note stays if it fits the row's seal. Returns False if the row is not damaged, or if the
     same row already has another number because it was solved or loaded again.
     """
     if rows.numbered(db, [seq]):
@@ -198,7 +204,7 @@ def rewrite(db: Connection, component: str, seq: int, copy: Rows) -> bool:
     note = "table file"
     for _, damaged in rows.containing(db, [seq]):  # at most one record
         job = damaged.job
-        if isinstance(damaged.created, float):
+        if isinstance(damaged.created, float):  # not so if its bytes have changed
             created = damaged.created
         if damaged.is_sealed():
             note = damaged.origin
@@ -219,9 +225,7 @@ def rewrite(db: Connection, component: str, seq: int, copy: Rows) -> bool:
 
 
 def replay(db: Connection, component: str, edits: Iterable[RowEdit]) -> int:
-    """Repeat edits that are newer than the ledger's of the same row.
-
-    Return the number of changed rows.
+    """Repeat edits that are newer than the ledger's of the same row; return their number.
 
     An edit of a missing row changes nothing.
     """
