@@ -242,12 +242,12 @@ class Ledger:
                 writer.execute("PRAGMA synchronous = NORMAL")
             try:
                 writer.jobs = {}
-                writer.rows = 0
+                writer.has_new_rows = False
                 begin(writer)
                 yield writer
                 numbers = _numbers(writer)
                 writer.execute("COMMIT")
-                jobs, rows = writer.jobs, writer.rows
+                jobs, has_new_rows = writer.jobs, writer.has_new_rows
                 self._logged = ""
                 if durable:
                     self._acknowledged.note(numbers)
@@ -259,7 +259,7 @@ class Ledger:
                 if not durable:
                     writer.execute("PRAGMA synchronous = FULL")
         _log_jobs(jobs.values())
-        for listener in self._listeners if jobs or rows else ():
+        for listener in self._listeners if jobs or has_new_rows else ():
             try:
                 listener()
             except Exception:  # the commit has happened, whether or not a listener fails

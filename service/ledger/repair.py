@@ -185,7 +185,7 @@ def _restore_record(db: Connection, record: Record) -> int:
             if len(positions) < record.count:
                 part = record.part(positions[0], positions[-1] + 1)
             db.execute(rows.INSERT, part)
-            rows.enter(db, rows.row_entries(part))
+            rows.insert_keys(db, rows.row_entries(part))
             count += part.count
     return count
 

@@ -21,7 +21,7 @@ from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables import store
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
-from wrenchbook.service.tables.rows import followed
+from wrenchbook.service.tables.rows import with_changes
 from wrenchbook.service.tables.store import TableStore, drop_least_used
 from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.packed.writer import pack
@@ -259,7 +259,7 @@ class TableBuilder:
             else:
                 table, after = known.table, known.number
                 rows = self._store.rows(component, after) if table is None else table.rows
-            rows, version = followed(self._ledger, component, rows, after)
+            rows, version = with_changes(self._ledger, component, rows, after)
         except LedgerUnavailableError:
             if known is None:  # its file answers while the ledger cannot be read
                 rows, version = Rows.empty(component.space), 0

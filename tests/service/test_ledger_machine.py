@@ -250,7 +250,7 @@ class LedgerAgainstReference(RuleBasedStateMachine):
         """Read what changed in one component since the last time, in parts of any size."""
         while True:
             changes = self.ledger.row_changes("bar", self.after, most=most)
-            self.followed -= changes.gone
+            self.followed -= changes.edited
             assert self.followed.isdisjoint(changes.rows.seq.tolist())
             self.followed |= set(changes.rows.seq.tolist())
             self.after = changes.last_seq
