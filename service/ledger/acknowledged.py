@@ -11,7 +11,7 @@ import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
 from typing import NamedTuple
@@ -28,34 +28,22 @@ class Numbers(NamedTuple):
     rows: int = 0
 
 
-class NumberRange(NamedTuple):
-    """Consecutive numbers; none if `last` is below `first`."""
-
-    first: int
-    last: int
-
-    @property
-    def count(self) -> int:
-        """How many numbers."""
-        return self.last - self.first + 1
-
-
 @dataclass(frozen=True)
 class Loss:
     """Acknowledged numbers that the ledger lacked when it was opened, at `seen` (s since epoch)."""
 
     seen: float
-    jobs: NumberRange
-    rows: NumberRange
+    jobs: range
+    rows: range
 
     @classmethod
     def read(cls, line: bytes) -> "Loss | None":
         """Return the loss in a line of the record; None if the line is incomplete or damaged."""
         with suppress(ValueError, KeyError, TypeError, OverflowError):
             parts = json.loads(line)
-            ranges = (NumberRange(*map(int, parts[kind])) for kind in ("jobs", "rows"))
-            loss = cls(float(parts["seen"]), *ranges)
-            loss.sentence()  # raises OverflowError for a damaged time
+            spans = (range(first, last + 1) for first, last in (parts["jobs"], parts["rows"]))
+            loss = cls(float(parts["seen"]), *spans)
+            loss.sentence()  # raises OverflowError for a damaged number
             return loss
         return None
 
@@ -63,9 +51,9 @@ class Loss:
         """Return the loss, its probable cause and the remedy."""
         when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(self.seen))
         parts = [
-            f"{kind} {span.first} to {span.last}"
+            f"{kind} {span[0]} to {span[-1]}"
             for kind, span in (("jobs", self.jobs), ("rows", self.rows))
-            if span.count > 0
+            if len(span)
         ]
         return (
             f"{' and '.join(parts)} were acknowledged but are no longer in the ledger "
@@ -117,12 +105,13 @@ class Acknowledged:
         """Record a loss and return the acknowledged numbers if they are above the present ones."""
         if noted.jobs <= present.jobs and noted.rows <= present.rows:
             return None
-        spans = (
-            NumberRange(has + 1, max(had, has)) for had, has in zip(noted, present, strict=True)
-        )
-        line = json.dumps(asdict(Loss(time.time(), *spans))) + "\n"
+        loss = {
+            "seen": time.time(),
+            "jobs": [present.jobs + 1, max(noted.jobs, present.jobs)],
+            "rows": [present.rows + 1, max(noted.rows, present.rows)],
+        }
         with suppress(OSError), self._record.open("a", encoding="utf-8") as file:
-            file.write(line)
+            file.write(json.dumps(loss) + "\n")
             os.fsync(file.fileno())
         return noted
 
@@ -140,11 +129,11 @@ class Acknowledged:
         Edits share the rows' numbers, so that there may be fewer rows.
         """
         losses = self.losses()
-        last = max((loss.rows.last for loss in losses), default=0)
-        select = "SELECT coalesce(sum(count), 0) FROM rows WHERE origin = 'table file' AND seq > ?"
-        restored = db.execute(select, (last,)).fetchone()[0]
-        lost_rows = sum(loss.rows.count for loss in losses)
-        return Numbers(sum(loss.jobs.count for loss in losses), max(0, lost_rows - restored))
+        end = max((loss.rows.stop for loss in losses), default=1)
+        select = "SELECT coalesce(sum(count), 0) FROM rows WHERE origin = 'table file' AND seq >= ?"
+        restored = db.execute(select, (end,)).fetchone()[0]
+        lost_rows = sum(len(loss.rows) for loss in losses)
+        return Numbers(sum(len(loss.jobs) for loss in losses), max(0, lost_rows - restored))
 
     def archive_losses(self, move: Callable[[Path], Path]) -> None:
         """Move the record of losses aside with `move`, so that they are no longer reported."""

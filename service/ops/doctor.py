@@ -33,7 +33,7 @@ from wrenchbook.service.ops.checks import (
 )
 from wrenchbook.service.ops.replica import read_status, trouble_of
 from wrenchbook.service.ops.restore import in_use
-from wrenchbook.service.tables.rows import followed, unsolved
+from wrenchbook.service.tables.rows import unsolved, with_changes
 from wrenchbook.service.tables.store import TableStore
 from wrenchbook.surrogate.table.hdf5 import TableFileError, read_table
 from wrenchbook.surrogate.table.meta import TableMeta
@@ -256,7 +256,7 @@ def _check_component(
         text = f"tables/{name}.h5 and the ledger do not have the same rows up to {last}"
     if text and repair:
         store.load(component)  # restores rows in the ledger that only the file has
-        rows, last_seq = followed(ledger, component, Rows.empty(component.space), 0)
+        rows, last_seq = with_changes(ledger, component, Rows.empty(component.space), 0)
         store.save(component, rows, last_seq)
         back = ledger.count_rows(name) - count
         remedy = f"{back} rows put back into the ledger; the file written anew with {len(rows)}"
@@ -269,7 +269,7 @@ def _check_component(
     others = ledger.of_other_setups(name, component.fingerprint)
     if not others:
         return
-    rows, _ = followed(ledger, component, Rows.empty(component.space), 0)
+    rows, _ = with_changes(ledger, component, Rows.empty(component.space), 0)
     complete = component.linear and bool(np.isfinite(rows.compliance).all(axis=(1, 2)).any())
     wrenches = unsolved(component, others, rows.wrench)
     # One solve of a linear component determines its compliance.
