@@ -99,6 +99,7 @@ class Lease:
         self.name = f"{os.getpid()}-{secrets.token_hex(4)}"
         self._folder = folder
         self._lock = flock.take(self._file(self.name))
+        # By owner: the number of its last heartbeat, and when this was first seen, monotonic s.
         self._known: dict[str, tuple[int, float]] = {}
 
     def is_lost(self, owner: str, engine: str, heartbeat: Heartbeat | None) -> bool:
@@ -332,7 +333,7 @@ class Dispatcher:
 
     def _leave_unwanted(self, lease: Lease) -> None:
         """End attempts that are cancelled, or that another dispatcher has taken over."""
-        owned = self._ledger.attempts_of(lease.name) if self._attempts else {}
+        owned = self._ledger.attempts_of(lease.name) if self._attempts else set()
         for attempt in list(self._attempts.values()):
             if attempt.key in owned or attempt.leaving:
                 continue

@@ -13,6 +13,8 @@ message and remedy, or ``cancelled``. Only a killed solver writes none.
 and rad), or raises an exception, whose attributes ``kind`` and ``remedy`` are reported if present.
 """
 
+from __future__ import annotations
+
 import argparse
 import contextlib
 import errno
@@ -31,7 +33,7 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from wrenchbook.service.fields.record import write_files
 from wrenchbook.service.files.program import solver_version
@@ -47,6 +49,11 @@ from wrenchbook.service.jobs.attempt import (
     write_json,
     write_outcome,
 )
+
+if TYPE_CHECKING:  # imported by the first solve: it takes half a second
+    from wrenchbook.fea.recovery.fields import SolveFields
+    from wrenchbook.fea.solve import Solver
+    from wrenchbook.fea.spec.schema import Bundle
 
 SOLVE_VARIABLE = "WRENCHBOOK_SOLVE"
 MARGIN_VARIABLE = "WRENCHBOOK_MEMORY_MARGIN"
@@ -101,7 +108,7 @@ class ComponentSolver:
 
     def __init__(self) -> None:
         self.spoiled = False
-        self.ready: Any = None
+        self.ready: Solver | None = None
         self.estimated = 0
         self._key: tuple[str, str, bytes] | None = None
         self._limited: tuple[int | None, int | None] = None, None
@@ -113,17 +120,17 @@ class ComponentSolver:
 
         Raises SolveRefusedError if the component has changed, or memory ran out.
         """
-        from wrenchbook.fea.bundle.read import read_bundle  # takes half a second
+        from wrenchbook.fea.bundle.read import read_bundle
 
         bundle = read_bundle(Path(attempt.bundle))
         _require_same(attempt, bundle.fingerprint)
         if bundle.deck is not None:
             limit_memory(None)  # the deck's solver, whose memory is unknown, would inherit it
-            return _solved(bundle, attempt, report)
+            return _solve(bundle, attempt, report)
         try:
-            self._make_ready(bundle, attempt)
+            solver = self._solver_of(bundle, attempt)
             self._limit(self.estimated)
-            return _solved(self.ready, attempt, report)
+            return _solve(solver, attempt, report)
         except MemoryError as error:
             self.spoiled = True
             estimated, limit = self._limited
@@ -152,8 +159,8 @@ class ComponentSolver:
             self._first_bytes = memory
         return memory > self._first_bytes + max(self.estimated, MIN_GROWTH)
 
-    def _make_ready(self, bundle: Any, attempt: Attempt) -> None:
-        """Build the solver of a bundle, unless it is cached."""
+    def _solver_of(self, bundle: Bundle, attempt: Attempt) -> Solver:
+        """Return the solver of a bundle, cached or built."""
         from wrenchbook.fea.bundle.read import FILE_NAME, read_bundle
         from wrenchbook.fea.check.cost import estimate
         from wrenchbook.fea.component import build
@@ -165,7 +172,7 @@ class ComponentSolver:
         text = hashlib.sha256((bundle.folder / FILE_NAME).read_bytes()).digest()
         key = str(bundle.folder), bundle.fingerprint, text
         if self.ready is not None and key == self._key:
-            return
+            return self.ready
         self._drop()
         self._limit(attempt.memory)
         component = build(bundle)
@@ -176,6 +183,7 @@ class ComponentSolver:
         try:
             self.ready = Solver(component)
             self._key = key
+            return self.ready
         except SolveFailed as failure:
             keep(attempt.folder, failure, component)
             raise
@@ -200,14 +208,14 @@ def _require_same(attempt: Attempt, fingerprint: str) -> None:
         )
 
 
-def _solved(ready: Any, attempt: Attempt, report: Report) -> dict[str, Any]:
+def _solve(ready: Solver | Bundle, attempt: Attempt, report: Report) -> dict[str, Any]:
     """Solve an attempt and return the numbers of the outcome.
 
     `ready`: a solver, or the bundle of a deck.
     """
     from wrenchbook.fea.solve import solve
 
-    def keep(fields: Any) -> None:
+    def write_fields(fields: SolveFields) -> None:
         """Write surface and stresses beside the outcome, which is useful without them too."""
         try:
             write_files(attempt.folder, attempt.wrench, fields)
@@ -215,7 +223,7 @@ def _solved(ready: Any, attempt: Attempt, report: Report) -> dict[str, Any]:
             with contextlib.suppress(OSError):  # on a full disk the log has no room either
                 print(f"the deformed surface was not kept: {error}", file=sys.stderr)
 
-    solution = solve(ready, attempt.wrench, progress=report, folder=attempt.folder, on_fields=keep)
+    solution = solve(ready, attempt.wrench, report, attempt.folder, write_fields)
     with contextlib.suppress(OSError):  # a full disk: the outcome has the notes too
         for note in solution.notes:
             print(note)
@@ -238,7 +246,7 @@ def limit_memory(estimated: int | None) -> int | None:
 
     None removes the limit. Return the bytes allowed beyond the present ones; None without a limit.
 
-    Raises SolveRefusedError if the environment variable of the margin is no such number.
+    Raises SolveRefusedError if the environment's `MARGIN_VARIABLE` is no finite number above 0.
     """
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
     soft = hard
@@ -280,7 +288,7 @@ def run_attempt(folder: str | Path, solve: Solve | None = None) -> int:
         with _unblocked_sigterm():
             solver = solve or _named_solver() or ComponentSolver().solve
             numbers = solver(attempt, _Reporter(attempt.folder))
-            outcome = _checked(numbers, loads=len(attempt.wrench))
+            outcome = _outcome_of(numbers, loads=len(attempt.wrench))
         _write_patiently(attempt, outcome)
         return DONE
     except Cancelled:
@@ -290,7 +298,7 @@ def run_attempt(folder: str | Path, solve: Solve | None = None) -> int:
     except Exception as error:
         with contextlib.suppress(OSError):  # a full disk
             traceback.print_exc()
-        _write_patiently(attempt, _failure(error))
+        _write_patiently(attempt, _failed_outcome(error))
         return FAILED
 
 
@@ -350,7 +358,7 @@ def _named_solver() -> Solve | None:
     raise SolveRefusedError("no_solver", f"{SOLVE_VARIABLE}={name!r}: {why}", remedy)
 
 
-def _checked(numbers: Mapping[str, Any], loads: int) -> Outcome:
+def _outcome_of(numbers: Mapping[str, Any], loads: int) -> Outcome:
     """Return the outcome of a solver's report.
 
     A displacement has 6 numbers an interface, a compliance as many lines of `loads` numbers, a
@@ -413,7 +421,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _failure(error: Exception) -> Outcome:
+def _failed_outcome(error: Exception) -> Outcome:
     """Return the outcome of an attempt that raised an error."""
     kind = getattr(error, "kind", None)
     remedy = getattr(error, "remedy", None)
