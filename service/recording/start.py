@@ -1,4 +1,4 @@
-"""LM_start: the solves of a recording's, an envelope's or another setup's wrenches."""
+"""Solves of the wrenches of a recording, of an envelope or of another setup's rows."""
 
 from __future__ import annotations
 
