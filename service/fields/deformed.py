@@ -16,7 +16,6 @@ from wrenchbook.service.fields.blend import ARRAYS, Blend
 from wrenchbook.service.fields.record import DamagedFieldsError, RowFields, SurfaceGeometry
 from wrenchbook.service.fields.shape import (
     Deformed,
-    Floats,
     error_parts,
     largest_stress,
     rounding,
@@ -28,7 +27,7 @@ from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.field_weights import FieldWeights, nearest_rows
 from wrenchbook.surrogate.kriging import Hyperparameters, SingularCovarianceError
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.rows import NEAR, Rows, why_beyond
+from wrenchbook.surrogate.table.rows import NEAR, Floats, Rows, why_beyond
 
 # Rows of an interpolation: by their slopes as accurate as all rows, with a factorisation of 20 ms.
 MAX_ROWS = 60

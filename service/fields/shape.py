@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wrenchbook.fea.tensors import von_mises
 from wrenchbook.service.fields.record import RowFields, SurfaceGeometry
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
-from wrenchbook.surrogate.table.rows import ROUNDING
+from wrenchbook.surrogate.table.rows import ROUNDING, Floats
 
 # Part of the largest discretisation error on the surface that is added to a free vertex's error:
 # near clamps and edges cells have errors of their own. On six parts 9 of 10 vertices deviate by 3
@@ -23,8 +22,6 @@ LOCAL = 0.1
 # Part of the scaled compliance's largest singular value: smaller values are locked freedoms and
 # roundoff.
 _SINGULAR = 1e-9
-
-Floats = NDArray[np.float64]
 
 NOT_FOLLOWED = (
     "no row has how the surface follows its interface; the next solve of this component will"

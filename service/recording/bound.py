@@ -10,10 +10,9 @@ import numpy as np
 
 from wrenchbook.service.contract import COVERAGE
 from wrenchbook.service.recording.store import EnvelopeState
-from wrenchbook.service.recording.thinning import Floats
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.answer import COVERED, OUTSIDE
-from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.rows import Floats, Tolerance
 from wrenchbook.surrogate.table.space import Space
 
 EXACT: Final = (

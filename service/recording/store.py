@@ -19,9 +19,9 @@ from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.packing import content_key
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.recording.thinning import MAX_OUTSIDE, Floats, Subset, scaled_loads, take
+from wrenchbook.service.recording.thinning import MAX_OUTSIDE, Subset, scaled_loads, take
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.table.rows import NEAR
+from wrenchbook.surrogate.table.rows import NEAR, Floats
 
 Kind = Literal["recording", "envelope"]
 BlockKey = tuple[str, int]  # the client's name, and its number of the block

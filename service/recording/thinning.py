@@ -13,10 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from wrenchbook.surrogate.table.rows import NEAR
+from wrenchbook.surrogate.table.rows import NEAR, Floats
 from wrenchbook.surrogate.table.space import DEFAULT
-
-Floats = NDArray[np.float64]
 
 MAX_INSIDE = 10_000  # wrenches of a recording within the load range
 MAX_OUTSIDE = 1_000  # wrenches beyond the range: impacts, counted separately

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from wrenchbook.service.files import lock
 from wrenchbook.service.files.program import child_command
-from wrenchbook.service.jobs.attempt import LOG, PROGRESS, write_json
+from wrenchbook.service.jobs.attempt import LOG, PROGRESS, Progress, read_progress, write_json
 from wrenchbook.service.library.component import Component, file_stamp
 
 FILES = {"json": "report.json", "md": "report.md", "html": "report.html"}
@@ -104,27 +104,19 @@ class Reports:
 
     def state(self, name: str) -> ReportState:
         """Return how far a component's report is."""
-        with self._lock:  # no report is begun or cancelled while its files are read
-            return self._state(name)
-
-    def _state(self, name: str) -> ReportState:
         folder = self._folder / name
-        if self._is_alive(name):
-            progress = _read(folder / PROGRESS) or {}
-            order = _read(folder / ORDER) or {}
-            return ReportState(
-                "running",
-                progress.get("fraction", 0.0),
-                progress.get("message", "starting"),
-                order.get("wrenches"),
-            )
-        failure = _read(folder / FAILURE)
-        if failure:
-            return ReportState("failed", 0.0, failure["message"])
-        ordered, written = file_stamp((folder / ORDER, folder / FILES["json"]))
-        is_missing = ordered and (not written or written[0] < ordered[0])
-        if is_missing and not (folder / CANCEL).exists():
-            return ReportState("failed", 0.0, _KILLED.format(name))
+        with self._lock:  # no report is begun or cancelled while its files are read
+            if self._is_alive(name):
+                progress = read_progress(folder) or Progress(0.0, "starting")
+                order = _read(folder / ORDER) or {}
+                wrenches = order.get("wrenches")
+                return ReportState("running", progress.fraction, progress.message, wrenches)
+            if failure := _read(folder / FAILURE):
+                return ReportState("failed", 0.0, failure["message"])
+            ordered, written = file_stamp((folder / ORDER, folder / FILES["json"]))
+            is_missing = ordered and (not written or written[0] < ordered[0])
+            if is_missing and not (folder / CANCEL).exists():
+                return ReportState("failed", 0.0, _KILLED.format(name))
         return ReportState("done", 1.0) if written else ReportState("none")
 
     def file(self, name: str, format: str) -> Path | None:  # noqa: A002 (the contract's word)

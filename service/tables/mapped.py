@@ -95,7 +95,7 @@ class ServedTable:
         self.bars_are_complete = packed.bars_are_complete  # error bars have all their parts
         low, high = packed.load_range
         self.load_range = LoadRange(low, high, packed.space)
-        # Solves of a linear component's 6x6 compliance are missing.
+        # Solves of a linear component's compliance are missing.
         self.needs_compliance = self.linear and not self.fit.complete
         self.locked = tuple(np.flatnonzero(packed.locked).tolist())
         self.interfaces = self.load_range.space.several  # names if there are several
@@ -167,7 +167,7 @@ class ServedTable:
 
     @property
     def steepest(self) -> Floats:
-        """The largest change of each output over half the load range, (6,), m and rad."""
+        """The largest change of each output over half the load range, (m,), m and rad."""
         return self._of_groups("row/steepest")
 
     def _of_groups(self, name: str, *columns: int) -> Floats:
@@ -203,7 +203,7 @@ class ServedTable:
 
 
 class MappedTables:
-    """The newest tables by component name, mapped from the builder's files.
+    """The newest table of each component, mapped from the builder's files.
 
     A request uses the present table (`surrogate`, a dictionary look-up). One thread maps each new
     version and then replaces the earlier one; without a builder the last versions continue to
