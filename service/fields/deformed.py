@@ -130,23 +130,22 @@ class DeformedSurfaces:
             raise TooFarError(f"{beyond}, too far away for a surface; give a load within {ends}")
 
         if component.linear:
-            shape = self._linear(component, rows, acting)
+            surface = self._linear(component, rows, acting)
         else:
-            shape = self._of_solve(component, rows, acting)
-            if shape is None:
-                shape = self._interpolated(component, rows, acting, hyperparameters)
-        if shape.error is not None:  # the coverage stays that of the table
-            wrench = np.array(shape.wrench)
-            parts = error_parts(shape.error, shape.follows, solver, wrench, at_interface)
+            surface = self._of_solve(component, rows, acting)
+            if surface is None:
+                surface = self._interpolated(component, rows, acting, hyperparameters)
+        if surface.error is not None:  # the coverage stays that of the table
+            parts = error_parts(surface.error, surface.modes, solver, acting, at_interface)
             limit = component.tolerance
             total = parts.total
             within = None
             if limit is not None and parts.are_complete:
                 within = bool(total.max(initial=0.0) <= limit.translation)
-            shape = replace(shape, error=total, parts=parts, within_tolerance=within)
-        if beyond and shape.source != "row":
-            return replace(shape, coverage="outside", reason=beyond)
-        return shape
+            surface = replace(surface, error=total, parts=parts, within_tolerance=within)
+        if beyond and surface.source != "row":
+            return replace(surface, coverage="outside", reason=beyond)
+        return surface
 
     def _linear(self, component: Component, rows: Rows, wrench: Floats) -> Deformed:
         """Return the surface of a linear component: its fields of unit loads times the wrench."""
@@ -177,7 +176,7 @@ class DeformedSurfaces:
             error=rounding(moved),
             stress=stress,
             source="linear",
-            follows=vertex_modes(row.displacement_slopes, compliance),
+            modes=vertex_modes(row.displacement_slopes, compliance),
         )
 
     def _of_solve(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
@@ -212,7 +211,7 @@ class DeformedSurfaces:
                 stress=stress,
                 source="row",
                 rows=(int(rows.seq[index]),),
-                follows=vertex_modes(row.displacement_slopes, rows.compliance[index]),
+                modes=vertex_modes(row.displacement_slopes, rows.compliance[index]),
             )
         return None
 
@@ -229,7 +228,7 @@ class DeformedSurfaces:
         is_inside = component.load_range.holds(rows.wrench)
         solved = np.flatnonzero((rows.fingerprint == component.fingerprint) & is_inside)
         wrenches = rows.wrench[solved]
-        with_fields = self._store.has(component.name, component.fingerprint, wrenches.tolist())
+        with_fields = self._store.find(component.name, component.fingerprint, wrenches.tolist())
         if not with_fields:
             raise NoFieldsError(
                 component,
@@ -269,7 +268,7 @@ class DeformedSurfaces:
             rows=blend.rows,
             coverage="thin" if reason else "covered",
             reason=reason,
-            follows=vertex_modes(slopes, rows.compliance[np.flatnonzero(rows.seq == number)[0]]),
+            modes=vertex_modes(slopes, rows.compliance[np.flatnonzero(rows.seq == number)[0]]),
         )
 
     def _blend(

@@ -18,12 +18,15 @@ import zlib
 from collections.abc import Mapping
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.service.files.durable import write_atomically
+
+if TYPE_CHECKING:  # readers of the files import no finite elements
+    from wrenchbook.fea.recovery.fields import SolveFields
 
 GEOMETRY, ROW = "geometry.fields", "row.fields"  # the solver's names of both files
 FINE, STRESS, SLOPES = 44, 24, 20  # bits of displacements, stresses and slopes, see above
@@ -50,7 +53,7 @@ class Column(NamedTuple):
 
 def pack(meta: Mapping[str, Any], columns: Mapping[str, Column]) -> bytes:
     """Return the file of arrays and JSON values; raises ValueError unless numbers are finite."""
-    entries, payloads = zip(*(_packed(*item) for item in columns.items()), strict=True)
+    entries, payloads = zip(*(_pack_column(*item) for item in columns.items()), strict=True)
     body = b"".join(payloads)
     header: dict[str, Any] = {"meta": dict(meta), "columns": entries}
     header["digest"] = _digest(header, body)
@@ -77,7 +80,7 @@ def unpack(content: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
     columns = {}
     start = 0
     for entry in header["columns"]:
-        columns[entry["name"]] = _unpacked(entry, body[start : start + entry["bytes"]])
+        columns[entry["name"]] = _unpack_column(entry, body[start : start + entry["bytes"]])
         start += entry["bytes"]
     return header["meta"], columns
 
@@ -104,7 +107,7 @@ def _digest(header: Mapping[str, Any], body: bytes) -> str:
     return blake2b(body, key=blake2b(text, digest_size=32).digest(), digest_size=16).hexdigest()
 
 
-def _packed(name: str, column: Column) -> tuple[dict[str, Any], bytes]:
+def _pack_column(name: str, column: Column) -> tuple[dict[str, Any], bytes]:
     """Return a column's entry in the header, and its compressed bytes."""
     values, bits = column
     if not np.isfinite(values).all():
@@ -133,7 +136,7 @@ def _packed(name: str, column: Column) -> tuple[dict[str, Any], bytes]:
     return entry | {"bytes": len(payload)}, payload
 
 
-def _unpacked(entry: Mapping[str, Any], payload: bytes) -> Array:
+def _unpack_column(entry: Mapping[str, Any], payload: bytes) -> Array:
     """Return the array of a column from its header entry and compressed bytes."""
     name = entry["name"]
     shape = tuple(entry["shape"])
@@ -180,11 +183,8 @@ class RowFields(NamedTuple):
     meta: dict[str, Any]
 
 
-def write_files(folder: Path, wrench: tuple[float, ...], fields: Any) -> None:
+def write_files(folder: Path, wrench: tuple[float, ...], fields: SolveFields) -> None:
     """Write the files `GEOMETRY` and `ROW` into a folder, each atomically and durably.
-
-    `fields` is a `fea.recovery.fields.SolveFields`, not imported: readers of the files import no
-    finite elements.
 
     Raises OSError if they cannot be written, ValueError unless all numbers are finite.
     """

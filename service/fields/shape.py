@@ -23,9 +23,7 @@ LOCAL = 0.1
 # roundoff.
 _SINGULAR = 1e-9
 
-NOT_FOLLOWED = (
-    "no row has how the surface follows its interface; the next solve of this component will"
-)
+NO_MODES = "no row has how the surface follows its interface; the next solve of this component will"
 
 
 class ErrorParts(NamedTuple):
@@ -92,7 +90,7 @@ def error_parts(
         return ErrorParts(parts, {"mesh_basis": UNKNOWN})
     bases = {name: str(text) for name, text in solver.values.items() if name.endswith("_basis")}
     if modes is None:
-        return ErrorParts(parts, bases | {"mesh_basis": NOT_FOLLOWED})
+        return ErrorParts(parts, bases | {"mesh_basis": NO_MODES})
     for cause, bars in (at_interface or solver.parts(wrench.tolist())).items():
         carried = None if bars is None else np.abs(modes) @ np.array(bars)
         parts[cause] = None if carried is None else np.linalg.norm(carried, axis=1)
@@ -139,7 +137,7 @@ class Deformed:
     coverage: str = "covered"  # covered, thin or outside
     reason: str = ""
     # (v, 3, 6), m/m and m/rad: motion of vertices by motions of the interface.
-    follows: Floats | None = None
+    modes: Floats | None = None
     parts: ErrorParts | None = None
     within_tolerance: bool | None = None  # None without a tolerance or a discretisation error
 
