@@ -52,7 +52,7 @@ _ARENA_MAX = -8  # M_ARENA_MAX of glibc's malloc.h
 MAX_HEAPS = 4
 
 
-def give_back() -> None:
+def free_memory() -> None:
     """Return freed memory to the system where the C library can (glibc); else do nothing.
 
     Memory from reading a large file is scattered over the threads' heaps, and stays allocated until

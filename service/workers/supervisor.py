@@ -46,8 +46,8 @@ WEB_WORKER: Final = Kind("wb-webworker", "wrenchbook.service.workers.web_worker:
 FOLLOWER: Final = Kind("wb-follower", "wrenchbook.service.workers.follower:run")
 COPIER: Final = Kind("wb-copier", "wrenchbook.service.workers.copier:run")
 HEARTBEAT_S: Final = 0.25
-# Time without a heartbeat, and of the start of a web worker at SIGHUP, until it is given up. On a
-# machine with ten times its load a thread waited for 3 s, and a start took 20 s.
+# Time without a heartbeat, and for the start of a web worker at SIGHUP, after which the process is
+# killed. On a machine with ten times its load a thread waited for 3 s, and a start took 20 s.
 HEALTH_S: Final = 30.0
 RETIRE: Final = signal.SIGUSR1  # sent to a web worker that is replaced: see `Server.retire`
 STOP_S: Final = 30.0  # time to end after SIGTERM, before SIGKILL
