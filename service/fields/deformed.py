@@ -295,11 +295,8 @@ class DeformedSurfaces:
             return cached[1]
         self._blends.pop(component.name, None)  # freed before the next takes as much memory
 
-        read: dict[int, RowFields] = {}
-        for index, row_wrench in enumerate(near.wrench):
-            row = self._read_row(component, row_wrench)
-            if row is not None:
-                read[index] = row
+        near_rows = ((k, self._read_row(component, each)) for k, each in enumerate(near.wrench))
+        read = {k: row for k, row in near_rows if row is not None}
         if not read:
             why = "those nearest to this wrench are damaged"
             raise NoFieldsError(component, why, rows=near.seq.tolist())

@@ -132,10 +132,10 @@ class LocalEngine(attempts.Listeners):
         """Give the attempt to a solver with its component, else to any free or a new solver."""
         lock = flock.take(attempt.folder / LOCK)
         if lock is None:
-            why = (
-                f"a solver already works in {attempt.folder}; wait for its end, or end the process"
+            raise attempts.EngineError(
+                f"a solver already works in {attempt.folder}; wait for its end, or end the process "
+                f"that its file {LOCK} names"
             )
-            raise attempts.EngineError(why + f" that its file {LOCK} names")
         environment = _ENVIRONMENT | dict(os.environ) | self._environment
         try:
             with (attempt.folder / LOG).open("ab") as log:

@@ -88,11 +88,8 @@ def _advice_on_rows(report: dict[str, Any], table: dict[str, Any]) -> tuple[str,
 
     Its errors are against the finest mesh. The second result says whether it recommends rows.
     """
-    mesh, error, total = (
-        report["mesh_error"],
-        table["largest_interpolation_error"],
-        table["largest_error"],
-    )
+    mesh, total = report["mesh_error"], table["largest_error"]
+    error = table["largest_interpolation_error"]
     too_small = _bars_are_too_small(table)
     sentence = f"the table ({table['name']}) does not answer all outputs"
     if total is not None:

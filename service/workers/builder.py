@@ -215,8 +215,7 @@ def note_settings(ledger: Ledger, settings: Settings) -> None:
         known = ledger.audit(action="settings", limit=1)
         before = known[0].after if known else None
         after = asdict(settings)
-        texts = {k: shown(str(v)) for k, v in after.items() if isinstance(v, str | Path)}
-        after |= texts
+        after |= {k: shown(str(v)) for k, v in after.items() if isinstance(v, str | Path)}
         if before != after:
             with noted(ledger, "settings", "serve", before=before, after=after):
                 pass

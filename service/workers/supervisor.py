@@ -169,7 +169,11 @@ class Supervisor:
 
         A second signal ends all processes at once.
         """
-        self._watch()
+        for number in (*_ENDS, signal.SIGHUP):
+            signal.signal(number, lambda number, _: self._signals.append(number))
+        while not self.failed and _ENDS.isdisjoint(self._signals):
+            self.check()
+            wait([child.process.sentinel for child in (self._builder, *self._web)], POLL_S)
         for number in _ENDS:
             signal.signal(number, lambda number, _: os._exit(128 + number))
         # Web workers end after their open requests; further connections are refused.
@@ -184,14 +188,6 @@ class Supervisor:
         for child in (self._builder, *self._copiers):  # a copier ships the builder's last rows
             child.send(signal.SIGTERM)
             child.join()
-
-    def _watch(self) -> None:
-        """Keep the processes running until a signal or a failure."""
-        for number in (*_ENDS, signal.SIGHUP):
-            signal.signal(number, lambda number, _: self._signals.append(number))
-        while not self.failed and _ENDS.isdisjoint(self._signals):
-            self.check()
-            wait([child.process.sentinel for child in (self._builder, *self._web)], POLL_S)
 
     def check(self) -> None:
         """Print once that the server is ready; from then on restart processes that have ended."""
