@@ -126,7 +126,9 @@ def prune(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event)
         True: (settings.keep_days, settings.keep_count),
         False: (settings.keep_failed_days, settings.keep_failed_count),  # they have the cause
     }
-    numbers = sorted((int(name) for name in _names(jobs) if name.isdecimal()), reverse=True)
+    # SQLite's numbers have 63 bits: a folder with a larger number is no job's.
+    numbers = [int(name) for name in _names(jobs) if name.isdecimal()]
+    numbers = sorted((number for number in numbers if number < 1 << 63), reverse=True)
     remaining = {True: 0, False: 0}
     removed = 0
     now = time.time()

@@ -560,6 +560,12 @@ def test_folders_are_removed_by_age_and_a_clock_set_back_removes_none(ledger, mo
     assert pruned(ledger, Settings()) == len(jobs)
 
 
+def test_a_folder_named_by_a_number_that_no_job_can_have_does_not_stop_the_removal(ledger):
+    end_job(ledger, 1)
+    (ledger.path.parent / "jobs" / "99999999999999999999").mkdir()
+    assert pruned(ledger, Settings(keep_count=0)) == 1
+
+
 def test_what_waits_runs_or_is_unknown_is_left_alone(ledger):
     folder = ledger.path.parent / "jobs"
     reopened = end_job(ledger, 1, good=False)
