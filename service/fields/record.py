@@ -32,7 +32,7 @@ GEOMETRY, ROW = "geometry.fields", "row.fields"  # the solver's names of both fi
 FINE, STRESS, SLOPES = 44, 24, 20  # bits of displacements, stresses and slopes, see above
 MAGIC = b"wrenchbook fields 1\n"
 EXACT = 0  # number of bits that means: stored without rounding
-MAX_BYTES = 1 << 28  # bytes of one unpacked column: no header may request all memory
+MAX_COLUMN_BYTES = 1 << 28  # of one unpacked column: no header may request all memory
 _MAX_BITS = 50  # differences of multiples must fit 64 bits, and multiples a float64
 _MAX_BITS_32 = 30  # bits of multiples whose differences, with one bit more, fit 32 bits
 _MIN_EXPONENT = -1074  # the least exponent of a float64
@@ -142,8 +142,10 @@ def _unpack_column(entry: Mapping[str, Any], payload: bytes) -> Array:
     shape = tuple(entry["shape"])
     kind = np.dtype(f"<{entry['kind']}")
     size = int(np.prod(shape, dtype=object)) * kind.itemsize
-    if not 0 <= size <= MAX_BYTES:
-        raise DamagedFieldsError(f"its column {name} claims {size} bytes, more than {MAX_BYTES}")
+    if not 0 <= size <= MAX_COLUMN_BYTES:
+        raise DamagedFieldsError(
+            f"its column {name} claims {size} bytes, more than {MAX_COLUMN_BYTES}"
+        )
     try:
         raw = zlib.decompressobj().decompress(payload, size) if size else b""
     except zlib.error as error:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from wrenchbook.fea.tensors import von_mises
+from wrenchbook.service.contract import Coverage
 from wrenchbook.service.fields.record import RowFields, SurfaceGeometry
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
@@ -132,9 +133,9 @@ class Deformed:
     displacement: Floats  # (v, 3), m
     error: Floats | None  # (v,), m; None if unknown
     stress: LargestStress | None  # None between rows with too many integration points
-    source: str
+    source: Literal["row", "rows", "linear"]
     rows: tuple[int, ...] = ()  # numbers (`seq`) of the rows used
-    coverage: str = "covered"  # covered, thin or outside
+    coverage: Coverage = "covered"
     reason: str = ""
     # (v, 3, 6), m/m and m/rad: motion of vertices by motions of the interface.
     modes: Floats | None = None

@@ -17,7 +17,7 @@ from distributed import Worker
 
 from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs import attempt as attempts
-from wrenchbook.service.jobs.attempt import ALIVE, Attempt
+from wrenchbook.service.jobs.attempt import ALIVE, OUTLIVE_SECONDS, Attempt
 from wrenchbook.service.jobs.dask_files import BadPayloadError, Payload, artifacts, unpack
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
@@ -29,9 +29,6 @@ POLL_SECONDS = 0.1  # pause between a worker's polls of a running solver: short 
 REPORT_SECONDS = 1.0  # pause between two progress events of an attempt: a page shows no more
 # Time after which unchanged progress is sent again, for a server that has just connected.
 REPEAT_SECONDS = 30.0
-# A kill of a solver and then its worker, or of a machine, is not the job's fault: the death of a
-# solver counts if its worker outlives it by this time.
-OUTLIVE_SECONDS = 1.0
 
 _engines: list[LocalEngine] = []  # the engine of this process, at most one
 _engines_lock = threading.Lock()

@@ -33,6 +33,7 @@ from wrenchbook.service.files import lock as flock
 from wrenchbook.service.jobs.attempt import (
     ALIVE,
     LOG,
+    OUTLIVE_SECONDS,
     Attempt,
     BadOutcomeError,
     Outcome,
@@ -64,9 +65,6 @@ POLL_SECONDS = 0.02
 RECOVER_SECONDS = 1.0
 # Pause before a failed action is repeated: a full disk or a process limit lasts.
 TROUBLE_SECONDS = 1.0
-# A death counts once its dispatcher has outlived it by this time: if the solver and then the server
-# die, by a kill of both or of the machine, the job is not the cause.
-OUTLIVE_SECONDS = 1.0
 START_AGAIN_SECONDS = 5.0  # pause before the next attempt of a job whose solver could not begin
 STOP_SECONDS = 15.0  # time that `stop` waits for solvers to end
 MAX_CLAIMED = 100  # jobs claimed in one transaction, which then takes a few milliseconds

@@ -34,7 +34,7 @@ POLL_S = 0.02  # pause between polls of the ledger, of some microseconds each
 SMALL_AT_ONCE = 2  # small builds beside a large one: all share one interpreter
 SAVE_AFTER_QUIET_S = 1.0  # time without changes before an HDF5 file, written as a whole, is due
 RETRY_S = 1.0  # pause before a failed step is repeated: a full disk lasts
-START_S = 30.0  # s for small tables at a start; larger ones answer 503 until they are built
+START_S = 30.0  # s that a start waits for small tables; later ones answer 503 until they are built
 _UNCONFIRMED = -1  # version of a file's rows that the ledger could not confirm
 
 
