@@ -18,15 +18,12 @@ import zlib
 from collections.abc import Mapping
 from hashlib import blake2b
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wrenchbook.service.files.durable import write_atomically
-
-if TYPE_CHECKING:  # readers of the files import no finite elements
-    from wrenchbook.fea.recovery.fields import SolveFields
 
 GEOMETRY, ROW = "geometry.fields", "row.fields"  # the solver's names of both files
 FINE, STRESS, SLOPES = 44, 24, 20  # bits of displacements, stresses and slopes, see above
@@ -185,8 +182,11 @@ class RowFields(NamedTuple):
     meta: dict[str, Any]
 
 
-def write_files(folder: Path, wrench: tuple[float, ...], fields: SolveFields) -> None:
+def write_files(folder: Path, wrench: tuple[float, ...], fields: Any) -> None:
     """Write the files `GEOMETRY` and `ROW` into a folder, each atomically and durably.
+
+    `fields` is a `fea.recovery.fields.SolveFields`, not imported: readers of the files import no
+    finite elements.
 
     Raises OSError if they cannot be written, ValueError unless all numbers are finite.
     """
