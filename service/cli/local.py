@@ -167,7 +167,7 @@ def work(
     """Solve the queued jobs of a data directory, next to its server, until SIGINT or SIGTERM."""
     import threading
 
-    from wrenchbook.service.workers.builder import opened, solving
+    from wrenchbook.service.workers.builder import open_data, solving
 
     if not data.is_dir():  # an empty one is allowed: a container may start before the server's
         start = f"start wrenchbook serve --data {data} first, or correct the path"
@@ -176,7 +176,7 @@ def work(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     settings = Settings(data, solvers)
-    with opened(settings) as parts, solving(settings, parts):
+    with open_data(settings) as parts, solving(settings, parts):
         ready = {"data": str(data), "solvers": solvers, "pid": os.getpid()}
         line = f"solving for {data} with {solvers} solvers"
         print(json.dumps(ready) if as_json else line, flush=True)

@@ -16,7 +16,6 @@ from wrenchbook.service.fields.blend import ARRAYS, Blend
 from wrenchbook.service.fields.record import DamagedFieldsError, RowFields, SurfaceGeometry
 from wrenchbook.service.fields.shape import (
     Deformed,
-    Floats,
     error_parts,
     largest_stress,
     rounding,
@@ -28,7 +27,7 @@ from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.field_weights import FieldWeights, nearest_rows
 from wrenchbook.surrogate.kriging import Hyperparameters, SingularCovarianceError
 from wrenchbook.surrogate.solver_error import SolverError
-from wrenchbook.surrogate.table.rows import NEAR, Rows, why_beyond
+from wrenchbook.surrogate.table.rows import NEAR, Floats, Rows, why_beyond
 
 # Rows of an interpolation: by their slopes as accurate as all rows, with a factorisation of 20 ms.
 MAX_ROWS = 60
@@ -131,23 +130,22 @@ class DeformedSurfaces:
             raise TooFarError(f"{beyond}, too far away for a surface; give a load within {ends}")
 
         if component.linear:
-            shape = self._linear(component, rows, acting)
+            surface = self._linear(component, rows, acting)
         else:
-            shape = self._of_solve(component, rows, acting)
-            if shape is None:
-                shape = self._interpolated(component, rows, acting, hyperparameters)
-        if shape.error is not None:  # the coverage stays that of the table
-            wrench = np.array(shape.wrench)
-            parts = error_parts(shape.error, shape.follows, solver, wrench, at_interface)
+            surface = self._of_solve(component, rows, acting)
+            if surface is None:
+                surface = self._interpolated(component, rows, acting, hyperparameters)
+        if surface.error is not None:  # the coverage stays that of the table
+            parts = error_parts(surface.error, surface.modes, solver, acting, at_interface)
             limit = component.tolerance
             total = parts.total
             within = None
             if limit is not None and parts.are_complete:
                 within = bool(total.max(initial=0.0) <= limit.translation)
-            shape = replace(shape, error=total, parts=parts, within_tolerance=within)
-        if beyond and shape.source != "row":
-            return replace(shape, coverage="outside", reason=beyond)
-        return shape
+            surface = replace(surface, error=total, parts=parts, within_tolerance=within)
+        if beyond and surface.source != "row":
+            return replace(surface, coverage="outside", reason=beyond)
+        return surface
 
     def _linear(self, component: Component, rows: Rows, wrench: Floats) -> Deformed:
         """Return the surface of a linear component: its fields of unit loads times the wrench."""
@@ -178,7 +176,7 @@ class DeformedSurfaces:
             error=rounding(moved),
             stress=stress,
             source="linear",
-            follows=vertex_modes(row.displacement_slopes, compliance),
+            modes=vertex_modes(row.displacement_slopes, compliance),
         )
 
     def _of_solve(self, component: Component, rows: Rows, wrench: Floats) -> Deformed | None:
@@ -213,7 +211,7 @@ class DeformedSurfaces:
                 stress=stress,
                 source="row",
                 rows=(int(rows.seq[index]),),
-                follows=vertex_modes(row.displacement_slopes, rows.compliance[index]),
+                modes=vertex_modes(row.displacement_slopes, rows.compliance[index]),
             )
         return None
 
@@ -230,7 +228,7 @@ class DeformedSurfaces:
         is_inside = component.load_range.holds(rows.wrench)
         solved = np.flatnonzero((rows.fingerprint == component.fingerprint) & is_inside)
         wrenches = rows.wrench[solved]
-        with_fields = self._store.has(component.name, component.fingerprint, wrenches.tolist())
+        with_fields = self._store.find(component.name, component.fingerprint, wrenches.tolist())
         if not with_fields:
             raise NoFieldsError(
                 component,
@@ -270,7 +268,7 @@ class DeformedSurfaces:
             rows=blend.rows,
             coverage="thin" if reason else "covered",
             reason=reason,
-            follows=vertex_modes(slopes, rows.compliance[np.flatnonzero(rows.seq == number)[0]]),
+            modes=vertex_modes(slopes, rows.compliance[np.flatnonzero(rows.seq == number)[0]]),
         )
 
     def _blend(
@@ -297,11 +295,8 @@ class DeformedSurfaces:
             return cached[1]
         self._blends.pop(component.name, None)  # freed before the next takes as much memory
 
-        read: dict[int, RowFields] = {}
-        for index, row_wrench in enumerate(near.wrench):
-            row = self._read_row(component, row_wrench)
-            if row is not None:
-                read[index] = row
+        near_rows = ((k, self._read_row(component, each)) for k, each in enumerate(near.wrench))
+        read = {k: row for k, row in near_rows if row is not None}
         if not read:
             why = "those nearest to this wrench are damaged"
             raise NoFieldsError(component, why, rows=near.seq.tolist())

@@ -29,7 +29,7 @@ GEOMETRY, ROW = "geometry.fields", "row.fields"  # the solver's names of both fi
 FINE, STRESS, SLOPES = 44, 24, 20  # bits of displacements, stresses and slopes, see above
 MAGIC = b"wrenchbook fields 1\n"
 EXACT = 0  # number of bits that means: stored without rounding
-MAX_BYTES = 1 << 28  # bytes of one unpacked column: no header may request all memory
+MAX_COLUMN_BYTES = 1 << 28  # of one unpacked column: no header may request all memory
 _MAX_BITS = 50  # differences of multiples must fit 64 bits, and multiples a float64
 _MAX_BITS_32 = 30  # bits of multiples whose differences, with one bit more, fit 32 bits
 _MIN_EXPONENT = -1074  # the least exponent of a float64
@@ -50,7 +50,7 @@ class Column(NamedTuple):
 
 def pack(meta: Mapping[str, Any], columns: Mapping[str, Column]) -> bytes:
     """Return the file of arrays and JSON values; raises ValueError unless numbers are finite."""
-    entries, payloads = zip(*(_packed(*item) for item in columns.items()), strict=True)
+    entries, payloads = zip(*(_pack_column(*item) for item in columns.items()), strict=True)
     body = b"".join(payloads)
     header: dict[str, Any] = {"meta": dict(meta), "columns": entries}
     header["digest"] = _digest(header, body)
@@ -77,7 +77,7 @@ def unpack(content: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
     columns = {}
     start = 0
     for entry in header["columns"]:
-        columns[entry["name"]] = _unpacked(entry, body[start : start + entry["bytes"]])
+        columns[entry["name"]] = _unpack_column(entry, body[start : start + entry["bytes"]])
         start += entry["bytes"]
     return header["meta"], columns
 
@@ -104,7 +104,7 @@ def _digest(header: Mapping[str, Any], body: bytes) -> str:
     return blake2b(body, key=blake2b(text, digest_size=32).digest(), digest_size=16).hexdigest()
 
 
-def _packed(name: str, column: Column) -> tuple[dict[str, Any], bytes]:
+def _pack_column(name: str, column: Column) -> tuple[dict[str, Any], bytes]:
     """Return a column's entry in the header, and its compressed bytes."""
     values, bits = column
     if not np.isfinite(values).all():
@@ -133,14 +133,16 @@ def _packed(name: str, column: Column) -> tuple[dict[str, Any], bytes]:
     return entry | {"bytes": len(payload)}, payload
 
 
-def _unpacked(entry: Mapping[str, Any], payload: bytes) -> Array:
+def _unpack_column(entry: Mapping[str, Any], payload: bytes) -> Array:
     """Return the array of a column from its header entry and compressed bytes."""
     name = entry["name"]
     shape = tuple(entry["shape"])
     kind = np.dtype(f"<{entry['kind']}")
     size = int(np.prod(shape, dtype=object)) * kind.itemsize
-    if not 0 <= size <= MAX_BYTES:
-        raise DamagedFieldsError(f"its column {name} claims {size} bytes, more than {MAX_BYTES}")
+    if not 0 <= size <= MAX_COLUMN_BYTES:
+        raise DamagedFieldsError(
+            f"its column {name} claims {size} bytes, more than {MAX_COLUMN_BYTES}"
+        )
     try:
         raw = zlib.decompressobj().decompress(payload, size) if size else b""
     except zlib.error as error:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wrenchbook.fea.tensors import von_mises
+from wrenchbook.service.contract import Coverage
 from wrenchbook.service.fields.record import RowFields, SurfaceGeometry
 from wrenchbook.service.library.component import Component
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
-from wrenchbook.surrogate.table.rows import ROUNDING
+from wrenchbook.surrogate.table.rows import ROUNDING, Floats
 
 # Part of the largest discretisation error on the surface that is added to a free vertex's error:
 # near clamps and edges cells have errors of their own. On six parts 9 of 10 vertices deviate by 3
@@ -24,11 +24,7 @@ LOCAL = 0.1
 # roundoff.
 _SINGULAR = 1e-9
 
-Floats = NDArray[np.float64]
-
-NOT_FOLLOWED = (
-    "no row has how the surface follows its interface; the next solve of this component will"
-)
+NO_MODES = "no row has how the surface follows its interface; the next solve of this component will"
 
 
 class ErrorParts(NamedTuple):
@@ -95,7 +91,7 @@ def error_parts(
         return ErrorParts(parts, {"mesh_basis": UNKNOWN})
     bases = {name: str(text) for name, text in solver.values.items() if name.endswith("_basis")}
     if modes is None:
-        return ErrorParts(parts, bases | {"mesh_basis": NOT_FOLLOWED})
+        return ErrorParts(parts, bases | {"mesh_basis": NO_MODES})
     for cause, bars in (at_interface or solver.parts(wrench.tolist())).items():
         carried = None if bars is None else np.abs(modes) @ np.array(bars)
         parts[cause] = None if carried is None else np.linalg.norm(carried, axis=1)
@@ -137,12 +133,12 @@ class Deformed:
     displacement: Floats  # (v, 3), m
     error: Floats | None  # (v,), m; None if unknown
     stress: LargestStress | None  # None between rows with too many integration points
-    source: str
+    source: Literal["row", "rows", "linear"]
     rows: tuple[int, ...] = ()  # numbers (`seq`) of the rows used
-    coverage: str = "covered"  # covered, thin or outside
+    coverage: Coverage = "covered"
     reason: str = ""
     # (v, 3, 6), m/m and m/rad: motion of vertices by motions of the interface.
-    follows: Floats | None = None
+    modes: Floats | None = None
     parts: ErrorParts | None = None
     within_tolerance: bool | None = None  # None without a tolerance or a discretisation error
 

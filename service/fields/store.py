@@ -30,7 +30,7 @@ from wrenchbook.service.fields.record import (
 from wrenchbook.service.files.durable import sync
 
 # Bytes of one component: some thousand rows of 1,000 vertices. Later rows have no fields.
-MOST_BYTES = 1 << 30
+MAX_BYTES = 1 << 30
 _LINEAR = "linear"
 _HEADER_BYTES = 1 << 20  # bytes read for a file's header, which is far shorter
 
@@ -38,21 +38,21 @@ _log = logging.getLogger(__name__)
 
 
 class FieldStore:
-    """The stored fields of all components of a data directory, up to `most_bytes` of a component.
+    """The stored fields of all components of a data directory, up to `max_bytes` of a component.
 
     Several processes may use it: files appear complete and are never changed.
     """
 
-    def __init__(self, folder: Path, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, folder: Path, max_bytes: int = MAX_BYTES) -> None:
         self._folder = folder
-        self._most_bytes = most_bytes
+        self._max_bytes = max_bytes
 
     def take(
         self, attempt: Path, component: str, fingerprint: str, wrench: Sequence[float]
     ) -> bool:
         """Move a solver's files from an attempt's folder into the store; return whether it did.
 
-        Without files, on a full disk or beyond `most_bytes` the row has no fields, without error.
+        Without files, on a full disk or beyond `max_bytes` the row has no fields, without error.
         """
         row, geometry = attempt / ROW, attempt / GEOMETRY
         try:
@@ -60,54 +60,54 @@ class FieldStore:
                 return False
             with row.open("rb") as file:
                 linear = bool(read_meta(file.read(_HEADER_BYTES)).get("linear"))
-            place = self._place(component, fingerprint)
-            place.mkdir(parents=True, exist_ok=True)
+            folder = self._setup_folder(component, fingerprint)
+            folder.mkdir(parents=True, exist_ok=True)
             size = row.stat().st_size + geometry.stat().st_size
             # Files of older setups are deleted.
-            if self._bytes_of(component) + size > self._most_bytes:
+            if self._bytes_of(component) + size > self._max_bytes:
                 for old in self._folder.joinpath(component).iterdir():
                     if old.name != fingerprint:
                         shutil.rmtree(old, ignore_errors=True)
-            if self._bytes_of(component) + size > self._most_bytes:
+            if self._bytes_of(component) + size > self._max_bytes:
                 _log.warning("%s: no room for more fields; this row has none", component)
                 return False
-            geometry.replace(place / f"{digest_of(geometry.read_bytes())}.geometry")
-            row.replace(place / f"{_LINEAR if linear else key_of(wrench)}.fields")
-            sync(place)
+            geometry.replace(folder / f"{digest_of(geometry.read_bytes())}.geometry")
+            row.replace(folder / f"{_LINEAR if linear else key_of(wrench)}.fields")
+            sync(folder)
         except (OSError, DamagedFieldsError) as error:
             _log.warning("%s: a row's fields were not kept: %s", component, error)
             return False
         return True
 
-    def has(
+    def find(
         self, component: str, fingerprint: str, wrenches: Sequence[Sequence[float]]
     ) -> list[int]:
-        """Return the indices of wrenches, each six numbers, N and N·m, that have fields."""
+        """Return the indices of those wrenches, each six numbers, N and N·m, that have fields."""
         try:
-            names = {path.name for path in self._place(component, fingerprint).iterdir()}
+            names = {path.name for path in self._setup_folder(component, fingerprint).iterdir()}
         except FileNotFoundError:
             return []
-        return [at for at, wrench in enumerate(wrenches) if f"{key_of(wrench)}.fields" in names]
+        return [k for k, wrench in enumerate(wrenches) if f"{key_of(wrench)}.fields" in names]
 
     def row(self, component: str, fingerprint: str, wrench: Sequence[float]) -> RowFields:
         """Return the fields of one row; raises DamagedFieldsError without a file of its wrench."""
         key = key_of(wrench)
-        row = self._read(self._place(component, fingerprint) / f"{key}.fields")
+        row = self._read(self._setup_folder(component, fingerprint) / f"{key}.fields")
         if key_of(row.meta["wrench"]) != key:
-            held = row.meta["wrench"]
+            other = row.meta["wrench"]
             raise DamagedFieldsError(
-                f"{key}.fields holds another wrench, {held}, not {list(wrench)}"
+                f"{key}.fields holds another wrench, {other}, not {list(wrench)}"
             )
         return row
 
     def linear(self, component: str, fingerprint: str) -> RowFields | None:
         """Return a linear component's unit fields; None if unsolved. Raises DamagedFieldsError."""
-        path = self._place(component, fingerprint) / f"{_LINEAR}.fields"
+        path = self._setup_folder(component, fingerprint) / f"{_LINEAR}.fields"
         return self._read(path) if path.exists() else None
 
     def geometry(self, component: str, fingerprint: str, digest: str) -> SurfaceGeometry:
         """Return the geometry of a row's fields; raises DamagedFieldsError without such a file."""
-        path = self._place(component, fingerprint) / f"{digest}.geometry"
+        path = self._setup_folder(component, fingerprint) / f"{digest}.geometry"
         geometry = read_geometry(_content(path))
         if geometry.digest != digest:
             raise DamagedFieldsError(f"{path.name} holds another geometry, {geometry.digest}")
@@ -120,7 +120,7 @@ class FieldStore:
         except DamagedFieldsError as error:
             raise DamagedFieldsError(f"{path.name}: {error}") from error
 
-    def _place(self, component: str, fingerprint: str) -> Path:
+    def _setup_folder(self, component: str, fingerprint: str) -> Path:
         return self._folder / component / fingerprint
 
     def _bytes_of(self, component: str) -> int:

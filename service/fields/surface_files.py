@@ -54,7 +54,7 @@ class _Arrays:
         return len(self.accessors) - 1
 
 
-def write_gltf(shape: Deformed) -> bytes:
+def write_gltf(surface: Deformed) -> bytes:
     """Return the .glb file of a deformed surface: the undeformed mesh, and a morph target.
 
     The mesh is in the interface frame, in metres; its node rotates z up to y up, which is glTF's.
@@ -66,27 +66,27 @@ def write_gltf(shape: Deformed) -> bytes:
     are in the mesh's ``extras``.
     """
     arrays = _Arrays()
-    attributes = {"POSITION": arrays.add(shape.geometry.vertices, _VERTICES)}
-    indices = arrays.add(shape.geometry.triangles.ravel(), _INDICES)
-    moved = {"POSITION": arrays.add(shape.displacement, _VERTICES)}
-    if shape.error is not None:
-        attributes["_ERROR"] = arrays.add(shape.error, _VERTICES)
+    attributes = {"POSITION": arrays.add(surface.geometry.vertices, _VERTICES)}
+    indices = arrays.add(surface.geometry.triangles.ravel(), _INDICES)
+    moved = {"POSITION": arrays.add(surface.displacement, _VERTICES)}
+    if surface.error is not None:
+        attributes["_ERROR"] = arrays.add(surface.error, _VERTICES)
 
     extras = {
         "targetNames": ["displacement"],
-        "wrench": list(shape.wrench),
-        "coverage": shape.coverage,
-        "within_tolerance": shape.within_tolerance,
-        **({} if shape.parts is None else {"error_parts": shape.parts.largest()}),
-        "stress": None if shape.stress is None else shape.stress._asdict(),
+        "wrench": list(surface.wrench),
+        "coverage": surface.coverage,
+        "within_tolerance": surface.within_tolerance,
+        **({} if surface.parts is None else {"error_parts": surface.parts.largest()}),
+        "stress": None if surface.stress is None else surface.stress._asdict(),
     }
     primitive = {"attributes": attributes, "indices": indices, "targets": [moved], "mode": 4}
-    mesh = {"name": shape.component, "primitives": [primitive | {"material": 0}]}
+    mesh = {"name": surface.component, "primitives": [primitive | {"material": 0}]}
     document = {
         "asset": {"version": "2.0", "generator": "wrenchbook"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": shape.component, "mesh": 0, "rotation": _Z_UP_TO_Y_UP}],
+        "nodes": [{"name": surface.component, "mesh": 0, "rotation": _Z_UP_TO_Y_UP}],
         "meshes": [mesh | {"weights": [1.0], "extras": extras}],
         "materials": [_MATERIAL],
         "accessors": arrays.accessors,
@@ -111,16 +111,16 @@ _TRIANGLE = 5
 _TYPES = {"<f8": "Float64", "<i8": "Int64", "|u1": "UInt8"}
 
 
-def write_vtu(shape: Deformed) -> bytes:
+def write_vtu(surface: Deformed) -> bytes:
     """Return the .vtu file: undeformed triangles, in metres, with displacement and error.
 
     Numbers are unrounded float64. Beside ``error`` are its parts ``error_table``, ``error_mesh``
     and ``error_linearity``, if they are known.
     """
-    triangles = shape.geometry.triangles.astype("<i8")
-    fields = {"displacement": shape.displacement, "error": shape.error}
-    if shape.parts:
-        fields |= {f"error_{cause}": part for cause, part in shape.parts.by_cause.items()}
+    triangles = surface.geometry.triangles.astype("<i8")
+    fields = {"displacement": surface.displacement, "error": surface.error}
+    if surface.parts:
+        fields |= {f"error_{cause}": part for cause, part in surface.parts.by_cause.items()}
     known = {name: values for name, values in fields.items() if values is not None}
     count = len(triangles)
     lines = (
@@ -128,11 +128,11 @@ def write_vtu(shape: Deformed) -> bytes:
         '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" '
         'header_type="UInt64">',
         "<UnstructuredGrid>",
-        f'<Piece NumberOfPoints="{len(shape.geometry.vertices)}" NumberOfCells="{count}">',
+        f'<Piece NumberOfPoints="{len(surface.geometry.vertices)}" NumberOfCells="{count}">',
         '<PointData Vectors="displacement">',
         *(_array(name, values.astype("<f8")) for name, values in known.items()),
         "</PointData>",
-        "<Points>" + _array("Points", shape.geometry.vertices.astype("<f8")) + "</Points>",
+        "<Points>" + _array("Points", surface.geometry.vertices.astype("<f8")) + "</Points>",
         "<Cells>",
         _array("connectivity", triangles.ravel()),
         _array("offsets", np.arange(3, 3 * count + 1, 3, dtype="<i8")),

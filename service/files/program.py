@@ -11,6 +11,8 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+_ROOT = Path(__file__).resolve().parents[2]
+
 
 def child_command(module: str, *arguments: str) -> list[str]:
     """Return the command line that runs a module, such as ``wrenchbook.fea.check``, as a child."""
@@ -22,9 +24,6 @@ def usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-_ROOT = Path(__file__).resolve().parents[2]
 
 
 def solver_version() -> str:
@@ -52,7 +51,7 @@ _ARENA_MAX = -8  # M_ARENA_MAX of glibc's malloc.h
 MAX_HEAPS = 4
 
 
-def give_back() -> None:
+def free_memory() -> None:
     """Return freed memory to the system where the C library can (glibc); else do nothing.
 
     Memory from reading a large file is scattered over the threads' heaps, and stays allocated until

@@ -29,6 +29,9 @@ if TYPE_CHECKING:  # solvers need no ledger
 SPEC, LOCK, LOG = "spec.json", "lock", "log.txt"
 PROGRESS, OUTCOME = "progress.json", "result.json"
 DECK = "deck"  # folder of an outside solver's input and output
+# The death of a solver counts once its dispatcher, or its Dask worker, has outlived it by this
+# time: if both die, by a kill of both or of the machine, the job is not the cause.
+OUTLIVE_SECONDS = 1.0
 _QUESTION: Final = ("job", "attempt", "component", "fingerprint", "wrench")
 _SOLVE: Final = (*_QUESTION, "bundle", "estimate", "task", "priority", "deadline", "memory")
 
@@ -44,7 +47,7 @@ class Outcome:
     All other reports of a solver are in `further`, and in result.json beside these fields.
     """
 
-    status: str
+    status: Literal["done", "failed", "cancelled"]
     error: dict[str, str] | None = None  # kind, message and remedy
     displacement: Sequence[float] | None = None  # m and rad, six an interface
     compliance: Sequence[Sequence[float]] | None = None
@@ -263,7 +266,7 @@ def write_json(path: Path, content: Mapping[str, Any], *, durable: bool = False)
 
 def _digest(content: Mapping[str, Any]) -> str:
     """Return a digest that does not change by writing JSON and reading it again."""
-    text = json.dumps(content, allow_nan=False, sort_keys=True)
+    text = json.dumps(content, sort_keys=True)  # a damaged number may be infinite
     return blake2b(text.encode(), digest_size=16).hexdigest()
 
 
@@ -321,7 +324,7 @@ def pieces_of(file: IO[bytes]) -> Iterator[bytes]:
 
 
 # A solver's messages over its socket: it has begun an attempt, it waits for work, it ends.
-TAKEN, FREE, LEAVES = b"t", b"e", b"r"
+BEGUN, FREE, ENDS = b"t", b"e", b"r"
 State = Literal["submitted", "running", "finished", "lost"]
 ALIVE: tuple[State, ...] = ("submitted", "running")
 

@@ -33,6 +33,7 @@ from wrenchbook.service.jobs.attempt import ALIVE, LOCK, OUTCOME, PROGRESS, Atte
 from wrenchbook.service.jobs.dask_files import (
     BUNDLE_BYTES,
     BadPayloadError,
+    Payload,
     digest,
     pack,
     write_files,
@@ -426,7 +427,7 @@ class DaskEngine(attempts.Listeners):
         workers, resources = await self._suitable_workers(task)
         name, bundle = await self._send(client, attempt.bundle)
 
-        def run(*arguments: Any) -> dict[str, Any]:
+        def run(*arguments: Any) -> Payload:
             """Run a task; pickled by value, as a scheduler unpickles it and lacks this program."""
             from wrenchbook.service.jobs.dask_worker import run_task
 
@@ -462,7 +463,7 @@ class DaskEngine(attempts.Listeners):
 
     async def _payload(
         self, client: Client, future: Future, workers: Sequence[str] | None
-    ) -> dict[str, Any] | None:
+    ) -> Payload | None:
         """Return the result of a task; None if all of its `workers` have left the cluster."""
         result = asyncio.ensure_future(future.result())
         try:
@@ -543,7 +544,7 @@ def _file_stats(folder: Path) -> list[tuple[str, int, int]]:
     return [(str(path), stat.st_size, stat.st_mtime_ns) for path, stat in stats]
 
 
-def _store(task: _Task, payload: dict[str, Any]) -> None:
+def _store(task: _Task, payload: Payload) -> None:
     """Write the artifacts into the attempt's folder, the outcome last."""
     folder = task.attempt.folder
     write_files(payload["files"], folder)

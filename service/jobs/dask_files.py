@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterable
 from hashlib import blake2b
 from pathlib import Path
+from typing import TypedDict
 
 from wrenchbook.service.jobs import attempt as attempts
 from wrenchbook.service.jobs.attempt import LOCK, LOG, OUTCOME, PROGRESS, SPEC, Attempt
@@ -22,6 +23,16 @@ MAX_NAMES = 20  # names, in the log, of files that are too large to be sent
 
 Files = dict[str, bytes]
 """The content of files by their names relative to a folder."""
+
+
+class Payload(TypedDict):
+    """The result of a task: a plain dictionary, as a scheduler lacks this program."""
+
+    worker: str  # its address
+    unfit: str | None  # why the worker could not run the attempt; the rest is then empty
+    outcome: bytes | None  # content of result.json; None if the solver died
+    files: Files  # the other files, limited in size
+    seconds: float  # run time of the solver
 
 
 class BadPayloadError(Exception):

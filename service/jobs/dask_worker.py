@@ -17,8 +17,8 @@ from distributed import Worker
 
 from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs import attempt as attempts
-from wrenchbook.service.jobs.attempt import ALIVE, Attempt
-from wrenchbook.service.jobs.dask_files import BadPayloadError, artifacts, unpack
+from wrenchbook.service.jobs.attempt import ALIVE, OUTLIVE_SECONDS, Attempt
+from wrenchbook.service.jobs.dask_files import BadPayloadError, Payload, artifacts, unpack
 from wrenchbook.service.jobs.solver_pool import LocalEngine
 
 TOPIC = "wrenchbook-progress"  # topic of the workers' progress events on the scheduler
@@ -29,27 +29,23 @@ POLL_SECONDS = 0.1  # pause between a worker's polls of a running solver: short 
 REPORT_SECONDS = 1.0  # pause between two progress events of an attempt: a page shows no more
 # Time after which unchanged progress is sent again, for a server that has just connected.
 REPEAT_SECONDS = 30.0
-# A kill of a solver and then its worker, or of a machine, is not the job's fault: the death of a
-# solver counts if its worker outlives it by this time.
-OUTLIVE_SECONDS = 1.0
-GRACE_SECONDS = 5.0  # time between SIGTERM and SIGKILL of a solver, in which it writes its outcome
 
-_solvers: list[LocalEngine] = []  # the engine of this process, at most one
-_solvers_lock = threading.Lock()
+_engines: list[LocalEngine] = []  # the engine of this process, at most one
+_engines_lock = threading.Lock()
 
 
-def solvers(worker: Worker) -> LocalEngine:
+def engine_of(worker: Worker) -> LocalEngine:
     """Return the engine of this worker's solvers, which live from one task to the next."""
-    with _solvers_lock:
-        if not _solvers:
+    with _engines_lock:
+        if not _engines:
             threads = worker.state.nthreads
-            _solvers.append(LocalEngine(threads, grace=GRACE_SECONDS, outlived_by_solvers=False))
-        return _solvers[0]
+            _engines.append(LocalEngine(threads, outlived_by_solvers=False))
+        return _engines[0]
 
 
 def probe(dask_worker: Worker) -> dict[str, Any]:
     """Return version and trouble of this worker."""
-    solvers(dask_worker)
+    engine_of(dask_worker)
     return {"version": solver_version(), "trouble": _no_room(dask_worker.local_directory)}
 
 
@@ -61,17 +57,16 @@ def _no_room(folder: str) -> str | None:
     return None
 
 
-def run_task(sent: bytes, name: str, files: bytes) -> dict[str, Any]:
-    """Run an attempt, a pickled `Attempt`, of a component with these files to its end.
+def run_task(sent: bytes, name: str, files: bytes) -> Payload:
+    """Run an attempt, a pickled `Attempt`, to its end.
 
-    In the result ``unfit`` is why the worker could not run it. Otherwise ``outcome`` is the content
-    of result.json, None if the solver died, ``files`` has the others by name, ``seconds`` is the
-    solver's run time.
+    `files` is the packed bundle of its component, `name` the digest of these bytes.
     """
     worker = distributed.get_worker()
     attempt: Attempt = pickle.loads(sent)
-    result: dict[str, Any] = {"worker": worker.address, "unfit": _no_room(worker.local_directory)}
-    if result["unfit"]:
+    unfit = _no_room(worker.local_directory)
+    result = Payload(worker=worker.address, unfit=unfit, outcome=None, files={}, seconds=0.0)
+    if unfit:
         return result
     folder = Path(worker.local_directory, "wrenchbook")
     bundle = folder / "bundles" / name  # a worker stores it under its digest
@@ -84,7 +79,7 @@ def run_task(sent: bytes, name: str, files: bytes) -> dict[str, Any]:
             unpack(files, name, bundle.parent)
             drop_old_bundles(bundle.parent)
         attempts.prepare(attempt)
-        engine = solvers(worker)
+        engine = engine_of(worker)
         engine.submit(attempt)
         if not _supervise(worker, attempt, engine):
             time.sleep(OUTLIVE_SECONDS)

@@ -33,6 +33,7 @@ from wrenchbook.service.files import lock as flock
 from wrenchbook.service.jobs.attempt import (
     ALIVE,
     LOG,
+    OUTLIVE_SECONDS,
     Attempt,
     BadOutcomeError,
     Outcome,
@@ -64,9 +65,6 @@ POLL_SECONDS = 0.02
 RECOVER_SECONDS = 1.0
 # Pause before a failed action is repeated: a full disk or a process limit lasts.
 TROUBLE_SECONDS = 1.0
-# A death counts once its dispatcher has outlived it by this time: if the solver and then the server
-# die, by a kill of both or of the machine, the job is not the cause.
-OUTLIVE_SECONDS = 1.0
 START_AGAIN_SECONDS = 5.0  # pause before the next attempt of a job whose solver could not begin
 STOP_SECONDS = 15.0  # time that `stop` waits for solvers to end
 MAX_CLAIMED = 100  # jobs claimed in one transaction, which then takes a few milliseconds
@@ -99,6 +97,7 @@ class Lease:
         self.name = f"{os.getpid()}-{secrets.token_hex(4)}"
         self._folder = folder
         self._lock = flock.take(self._file(self.name))
+        # By owner: the number of its last heartbeat, and when this was first seen, monotonic s.
         self._known: dict[str, tuple[int, float]] = {}
 
     def is_lost(self, owner: str, engine: str, heartbeat: Heartbeat | None) -> bool:
@@ -332,7 +331,7 @@ class Dispatcher:
 
     def _leave_unwanted(self, lease: Lease) -> None:
         """End attempts that are cancelled, or that another dispatcher has taken over."""
-        owned = self._ledger.attempts_of(lease.name) if self._attempts else {}
+        owned = self._ledger.attempts_of(lease.name) if self._attempts else set()
         for attempt in list(self._attempts.values()):
             if attempt.key in owned or attempt.leaving:
                 continue

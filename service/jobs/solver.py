@@ -1,4 +1,4 @@
-"""The solver: ``python -m wrenchbook.service.jobs.solver --line DESCRIPTOR``.
+"""The solver: ``python -m wrenchbook.service.jobs.solver --channel DESCRIPTOR``.
 
 The engine `local` starts it with one end of a socket pair, over which attempts come one by one
 (`service.jobs.solver_pool`). Imports and the component are reused for the next attempt. The process
@@ -12,6 +12,8 @@ message and remedy, or ``cancelled``. Only a killed solver writes none.
 `Attempt` and a progress callback. It returns a mapping with at least ``displacement`` (6 numbers, m
 and rad), or raises an exception, whose attributes ``kind`` and ``remedy`` are reported if present.
 """
+
+from __future__ import annotations
 
 import argparse
 import contextlib
@@ -31,15 +33,15 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from wrenchbook.service.fields.record import write_files
 from wrenchbook.service.files.program import solver_version
 from wrenchbook.service.jobs.attempt import (
+    BEGUN,
+    ENDS,
     FREE,
-    LEAVES,
     PROGRESS,
-    TAKEN,
     Attempt,
     Outcome,
     Progress,
@@ -47,6 +49,11 @@ from wrenchbook.service.jobs.attempt import (
     write_json,
     write_outcome,
 )
+
+if TYPE_CHECKING:  # imported by the first solve: it takes half a second
+    from wrenchbook.fea.recovery.fields import SolveFields
+    from wrenchbook.fea.solve import Solver
+    from wrenchbook.fea.spec.schema import Bundle
 
 SOLVE_VARIABLE = "WRENCHBOOK_SOLVE"
 MARGIN_VARIABLE = "WRENCHBOOK_MEMORY_MARGIN"
@@ -101,7 +108,7 @@ class ComponentSolver:
 
     def __init__(self) -> None:
         self.spoiled = False
-        self.ready: Any = None
+        self.ready: Solver | None = None
         self.estimated = 0
         self._key: tuple[str, str, bytes] | None = None
         self._limited: tuple[int | None, int | None] = None, None
@@ -113,17 +120,17 @@ class ComponentSolver:
 
         Raises SolveRefusedError if the component has changed, or memory ran out.
         """
-        from wrenchbook.fea.bundle.read import read_bundle  # takes half a second
+        from wrenchbook.fea.bundle.read import read_bundle
 
         bundle = read_bundle(Path(attempt.bundle))
         _require_same(attempt, bundle.fingerprint)
         if bundle.deck is not None:
             limit_memory(None)  # the deck's solver, whose memory is unknown, would inherit it
-            return _solved(bundle, attempt, report)
+            return _solve(bundle, attempt, report)
         try:
-            self._make_ready(bundle, attempt)
+            solver = self._solver_of(bundle, attempt)
             self._limit(self.estimated)
-            return _solved(self.ready, attempt, report)
+            return _solve(solver, attempt, report)
         except MemoryError as error:
             self.spoiled = True
             estimated, limit = self._limited
@@ -152,8 +159,8 @@ class ComponentSolver:
             self._first_bytes = memory
         return memory > self._first_bytes + max(self.estimated, MIN_GROWTH)
 
-    def _make_ready(self, bundle: Any, attempt: Attempt) -> None:
-        """Build the solver of a bundle, unless it is cached."""
+    def _solver_of(self, bundle: Bundle, attempt: Attempt) -> Solver:
+        """Return the solver of a bundle, cached or built."""
         from wrenchbook.fea.bundle.read import FILE_NAME, read_bundle
         from wrenchbook.fea.check.cost import estimate
         from wrenchbook.fea.component import build
@@ -165,7 +172,7 @@ class ComponentSolver:
         text = hashlib.sha256((bundle.folder / FILE_NAME).read_bytes()).digest()
         key = str(bundle.folder), bundle.fingerprint, text
         if self.ready is not None and key == self._key:
-            return
+            return self.ready
         self._drop()
         self._limit(attempt.memory)
         component = build(bundle)
@@ -176,6 +183,7 @@ class ComponentSolver:
         try:
             self.ready = Solver(component)
             self._key = key
+            return self.ready
         except SolveFailed as failure:
             keep(attempt.folder, failure, component)
             raise
@@ -200,14 +208,14 @@ def _require_same(attempt: Attempt, fingerprint: str) -> None:
         )
 
 
-def _solved(ready: Any, attempt: Attempt, report: Report) -> dict[str, Any]:
+def _solve(ready: Solver | Bundle, attempt: Attempt, report: Report) -> dict[str, Any]:
     """Solve an attempt and return the numbers of the outcome.
 
     `ready`: a solver, or the bundle of a deck.
     """
     from wrenchbook.fea.solve import solve
 
-    def keep(fields: Any) -> None:
+    def write_fields(fields: SolveFields) -> None:
         """Write surface and stresses beside the outcome, which is useful without them too."""
         try:
             write_files(attempt.folder, attempt.wrench, fields)
@@ -215,7 +223,7 @@ def _solved(ready: Any, attempt: Attempt, report: Report) -> dict[str, Any]:
             with contextlib.suppress(OSError):  # on a full disk the log has no room either
                 print(f"the deformed surface was not kept: {error}", file=sys.stderr)
 
-    solution = solve(ready, attempt.wrench, progress=report, folder=attempt.folder, on_fields=keep)
+    solution = solve(ready, attempt.wrench, report, attempt.folder, write_fields)
     with contextlib.suppress(OSError):  # a full disk: the outcome has the notes too
         for note in solution.notes:
             print(note)
@@ -238,7 +246,7 @@ def limit_memory(estimated: int | None) -> int | None:
 
     None removes the limit. Return the bytes allowed beyond the present ones; None without a limit.
 
-    Raises SolveRefusedError if the environment variable of the margin is no such number.
+    Raises SolveRefusedError if the environment's `MARGIN_VARIABLE` is no finite number above 0.
     """
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
     soft = hard
@@ -280,7 +288,7 @@ def run_attempt(folder: str | Path, solve: Solve | None = None) -> int:
         with _unblocked_sigterm():
             solver = solve or _named_solver() or ComponentSolver().solve
             numbers = solver(attempt, _Reporter(attempt.folder))
-            outcome = _checked(numbers, loads=len(attempt.wrench))
+            outcome = _outcome_of(numbers, loads=len(attempt.wrench))
         _write_patiently(attempt, outcome)
         return DONE
     except Cancelled:
@@ -290,7 +298,7 @@ def run_attempt(folder: str | Path, solve: Solve | None = None) -> int:
     except Exception as error:
         with contextlib.suppress(OSError):  # a full disk
             traceback.print_exc()
-        _write_patiently(attempt, _failure(error))
+        _write_patiently(attempt, _failed_outcome(error))
         return FAILED
 
 
@@ -351,7 +359,7 @@ def _named_solver() -> Solve | None:
     raise SolveRefusedError("no_solver", f"{SOLVE_VARIABLE}={name!r}: {why}", remedy)
 
 
-def _checked(numbers: Mapping[str, Any], loads: int) -> Outcome:
+def _outcome_of(numbers: Mapping[str, Any], loads: int) -> Outcome:
     """Return the outcome of a solver's report.
 
     A displacement has 6 numbers an interface, a compliance as many lines of `loads` numbers, a
@@ -414,7 +422,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _failure(error: Exception) -> Outcome:
+def _failed_outcome(error: Exception) -> Outcome:
     """Return the outcome of an attempt that raised an error."""
     kind = getattr(error, "kind", None)
     remedy = getattr(error, "remedy", None)
@@ -456,34 +464,34 @@ def _unblocked_sigterm() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def serve(line: socket.socket, lives: int) -> None:
-    """Solve the attempts that come over the line, `lives` at most.
+def serve(channel: socket.socket, attempts: int) -> None:
+    """Solve the attempts that come over the channel, at most a number of `attempts`.
 
     End earlier after a long time without work, without a server, after a cancelled attempt, and if
     memory has run out or grown.
     """
-    line.settimeout(IDLE_SECONDS)
+    channel.settimeout(IDLE_SECONDS)
     solver = ComponentSolver()
     stays = True
-    while stays and (received := _receive(line)) is not None:
+    while stays and (received := _receive(channel)) is not None:
         folder, lock, log = received
         _print_to(log)
         os.chdir(folder)
         _block_sigterm()
         os.pwrite(lock, str(os.getpid()).encode(), 0)  # the solver has begun
-        is_connected = _send(line, TAKEN)
+        is_connected = _send(channel, BEGUN)
         code = run_attempt(folder, None if os.environ.get(SOLVE_VARIABLE) else solver.solve)
-        lives -= 1
+        attempts -= 1
         is_usable = not (solver.has_grown() or solver.spoiled)
-        stays = is_connected and is_usable and code != CANCELLED and lives > 0
+        stays = is_connected and is_usable and code != CANCELLED and attempts > 0
         _leave_attempt(lock)
-        stays = _send(line, FREE if stays else LEAVES) and stays
+        stays = _send(channel, FREE if stays else ENDS) and stays
 
 
-def _receive(line: socket.socket) -> tuple[Path, int, int] | None:
+def _receive(channel: socket.socket) -> tuple[Path, int, int] | None:
     """Return the next attempt's folder, lock and log; None if no further one will come."""
     try:
-        path, files, _, _ = socket.recv_fds(line, _MAX_PATH_BYTES, 2)
+        path, files, _, _ = socket.recv_fds(channel, _MAX_PATH_BYTES, 2)
     except OSError:  # a long time without work, or the server is gone
         return None
     if not path or len(files) != 2:
@@ -495,10 +503,10 @@ def _receive(line: socket.socket) -> tuple[Path, int, int] | None:
     return Path(os.fsdecode(path)), lock, log
 
 
-def _send(line: socket.socket, message: bytes) -> bool:
+def _send(channel: socket.socket, message: bytes) -> bool:
     """Send a message to the server; return False if it is gone."""
     try:
-        line.sendall(message)
+        channel.sendall(message)
     except OSError:
         return False
     return True
@@ -523,10 +531,10 @@ def _print_to(file: int) -> None:
     os.close(file)
 
 
-def _end_with(line: int) -> None:
-    """Kill this process and its children once the other end of the line is closed."""
+def _end_with(channel: int) -> None:
+    """Kill this process and its children once the other end of the channel is closed."""
     closed = select.poll()
-    closed.register(line, 0)  # a hang-up is always reported
+    closed.register(channel, 0)  # a hang-up is always reported
     closed.poll()
     os.killpg(0, signal.SIGKILL)
 
@@ -535,17 +543,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the solver process by its command line."""
     _block_sigterm()
     parser = argparse.ArgumentParser(prog="python -m wrenchbook.service.jobs.solver")
-    parser.add_argument("--line", type=int, required=True, help="open socket, the solver's end")
-    parser.add_argument("--lives", type=int, required=True, help="attempts before it ends")
+    parser.add_argument("--channel", type=int, required=True, help="open socket, the solver's end")
+    parser.add_argument("--attempts", type=int, required=True, help="attempts before it ends")
     parser.add_argument("--niceness", type=int, default=0)
     parser.add_argument("--end-with-engine", action="store_true", help="even in an attempt")
     options = parser.parse_args(arguments)
-    os.set_inheritable(options.line, False)
+    os.set_inheritable(options.channel, False)
     os.nice(options.niceness)
     if options.end_with_engine:
-        threading.Thread(target=_end_with, args=(options.line,), daemon=True).start()
-    with socket.socket(fileno=options.line) as line:
-        serve(line, options.lives)
+        threading.Thread(target=_end_with, args=(options.channel,), daemon=True).start()
+    with socket.socket(fileno=options.channel) as channel:
+        serve(channel, options.attempts)
 
 
 if __name__ == "__main__":

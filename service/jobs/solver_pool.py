@@ -7,6 +7,7 @@ is closed, as at the server's death, it ends after its attempt (`service.jobs.so
 """
 
 import contextlib
+import logging
 import os
 import signal
 import socket
@@ -22,6 +23,8 @@ from wrenchbook.service.files.program import child_command, usable_cores
 from wrenchbook.service.jobs import attempt as attempts
 from wrenchbook.service.jobs.attempt import LOCK, LOG, OUTCOME, Attempt, Outcome, State
 
+_log = logging.getLogger(__name__)
+
 # Several solvers share the cores, so each gets one; the user's own variables are kept.
 _ENVIRONMENT = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")}
 _ENVIRONMENT |= {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # readable logs
@@ -29,12 +32,18 @@ _ENVIRONMENT |= {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # readable
 # Attempts of a solver process. A start costs 0.6 s of processor time for the imports and 0.3 s for
 # the first solve of a component; shared by 200 attempts that is 1 % of the shortest solves, 0.4 s.
 # Slow leaks of memory end with the process.
-LIVES = 200
-# Time for a waiting solver to confirm an attempt, which it does at once. Without a confirmation it
-# is stopped or damaged, and another one is started in its place.
-TAKEN_SECONDS = 5.0
-# Longest time between an attempt's result.json and its solver's message that it is free.
-ENDING_SECONDS = 2.0
+MAX_ATTEMPTS = 200
+# Times of a solver that works, on two busy cores: 1 ms, at most 15 ms, until it confirms an
+# attempt, and from its result.json to its message that it is free. One that takes a hundred times
+# as long is stopped or damaged, and another one is started in its place.
+CONFIRM_SECONDS = 5.0
+FREE_SECONDS = 2.0
+# Time for a killed solver to exit. One that is blocked in the kernel, by a dead file server for
+# example, takes longer, but executes no further instruction.
+EXIT_SECONDS = 2.0
+# At this niceness a busy solver gets a tenth of a core that another process wants (sched(7)).
+NICENESS = 10
+GRACE_SECONDS = 5.0  # between SIGTERM and SIGKILL, in which a solver writes its outcome
 
 
 class SolverProcess:
@@ -43,32 +52,32 @@ class SolverProcess:
     def __init__(
         self,
         process: subprocess.Popen[bytes],
-        line: socket.socket,
+        channel: socket.socket,
         environment: Mapping[str, str],
         attempt: Attempt | None,
     ) -> None:
         self.process = process
-        self.line = line
+        self.channel = channel
         self.environment = environment
         self.attempt = attempt
         self.component: tuple[str, str] | None = None
-        self.has_taken = False
-        self.answered = threading.Event()  # set when it has answered or is gone
-        self.gone = threading.Event()
+        self.has_begun = False  # the present attempt
+        self.answered = threading.Event()  # set when it has begun the attempt or has exited
+        self.exited = threading.Event()
 
-    def hand(self, attempt: Attempt, lock: int, log: int) -> None:
+    def send(self, attempt: Attempt, lock: int, log: int) -> None:
         """Send an attempt with its lock and its log.
 
-        Raises OSError if the solver is gone.
+        Raises OSError if the solver has exited.
         """
-        self.has_taken = False
+        self.has_begun = False
         self.answered.clear()
         self.component = attempt.bundle, attempt.fingerprint
-        socket.send_fds(self.line, [os.fsencode(attempt.folder.absolute())], [lock, log])
+        socket.send_fds(self.channel, [os.fsencode(attempt.folder.absolute())], [lock, log])
 
     def signal(self, number: int) -> None:
         """Send a signal to the solver and its children."""
-        if not self.gone.is_set():
+        if not self.exited.is_set():
             signal_group(self.process.pid, number)
 
 
@@ -79,31 +88,33 @@ class LocalEngine(attempts.Listeners):
     server is killed, it ends after its present attempt. The engine takes the attempt's ``lock`` and
     passes it to the solver, which holds it to the end: a free lock means that no solver works.
 
-    At most `slots` solvers, by default one a core, work at a time, and as many wait for work.
-    `environment` is added to the variables that solvers inherit; a solver that was started with
-    other variables is replaced, and so is one after `lives` attempts. `niceness` lowers their
-    priority, `grace` seconds pass between SIGTERM and SIGKILL. Without `outlived_by_solvers` they
-    are killed when this process dies.
+    `slots`, by default one a core, is the number of attempts that a caller submits at once; solvers
+    beyond it end with their attempt. `environment` is added to the variables that solvers
+    inherit; a solver that was started with other variables is replaced, and so is one after
+    `max_attempts`. `niceness` lowers their priority, `grace` seconds pass between SIGTERM and
+    SIGKILL. Without `outlived_by_solvers` they are killed when this process dies. Several
+    threads may call its methods, each for attempts of its own.
     """
 
     name = "local"
-    trouble = None  # this machine is always available
+    trouble: str | None = None  # this machine is always available
 
     def __init__(
         self,
         slots: int | None = None,
         *,
         environment: Mapping[str, str] | None = None,
-        niceness: int = 10,
-        grace: float = 5.0,
-        lives: int = LIVES,
+        niceness: int = NICENESS,
+        grace: float = GRACE_SECONDS,
+        max_attempts: int = MAX_ATTEMPTS,
         outlived_by_solvers: bool = True,
     ) -> None:
         self.slots = slots or usable_cores()
         self._environment = dict(environment or {})
         self._grace = grace
-        self._options = ["--niceness", str(niceness), "--lives", str(lives)]
+        self._options = ["--niceness", str(niceness), "--attempts", str(max_attempts)]
         self._options += [] if outlived_by_solvers else ["--end-with-engine"]
+        # By the folder of an attempt; monotonic s.
         self._kill_after: dict[Path, float] = {}
         self._began: dict[Path, float] = {}
         self._overdue: set[Path] = set()
@@ -121,25 +132,25 @@ class LocalEngine(attempts.Listeners):
         """Give the attempt to a solver with its component, else to any free or a new solver."""
         lock = flock.take(attempt.folder / LOCK)
         if lock is None:
-            why = (
-                f"a solver already works in {attempt.folder}; wait for its end, or end the process"
+            raise attempts.EngineError(
+                f"a solver already works in {attempt.folder}; wait for its end, or end the process "
+                f"that its file {LOCK} names"
             )
-            raise attempts.EngineError(why + f" that its file {LOCK} names")
         environment = _ENVIRONMENT | dict(os.environ) | self._environment
         try:
             with (attempt.folder / LOG).open("ab") as log:
                 while (solver := self._reserve(attempt, environment)) is not None:
                     with contextlib.suppress(OSError):
-                        solver.hand(attempt, lock, log.fileno())
-                        solver.answered.wait(TAKEN_SECONDS)
-                        if solver.has_taken:
+                        solver.send(attempt, lock, log.fileno())
+                        solver.answered.wait(CONFIRM_SECONDS)
+                        if solver.has_begun:
                             return
                     # The attempt must not begin late, after another solver's attempt.
                     with self._changed:
                         solver.attempt = None
                         self._drop(solver)
                     solver.signal(signal.SIGKILL)
-                    solver.gone.wait()
+                    solver.exited.wait(EXIT_SECONDS)
                 self._start(attempt, lock, log.fileno(), environment)
         finally:
             os.close(lock)
@@ -170,7 +181,10 @@ class LocalEngine(attempts.Listeners):
         return "lost"
 
     def cancel(self, attempt: Attempt) -> None:
-        """Send SIGTERM to the solver and its children; SIGKILL after the `grace` period."""
+        """Send SIGTERM to the solver and its children; `poll` repeats it, and kills after `grace`.
+
+        The solver may not have begun yet, and then gets no signal.
+        """
         if attempt.folder not in self._kill_after:
             self._kill_after[attempt.folder] = time.monotonic() + self._grace
             self._signal(attempt, signal.SIGTERM)
@@ -220,11 +234,16 @@ class LocalEngine(attempts.Listeners):
                 signal_group(pid, number)
 
     def _reserve(self, attempt: Attempt, environment: Mapping[str, str]) -> SolverProcess | None:
-        """Return a solver that waits for work, now reserved for the attempt; None if none waits."""
+        """Return a solver that waits for work, now reserved for the attempt.
+
+        None if none waits, or if only those of other components do and there is room for one more.
+        """
         with self._changed:
-            if not self._changed.wait_for(lambda: not self._ending(), ENDING_SECONDS):
+            if not self._changed.wait_for(lambda: not self._ending(), FREE_SECONDS):
                 for solver in self._ending():
-                    solver.signal(signal.SIGKILL)  # probably stopped; its outcome exists
+                    pid = solver.process.pid
+                    _log.warning("solver %d is killed: its attempt has ended, but not it", pid)
+                    solver.signal(signal.SIGKILL)
                     self._drop(solver)
             idle = [solver for solver in self._solvers if solver.attempt is None]
             for solver in [solver for solver in idle if solver.environment != environment]:
@@ -254,10 +273,10 @@ class LocalEngine(attempts.Listeners):
         """Start a solver process with an attempt, whose open lock and log it takes over."""
         ours, theirs = socket.socketpair()
         with theirs:
-            line = "--line", str(theirs.fileno())
+            channel = "--channel", str(theirs.fileno())
             try:
                 process = subprocess.Popen(
-                    child_command("wrenchbook.service.jobs.solver", *line, *self._options),
+                    child_command("wrenchbook.service.jobs.solver", *channel, *self._options),
                     env=environment,
                     stdin=subprocess.DEVNULL,
                     stdout=log,
@@ -274,18 +293,18 @@ class LocalEngine(attempts.Listeners):
             self._processes.add(process.pid)
         # Sent before the solver listens: one that cannot begin leaves the lock as it dies.
         with contextlib.suppress(OSError):
-            solver.hand(attempt, lock, log)
+            solver.send(attempt, lock, log)
         threading.Thread(target=self._watch, args=(solver,), daemon=True).start()
 
     def _watch(self, solver: SolverProcess) -> None:
         """Follow one solver until it has ended, and reap it."""
-        with solver.line, contextlib.suppress(OSError):
-            while word := solver.line.recv(1):
-                if word == attempts.TAKEN:
-                    solver.has_taken = True
+        with solver.channel, contextlib.suppress(OSError):
+            while message := solver.channel.recv(1):
+                if message == attempts.BEGUN:
+                    solver.has_begun = True
                     solver.answered.set()
                 else:
-                    self._free(solver, stays=word == attempts.FREE)
+                    self._free(solver, stays=message == attempts.FREE)
         solver.process.wait()
         with self._changed:
             attempt = solver.attempt
@@ -293,7 +312,7 @@ class LocalEngine(attempts.Listeners):
             self._processes.discard(solver.process.pid)
             if solver in self._solvers:
                 self._solvers.remove(solver)
-            solver.gone.set()
+            solver.exited.set()
             solver.answered.set()
             self._changed.notify_all()
         if attempt is not None:
@@ -322,7 +341,7 @@ class LocalEngine(attempts.Listeners):
         if solver in self._solvers:
             self._solvers.remove(solver)
         with contextlib.suppress(OSError):
-            solver.line.shutdown(socket.SHUT_RDWR)
+            solver.channel.shutdown(socket.SHUT_RDWR)
 
 
 def signal_group(group: int, number: int) -> None:

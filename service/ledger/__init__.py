@@ -1,6 +1,10 @@
-"""The durable record of jobs and rows; see `Ledger`."""
+"""The durable record of jobs, rows and imports: `Ledger`, its records and its errors.
 
-from wrenchbook.service.ledger.audit import AuditEntry as AuditEntry, noted as noted
+Code that adds tables or transactions of its own also imports `connection.Connection` and
+`audit.note`; code that reports disk errors imports `connection.with_remedy`.
+"""
+
+from wrenchbook.service.ledger.audit import noted as noted
 from wrenchbook.service.ledger.imports import (
     ImportOrigin as ImportOrigin,
     ImportRecord as ImportRecord,
@@ -15,7 +19,6 @@ from wrenchbook.service.ledger.packing import (
 )
 from wrenchbook.service.ledger.records import (
     FINAL as FINAL,
-    STATUSES as STATUSES,
     AppendError as AppendError,
     BlockKeyError as BlockKeyError,
     DamagedRowError as DamagedRowError,
@@ -26,7 +29,6 @@ from wrenchbook.service.ledger.records import (
     LedgerBusyError as LedgerBusyError,
     LedgerDamagedError as LedgerDamagedError,
     LedgerError as LedgerError,
-    LedgerFileError as LedgerFileError,
     LedgerFullError as LedgerFullError,
     LedgerRow as LedgerRow,
     LedgerUnavailableError as LedgerUnavailableError,
@@ -35,7 +37,6 @@ from wrenchbook.service.ledger.records import (
     Quota as Quota,
     QuotaError as QuotaError,
     ReadOnlyError as ReadOnlyError,
-    RowChanges as RowChanges,
     RowEdit as RowEdit,
     RowStatusError as RowStatusError,
     StaleAttemptError as StaleAttemptError,

@@ -62,7 +62,7 @@ class Connection(sqlite3.Connection):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.jobs: dict[int, JobRecord] = {}
-        self.rows = 0  # number of rows added, withdrawn or restored
+        self.has_new_rows = False  # whether rows were added, withdrawn or restored
         # Damaged rows, with their component: the ledger's dictionary.
         self.damaged: dict[int, str] = {}
 
@@ -193,7 +193,7 @@ def open_file(path: Path) -> Connection:
             check_integrity(connection, path)
             begin(connection, "PRAGMA journal_mode = WAL")  # SQLite itself does not wait here
             _upgrade(connection)
-            _take_over(connection, path.parent)
+            _move_files_into(connection, path.parent)
         except BaseException:
             connection.close()
             raise
@@ -341,7 +341,7 @@ def with_remedy(error: Exception) -> str:
 
 def is_damage(error: Exception) -> bool:
     """Return whether an error is that of a damaged file; damaged text may not be UTF-8."""
-    code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the other bits are its place
+    code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the other bits are details
     return isinstance(error, UnicodeDecodeError) or code in (
         sqlite3.SQLITE_CORRUPT,
         sqlite3.SQLITE_NOTADB,
@@ -360,7 +360,7 @@ def _errno_of(error: Exception) -> int:
         sqlite3.SQLITE_BUSY: errno.EBUSY,
         sqlite3.SQLITE_CANTOPEN: errno.EACCES,
     }
-    # The low byte is the error; the other bits are its place.
+    # The low byte is the error; the other bits are details (sqlite.org/rescode.html).
     return numbers.get(code & 0xFF, getattr(error, "errno", None) or 0)
 
 
@@ -393,8 +393,8 @@ def _upgrade(connection: Connection) -> None:
     connection.execute("COMMIT")
 
 
-def _take_over(connection: Connection, folder: Path) -> None:
-    """Store the state that release 0.3 kept in files; an existing entry wins."""
+def _move_files_into(connection: Connection, folder: Path) -> None:
+    """Store the state that release 0.3 had in files of the folder; existing entries stay."""
     entries, read = earlier.read_files(folder)
     if not read:
         return

@@ -124,7 +124,7 @@ def import_rows(
             if number is None:
                 return Loaded(0, sent, None)
             _enter_keys(ledger, parts)
-            new = _show(ledger, component, number, origin, start)
+            new = _publish(ledger, component, number, origin, start)
             return Loaded(new, sent - new, number if new else None)
         except BaseException:
             _drop_hidden(ledger)
@@ -163,7 +163,7 @@ def _insert_hidden(
             with ledger.writing(durable=False) as db:
                 if number is None:
                     number = db.execute(_INSERT, values).lastrowid
-                first = rows.number(db, component, part, part_keys, now)
+                first = rows.insert_numbered(db, component, part, part_keys, now)
                 span = first, first + len(part_keys) - 1, number, component
                 db.execute("INSERT INTO import_parts VALUES (?, ?, ?, ?, 1)", span)
             parts.append((first, b"".join(part_keys)))
@@ -179,11 +179,11 @@ def _enter_keys(ledger: Ledger, parts: Sequence[tuple[int, bytes]]) -> None:
     for begin in range(0, len(order), KEYS_AT_ONCE):
         chosen = order[begin : begin + KEYS_AT_ONCE]
         with ledger.writing(durable=False) as db:
-            rows.enter(db, zip(hashes[chosen].tolist(), seqs[chosen].tolist(), strict=True))
+            rows.insert_keys(db, zip(hashes[chosen].tolist(), seqs[chosen].tolist(), strict=True))
         ledger.sync()
 
 
-def _show(ledger: Ledger, component: str, number: int, origin: ImportOrigin, start: int) -> int:
+def _publish(ledger: Ledger, component: str, number: int, origin: ImportOrigin, start: int) -> int:
     """Publish the rows that no other process has inserted since seq `start`; return the count."""
     with ledger.writing() as db:
         rows.yield_to_others(db, component, start)
@@ -195,7 +195,7 @@ def _show(ledger: Ledger, component: str, number: int, origin: ImportOrigin, sta
         else:
             db.execute("DELETE FROM import_parts WHERE import = ?", (number,))
             db.execute("DELETE FROM imports WHERE id = ?", (number,))
-        db.rows += new
+        db.has_new_rows |= bool(new)
     return new
 
 
@@ -220,7 +220,7 @@ def append_rows(
             f"import {number} of {component!r}, {origin.filename!r}, has readings of another rig, "
             "frame or point; send the same ones, or append under another name: append=NAME"
         )
-    if number and not _chosen(db, component, number, (), withdrawn=False, most=1):
+    if number and not _select_rows(db, component, number, (), withdrawn=False, most=1):
         raise AppendError(
             f"import {number}, {origin.filename!r}, is withdrawn. Restore it with: wrenchbook "
             f"withdraw {component} {number} --restore; or append under another name: append=NAME"
@@ -284,7 +284,7 @@ def same_file(db: Connection, component: str, digest: str) -> ImportRecord | Non
     """Return the newest import of this SHA-256 with a row in use, among the newest 1,000."""
     same = [record for record in imports(db, component) if record.digest == digest]
     for record in same:
-        if _chosen(db, component, record.id, (), withdrawn=False, most=1):
+        if _select_rows(db, component, record.id, (), withdrawn=False, most=1):
             return record
     return None
 
@@ -348,10 +348,10 @@ def findings(db: Connection, component: str) -> list[dict[str, Any]]:
     )
     live = []
     for number, filename, text in db.execute(select, (component,)).fetchall():
-        for finding in _stored(text):
+        for finding in _read_findings(text):
             keys = finding.pop("keys")
             most = len(keys) or 1
-            seqs = _chosen(db, component, number, keys, withdrawn=False, most=most)
+            seqs = _select_rows(db, component, number, keys, withdrawn=False, most=most)
             if seqs:
                 seqs = seqs if keys else []
                 details = {"import": number, "filename": filename, "rows": seqs}
@@ -381,13 +381,15 @@ def edit_import(
         newest = ", ".join(str(known) for (known,) in ids)
         remedy = f"its newest imports are {newest}" if newest else "import a file first"
         raise UnknownImportError(f"{component!r} has no import {number}; {remedy}")
-    lists = [finding["keys"] for finding in _stored(record[0]) if finding.get("cause") == cause]
+    lists = [
+        finding["keys"] for finding in _read_findings(record[0]) if finding.get("cause") == cause
+    ]
     if cause is not None and not lists:
-        causes = ", ".join(str(finding.get("cause")) for finding in _stored(record[0]))
+        causes = ", ".join(str(finding.get("cause")) for finding in _read_findings(record[0]))
         known = f"finding {cause!r}; its findings are {causes}" if causes else "findings"
         raise UnknownImportError(f"import {number} of {component!r} has no {known}")
     keys = [key for part in lists for key in part] if all(lists) else []
-    seqs = _chosen(db, component, number, keys, withdrawn=not withdrawn)
+    seqs = _select_rows(db, component, number, keys, withdrawn=not withdrawn)
     rows.edit(db, component, seqs, withdrawn=withdrawn, now=time.time())
     if seqs:
         more = {"withdrawn": withdrawn, "rows": len(seqs), "finding": cause}
@@ -411,7 +413,7 @@ def _take_lock(ledger: Ledger) -> int | None:
         return take(Path(f"{ledger.path}-importing"))
 
 
-def _stored(text: str) -> list[dict[str, Any]]:
+def _read_findings(text: str) -> list[dict[str, Any]]:
     """Return the findings of an import; none if their text is damaged."""
     try:
         return [{"keys": [], **finding} for finding in json.loads(text)]
@@ -419,7 +421,7 @@ def _stored(text: str) -> list[dict[str, Any]]:
         return []
 
 
-def _chosen(
+def _select_rows(
     db: Connection,
     component: str,
     number: int,
@@ -454,7 +456,7 @@ def _drop_hidden(ledger: Ledger) -> None:
                 db.execute(f"DELETE FROM imports WHERE rows = 0 AND {without_parts}")
                 return
             first, last = part
-            start = rows.delete(db, first, last, RECORDS_DELETED)
+            start = rows.delete_hidden(db, first, last, RECORDS_DELETED)
             if start == first:
                 db.execute("DELETE FROM import_parts WHERE first = ?", (first,))
             else:

@@ -63,8 +63,8 @@ def statistics(db: Connection) -> Statistics:
         " AND started IS NOT NULL AND finished IS NOT NULL) GROUP BY 1"
     ).fetchall()
     buckets = [0] * (len(SOLVE_EDGES) + 1)
-    for place, number, _ in solves:
-        buckets[place] = number
+    for bucket, number, _ in solves:
+        buckets[bucket] = number
     oldest = db.execute("SELECT min(created) FROM jobs WHERE status = 'waiting'").fetchone()[0]
     seconds = sum(took for _, _, took in solves)
     return Statistics(counts(db), failures, tuple(buckets), seconds, oldest)
@@ -95,8 +95,8 @@ def solve_seconds(db: Connection, component: str) -> float | None:
     return db.execute(select, (component, _RECENT)).fetchone()[0]
 
 
-def charged(db: Connection, component: str, quota: Quota | None) -> str:
-    """Return the caller as the actor of one more open job.
+def actor_for(db: Connection, component: str, quota: Quota | None) -> str:
+    """Return the caller, the actor of one more open job.
 
     Raises QuotaError if the quota does not allow it.
     """

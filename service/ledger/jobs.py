@@ -12,7 +12,7 @@ from wrenchbook.service.contract import NUMBER_LIMIT
 from wrenchbook.service.ledger import rows
 from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.ledger.connection import Connection
-from wrenchbook.service.ledger.job_statistics import charged
+from wrenchbook.service.ledger.job_statistics import actor_for
 from wrenchbook.service.ledger.packing import pack_vector, unpack_vector
 from wrenchbook.service.ledger.records import (
     FINAL,
@@ -98,7 +98,7 @@ def accept(
     known = _select(db, where, (component, fingerprint, key))
 
     if not known:
-        actor = charged(db, component, quota)
+        actor = actor_for(db, component, quota)
         added = db.execute(
             "INSERT INTO jobs (component, fingerprint, wrench, status, priority, attempt, lost,"
             " created, asked_by, actor) VALUES (?, ?, ?, 'waiting', ?, 0, 0, ?, ?, ?)",
@@ -112,7 +112,7 @@ def accept(
 
     job = known[0]
     if _lacks_its_row(db, job) or (job.status == "cancelled" and reopen_cancelled):
-        caller = {"asked_by": asked_by, "actor": charged(db, component, quota)}
+        caller = {"asked_by": asked_by, "actor": actor_for(db, component, quota)}
         job = _by_caller(db, job, "reopen", row=None, **caller, **_FRESH)
     if job.status == "waiting" and priority > job.priority:
         before = {"priority": job.priority}
@@ -205,7 +205,7 @@ def claim(db: Connection, owner: str, engine: str, most: int) -> list[JobRecord]
         attempt = job.attempt + 1
         # Engines may serve many data directories, whose jobs have the same numbers.
         task = f"{job.id}-{attempt}-{secrets.token_hex(_TASK_BYTES)}"
-        return _moved(db, job, "claim", attempt=attempt, task=task, **new)
+        return _transition(db, job, "claim", attempt=attempt, task=task, **new)
 
     claimed = list(map(start, next_waiting(db, most)))
     if claimed:
@@ -218,7 +218,7 @@ def adopt(db: Connection, job_id: int, attempt: int, previous: str, owner: str) 
     job = get(db, job_id)
     if (job.status, job.attempt, job.owner) != ("running", attempt, previous):
         return None
-    return _moved(db, job, "adopt", owner=owner)
+    return _transition(db, job, "adopt", owner=owner)
 
 
 def send_heartbeat(
@@ -234,7 +234,7 @@ def send_heartbeat(
     for (job_id, attempt), start in (began or {}).items():
         job = get(db, job_id)
         if (job.status, job.attempt, job.owner) == ("running", attempt, owner):
-            begun.append(_moved(db, job, "begin", began=job.began or start))
+            begun.append(_transition(db, job, "begin", began=job.began or start))
     return begun
 
 
@@ -264,7 +264,7 @@ def commit(
     now = time.time()
     row = rows.add_solved(db, job, displacement, source, origin, now, **known)
     note(db, "row.solve", row.seq, job.component, after={"job": job_id}, actor=job.actor)
-    _moved(db, job, "commit", owner=None, row=row.seq, **_end(job, now, seconds))
+    _transition(db, job, "commit", owner=None, row=row.seq, **_end(job, now, seconds))
     return row
 
 
@@ -274,7 +274,7 @@ def fail(
     """End a running attempt as failed; `error` has kind, message and remedy."""
     job = _check_attempt(get(db, job_id), attempt)
     note(db, "job.fail", job_id, job.component, after={"kind": error["kind"]}, actor=job.actor)
-    return _moved(db, job, "fail", owner=None, error=error, **_end(job, time.time(), seconds))
+    return _transition(db, job, "fail", owner=None, error=error, **_end(job, time.time(), seconds))
 
 
 def lose(db: Connection, job_id: int, attempt: int, cause: str = "") -> JobRecord:
@@ -286,12 +286,12 @@ def lose(db: Connection, job_id: int, attempt: int, cause: str = "") -> JobRecor
     now = time.time()
     if job.lost < len(BACKOFF_SECONDS):
         later = now + BACKOFF_SECONDS[job.lost]
-        return _moved(db, job, "lose", lost=job.lost + 1, **_UNSTARTED, not_before=later)
+        return _transition(db, job, "lose", lost=job.lost + 1, **_UNSTARTED, not_before=later)
     error = dict(SOLVER_DIED)
     if cause:
         error["message"] += f"; the last time: {cause}"
     note(db, "job.fail", job_id, job.component, after={"kind": error["kind"]}, actor=job.actor)
-    return _moved(db, job, "give up", owner=None, lost=job.lost + 1, error=error, finished=now)
+    return _transition(db, job, "give up", owner=None, lost=job.lost + 1, error=error, finished=now)
 
 
 def release(db: Connection, job_id: int, attempt: int, *, delay: float = 0.0) -> JobRecord:
@@ -301,7 +301,7 @@ def release(db: Connection, job_id: int, attempt: int, *, delay: float = 0.0) ->
     """
     job = _check_attempt(get(db, job_id), attempt)
     later = time.time() + delay if delay else None
-    return _moved(db, job, "release", not_before=later, **_UNSTARTED)
+    return _transition(db, job, "release", not_before=later, **_UNSTARTED)
 
 
 def renew(db: Connection, job_id: int, attempt: int, fingerprint: str) -> JobRecord:
@@ -314,9 +314,9 @@ def renew(db: Connection, job_id: int, attempt: int, fingerprint: str) -> JobRec
     if _select(db, "WHERE component = ? AND fingerprint = ? AND wrench = ?", key):
         with acting_as(job.actor):
             accept(db, *key, priority=job.priority, asked_by=job.asked_by)
-        return _moved(db, job, "cancel", owner=None, finished=time.time())
+        return _transition(db, job, "cancel", owner=None, finished=time.time())
     db.execute("UPDATE jobs SET fingerprint = ? WHERE id = ?", (fingerprint, job_id))
-    return _moved(db, get(db, job_id), "release", **_UNSTARTED)
+    return _transition(db, get(db, job_id), "release", **_UNSTARTED)
 
 
 def end_lease(db: Connection, owner: str) -> None:
@@ -367,7 +367,7 @@ def retry(db: Connection, job_id: int, quota: Quota | None = None) -> JobRecord:
     Raises QuotaError if the quota does not allow it.
     """
     job = get(db, job_id)
-    return _by_caller(db, job, "retry", actor=charged(db, job.component, quota), **_FRESH)
+    return _by_caller(db, job, "retry", actor=actor_for(db, job.component, quota), **_FRESH)
 
 
 # -- reading ----------------------------------------------------------------------------------
@@ -471,7 +471,7 @@ def leases(db: Connection) -> dict[str, Heartbeat]:
 # -- shared -----------------------------------------------------------------------------------
 
 
-def _moved(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRecord:
+def _transition(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRecord:
     """Write and return a job after an event.
 
     Raises InvalidTransitionError if its status does not allow the event.
@@ -489,10 +489,10 @@ def _moved(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRec
 
 def _by_caller(db: Connection, job: JobRecord, event: str, **changes: Any) -> JobRecord:
     """Write a job after an event of the caller, with its entry in the audit."""
-    moved = _moved(db, job, event, **changes)
-    before, after = ({"status": part.status, "actor": part.actor} for part in (job, moved))
+    changed = _transition(db, job, event, **changes)
+    before, after = ({"status": part.status, "actor": part.actor} for part in (job, changed))
     note(db, f"job.{event}", job.id, job.component, before=before, after=after)
-    return moved
+    return changed
 
 
 def _save(db: Connection, job: JobRecord) -> JobRecord:

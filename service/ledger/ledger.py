@@ -18,6 +18,7 @@ from wrenchbook.service.ledger import job_statistics as statistics_sql
 from wrenchbook.service.ledger import jobs as job_sql
 from wrenchbook.service.ledger import repair as repair_sql
 from wrenchbook.service.ledger import rows as row_sql
+from wrenchbook.service.ledger.acknowledged import Acknowledged, Numbers
 from wrenchbook.service.ledger.connection import (
     BUSY_SECONDS,
     USE_ERRORS,
@@ -44,7 +45,6 @@ from wrenchbook.service.ledger.records import (
     ReadOnlyError,
     TableAt,
 )
-from wrenchbook.service.ledger.repair import Acknowledged, Numbers
 from wrenchbook.surrogate.table.rows import Rows
 
 _log = logging.getLogger(__name__)
@@ -242,12 +242,12 @@ class Ledger:
                 writer.execute("PRAGMA synchronous = NORMAL")
             try:
                 writer.jobs = {}
-                writer.rows = 0
+                writer.has_new_rows = False
                 begin(writer)
                 yield writer
                 numbers = _numbers(writer)
                 writer.execute("COMMIT")
-                jobs, rows = writer.jobs, writer.rows
+                jobs, has_new_rows = writer.jobs, writer.has_new_rows
                 self._logged = ""
                 if durable:
                     self._acknowledged.note(numbers)
@@ -259,7 +259,7 @@ class Ledger:
                 if not durable:
                     writer.execute("PRAGMA synchronous = FULL")
         _log_jobs(jobs.values())
-        for listener in self._listeners if jobs or rows else ():
+        for listener in self._listeners if jobs or has_new_rows else ():
             try:
                 listener()
             except Exception:  # the commit has happened, whether or not a listener fails
@@ -339,7 +339,7 @@ class Ledger:
 
     def losses(self) -> list[str]:
         """Return the lost acknowledged jobs and rows, as sentences."""
-        return self._acknowledged.losses()
+        return [loss.sentence() for loss in self._acknowledged.losses()]
 
     def sizes(self) -> dict[str, int]:
         """Return the bytes of the ledger's file and of its log."""
@@ -431,7 +431,7 @@ class Ledger:
         lost = self._acknowledged.compare(noted, _numbers(self._writer))
         if lost is not None:  # noted; these numbers are never used again
             raise_sequences(self._writer, lost._asdict())
-            _log.error("the ledger has lost what it had: %s", self._acknowledged.losses()[-1:])
+            _log.error("the ledger has lost what it had: %s", self.losses()[-1:])
         while self._idle:
             self._idle.pop().close()
 

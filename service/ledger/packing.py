@@ -180,8 +180,8 @@ def row_keys(component: str, block: NotedRows) -> list[bytes]:
     rows = block.rows
     if any(rows.compliance.strides) and (infinite := np.isinf(rows.compliance)).any():
         at, output, load = np.argwhere(infinite)[0].tolist()
-        place = f"compliance[{output}][{load}] of row {at + 1} of {len(rows)}"
-        raise ValueError(f"{place} is infinite; write NaN where it is unknown")
+        entry = f"compliance[{output}][{load}] of row {at + 1} of {len(rows)}"
+        raise ValueError(f"{entry} is infinite; write NaN where it is unknown")
     texts = list(zip(rows.fingerprint.tolist(), rows.source.tolist(), strict=True))
     numbers = _plain(rows.wrench).tobytes(), _plain(rows.displacement).tobytes()
     return _keys(component, texts, *numbers, _known(rows.uncertainty, np.any))

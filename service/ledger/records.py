@@ -127,8 +127,8 @@ class RowChanges:
     """Changes of a component's rows after some seq, as one committed state."""
 
     rows: Rows  # rows to add: new ones, and restored old ones
-    # Rows to remove before: withdrawn ones, and restored ones, which are in `rows`.
-    gone: frozenset[int]
+    # Rows to remove before: all edited ones; those that are restored are in `rows`.
+    edited: frozenset[int]
     last_seq: int  # number up to which the changes are complete
     complete: bool = True  # whether these are all changes; otherwise continue from `last_seq`
 

@@ -1,25 +1,16 @@
-"""Repair: lost acknowledged jobs and rows, and a new ledger from a damaged one.
+"""Repair: a new ledger from a damaged one, and damaged rows and lost edits from table files."""
 
-SQLite cannot notice a WAL file that was cut off, deleted or replaced by an older copy: the ledger
-is intact, but older. After each commit the highest numbers are therefore written to a file beside
-the ledger. It is not synced: after a power failure it may be older than the ledger, never newer, so
-that it reports no false loss.
-"""
-
-import json
-import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
-from hashlib import blake2b
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from wrenchbook.service.ledger import audit, rows
+from wrenchbook.service.ledger.acknowledged import Numbers
 from wrenchbook.service.ledger.connection import (
     USE_ERRORS,
     Connection,
@@ -32,129 +23,23 @@ from wrenchbook.service.ledger.packing import Record, records_of, row_keys
 from wrenchbook.service.ledger.records import NotedRows, RowEdit
 from wrenchbook.surrogate.table.rows import Rows
 
-_DIGEST = 8  # bytes of the digest of the acknowledged numbers
+# All tables with content of their own: `row_keys` follows from the rows, leases end with a server.
 _TABLES = (
-    *("jobs", "rows", "edits", "gatherings", "recorded", "extremes", "blocks"),
-    *("imports", "import_parts", "catalogue", "demand", "solver_errors", "rigs", "audit"),
+    "SELECT name FROM sqlite_schema WHERE type = 'table'"
+    " AND name NOT IN ('row_keys', 'leases', 'sqlite_sequence') ORDER BY rowid"
 )
+# Whether the ledger has the row in the column `row`, of `jobs` or `edits`.
 _STORED = (
     "EXISTS (SELECT 1 FROM rows WHERE rows.seq = (SELECT max(seq) FROM rows WHERE seq <= row)"
     " AND row < rows.seq + count)"
 )
-_MAX_ROWID = 10_000_000  # assumed if the highest number is unknown
+_MAX_ROWID = 10_000_000  # if the highest number is unknown: ten times the largest tested import
 _OLDER = {"count": 1, "curvature": None}  # values of columns that records of earlier schemas lack
-_MAX_NUMBER = 1 << 48  # larger numbers are damaged
+_MAX_NUMBER = 1 << 48  # larger numbers are damaged: a million a second would take nine years
 _HEAD_BYTES = 100  # bytes of a file's header: https://www.sqlite.org/fileformat.html
 _MAGIC = b"SQLite format 3\0"
-_MAX_BYTES = 1 << 34  # bytes of a ledger; a damaged header may state more
-_MAX_MISSES = 50_000  # failed reads, 20 µs each, before the repair gives up a table
-
-
-class Numbers(NamedTuple):
-    """The highest used numbers: of jobs, and of rows and edits."""
-
-    jobs: int = 0
-    rows: int = 0
-
-
-class Acknowledged:
-    """The highest numbers that a ledger has acknowledged, in the file ``<ledger>-acknowledged``.
-
-    Losses are recorded in ``<ledger>-lost``.
-    """
-
-    def __init__(self, ledger: Path) -> None:
-        self._path = ledger.with_name(f"{ledger.name}-acknowledged")
-        self._losses = ledger.with_name(f"{ledger.name}-lost")
-        self._noted = Numbers()
-
-    def note(self, numbers: Numbers) -> None:
-        """Write the numbers of a commit; a disk error is ignored, as the commit is done."""
-        if numbers.jobs <= self._noted.jobs and numbers.rows <= self._noted.rows:
-            return
-        # If two processes write at once, either's numbers stay until the next commit.
-        self._noted = Numbers(*map(max, numbers, self.read()))
-        text = b"%d %d\n" % self._noted
-        content = text + blake2b(text, digest_size=_DIGEST).digest()
-        with suppress(OSError):
-            descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
-            try:
-                # The numbers only grow, so the text never becomes shorter; one write is atomic.
-                os.pwrite(descriptor, content, 0)
-            finally:
-                os.close(descriptor)
-
-    def read(self) -> Numbers:
-        """Return the last written numbers; zeros if the file is missing or damaged."""
-        try:
-            content = self._path.read_bytes()
-        except OSError:
-            return Numbers()
-        text = content[:-_DIGEST]
-        digest = content[-_DIGEST:]
-        if blake2b(text, digest_size=_DIGEST).digest() != digest:
-            return Numbers()
-        return Numbers(*map(int, text.split()))
-
-    def compare(self, noted: Numbers, present: Numbers) -> Numbers | None:
-        """Record a loss and return the acknowledged numbers if they are above the present ones."""
-        if noted.jobs <= present.jobs and noted.rows <= present.rows:
-            return None
-        loss = {
-            "seen": time.time(),
-            "jobs": [present.jobs + 1, max(noted.jobs, present.jobs)],
-            "rows": [present.rows + 1, max(noted.rows, present.rows)],
-        }
-        with suppress(OSError), self._losses.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(loss) + "\n")
-            os.fsync(file.fileno())
-        return noted
-
-    def losses(self) -> list[str]:
-        """Return the losses that no repair has handled yet, as sentences."""
-        return [sentence for sentence, _ in self._open_losses()]
-
-    def lost(self, db: Connection) -> Numbers:
-        """Return the numbers of lost acknowledged jobs and rows, without rows restored since.
-
-        Edits share the rows' numbers, so that there may be fewer rows.
-        """
-        losses = [loss for _, loss in self._open_losses()]
-        jobs = sum(loss["jobs"][1] - loss["jobs"][0] + 1 for loss in losses)
-        lost_rows = sum(loss["rows"][1] - loss["rows"][0] + 1 for loss in losses)
-        last = max((loss["rows"][1] for loss in losses), default=0)
-        select = "SELECT coalesce(sum(count), 0) FROM rows WHERE origin = 'table file' AND seq > ?"
-        return Numbers(jobs, max(0, lost_rows - db.execute(select, (last,)).fetchone()[0]))
-
-    def close(self, move: Callable[[Path], Path]) -> None:
-        """Move the record of losses aside, so that it is no longer reported."""
-        if self._losses.exists():
-            move(self._losses)
-
-    def _open_losses(self) -> list[tuple[str, dict[str, Any]]]:
-        """Return each loss, as a sentence and as recorded."""
-        try:
-            lines = self._losses.read_text(encoding="utf-8").splitlines()
-        except OSError:
-            return []
-        losses = []
-        for line in lines:
-            with suppress(ValueError, KeyError, TypeError):  # an incomplete line
-                loss = json.loads(line)
-                when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(loss["seen"]))
-                parts = [
-                    f"{kind} {first} to {last}"
-                    for kind in ("jobs", "rows")
-                    for first, last in [loss[kind]]
-                    if last >= first
-                ]
-                sentence = (
-                    f"{' and '.join(parts)} were acknowledged but are no longer in the ledger "
-                    f"(noticed {when} UTC): its -wal file was cut, or an older copy was put back. "
-                    "Rows in table files come back; ask for the others again"
-                )
-                losses.append((sentence, loss))
-        return losses
+_MAX_BYTES = 1 << 34  # bytes of a ledger, some 40 million rows; a damaged header may state more
+_MAX_MISSES = 50_000  # failed reads, 20 µs each, before the repair gives up a table: a second
 
 
 @dataclass(frozen=True)
@@ -172,18 +57,20 @@ class Salvaged:
 def salvage(
     damaged: Path, target: Path, spare: Iterable[tuple[str, Rows, float]], noted: Numbers
 ) -> Salvaged:
-    """Write a new ledger from a damaged one, which is only read, and from the table files.
+    """Write a new ledger from a copy of a damaged one, and from the table files.
 
     Rows come from the table files first, which have digests: `spare` has the component, the rows
     and the time of each. A done job without any copy of its row waits again, and no number that was
-    used, or `noted` as acknowledged, is used again. `damaged` is a copy that no other process uses,
-    with its log beside it; `target` must not exist.
+    used, or `noted` as acknowledged, is used again. No other process uses the copy `damaged`, which
+    has its log beside it; `target` must not exist.
+
+    Raises LedgerFileError if `target` cannot be written.
     """
     _pad(damaged)
     try:
         source = connect(damaged)
     except USE_ERRORS:  # the first page, with the schema, is damaged
-        source = connect(damaged.with_name("nothing.sqlite"))
+        source = connect(Path(":memory:"))  # no table
     new = open_file(target)
     try:
         highest = noted._asdict()
@@ -194,8 +81,9 @@ def salvage(
         new.execute("PRAGMA foreign_keys = OFF")
         new.execute("BEGIN IMMEDIATE")
         for component, table_rows, written in spare:
-            _place(new, component, table_rows, written)
-        read = {name: _copy(source, new, name, highest) for name in _TABLES}
+            _insert_spare(new, component, table_rows, written)
+        names = [name for (name,) in new.execute(_TABLES).fetchall()]
+        read = {name: _copy(source, new, name, highest) for name in names}
         # Remove references to missing jobs and rows.
         new.execute("UPDATE rows SET job = NULL WHERE job NOT IN (SELECT id FROM jobs)")
         new.execute(f"DELETE FROM edits WHERE NOT {_STORED}")
@@ -203,8 +91,8 @@ def salvage(
             "UPDATE jobs SET status = 'waiting', row = NULL, started = NULL, finished = NULL"
             f" WHERE row IS NOT NULL AND NOT {_STORED}"
         ).rowcount
-        there = "SELECT (SELECT coalesce(sum(count), 0) FROM rows) + (SELECT count(*) FROM edits)"
-        lost_rows = max(0, noted.rows - new.execute(there).fetchone()[0])
+        total = "SELECT (SELECT coalesce(sum(count), 0) FROM rows) + (SELECT count(*) FROM edits)"
+        lost_rows = max(0, noted.rows - new.execute(total).fetchone()[0])
         new.execute("COMMIT")
         raise_sequences(new, {name: highest.get(name, 0) for name in ("jobs", "rows")})
     finally:
@@ -227,29 +115,30 @@ def _pad(damaged: Path) -> None:
 def _copy(source: Connection, new: Connection, table: str, highest: dict[str, int]) -> int:
     """Copy the readable records of a table, and return their number.
 
-    highest: the highest used number of each table, where the search for records ends.
+    A range of numbers with an unreadable record is halved until the record is alone. `highest` has
+    the highest used number of each table, where the search ends.
     """
     columns = [name for _, name, *_ in new.execute(f"PRAGMA table_info({table})")]
     try:
-        there = [name for _, name, *_ in source.execute(f"PRAGMA table_info({table})")]
+        readable = [name for _, name, *_ in source.execute(f"PRAGMA table_info({table})")]
     except USE_ERRORS:
-        there = columns
-    common = [name for name in columns if name in there]
+        readable = columns
+    common = [name for name in columns if name in readable]
     if not common:
         return 0
     numbered = "rows" if table in ("edits", "import_parts") else table
-    until = highest.get(numbered) or _MAX_ROWID
+    end = highest.get(numbered) or _MAX_ROWID
     select = f"SELECT {', '.join(common)} FROM {table} NOT INDEXED WHERE rowid BETWEEN ? AND ?"
-    marks = ", ".join("?" * len(common))
-    insert = f"INSERT OR IGNORE INTO {table} ({', '.join(common)}) VALUES ({marks})"
+    values = ", ".join("?" * len(common))
+    insert = f"INSERT OR IGNORE INTO {table} ({', '.join(common)}) VALUES ({values})"
     count = 0
     misses = 0
-    ranges = [(0, until)]
+    ranges = [(0, end)]
     while ranges and misses < _MAX_MISSES:
         first, last = ranges.pop()
         try:
             records = source.execute(select, (first, last)).fetchall()
-        except USE_ERRORS:  # each range that is not readable is halved
+        except USE_ERRORS:
             misses += 1
             if first < last:
                 middle = (first + last) // 2
@@ -258,14 +147,14 @@ def _copy(source: Connection, new: Connection, table: str, highest: dict[str, in
         for record in records:
             with suppress(*USE_ERRORS, TypeError, ValueError):  # a record with damaged values
                 if table == "rows":
-                    values = dict(zip(common, record, strict=True))
-                    count += _restore_record(new, Record(**{**_OLDER, **values}))
+                    columns_of = dict(zip(common, record, strict=True))
+                    count += _restore_record(new, Record(**_OLDER | columns_of))
                 else:
                     count += new.execute(insert, record).rowcount
     return count
 
 
-def _place(db: Connection, component: str, table_rows: Rows, now: float) -> None:
+def _insert_spare(db: Connection, component: str, table_rows: Rows, now: float) -> None:
     """Insert rows of a table file under their numbers in a lost ledger."""
     if not len(table_rows):
         return
@@ -296,15 +185,15 @@ def _restore_record(db: Connection, record: Record) -> int:
             if len(positions) < record.count:
                 part = record.part(positions[0], positions[-1] + 1)
             db.execute(rows.INSERT, part)
-            rows.enter(db, rows.row_entries(part))
+            rows.insert_keys(db, rows.row_entries(part))
             count += part.count
     return count
 
 
 def rewrite(db: Connection, component: str, seq: int, copy: Rows) -> bool:
-    """Write a damaged row again from another copy, with its own number, job, time and note.
+    """Write a damaged row again from `copy`, one row, with its own number, job, time and note.
 
-    The note is kept if it fits the row's seal. Returns False if the row is not damaged, or if the
+    The note stays if it fits the row's seal. Returns False if the row is not damaged, or if the
     same row already has another number because it was solved or loaded again.
     """
     if rows.numbered(db, [seq]):
@@ -315,7 +204,7 @@ def rewrite(db: Connection, component: str, seq: int, copy: Rows) -> bool:
     note = "table file"
     for _, damaged in rows.containing(db, [seq]):  # at most one record
         job = damaged.job
-        if isinstance(damaged.created, float):
+        if isinstance(damaged.created, float):  # not so if its bytes have changed
             created = damaged.created
         if damaged.is_sealed():
             note = damaged.origin
@@ -336,9 +225,7 @@ def rewrite(db: Connection, component: str, seq: int, copy: Rows) -> bool:
 
 
 def replay(db: Connection, component: str, edits: Iterable[RowEdit]) -> int:
-    """Repeat edits that are newer than the ledger's of the same row.
-
-    Return the number of changed rows.
+    """Repeat edits that are newer than the ledger's of the same row; return their number.
 
     An edit of a missing row changes nothing.
     """

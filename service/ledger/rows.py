@@ -44,7 +44,7 @@ from wrenchbook.service.ledger.records import (
 from wrenchbook.surrogate.table.rows import Rows, joined
 from wrenchbook.surrogate.table.space import DEFAULT, Input, Output, Space
 
-MAX_CHANGES = 20_000  # rows returned at once: bounds memory
+MAX_CHANGES = 20_000  # rows returned at once: 20 MB with slopes and curvatures
 _COLUMNS = ", ".join(Record._fields)
 INSERT = f"INSERT INTO rows ({_COLUMNS}) VALUES ({', '.join('?' * len(Record._fields))})"
 # Rows of an unfinished import are hidden. Parts do not overlap, so that only the last part that
@@ -100,14 +100,14 @@ def insert(
     if positions:
         block = rows_at(block, positions)
         keys = [keys[at] for at in positions]
-        first = number(db, component, block, keys, now, job)
+        first = insert_numbered(db, component, block, keys, now, job)
         hashes = key_hashes(b"".join(keys)).tolist()
-        enter(db, sorted(zip(hashes, range(first, first + len(keys)), strict=True)))
-        db.rows += len(positions)
+        insert_keys(db, sorted(zip(hashes, range(first, first + len(keys)), strict=True)))
+        db.has_new_rows = True
     return len(positions), known
 
 
-def number(
+def insert_numbered(
     db: Connection,
     component: str,
     block: NotedRows,
@@ -154,7 +154,7 @@ def rows_at(block: NotedRows, positions: Sequence[int]) -> NotedRows:
     return NotedRows(block.rows.take(np.array(positions)), [block.note[at] for at in positions])
 
 
-def cut(db: Connection, seq: int) -> None:
+def delete(db: Connection, seq: int) -> None:
     """Delete a row, which may be damaged, from its record; the record's other rows stay."""
     for record in list(_records(db, "seq > ? AND seq <= ?", (seq - MAX_COUNT, seq))):
         at = seq - record.seq
@@ -167,7 +167,7 @@ def cut(db: Connection, seq: int) -> None:
                     db.execute(INSERT, record.part(first, end))
 
 
-def enter(db: Connection, entries: Iterable[tuple[int, int]]) -> None:
+def insert_keys(db: Connection, entries: Iterable[tuple[int, int]]) -> None:
     """Insert the hashes of rows' keys, with their numbers: fast in the order of the hashes."""
     db.executemany("INSERT OR IGNORE INTO row_keys VALUES (?, ?)", entries)
 
@@ -184,10 +184,10 @@ def yield_to_others(db: Connection, component: str, after: int) -> None:
     where = f"component = ? AND seq > ? AND {SHOWN}"
     for record in list(_records(db, where, (component, after))):
         for seq in stored(db, record.keys(), hidden=True).values():
-            cut(db, seq)
+            delete(db, seq)
 
 
-def delete(db: Connection, first: int, last: int, most: int) -> int:
+def delete_hidden(db: Connection, first: int, last: int, most: int) -> int:
     """Delete the last `most` records of hidden rows, and return the first number deleted."""
     where = "seq BETWEEN ? AND ? ORDER BY seq DESC LIMIT ?"
     records = list(_records(db, where, (first, last, most)))
@@ -199,9 +199,9 @@ def delete(db: Connection, first: int, last: int, most: int) -> int:
 
 def write_anew(db: Connection, record: Record) -> None:
     """Replace the record of one damaged row."""
-    cut(db, record.seq)
+    delete(db, record.seq)
     db.execute(INSERT, record)
-    enter(db, row_entries(record))
+    insert_keys(db, row_entries(record))
 
 
 def add_solved(
@@ -224,8 +224,8 @@ def add_solved(
     for name, value in {"displacement": displacement, **columns}.items():
         finite = np.isfinite(np.asarray(value, dtype=float))
         if not (finite.any() if name == "uncertainty" else finite.all()):
-            place = tuple(np.argwhere(~finite)[0].tolist())
-            wrong = f"{np.asarray(value)[place]} at {place}"
+            index = tuple(np.argwhere(~finite)[0].tolist())
+            wrong = f"{np.asarray(value)[index]} at {index}"
             raise ValueError(f"{name} of job {job.id} must be finite, not {wrong}")
     if len(displacement) < MIN_NUMBERS:
         needs = f"needs {MIN_NUMBERS} or more numbers, not {len(displacement)}"
@@ -248,7 +248,7 @@ def add_solved(
             edit(db, job.component, [seq], withdrawn=True, now=now)  # makes readers read it again
     if is_withdrawn(db, seq):
         edit(db, job.component, [seq], withdrawn=False, now=now)
-    db.rows += 1
+    db.has_new_rows = True
     return get(db, seq)
 
 
@@ -293,7 +293,7 @@ def edit(
     first = _skip(db, len(seqs)) - len(seqs) + 1
     edits = ((first + k, component, seq, withdrawn, now, single) for k, seq in enumerate(seqs))
     db.executemany("INSERT INTO edits VALUES (?, ?, ?, ?, ?, ?)", edits)
-    db.rows += len(seqs)
+    db.has_new_rows |= bool(seqs)
 
 
 def _skip(db: Connection, count: int = 0, least: int = 0) -> int:

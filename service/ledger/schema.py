@@ -163,8 +163,8 @@ TABLES = f"""
     CREATE INDEX edits_of_component ON edits (component, seq);
     CREATE INDEX edits_of_row ON edits (row, seq);
 
-    -- Imports: ranges of numbers of rows. Rows of a hidden range are there for nobody: an import is
-    -- taken in piece by piece and shown at once. `rig` is TOML, `findings` JSON with the keys of
+    -- Imports: ranges of numbers of rows. No reader sees the rows of a hidden range: an import is
+    -- written piece by piece and published at once. `rig` is TOML, `findings` JSON with the keys of
     -- the rows of each probable systematic error.
     CREATE TABLE imports (
         id INTEGER PRIMARY KEY AUTOINCREMENT,

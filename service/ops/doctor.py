@@ -16,8 +16,9 @@ import numpy as np
 
 from wrenchbook.service.files.durable import sync
 from wrenchbook.service.ledger import Ledger, LedgerDamagedError, LedgerError
+from wrenchbook.service.ledger.acknowledged import Acknowledged
 from wrenchbook.service.ledger.connection import unfinished_restore
-from wrenchbook.service.ledger.repair import Acknowledged, salvage
+from wrenchbook.service.ledger.repair import salvage
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.ops.backup import LEDGER
@@ -32,7 +33,7 @@ from wrenchbook.service.ops.checks import (
 )
 from wrenchbook.service.ops.replica import read_status, trouble_of
 from wrenchbook.service.ops.restore import in_use
-from wrenchbook.service.tables.rows import followed, unsolved
+from wrenchbook.service.tables.rows import unsolved, with_changes
 from wrenchbook.service.tables.store import TableStore
 from wrenchbook.surrogate.table.hdf5 import TableFileError, read_table
 from wrenchbook.surrogate.table.meta import TableMeta
@@ -175,7 +176,7 @@ def _losses(ledger: Ledger, *, repair: bool) -> list[DataFinding]:
     acknowledged = Acknowledged(ledger.path)
     with ledger.reading() as db:
         gone = acknowledged.lost(db)
-    acknowledged.close(lambda file: move_aside(file, "settled"))
+    acknowledged.archive_losses(lambda file: move_aside(file, "settled"))
     findings = [DataFinding("repaired", loss, "noted; it is reported no more") for loss in losses]
     return findings + _report_lost(f"up to {gone.rows} rows and {gone.jobs} jobs", sum(gone))
 
@@ -255,7 +256,7 @@ def _check_component(
         text = f"tables/{name}.h5 and the ledger do not have the same rows up to {last}"
     if text and repair:
         store.load(component)  # restores rows in the ledger that only the file has
-        rows, last_seq = followed(ledger, component, Rows.empty(component.space), 0)
+        rows, last_seq = with_changes(ledger, component, Rows.empty(component.space), 0)
         store.save(component, rows, last_seq)
         back = ledger.count_rows(name) - count
         remedy = f"{back} rows put back into the ledger; the file written anew with {len(rows)}"
@@ -268,7 +269,7 @@ def _check_component(
     others = ledger.of_other_setups(name, component.fingerprint)
     if not others:
         return
-    rows, _ = followed(ledger, component, Rows.empty(component.space), 0)
+    rows, _ = with_changes(ledger, component, Rows.empty(component.space), 0)
     complete = component.linear and bool(np.isfinite(rows.compliance).all(axis=(1, 2)).any())
     wrenches = unsolved(component, others, rows.wrench)
     # One solve of a linear component determines its compliance.

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
-from wrenchbook.service.contract import COVERAGE
+from wrenchbook.service.contract import COVERAGE, Coverage
 from wrenchbook.service.recording.store import EnvelopeState
-from wrenchbook.service.recording.thinning import Floats
 from wrenchbook.service.tables.mapped import ServedTable
 from wrenchbook.surrogate.answer import COVERED, OUTSIDE
-from wrenchbook.surrogate.table.rows import Tolerance
+from wrenchbook.surrogate.table.rows import Floats, Tolerance
 from wrenchbook.surrogate.table.space import Space
 
 EXACT: Final = (
@@ -24,6 +23,7 @@ ESTIMATE: Final = (
     "estimate: the largest |answer| + error bar of the table at {} corners of the box, its "
     "centre, zero load and the wrenches that reached the extremes"
 )
+Kind = Literal["bound", "estimate", "unknown"]
 MAX_CORNERS = 4096  # corners of a box: all of 12 inputs; of more inputs a random choice
 
 
@@ -31,15 +31,15 @@ MAX_CORNERS = 4096  # corners of a box: all of 12 inputs; of more inputs a rando
 class Bound:
     """The largest displacement over an envelope's box, shape (m,), m and rad; NaN if unknown.
 
-    `kind` is ``bound``, ``estimate`` or ``unknown``, `formula` that of `displacement`, and
-    `coverage` the worst of its answers. `negligible`: whether `displacement` is within the
-    tolerance (None if unknown); `reason`: why that is unknown, or the basis.
+    `formula` is that of `displacement`, `coverage` the worst of its answers. `negligible`: whether
+    `displacement` is within the tolerance (None if unknown); `reason`: why that is unknown, or the
+    basis.
     """
 
     displacement: Floats
-    kind: str
+    kind: Kind
     formula: str
-    coverage: str
+    coverage: Coverage
     negligible: bool | None
     reason: str
 
@@ -74,7 +74,7 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
         sums = [ends.max(axis=0).sum(axis=1), ends.min(axis=0).sum(axis=1)]
         largest = np.abs(sums).max(axis=0) + answers.errors.max(axis=0)
         largest = largest + np.abs(table.packed.batch(zero[None]).outputs[0])
-        kind = "bound"
+        kind: Kind = "bound"
         formula = EXACT
     else:
         # NaN stays: with an unknown value at one point the largest is unknown.
@@ -89,7 +89,7 @@ def bound_of(table: ServedTable, envelope: EnvelopeState, tolerance: Tolerance |
 
 
 def _negligible(
-    largest: Floats, space: Space, tolerance: Tolerance | None, kind: str, coverage: int
+    largest: Floats, space: Space, tolerance: Tolerance | None, kind: Kind, coverage: int
 ) -> tuple[bool | None, str]:
     """Return whether the largest displacement is within the tolerance, and the reason."""
     if tolerance is None:

@@ -1,4 +1,4 @@
-"""LM_start: the solves of a recording's, an envelope's or another setup's wrenches."""
+"""Solves of the wrenches of a recording, of an envelope or of another setup's rows."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from wrenchbook.service.ledger import JobRecord, packed
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.recording.store import RecordingStore
-from wrenchbook.service.recording.thinning import Floats, farthest_first, scaled_loads
+from wrenchbook.service.recording.thinning import farthest_first, scaled_loads
 from wrenchbook.service.submission import NoSetupError
 from wrenchbook.service.tables.rows import unsolved
 from wrenchbook.service.workspace import CATCH_UP_S, Workspace
 from wrenchbook.surrogate.answer import COVERED
+from wrenchbook.surrogate.table.rows import Floats
 
 _NOTHING = "nothing is recorded yet; run a simulation with a Recorder or a Mount, then start again"
 

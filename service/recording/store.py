@@ -19,9 +19,9 @@ from wrenchbook.service.ledger.audit import note
 from wrenchbook.service.ledger.connection import Connection
 from wrenchbook.service.ledger.packing import content_key
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.recording.thinning import MAX_OUTSIDE, Floats, Subset, scaled_loads, take
+from wrenchbook.service.recording.thinning import MAX_OUTSIDE, Subset, scaled_loads, take
 from wrenchbook.service.workspace import Workspace
-from wrenchbook.surrogate.table.rows import NEAR
+from wrenchbook.surrogate.table.rows import NEAR, Floats
 
 Kind = Literal["recording", "envelope"]
 BlockKey = tuple[str, int]  # the client's name, and its number of the block
@@ -125,17 +125,17 @@ class RecordingStore:
         scale = component.load_range.scale
         points = scaled_loads(acting, scale)
         keys = packed(acting)
-        inside = component.load_range.holds(acting) if keys else np.ones(0, dtype=bool)
+        inside = component.load_range.holds(acting)
         outside = int((~inside).sum())
 
         with self._ledger.writing() as db:
-            before = _tally(db, name, "recording")
+            before = _read_tally(db, name, "recording")
             if block is not None and not _claim_block(db, name, "recording", block, wrenches):
                 return BlockResult(before, known=True, outside=outside)
 
             subset_within, subset_beyond = self._subsets_of(component, before, db)
-            within = take(subset_within, *_chosen(points, keys, inside))
-            beyond = take(subset_beyond, *_chosen(points, keys, ~inside))
+            within = take(subset_within, *_select(points, keys, inside))
+            beyond = take(subset_beyond, *_select(points, keys, ~inside))
             after = Tally(
                 revision=before.revision + 1,
                 offered=before.offered + len(keys),
@@ -159,7 +159,7 @@ class RecordingStore:
                 "INSERT INTO recorded (component, wrench) VALUES (?, ?)",
                 [(name, key) for key in added],
             )
-            _save(db, name, "recording", after)
+            _write_tally(db, name, "recording", after)
 
         # The block is on the disk from now on; the oldest cached subsets are dropped.
         with self._lock:
@@ -176,9 +176,9 @@ class RecordingStore:
         component = self._library[name]
         acting = component.acting(wrenches)
         keys = packed(acting)
-        outside = int((~component.load_range.holds(acting)).sum()) if keys else 0
+        outside = int((~component.load_range.holds(acting)).sum())
         with self._ledger.writing() as db:
-            before = _tally(db, name, "envelope")
+            before = _read_tally(db, name, "envelope")
             if block is not None and not _claim_block(db, name, "envelope", block, wrenches):
                 known = BlockResult(before, known=True, outside=outside)
                 return known, _envelope(db, component)
@@ -190,9 +190,9 @@ class RecordingStore:
             )
             db.executemany(
                 "INSERT OR REPLACE INTO extremes VALUES (?, ?, ?)",
-                [(name, *extreme) for extreme in _wider(acting, keys, _extremes(db, name))],
+                [(name, *extreme) for extreme in _new_extremes(acting, keys, _extremes(db, name))],
             )
-            _save(db, name, "envelope", after)
+            _write_tally(db, name, "envelope", after)
             envelope = _envelope(db, component)
         return BlockResult(after, known=False, outside=outside), envelope
 
@@ -200,8 +200,8 @@ class RecordingStore:
         """Return a component's recording; raises UnknownComponentError if there is none."""
         count = len(self._library[name].load_range.low)
         with self._ledger.reading() as db:
-            tally = _tally(db, name, "recording")
-            keys = _recorded(db, name, count)
+            tally = _read_tally(db, name, "recording")
+            keys = _read_recorded(db, name, count)
         return RecordingState(tally, unpacked(keys, count))
 
     def envelope(self, name: str) -> EnvelopeState:
@@ -217,11 +217,11 @@ class RecordingStore:
         """
         component = self._library[name].name
         with self._ledger.writing() as db:
-            before = _tally(db, component, kind)
+            before = _read_tally(db, component, kind)
             table = "recorded" if kind == "recording" else "extremes"
             db.execute(f"DELETE FROM {table} WHERE component = ?", (component,))
             if before.revision:
-                _save(db, component, kind, Tally(revision=before.revision + 1))
+                _write_tally(db, component, kind, Tally(revision=before.revision + 1))
                 note(db, f"{kind}.clear", component, component, before={"offered": before.offered})
         return before
 
@@ -239,16 +239,16 @@ class RecordingStore:
             # The load range was edited since: distances have another scale.
             stretched = max(1.0, float((unpacked([tally.scale], len(scale))[0] / scale).max()))
 
-        keys = _recorded(db, component.name, len(scale))
+        keys = _read_recorded(db, component.name, len(scale))
         wrenches = unpacked(keys, len(scale))
         points = scaled_loads(wrenches, scale)
         inside = component.load_range.holds(wrenches)
-        within = Subset(*_chosen(points, keys, inside), tally.radius, tally.within * stretched)
+        within = Subset(*_select(points, keys, inside), tally.radius, tally.within * stretched)
         beyond = tally.radius_outside, tally.within_outside * stretched, MAX_OUTSIDE
-        return within, Subset(*_chosen(points, keys, ~inside), *beyond)
+        return within, Subset(*_select(points, keys, ~inside), *beyond)
 
 
-def _chosen(
+def _select(
     points: Floats, keys: list[bytes], mask: NDArray[np.bool_]
 ) -> tuple[Floats, list[bytes]]:
     """Return the points (n, inputs) and keys of a mask, shape (n,)."""
@@ -256,7 +256,7 @@ def _chosen(
     return points[indices], [keys[index] for index in indices.tolist()]
 
 
-def _tally(db: Connection, component: str, kind: Kind) -> Tally:
+def _read_tally(db: Connection, component: str, kind: Kind) -> Tally:
     row = db.execute(
         "SELECT revision, offered, merged, thinned, outside, reach, within, reach_outside,"
         " within_outside, scale FROM gatherings WHERE component = ? AND kind = ?",
@@ -265,7 +265,7 @@ def _tally(db: Connection, component: str, kind: Kind) -> Tally:
     return Tally(*row) if row else Tally()
 
 
-def _save(db: Connection, component: str, kind: Kind, tally: Tally) -> None:
+def _write_tally(db: Connection, component: str, kind: Kind, tally: Tally) -> None:
     db.execute(
         "INSERT OR REPLACE INTO gatherings VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         (component, kind, *astuple(tally)),
@@ -312,16 +312,16 @@ def _claim_block(
     return True
 
 
-def _recorded(db: Connection, component: str, inputs: int) -> list[bytes]:
+def _read_recorded(db: Connection, component: str, inputs: int) -> list[bytes]:
     rows = db.execute("SELECT wrench FROM recorded WHERE component = ? ORDER BY id", (component,))
-    return _of_width((wrench for (wrench,) in rows), inputs)
+    return _with_inputs((wrench for (wrench,) in rows), inputs)
 
 
 def _envelope(db: Connection, component: Component) -> EnvelopeState:
     count = len(component.load_range.low)
-    tally = _tally(db, component.name, "envelope")
+    tally = _read_tally(db, component.name, "envelope")
     extremes = _extremes(db, component.name)
-    current = _of_width(extremes.values(), count)
+    current = _with_inputs(extremes.values(), count)
     if len(current) != 2 * count:
         return EnvelopeState(tally, unpacked([], count), unpacked([], count))
     lowest = unpacked([extremes[load] for load in range(count)], count)
@@ -335,7 +335,7 @@ def _extremes(db: Connection, component: str) -> dict[int, bytes]:
     return dict(db.execute(where, (component,)).fetchall())
 
 
-def _wider(
+def _new_extremes(
     wrenches: Floats, keys: list[bytes], extremes: dict[int, bytes]
 ) -> list[tuple[int, bytes]]:
     """Return the new extremes of wrenches, shape (n, inputs), N and N·m, with their indices."""
@@ -343,17 +343,17 @@ def _wider(
         return []
     wider = []
     count = wrenches.shape[1]
-    for place in range(2 * count):
-        load = place % count
-        sign = -1.0 if place < count else 1.0
+    for index in range(2 * count):
+        load = index % count
+        sign = -1.0 if index < count else 1.0
         best = int(np.argmax(sign * wrenches[:, load]))
-        before = _of_width((extremes.get(place, b""),), count)
+        before = _with_inputs((extremes.get(index, b""),), count)
         if not before or sign * wrenches[best, load] > sign * unpacked(before, count)[0, load]:
-            wider.append((place, keys[best]))
+            wider.append((index, keys[best]))
     return wider
 
 
-def _of_width(keys: Iterable[bytes], inputs: int) -> list[bytes]:
+def _with_inputs(keys: Iterable[bytes], inputs: int) -> list[bytes]:
     """Return packed wrenches without those of an earlier setup with another number of inputs."""
     return [key for key in keys if len(key) == 8 * inputs]
 

@@ -13,23 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from wrenchbook.surrogate.table.rows import NEAR
+from wrenchbook.surrogate.table.rows import NEAR, Floats
 from wrenchbook.surrogate.table.space import DEFAULT
-
-Floats = NDArray[np.float64]
 
 MAX_INSIDE = 10_000  # wrenches of a recording within the load range
 MAX_OUTSIDE = 1_000  # wrenches beyond the range: impacts, counted separately
 # Part of the limit that remains after thinning, which then happens once in 2,000 new wrenches, not
 # with each.
 TARGET = 0.8
-# Quantile of the distances to the nearest neighbour that becomes the next radius: most of the three
-# of ten points with a neighbour within it are dropped.
+# Quantile of the distances to the nearest neighbour that becomes the next radius: three of ten
+# points then have a neighbour within it, and most of the three are dropped.
 DROPPED = 0.3
 # Least growth of the radius in a step: thinning ends even if many points are equally far apart.
 MIN_GROWTH = 1.1
 CHUNK = 2_048  # wrenches at once: each chunk takes its own tree and one of the subset
-LARGEST = 1e300  # scaled loads beyond this count as this, so that all differences are finite
+LARGEST = 1e300  # scaled loads beyond this count as equal to it, so that all differences are finite
 _EDGE = 1 + 1e-12  # KDTree's bound is exclusive, but a wrench exactly at the radius counts as near
 
 
@@ -94,7 +92,7 @@ def take(subset: Subset, points: Floats, keys: list[bytes]) -> Step:
 
         subset = Subset(
             np.concatenate([subset.points, chunk[chosen]]),
-            subset.keys + [keys[start + place] for place in chosen.tolist()],
+            subset.keys + [keys[start + index] for index in chosen.tolist()],
             subset.radius,
             max(subset.within, subset.radius if thinned else NEAR if merged else 0.0),
             subset.limit,
@@ -122,10 +120,10 @@ def spaced(points: Floats, radius: float) -> NDArray[np.bool_]:
     tree = _tree(points)
     bound = radius * _EDGE
     nearest = tree.query(points, k=2, p=np.inf, distance_upper_bound=bound)[0][:, 1]
-    for place in np.flatnonzero(nearest < np.inf).tolist():
-        if keep[place]:
-            near = np.array(tree.query_ball_point(points[place], bound, p=np.inf))
-            keep[near[near > place]] = False
+    for index in np.flatnonzero(nearest < np.inf).tolist():
+        if keep[index]:
+            near = np.array(tree.query_ball_point(points[index], bound, p=np.inf))
+            keep[near[near > index]] = False
     return keep
 
 
@@ -142,10 +140,10 @@ def farthest_first(points: Floats, known: Floats, count: int) -> list[int]:
         distance = np.asarray(_tree(known).query(points, p=np.inf)[0])
     chosen: list[int] = []
     for _ in range(min(count, len(points))):
-        place = int(np.argmax(distance))
-        chosen.append(place)
-        distance = np.minimum(distance, np.abs(points - points[place]).max(axis=1))
-        distance[place] = -1.0
+        index = int(np.argmax(distance))
+        chosen.append(index)
+        distance = np.minimum(distance, np.abs(points - points[index]).max(axis=1))
+        distance[index] = -1.0
     return chosen
 
 

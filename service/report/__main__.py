@@ -19,16 +19,14 @@ from wrenchbook.service.files.durable import write_atomically
 from wrenchbook.service.jobs.attempt import PROGRESS, Progress, write_json
 from wrenchbook.service.report import layout
 from wrenchbook.service.report.measure import measure
-from wrenchbook.service.report.queue import CANCEL
+from wrenchbook.service.report.queue import CANCEL, FAILURE, FILES, ORDER
 from wrenchbook.surrogate.table.hdf5 import read_table
-
-ORDER, FAILURE = "order.json", "failure.json"
 
 
 def main(folder: Path) -> int:
     """Make the report of ``order.json``; return the exit status, 1 after a failure."""
 
-    def note(fraction: float, message: str) -> None:
+    def progress(fraction: float, message: str) -> None:
         """Write the progress, 0 to 1; exit if the report is cancelled."""
         if (folder / CANCEL).exists():
             sys.exit(1)
@@ -39,15 +37,15 @@ def main(folder: Path) -> int:
         order = json.loads((folder / ORDER).read_bytes())
         rows, meta = read_table(order["table"])
         bundle = read_bundle(order["bundle"])
-        report = measure(bundle, rows, meta.load_range, order["wrenches"], order["seed"], note)
+        report = measure(bundle, rows, meta.load_range, order["wrenches"], order["seed"], progress)
         report |= {"summary": layout.summary_of(report), **layout.advice_of(report)}
         report["sections"] = [asdict(section) for section in layout.sections_of(report)]
         report["made"] = datetime.now(UTC).isoformat(timespec="seconds")
         report["table_version"] = meta.last_seq
-        texts = {"report.md": layout.as_markdown(report), "report.html": layout.as_page(report)}
-        for name, text in texts.items():
-            write_atomically(folder / name, text.encode(), durable=False)
-        write_json(folder / "report.json", report, durable=True)
+        texts = {"md": layout.as_markdown(report), "html": layout.as_page(report)}
+        for kind, text in texts.items():
+            write_atomically(folder / FILES[kind], text.encode(), durable=False)
+        write_json(folder / FILES["json"], report, durable=True)
     except Exception as error:
         traceback.print_exc()
         known = isinstance(error, ValueError | SolveFailed)  # their messages have the remedy

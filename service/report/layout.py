@@ -18,7 +18,7 @@ _SCRIPTS: Final = (  # the second draws with the functions of the first
 )
 UNKNOWN = "-"  # stands for a number that a table lacks
 CONFIDENCE: Final = 0.95  # of the share of true errors within their bars: the level of the bars
-LEAST_PERCENT: Final = 0.001  # smaller errors are rounding of linear solves
+MIN_PERCENT: Final = 0.001  # smaller errors are rounding of linear solves
 PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))  # smaller ones are rounding
 ACCEPTED: Final = 0.9  # share of true errors within their bars; as in the plot
 FEW_WRENCHES: Final = 20  # with fewer one miss is more than 5 %
@@ -40,13 +40,13 @@ def summary_of(report: dict[str, Any]) -> str:
     wrenches = report["wrenches"]
     compared = wrenches["compared"]
     # Clopper and Pearson (1934): with n successes of n, the lower limit is (1 - confidence)^(1/n).
-    least_share = (1 - CONFIDENCE) ** (1 / max(compared, 1))
+    min_share = (1 - CONFIDENCE) ** (1 / max(compared, 1))
     return (
         f"{compared} of {wrenches['asked']} random full wrenches (seed "
         f"{wrenches['seed']}), none of them in the table, which has {report['rows']} rows. Errors "
         "are RMS over the range of each output. The plots show all errors against the finest mesh. "
         f"If all {compared} true errors of an output lie within its bars, the share over the load "
-        f"range is at least {100 * least_share:.0f} % with {100 * CONFIDENCE:.0f} % confidence."
+        f"range is at least {100 * min_share:.0f} % with {100 * CONFIDENCE:.0f} % confidence."
     )
 
 
@@ -88,11 +88,8 @@ def _advice_on_rows(report: dict[str, Any], table: dict[str, Any]) -> tuple[str,
 
     Its errors are against the finest mesh. The second result says whether it recommends rows.
     """
-    mesh, error, total = (
-        report["mesh_error"],
-        table["largest_interpolation_error"],
-        table["largest_error"],
-    )
+    mesh, total = report["mesh_error"], table["largest_error"]
+    error = table["largest_interpolation_error"]
     too_small = _bars_are_too_small(table)
     sentence = f"the table ({table['name']}) does not answer all outputs"
     if total is not None:
@@ -274,8 +271,8 @@ def _digits(value: float) -> str:
 def _percent(fraction: float) -> str:
     """Return a fraction in percent with two digits."""
     percent = 100 * fraction
-    if 0 < percent < LEAST_PERCENT:
-        return f"< {LEAST_PERCENT} %"
+    if 0 < percent < MIN_PERCENT:
+        return f"< {MIN_PERCENT} %"
     return f"{percent:.0f} %" if percent >= 99.5 else f"{percent:.2g} %"
 
 

@@ -12,11 +12,12 @@ from typing import Any, Literal
 
 from wrenchbook.service.files import lock
 from wrenchbook.service.files.program import child_command
-from wrenchbook.service.jobs.attempt import write_json
+from wrenchbook.service.jobs.attempt import LOG, PROGRESS, Progress, read_progress, write_json
 from wrenchbook.service.library.component import Component, file_stamp
 
 FILES = {"json": "report.json", "md": "report.md", "html": "report.html"}
-_LOCK, CANCEL = "lock", "cancel"
+ORDER, FAILURE, CANCEL = "order.json", "failure.json", "cancel"
+_LOCK = "lock"
 State = Literal["none", "running", "done", "failed"]
 _KILLED = (
     "the process was killed before it wrote the report, for lack of memory or as the server "
@@ -27,12 +28,12 @@ _KILLED = (
 
 @dataclass(frozen=True)
 class ReportState:
-    """Progress of a report of ``wrenches``; ``message`` is why it failed."""
+    """Progress of a report; `message` is its present step, or why it failed."""
 
     state: State
     fraction: float = 0.0
     message: str = ""
-    wrenches: int | None = None  # of the running one
+    wrenches: int | None = None  # number of compared wrenches, while it is made
 
 
 class Reports:
@@ -42,7 +43,7 @@ class Reports:
         self._folder = folder
         self._tables = tables
         self._lock = threading.Lock()
-        self._making: dict[str, subprocess.Popen[bytes]] = {}
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}  # by component
 
     def make(self, component: Component, rows: int, wrenches: int, seed: int) -> bool:
         """Start making the report of a component of `rows` rows, unless one is being made.
@@ -71,13 +72,13 @@ class Reports:
                 "wrenches": wrenches,
                 "seed": seed,
             }
-            write_json(folder / "order.json", order)
-            for file in ("failure.json", CANCEL, "progress.json"):
+            write_json(folder / ORDER, order)
+            for file in (FAILURE, CANCEL, PROGRESS):
                 (folder / file).unlink(missing_ok=True)
             environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
             try:
-                with (folder / "log.txt").open("wb") as log:
-                    self._making[component.name] = subprocess.Popen(
+                with (folder / LOG).open("wb") as log:
+                    self._processes[component.name] = subprocess.Popen(
                         child_command("wrenchbook.service.report", str(folder.absolute())),
                         stdin=subprocess.DEVNULL,
                         stdout=log,
@@ -97,33 +98,25 @@ class Reports:
         with self._lock:
             if self._is_alive(name):
                 (self._folder / name / CANCEL).touch()
-            if (making := self._making.pop(name, None)) is not None:
-                making.terminate()
-                making.wait()
+            if (process := self._processes.pop(name, None)) is not None:
+                process.terminate()
+                process.wait()
 
     def state(self, name: str) -> ReportState:
         """Return how far a component's report is."""
-        with self._lock:  # no report is begun or cancelled while its files are read
-            return self._state(name)
-
-    def _state(self, name: str) -> ReportState:
         folder = self._folder / name
-        if self._is_alive(name):
-            progress = _read(folder / "progress.json") or {}
-            order = _read(folder / "order.json") or {}
-            return ReportState(
-                "running",
-                progress.get("fraction", 0.0),
-                progress.get("message", "starting"),
-                order.get("wrenches"),
-            )
-        failure = _read(folder / "failure.json")
-        if failure:
-            return ReportState("failed", 0.0, failure["message"])
-        ordered, written = file_stamp((folder / "order.json", folder / FILES["json"]))
-        is_missing = ordered and (not written or written[0] < ordered[0])
-        if is_missing and not (folder / CANCEL).exists():
-            return ReportState("failed", 0.0, _KILLED.format(name))
+        with self._lock:  # no report is begun or cancelled while its files are read
+            if self._is_alive(name):
+                progress = read_progress(folder) or Progress(0.0, "starting")
+                order = _read(folder / ORDER) or {}
+                wrenches = order.get("wrenches")
+                return ReportState("running", progress.fraction, progress.message, wrenches)
+            if failure := _read(folder / FAILURE):
+                return ReportState("failed", 0.0, failure["message"])
+            ordered, written = file_stamp((folder / ORDER, folder / FILES["json"]))
+            is_missing = ordered and (not written or written[0] < ordered[0])
+            if is_missing and not (folder / CANCEL).exists():
+                return ReportState("failed", 0.0, _KILLED.format(name))
         return ReportState("done", 1.0) if written else ReportState("none")
 
     def file(self, name: str, format: str) -> Path | None:  # noqa: A002 (the contract's word)
@@ -132,16 +125,15 @@ class Reports:
         return path if path.exists() else None
 
     def close(self) -> None:
-        """End what is being made; the report before stays."""
+        """Stop making reports; the reports before stay."""
         with self._lock:
-            for making in self._making.values():
-                if making.poll() is None:
-                    making.terminate()
-                    making.wait()
+            for process in self._processes.values():
+                process.terminate()
+                process.wait()
 
     def _is_alive(self, name: str) -> bool:
-        making = self._making.get(name)
-        if making is not None and making.poll() is None:
+        process = self._processes.get(name)
+        if process is not None and process.poll() is None:
             return True
         return lock.is_locked(self._folder / name / _LOCK)
 

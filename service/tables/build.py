@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from wrenchbook.service.contract import CONTRACT
-from wrenchbook.service.files.program import give_back, usable_cores
+from wrenchbook.service.files.program import free_memory, usable_cores
 from wrenchbook.service.ledger import LedgerUnavailableError
 from wrenchbook.service.ledger.connection import with_remedy
 from wrenchbook.service.library.component import Component
@@ -21,7 +21,7 @@ from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.tables import store
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, Status
-from wrenchbook.service.tables.rows import followed
+from wrenchbook.service.tables.rows import with_changes
 from wrenchbook.service.tables.store import TableStore, drop_least_used
 from wrenchbook.surrogate.build import Table, build
 from wrenchbook.surrogate.packed.writer import pack
@@ -34,7 +34,7 @@ POLL_S = 0.02  # pause between polls of the ledger, of some microseconds each
 SMALL_AT_ONCE = 2  # small builds beside a large one: all share one interpreter
 SAVE_AFTER_QUIET_S = 1.0  # time without changes before an HDF5 file, written as a whole, is due
 RETRY_S = 1.0  # pause before a failed step is repeated: a full disk lasts
-START_S = 30.0  # s for small tables at a start; larger ones answer 503 until they are built
+START_S = 30.0  # s that a start waits for small tables; later ones answer 503 until they are built
 _UNCONFIRMED = -1  # version of a file's rows that the ledger could not confirm
 
 
@@ -78,7 +78,7 @@ class _Version:
     table: Table | None = None  # None if it was not built in this process, or was dropped
     save_at: float | None = None  # when its HDF5 file is due; None once it is written
     packed: bytes = b""  # the packed file while the disk cannot store it
-    used: float = 0.0
+    used: float = 0.0  # monotonic s, as `mapped.ServedTable.used`
 
     def rows_in_memory(self) -> int:
         """Return the number of rows in memory; 0 as long as their HDF5 file is not written."""
@@ -143,7 +143,7 @@ class TableBuilder:
         names = self._library.names()
         self._store.remove_stray({*names, *self._library.broken()})
         with ThreadPoolExecutor(usable_cores()) as threads:  # the others run during checksums
-            list(threads.map(lambda name: self._guarded(name, self._take_up, self._faults), names))
+            list(threads.map(lambda name: self._guarded(name, self._reuse, self._faults), names))
         self._behind = {name for name in names if name not in self._versions}
         small = self._store.small(names)
         for thread in self._threads:
@@ -157,8 +157,8 @@ class TableBuilder:
         for thread in self._threads:
             if thread.is_alive():
                 thread.join()
-        for lane in (self._large, self._small):
-            lane.shutdown(cancel_futures=True)
+        for executor in (self._large, self._small):
+            executor.shutdown(cancel_futures=True)
         self._save(math.inf)
 
     def faults(self) -> dict[str, str]:
@@ -173,8 +173,8 @@ class TableBuilder:
             try:
                 # A table that changes during its build is built again afterwards.
                 for name in self._behind - self._running:
-                    lane = self._small if self._store.small([name]) else self._large
-                    self._submit(lane, name)
+                    executor = self._small if self._store.small([name]) else self._large
+                    self._submit(executor, name)
                 now = self._ledger.version(), self._library.version()
                 if now != version:
                     self._behind |= {name for name in self._library.names() if self._lags(name)}
@@ -192,11 +192,11 @@ class TableBuilder:
                 log.warning("the builder's status cannot be written for web workers: %s", error)
             self._stopping.wait(pause)
 
-    def _submit(self, lane: ThreadPoolExecutor, name: str) -> None:
-        """Start a table's build in a lane: small tables do not wait for large ones."""
+    def _submit(self, executor: ThreadPoolExecutor, name: str) -> None:
+        """Start a table's build in an executor: small tables do not wait for large ones."""
         self._running.add(name)
         try:
-            lane.submit(self._bring_up, name)
+            executor.submit(self._run_build, name)
         except BaseException:
             self._running.discard(name)
             raise
@@ -234,7 +234,7 @@ class TableBuilder:
             faults[name] = why
             return False
 
-    def _bring_up(self, name: str) -> None:
+    def _run_build(self, name: str) -> None:
         """Build a component's table from the ledger's present rows."""
         goal = 0
         with suppress(Exception):  # the build meets the error too, and reports it
@@ -259,7 +259,7 @@ class TableBuilder:
             else:
                 table, after = known.table, known.number
                 rows = self._store.rows(component, after) if table is None else table.rows
-            rows, version = followed(self._ledger, component, rows, after)
+            rows, version = with_changes(self._ledger, component, rows, after)
         except LedgerUnavailableError:
             if known is None:  # its file answers while the ledger cannot be read
                 rows, version = Rows.empty(component.space), 0
@@ -271,7 +271,7 @@ class TableBuilder:
                 self._versions[name].save_at = None
             raise
         if len(rows) > store.LARGE:
-            give_back()  # free the import's memory before the build takes as much
+            free_memory()  # that of the import, before the build takes as much
         self._build(component, rows, version)
         if version == after and not self._versions[name].packed:
             self._versions[name].save_at = None  # its HDF5 file has these rows
@@ -300,7 +300,7 @@ class TableBuilder:
             self._versions[name] = _Version(component, number, table, now + save_at, content, now)
         log.debug("%s: version %d, %.3f s", name, number, now - started)
 
-    def _take_up(self, name: str) -> None:
+    def _reuse(self, name: str) -> None:
         """Reuse the packed file of an earlier start if a build would reproduce it."""
         component = self._library[name]
         with suppress(LedgerUnavailableError):

@@ -15,7 +15,7 @@ from wrenchbook.surrogate.kernel.replies import InverseError
 from wrenchbook.surrogate.table.rows import Floats, why_beyond
 
 Others = Literal["displacement", "load"]
-_HALVINGS = 40  # steps of the bisection for the end of a curve: to 1e-12 of its length
+_HALVINGS = 40  # steps of the bisection for the end of a curve: to 2^-40, 1e-12, of its length
 _MIN_SPAN = 1e-3  # part of the load range: a shorter curve is left out
 _ROUNDING = 1e-9  # part of the load range: rows this near to an end of a curve count as on it
 _NO_ROWS = "the table has no rows; fill it (wrenchbook fill), or import some"
@@ -68,15 +68,15 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
         except (InverseError, BushingError) as error:
             problem = problem or f"{OUTPUTS[axis]}: {error}"
             continue
-        for d in np.linspace(low, high, points).tolist():
+        for displacement in np.linspace(low, high, points).tolist():
             try:
-                point = curve.at(d)
+                point = curve.at(displacement)
             except (InverseError, BushingError):  # a gap between the ends
                 point = _Point(np.nan, np.nan, np.nan, np.nan, _OUTSIDE)
             width = abs(loop[axis]) * point.stiffness
             if not loop[axis] and not hidden[axis] <= point.displacement_bar:
                 width = np.nan  # no loop shows, but rows would not show a loop as large as the bar
-            numbers = (d, point.load, point.bar, width)
+            numbers = (displacement, point.load, point.bar, width)
             cells = ["" if value != value else repr(float(value)) for value in numbers]
             lines.append(",".join([OUTPUTS[axis], *cells, NAMES[point.coverage]]) + "\n")
     if len(lines) == 1:
@@ -89,8 +89,8 @@ def bushing_csv(table: ServedTable, points: int, others: Others) -> str:
 class _Curve:
     """The load of one axis over its displacement.
 
-    `row_loads` are the least and the largest load of the table's rows and 0, `at_zero` the
-    displacement at zero load, m or rad.
+    `low` and `high` are the ends of the axis' load range, `row_loads` the least and the largest
+    load of the table's rows and 0, N or N·m; `at_zero` is the displacement at zero load, m or rad.
 
     Raises BushingError if the axis has no curve.
     """
@@ -112,19 +112,19 @@ class _Curve:
         loads = table.rows.wrench[:, axis]
         rounding = _ROUNDING * (self.high - self.low)
         self.row_loads = loads.min(initial=0.0) - rounding, loads.max(initial=0.0) + rounding
-        self.at_zero = 0.0 if others == "displacement" else self._moved(0.0)
+        self.at_zero = 0.0 if others == "displacement" else self._displacement_by(0.0)
         if self.at_zero != self.at_zero:
             raise BushingError("its displacement at zero load is unknown; add rows")
         self.at(self.at_zero)  # raises if the curve has no start
 
-    def _moved(self, load: float) -> float:
+    def _displacement_by(self, load: float) -> float:
         """Return the displacement of the axis by its load alone, m or rad."""
         wrench = load * self.unit[None] + 0.0  # no negative zeros
         return float(self.table.packed.batch(wrench, without_rows=True).outputs[0, self.axis])
 
     def end(self, side: int) -> float:
         """Return the last covered displacement on a side, m or rad."""
-        inside, outside = self.at_zero, self._moved(self.high if side > 0 else self.low)
+        inside, outside = self.at_zero, self._displacement_by(self.high if side > 0 else self.low)
         middle = outside
         for _ in range(_HALVINGS):
             try:
@@ -137,12 +137,12 @@ class _Curve:
             middle = 0.5 * (inside + outside)
         return inside
 
-    def at(self, d: float) -> _Point:
+    def at(self, displacement: float) -> _Point:
         """Return the point of a displacement, m or rad.
 
         Raises InverseError or BushingError if the table has none within its load range.
         """
-        wrench, stiffness = self._wrench_at(d)
+        wrench, stiffness = self._wrench_at(displacement)
         load, load_range = wrench[self.axis], self.table.load_range
         if not load_range.holds(wrench[None])[0]:
             raise BushingError(f"{why_beyond(load_range, wrench)}; widen the load range")
@@ -153,23 +153,25 @@ class _Curve:
             ends = f"{self.row_loads[0]:.4g} to {self.row_loads[1]:.4g}"
             raise BushingError(f"its load {load:.4g} is beyond its rows, {ends}; add rows there")
         if coverage == _OUTSIDE:
-            raise BushingError(f"no rows surround its wrench at {d:.4g}; add rows there")
+            raise BushingError(f"no rows surround its wrench at {displacement:.4g}; add rows there")
         bar = float(np.abs(stiffness) @ np.where(stiffness == 0, 0.0, errors))
         return _Point(load, bar, abs(stiffness[self.axis]), errors[self.axis], coverage)
 
-    def _wrench_at(self, d: float) -> tuple[Floats, Floats]:
+    def _wrench_at(self, displacement: float) -> tuple[Floats, Floats]:
         """Return the wrench of a displacement and the stiffness row of the axis, (6,) each, SI."""
         packed, axis = self.table.packed, self.axis
         if self.others == "displacement":
-            wrench, stiffness = packed.inverse(d * self.unit)
+            wrench, stiffness = packed.inverse(displacement * self.unit)
             return wrench, stiffness[axis]
-        span = self.low, self.high
-        low, high = (self._moved(load) - d for load in span)
-        if not low * high <= 0:
-            text = f"no load in its range {self.low:g} to {self.high:g} moves it by {d:.4g}"
-            raise BushingError(f"{text}; widen it")
+
+        def excess(load: float) -> float:
+            return self._displacement_by(load) - displacement
+
+        if not excess(self.low) * excess(self.high) <= 0:
+            text = f"no load in its range {self.low:g} to {self.high:g} moves it by"
+            raise BushingError(f"{text} {displacement:.4g}; widen it")
         tolerance = _LOAD_TOLERANCE * (self.high - self.low)
-        load = root_scalar(lambda f: self._moved(f) - d, bracket=span, xtol=tolerance).root
+        load = root_scalar(excess, bracket=(self.low, self.high), xtol=tolerance).root
         wrench = load * self.unit + 0.0  # no negative zeros
         slope = packed.derivatives(wrench[None], without_rows=True)[0, axis, axis]
         if slope == 0.0:  # a stop, or a single row

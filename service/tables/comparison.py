@@ -37,7 +37,10 @@ Spans = Sequence[ImportSpan]
 
 
 class DisagreeingRow(Message):
-    """A measured row beside the answer of the solves, in m or rad of one output."""
+    """A measured row beside the answer of the solves, in m or rad of one output.
+
+    `bar` is the bound of the difference: the error bars of reading and solves together.
+    """
 
     row: int
     wrench: dict[str, float]
@@ -65,7 +68,10 @@ class Disagreement(Message):
 
 
 class Comparison(Message):
-    """Measured rows beside a reference; arrays have one entry a row, in the order of the rows."""
+    """Measured rows beside a reference; arrays have one entry a row, in the order of the rows.
+
+    `bar` is the error bar of the reference alone.
+    """
 
     component: str
     table_version: int
@@ -92,49 +98,6 @@ class Comparison(Message):
 
 class UncomparableError(ValueError):
     """An import does not exist, or is the reference itself; the message has the remedy."""
-
-
-class _Selection(NamedTuple):
-    """The compared rows of a table, and those of the reference."""
-
-    of_import: NDArray[np.int64]  # (n,): the import of each row of the table; 0 without an import
-    measured: int
-    beyond_range: int  # number of measured rows beyond the range
-    compared: Indices  # (k,): an even choice of the others
-    available: int  # number of rows of the reference
-    used: Indices  # (r,): an even choice of these
-
-
-def _selection(
-    component: Component, rows: Rows, spans: Spans, number: int | None, against: int | None
-) -> _Selection:
-    """Return the rows of a comparison; parameters as of `comparison`.
-
-    Raises UncomparableError if there are no rows to compare, or both sides are the same.
-    """
-    of_import = import_numbers(spans, rows.seq)
-    measured = rows.source != SOLVED
-    for wanted in (number, against):
-        if wanted is not None and not (measured & (of_import == wanted)).any():
-            listed = np.unique(of_import[measured & (of_import > 0)])[-10:].tolist()
-            known = ", ".join(map(str, listed))
-            advice = f"its newest are {known}" if known else "import a file of measured rows first"
-            raise UncomparableError(f"the table has no measured rows of import {wanted}; {advice}")
-    if number is not None and number == against:
-        raise UncomparableError(f"import {number} cannot be its own reference; name another import")
-    reference = ~measured if against is None else measured & (of_import == against)
-    chosen = measured & ~reference & (number is None or of_import == number)
-    inside = np.asarray(component.load_range.holds(rows.wrench))
-    compared = np.flatnonzero(chosen & inside)
-    used = np.flatnonzero(reference)
-    return _Selection(
-        of_import=of_import,
-        measured=int(chosen.sum()),
-        beyond_range=int((chosen & ~inside).sum()),
-        compared=_even_choice(compared, MAX_COMPARED),
-        available=len(used),
-        used=used if against is None else _even_choice(used, MAX_REFERENCE),
-    )
 
 
 def _even_choice(indices: Indices, count: int) -> Indices:
@@ -199,26 +162,44 @@ def comparison(
     Raises UncomparableError if the table has no measured rows of an import, or the two are the
     same.
     """
-    selection = _selection(component, rows, spans, number, against)
+    of_import = import_numbers(spans, rows.seq)  # (n,): 0 for a row without an import
+    measured = rows.source != SOLVED
+    for wanted in (number, against):
+        if wanted is not None and not (measured & (of_import == wanted)).any():
+            listed = np.unique(of_import[measured & (of_import > 0)])[-10:].tolist()
+            known = ", ".join(map(str, listed))
+            advice = f"its newest are {known}" if known else "import a file of measured rows first"
+            raise UncomparableError(f"the table has no measured rows of import {wanted}; {advice}")
+    if number is not None and number == against:
+        raise UncomparableError(f"import {number} cannot be its own reference; name another import")
+    of_reference = ~measured if against is None else measured & (of_import == against)
+    chosen = measured & ~of_reference & (number is None or of_import == number)
+    inside = np.asarray(component.load_range.holds(rows.wrench))
+    selected = _even_choice(np.flatnonzero(chosen & inside), MAX_COMPARED)
+    available = used = np.flatnonzero(of_reference)
+    if against is not None:
+        used = _even_choice(available, MAX_REFERENCE)
+
+    compared, reference = rows.take(selected), rows.take(used)
     solved = against is None
-    compared, reference = rows.take(selection.compared), rows.take(selection.used)
     answers = _answers(component, compared, reference, error, solved=solved)
     stated = np.ascontiguousarray(compared.uncertainty)  # contiguous for the JSON writer
-    scatter = np.where(np.isfinite(stated), stated, answers.noise)
-    columns = compared.displacement, answers.expected, answers.bar, scatter
+    scatter = _scatter(stated, answers.noise)
 
     def summaries(mask: NDArray[np.bool_]) -> dict[str, Any]:
         """Return the differences of each output over the rows of a mask, (k,)."""
-        arrays = (column[mask].T for column in columns)
-        parts = zip(component.space.output_names, *arrays, strict=True)
-        return {name: _summary(*part) for name, *part in parts}
+        columns = compared.displacement, answers.expected, answers.bar, scatter
+        return {
+            name: _summary(*(column[mask, output] for column in columns))
+            for output, name in enumerate(component.space.output_names)
+        }
 
-    campaign = selection.of_import[selection.compared]
+    campaign = of_import[selected]
     campaigns = []
-    for of_import in np.unique(campaign).tolist():
-        mask = campaign == of_import
+    for of_campaign in np.unique(campaign).tolist():
+        mask = campaign == of_campaign
         part = {"rows": int(mask.sum()), "outputs": summaries(mask)}
-        campaigns.append({"import": of_import or None, **part})
+        campaigns.append({"import": of_campaign or None, **part})
     coverage = [NAMES[code] for code in answers.coverage.tolist()]
     return Comparison(
         component=component.name,
@@ -227,20 +208,20 @@ def comparison(
         reference={
             "import": against,
             "rows": len(reference),
-            "of": selection.available,
+            "of": len(available),
             "method": answers.method,
             "bars_are_complete": not solved or error is not None,
         },
-        measured=selection.measured,
-        beyond_range=selection.beyond_range,
+        measured=int(chosen.sum()),
+        beyond_range=int((chosen & ~inside).sum()),
         compared=len(compared),
         coverages={name: coverage.count(name) for name in NAMES},
         noise=answers.noise,
         reason=_incomparable(component, compared, reference, against),
-        outputs=summaries(campaign >= 0),
+        outputs=summaries(np.ones(len(compared), dtype=bool)),
         campaigns=campaigns,
         row=compared.seq.tolist(),
-        campaign=[of_import or None for of_import in campaign.tolist()],
+        campaign=[of_campaign or None for of_campaign in campaign.tolist()],
         coverage=coverage,
         wrench=compared.wrench,
         displacement=compared.displacement,
@@ -266,6 +247,11 @@ def _incomparable(
         return ""
     beside = "" if against is None else f" beside those of import {against}"
     return f"there is no measured row{beside}; import some"
+
+
+def _scatter(stated: Floats, noise: Floats) -> Floats:
+    """Return the 95 % scatter of readings, (k, m): the `noise`, (m,), where none is stated."""
+    return np.where(np.isfinite(stated), stated, noise)
 
 
 def _bound(bar: Floats, scatter: Floats) -> Floats:
@@ -316,14 +302,15 @@ def disagreement(
 ) -> Disagreement:
     """Return the measured rows outside the error bars of reading and solves.
 
-    `error`: error of the solver; 0 if unknown.
+    `error`: error of the solver; None if unknown.
     """
-    span = component.load_range
-    none = np.zeros((len(span.space.outputs), len(span.low)))
-    known = error or SolverError({"mesh": none.tolist(), "loads": span.scale.tolist()})
-    reply = comparison(component, rows, version, known)
-    stated = reply.uncertainty
-    bound = _bound(reply.bar, np.where(np.isfinite(stated), stated, reply.noise))
+    if error is None:
+        # Without it no answer would have an error bar: that of the interpolation decides.
+        span = component.load_range
+        zero = np.zeros((len(span.space.outputs), len(span.low)))
+        error = SolverError({"mesh": zero.tolist(), "loads": span.scale.tolist()})
+    reply = comparison(component, rows, version, error)
+    bound = _bound(reply.bar, _scatter(reply.uncertainty, reply.noise))
     compared = np.isfinite(reply.residual) & np.isfinite(bound)
     ratio = np.abs(reply.residual) / np.maximum(bound, np.finfo(float).tiny)
     ratio = np.where(compared, ratio, 0.0)

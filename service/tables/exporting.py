@@ -21,7 +21,7 @@ from wrenchbook.surrogate.solver_error import SolverError
 from wrenchbook.surrogate.table.hdf5 import write_table
 from wrenchbook.surrogate.table.rows import Rows, joined
 
-ExportFormat = Literal["csv", "xlsx", "parquet", "hdf5", "json"]
+FileFormat = Literal["csv", "xlsx", "parquet", "hdf5", "json"]
 IN_SI = ("parquet", "hdf5", "json")
 ENDINGS = {"csv": "csv", "xlsx": "xlsx", "parquet": "parquet", "hdf5": "h5", "json": "json"}
 
@@ -30,7 +30,7 @@ ENDINGS = {"csv": "csv", "xlsx": "xlsx", "parquet": "parquet", "hdf5": "h5", "js
 class ExportRequest:
     """Format and options of an export."""
 
-    format: ExportFormat
+    format: FileFormat
     units: Mapping[str, str]  # units of force, moment, translation, rotation
     version: int | None = None  # version of the table; the newest if None
     comments: bool = False  # whether a CSV begins with lines (``#``) that describe it

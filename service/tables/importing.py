@@ -23,18 +23,18 @@ from wrenchbook.surrogate.findings.response import RigFinding
 from wrenchbook.surrogate.table.compliance import fit_compliance
 from wrenchbook.surrogate.table.rows import SOLVED
 
-SAME = 1e-12  # part of a number: rounding of an export in other units and of its import
+SAME = 1e-12  # part of a number: bounds the rounding of an export in other units and its import
 TWICE = (
     "import {0.id} already has the rows of this file ({0.filename}), read with other options, so "
     "tests count twice. If its options were wrong, withdraw it, then import this file again, which "
     "restores the rows that both have: wrenchbook withdraw {0.component} {0.id}"
 )
-_MAX_TRIED = 16  # stored rows of almost the same sum with which a row is compared
+_MAX_TRIED = 16  # stored rows of almost the same sum with which a row is compared; few have any
 # Weight of displacements in the sums: they are 1e-6 to 1e-3 m and rad, loads 1 to 1000 N and N·m.
 _DISPLACEMENT_WEIGHT = 1e6
 
-# By component: its setup and the numbers of its solves, and their compliance.
-_solved: dict[str, tuple[tuple[str, bytes], list[list[float]]]] = {}
+# By component: its fingerprint and the numbers of its solves, and their compliance.
+_compliances: dict[str, tuple[tuple[str, bytes], list[list[float]]]] = {}
 
 
 def import_files(
@@ -60,7 +60,7 @@ def import_files(
     `append`: whether the rows, of a JSON block, go into the import of `origin`, without findings.
 
     Raises SandboxBusyError, ImportRunningError, LedgerUnavailableError or OSError if nothing can be
-    read or written now.
+    read or written now, and AppendError as `Ledger.append_rows`.
     """
     setup = {"load_range": component.load_range, "fingerprint": component.fingerprint}
     options = replace(options, **setup)
@@ -75,7 +75,7 @@ def import_files(
     loaded = Loaded(0, 0, None)
     if not refused:
         if table is not None:
-            report["findings"] += _compared(read, table, read.report["findings"])
+            report["findings"] += _compare_with_table(read, table, read.report["findings"])
         earlier = ledger.same_file(component.name, origin.digest) if origin.digest else None
         if earlier is not None:
             report["findings"].append(RigFinding("twice", TWICE.format(earlier)).body())
@@ -140,7 +140,7 @@ def _findings_by_key(
     return json.dumps(stored)
 
 
-def _compared(
+def _compare_with_table(
     read: ReadResult, table: ServedTable, known: Sequence[dict[str, Any]]
 ) -> list[dict[str, Any]]:
     """Return the finding that the file's measured rows differ from a table's answers, if they do.
@@ -170,13 +170,13 @@ def solved_compliance(component: Component, table: ServedTable) -> list[list[flo
     packed = table.packed
     of_solves = [number for number, names in enumerate(packed.meta["sources"]) if SOLVED in names]
     solves = packed.arrays["g0/row/seq"][np.isin(packed.arrays["g0/row/source"], of_solves)]
-    setup = (component.fingerprint, solves.tobytes())
-    cached = _solved.get(component.name)
-    if cached is None or cached[0] != setup:
+    key = (component.fingerprint, solves.tobytes())
+    cached = _compliances.get(component.name)
+    if cached is None or cached[0] != key:
         rows = table.rows
         solved = rows.take(np.flatnonzero(rows.is_solved)[:MAX_ROWS])
         fit = fit_compliance(solved, component.load_range, linear=component.linear)
-        cached = _solved[component.name] = setup, np.where(fit.known, fit.matrix, 0.0).tolist()
+        cached = _compliances[component.name] = key, np.where(fit.known, fit.matrix, 0.0).tolist()
     return cached[1]
 
 

@@ -18,7 +18,7 @@ from wrenchbook.service.ledger.connection import with_remedy
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
 from wrenchbook.service.settings import Settings
-from wrenchbook.service.tables.build import build_table, packed_bytes
+from wrenchbook.service.tables.build import START_S, build_table, packed_bytes
 from wrenchbook.service.tables.coordinator_state import CoordinatorState, PublishedTable, Status
 from wrenchbook.service.tables.rows import unsolved
 from wrenchbook.service.tables.store import (
@@ -45,7 +45,6 @@ MEMORY_S = 0.1  # s between checks of the memory of tables
 # A folder's time advances in steps of up to 10 ms (a kernel's tick), so that two changes may have
 # the same time. For this time after a change, ns, each check looks at the files again.
 SETTLED_NS = 100_000_000
-START_S = 30.0  # s that a start waits for the builder: a table that comes later answers 503
 # Time, s, for which a computing thread may keep the interpreter from one that answers: about the
 # time of an answer; Python's 5 ms would delay each call.
 SWITCH_S = 0.0005
@@ -85,7 +84,8 @@ class ServedTable:
         self._rows_of = rows_of
         self.built = built
         self._rows = None if built is None else built.rows
-        self.used, self._lock = time.monotonic(), threading.Lock()
+        self.used = time.monotonic()  # of the last use
+        self._lock = threading.Lock()
         provenance, self.summary = packed.meta["provenance"], packed.meta["summary"]
         self.version: int = provenance["version"]
         self.row_count: int = provenance["rows"]
@@ -95,7 +95,7 @@ class ServedTable:
         self.bars_are_complete = packed.bars_are_complete  # error bars have all their parts
         low, high = packed.load_range
         self.load_range = LoadRange(low, high, packed.space)
-        # Solves of a linear component's 6x6 compliance are missing.
+        # Solves of a linear component's compliance are missing.
         self.needs_compliance = self.linear and not self.fit.complete
         self.locked = tuple(np.flatnonzero(packed.locked).tolist())
         self.interfaces = self.load_range.space.several  # names if there are several
@@ -167,7 +167,7 @@ class ServedTable:
 
     @property
     def steepest(self) -> Floats:
-        """The largest change of each output over half the load range, (6,), m and rad."""
+        """The largest change of each output over half the load range, (m,), m and rad."""
         return self._of_groups("row/steepest")
 
     def _of_groups(self, name: str, *columns: int) -> Floats:
@@ -203,7 +203,7 @@ class ServedTable:
 
 
 class MappedTables:
-    """The newest tables by component name, mapped from the builder's files.
+    """The newest table of each component, mapped from the builder's files.
 
     A request uses the present table (`surrogate`, a dictionary look-up). One thread maps each new
     version and then replaces the earlier one; without a builder the last versions continue to

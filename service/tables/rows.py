@@ -70,15 +70,15 @@ def table_meta(component: Component, version: int, error: SolverError | None = N
     )
 
 
-def followed(ledger: Ledger, component: Component, rows: Rows, after: int) -> tuple[Rows, int]:
+def with_changes(ledger: Ledger, component: Component, rows: Rows, after: int) -> tuple[Rows, int]:
     """Return a component's rows with the ledger's changes after a seq, and the last seq."""
     fresh = [rows]  # joined at the end: a table of a million rows comes in fifty parts
     setup = {"space": component.space, "fingerprint": component.fingerprint}
     while True:
         changes = ledger.row_changes(component.name, after, **setup)
-        if changes.gone:
+        if changes.edited:
             earlier = joined(fresh)
-            fresh = [earlier.take(~np.isin(earlier.seq, list(changes.gone)))]
+            fresh = [earlier.take(~np.isin(earlier.seq, list(changes.edited)))]
         fresh.append(changes.rows)
         after = changes.last_seq
         if changes.complete:

@@ -35,15 +35,15 @@ log = logging.getLogger(__name__)
 
 Parts = tuple[Ledger, Library, SolverErrors]
 
-DAY = 86_400.0
+DAY = 86_400.0  # s
 CHECK_S = 30.0  # interval of checks of the ledger's log, so that it stays below 16 MB
 PRUNE_S = 600.0  # interval of removals of old folders, whose age is in days
-LONG_LOG = 4 * 1024 * 1024  # bytes; SQLite begins to move it into the ledger at this size
-PART = 2000  # folders per query of the ledger
+MAX_LOG_BYTES = 4 * 1024 * 1024  # SQLite begins to move it into the ledger at this size
+FOLDERS_AT_ONCE = 2000  # folders of one query of the ledger, which then takes milliseconds
 
 
 @contextmanager
-def opened(settings: Settings) -> Iterator[Parts]:
+def open_data(settings: Settings) -> Iterator[Parts]:
     """Open ledger, library and solver errors of a data directory.
 
     On a full disk or with a damaged ledger the existing tables still answer.
@@ -110,7 +110,7 @@ def retain(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event
             log.exception("retention failed; it is tried again")
 
 
-def shorten_log(ledger: Ledger, longest: int = LONG_LOG) -> bool:
+def shorten_log(ledger: Ledger, longest: int = MAX_LOG_BYTES) -> bool:
     """Empty the ledger's log if it is longer than `longest` bytes; return whether it is empty."""
     return ledger.sizes()["log"] > longest and ledger.checkpoint()
 
@@ -122,16 +122,18 @@ def prune(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event)
     future, by a clock that was set back since, counts as new. Return the number of jobs whose
     folders were removed.
     """
-    limits = {
+    limits = {  # by whether the job is done
         True: (settings.keep_days, settings.keep_count),
         False: (settings.keep_failed_days, settings.keep_failed_count),  # they have the cause
     }
-    numbers = sorted((int(name) for name in _names(jobs) if name.isdecimal()), reverse=True)
+    # SQLite's numbers have 63 bits: a folder with a larger number is no job's.
+    numbers = [int(name) for name in _names(jobs) if name.isdecimal()]
+    numbers = sorted((number for number in numbers if number < 1 << 63), reverse=True)
     remaining = {True: 0, False: 0}
     removed = 0
     now = time.time()
-    for start in range(0, len(numbers), PART):
-        part = numbers[start : start + PART]
+    for start in range(0, len(numbers), FOLDERS_AT_ONCE):
+        part = numbers[start : start + FOLDERS_AT_ONCE]
         known = ledger.attempts(part)
         for number in part:
             if stop.is_set():
@@ -139,11 +141,11 @@ def prune(ledger: Ledger, jobs: Path, settings: Settings, stop: threading.Event)
             status, last, ended = known.get(number, ("unknown", 0, None))
             if status not in FINAL or ended is None:
                 continue
-            done = status == "done"
+            is_done = status == "done"
             folder = jobs / str(number)
-            days, max_count = limits[done]
-            if remaining[done] < max_count and now - ended < days * DAY:
-                remaining[done] += 1
+            days, max_count = limits[is_done]
+            if remaining[is_done] < max_count and now - ended < days * DAY:
+                remaining[is_done] += 1
                 continue
             for name in _names(folder):  # later attempts, of a reopened job, stay
                 attempt = name.partition(".")[0]  # "2.old-..." is of an earlier ledger
@@ -200,7 +202,7 @@ def run(settings: Settings, started: threading.Event) -> None:
         log.error(IN_USE.format(settings.data, "another server"))
         sys.exit(STARTUP_FAILURE)
     try:
-        with opened(settings) as parts, building(settings, parts, state):
+        with open_data(settings) as parts, building(settings, parts, state):
             if OWN_KEY not in os.environ:  # not for a private server of a command
                 note_settings(parts[0], settings)
             started.set()
@@ -215,8 +217,7 @@ def note_settings(ledger: Ledger, settings: Settings) -> None:
         known = ledger.audit(action="settings", limit=1)
         before = known[0].after if known else None
         after = asdict(settings)
-        texts = {k: shown(str(v)) for k, v in after.items() if isinstance(v, str | Path)}
-        after |= texts
+        after |= {k: shown(str(v)) for k, v in after.items() if isinstance(v, str | Path)}
         if before != after:
             with noted(ledger, "settings", "serve", before=before, after=after):
                 pass

@@ -34,7 +34,7 @@ LATE_PERIODS = 1.5  # backup periods without a backup after which health reports
 # Time without a report after which health reports it, and pause before a failed backup is repeated.
 SLACK_S = 60.0
 _PATTERN = "wrenchbook-*.wbb"  # names of scheduled backups, which have all been tested
-_UNTESTED = ".tested-"  # beginning of the name of a folder with a backup that is being tested
+_IN_TEST = ".tested-"  # prefix of a folder with a backup that is being tested
 _status_lock = threading.Lock()  # this process has two threads that write one file
 
 
@@ -84,7 +84,7 @@ def make_backups(settings: Settings, stop: threading.Event) -> None:
     folder = settings.backup_folder or settings.data / "backups"
     period_s = settings.backup_every * HOUR
     pause = 0.0
-    for interrupted in folder.glob(f"{_UNTESTED}*"):  # by a kill
+    for interrupted in folder.glob(f"{_IN_TEST}*"):  # by a kill
         shutil.rmtree(interrupted, ignore_errors=True)
     while not stop.wait(pause):
         pause = POLL_S
@@ -115,7 +115,7 @@ def tested_backup(data: Path, folder: Path) -> dict[str, Any]:
     """
     folder.mkdir(0o700, parents=True, exist_ok=True)
     name = f"wrenchbook-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.wbb"
-    with tempfile.TemporaryDirectory(prefix=_UNTESTED, dir=folder) as scratch:
+    with tempfile.TemporaryDirectory(prefix=_IN_TEST, dir=folder) as scratch:
         file, restored = Path(scratch) / name, Path(scratch) / "data"
         back_up(data, file)
         try:

@@ -46,8 +46,8 @@ WEB_WORKER: Final = Kind("wb-webworker", "wrenchbook.service.workers.web_worker:
 FOLLOWER: Final = Kind("wb-follower", "wrenchbook.service.workers.follower:run")
 COPIER: Final = Kind("wb-copier", "wrenchbook.service.workers.copier:run")
 HEARTBEAT_S: Final = 0.25
-# Time without a heartbeat, and of the start of a web worker at SIGHUP, until it is given up. On a
-# machine with ten times its load a thread waited for 3 s, and a start took 20 s.
+# Time without a heartbeat, and for the start of a web worker at SIGHUP, after which the process is
+# killed. On a machine with ten times its load a thread waited for 3 s, and a start took 20 s.
 HEALTH_S: Final = 30.0
 RETIRE: Final = signal.SIGUSR1  # sent to a web worker that is replaced: see `Server.retire`
 STOP_S: Final = 30.0  # time to end after SIGTERM, before SIGKILL
@@ -169,7 +169,11 @@ class Supervisor:
 
         A second signal ends all processes at once.
         """
-        self._watch()
+        for number in (*_ENDS, signal.SIGHUP):
+            signal.signal(number, lambda number, _: self._signals.append(number))
+        while not self.failed and _ENDS.isdisjoint(self._signals):
+            self.check()
+            wait([child.process.sentinel for child in (self._builder, *self._web)], POLL_S)
         for number in _ENDS:
             signal.signal(number, lambda number, _: os._exit(128 + number))
         # Web workers end after their open requests; further connections are refused.
@@ -184,14 +188,6 @@ class Supervisor:
         for child in (self._builder, *self._copiers):  # a copier ships the builder's last rows
             child.send(signal.SIGTERM)
             child.join()
-
-    def _watch(self) -> None:
-        """Keep the processes running until a signal or a failure."""
-        for number in (*_ENDS, signal.SIGHUP):
-            signal.signal(number, lambda number, _: self._signals.append(number))
-        while not self.failed and _ENDS.isdisjoint(self._signals):
-            self.check()
-            wait([child.process.sentinel for child in (self._builder, *self._web)], POLL_S)
 
     def check(self) -> None:
         """Print once that the server is ready; from then on restart processes that have ended."""

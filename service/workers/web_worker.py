@@ -27,8 +27,8 @@ from wrenchbook.service.workers.supervisor import RETIRE
 DELAY_S: Final = 0.001
 MAX_DELAY_S: Final = 0.01
 # Open connections for each one that is accepted at once beside the first: for bursts of thousands.
-SHARE: Final = 8
-PARSERS = (
+CONNECTIONS_EACH: Final = 8
+PARSERS: Final = (  # modules that parse uploads, in sandboxes
     "wrenchbook.service.library.bundles",
     "wrenchbook.service.formats.read",
     "wrenchbook.service.http.batch",
@@ -48,7 +48,7 @@ class WebWorker(Server):
         super().__init__(server_config(app, settings.log_level, log_config=None))
         # Not for a command's private server, which ends soon; each process takes 90 MB.
         self._warms_up = security.server_key is None and settings.processes == 1
-        self._shares = settings.processes > 1
+        self._has_others = settings.processes > 1
         self._timer: asyncio.TimerHandle | None = None
         self._begun: set[asyncio.Task[None]] = set()
 
@@ -79,14 +79,14 @@ class WebWorker(Server):
     def _accept(self) -> None:
         """Accept waiting connections after a delay, in which other web workers can accept them."""
         count = len(self.server_state.connections) + len(self._begun)
-        if not (self._shares and count):
-            self._accept_up_to(1 + count // SHARE)
+        if not (self._has_others and count):
+            self._accept_up_to(1 + count // CONNECTIONS_EACH)
             return
         self._loop.remove_reader(self._listening)
 
         def accept() -> None:
             self._timer = None
-            self._accept_up_to(1 + count // SHARE)
+            self._accept_up_to(1 + count // CONNECTIONS_EACH)
             self._loop.add_reader(self._listening, self._accept)
 
         self._timer = self._loop.call_later(min(count * DELAY_S, MAX_DELAY_S), accept)

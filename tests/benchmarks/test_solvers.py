@@ -49,12 +49,12 @@ def wait_for_all(ledger, seconds):
         time.sleep(0.1)
 
 
-def solved(asked, folder, lives):
+def solved(asked, folder, max_attempts):
     """Solve them; rows, jobs a minute, and the solvers' processor seconds a job."""
     bundle, fingerprint, wrenches = asked
     ledger = Ledger(folder / "ledger.sqlite")
     ledger.accept_many(COMPONENT, fingerprint, wrenches)
-    options = {} if lives is None else {"lives": lives}
+    options = {} if max_attempts is None else {"max_attempts": max_attempts}
     engine = LocalEngine(**options)
     dispatcher = Dispatcher(ledger, engine, lambda name: bundle, folder / "jobs")
     before, started = _children(), time.monotonic()
@@ -86,8 +86,8 @@ def _until_reaped(engine):
 @pytest.mark.timeout(1200)
 def test_solvers_that_live_give_the_same_rows_at_twice_the_rate(asked, tmp_path, monkeypatch):
     monkeypatch.delenv("WRENCHBOOK_SOLVE", raising=False)
-    fresh, fresh_rate, fresh_used = solved(asked, tmp_path / "fresh", lives=1)
-    warm, warm_rate, warm_used = solved(asked, tmp_path / "warm", lives=None)
+    fresh, fresh_rate, fresh_used = solved(asked, tmp_path / "fresh", max_attempts=1)
+    warm, warm_rate, warm_used = solved(asked, tmp_path / "warm", max_attempts=None)
     lines = (
         ("a fresh process each", fresh_rate, fresh_used),
         ("solvers that live", warm_rate, warm_used),

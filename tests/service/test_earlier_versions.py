@@ -17,7 +17,8 @@ from tests.service.live import served
 from tests.service.test_durable_tables import Site
 from tests.until import until
 from wrenchbook.service.demand import DemandMaps
-from wrenchbook.service.ledger import Ledger, LedgerFileError
+from wrenchbook.service.ledger import Ledger
+from wrenchbook.service.ledger.records import LedgerFileError
 from wrenchbook.service.library.catalogue import Catalogue
 from wrenchbook.service.ops.doctor import examine
 from wrenchbook.service.ops.restore import restore

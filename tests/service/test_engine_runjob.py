@@ -237,6 +237,14 @@ def test_an_outcome_of_another_attempt_or_a_torn_one_is_not_taken(folder):
         read_outcome(replace(SPEC, folder=folder))
 
 
+def test_an_outcome_with_a_number_that_damage_made_infinite_is_not_taken(folder):
+    runjob.run_attempt(folder, lambda spec, report: {"displacement": [1e-9] * 6})
+    content = (folder / "result.json").read_text()
+    (folder / "result.json").write_text(content.replace("1e-09", "1e909", 1))
+    with pytest.raises(BadOutcomeError, match="its checksum is wrong"):
+        read_outcome(replace(SPEC, folder=folder))
+
+
 def test_an_outcome_does_not_depend_on_where_the_component_is(folder):
     runjob.run_attempt(folder, lambda spec, report: {"displacement": [0.0] * 6})
     moved = Attempt(4, 2, "bar", "/elsewhere/bar", "f1", SPEC.wrench)

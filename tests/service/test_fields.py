@@ -63,7 +63,7 @@ def kept(store, attempt, wrench=WRENCH, fingerprint="f1", **changes):
 
 def test_what_a_solver_left_is_found_by_its_wrench(store, attempt):
     assert kept(store, attempt)
-    assert store.has("plate", "f1", [(0.0,) * 6, WRENCH]) == [1]
+    assert store.find("plate", "f1", [(0.0,) * 6, WRENCH]) == [1]
     row = store.row("plate", "f1", WRENCH)
     np.testing.assert_array_equal(row.displacement, fields().displacement)
     geometry = store.geometry("plate", "f1", row.meta["geometry"])
@@ -73,8 +73,8 @@ def test_what_a_solver_left_is_found_by_its_wrench(store, attempt):
 
 def test_another_component_wrench_or_fingerprint_has_none(store, attempt):
     kept(store, attempt)
-    assert store.has("bar", "f1", [WRENCH]) == []
-    assert store.has("plate", "f2", [WRENCH]) == []
+    assert store.find("bar", "f1", [WRENCH]) == []
+    assert store.find("plate", "f2", [WRENCH]) == []
     with pytest.raises(DamagedFieldsError, match="cannot be read"):
         store.row("plate", "f2", WRENCH)
 
@@ -98,7 +98,7 @@ def test_a_folder_that_cannot_be_written_costs_a_row_its_fields_only(tmp_path, a
 def test_it_never_takes_more_than_its_share(tmp_path, attempt):
     write_files(attempt, WRENCH, fields())
     size = sum(path.stat().st_size for path in attempt.iterdir())
-    store = FieldStore(tmp_path / "fields", most_bytes=int(2.5 * size))
+    store = FieldStore(tmp_path / "fields", max_bytes=int(2.5 * size))
     taken = [kept(store, attempt, (float(i),) * 6) for i in range(10)]
     assert taken[:2] == [True, True]
     assert not taken[-1]
@@ -109,11 +109,11 @@ def test_it_never_takes_more_than_its_share(tmp_path, attempt):
 def test_older_set_ups_make_room_for_the_present_one(tmp_path, attempt):
     write_files(attempt, WRENCH, fields())
     size = sum(path.stat().st_size for path in attempt.iterdir())
-    store = FieldStore(tmp_path / "fields", most_bytes=int(1.5 * size))
+    store = FieldStore(tmp_path / "fields", max_bytes=int(1.5 * size))
     assert kept(store, attempt, fingerprint="f1")
     assert kept(store, attempt, fingerprint="f2")
-    assert store.has("plate", "f1", [WRENCH]) == []
-    assert store.has("plate", "f2", [WRENCH]) == [0]
+    assert store.find("plate", "f1", [WRENCH]) == []
+    assert store.find("plate", "f2", [WRENCH]) == [0]
 
 
 def test_a_linear_component_has_one_file_whatever_is_solved(store, attempt):

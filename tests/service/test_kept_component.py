@@ -82,7 +82,7 @@ def test_a_solver_that_lives_gives_the_rows_of_fresh_ones_to_the_last_bit(site, 
     if name != "block":
         limits = read_bundle(bundle).range
         loads = loads / LOAD * 0.3 * np.maximum(np.abs(limits.low), np.abs(limits.high))
-    fresh = [site.solved(site.engine(lives=1), bundle, wrench) for wrench in loads]
+    fresh = [site.solved(site.engine(max_attempts=1), bundle, wrench) for wrench in loads]
     warm = site.engine()
     kept = [site.solved(warm, bundle, loads[place]) for place in (2, 0, 3, 1)]
     assert len({pid for _, pid in fresh}) == 4
@@ -95,7 +95,7 @@ def test_a_solver_that_lives_gives_the_rows_of_fresh_ones_to_the_last_bit(site, 
 
 def test_after_a_solve_that_failed_the_next_row_is_that_of_a_fresh_process(site):
     bundle, wrench = site.block(), wrenches(1)[0]
-    expected, _ = site.solved(site.engine(lives=1), bundle, wrench)
+    expected, _ = site.solved(site.engine(max_attempts=1), bundle, wrench)
     warm = site.engine()
     failed, first = site.solved(warm, bundle, (-1e6, 0, 0, 0, 0, 0))
     assert failed.error["kind"] == "snap_through"
@@ -111,7 +111,7 @@ def test_a_component_edited_between_two_attempts_is_solved_as_it_is_now(site):
     refused, _ = site.solved(warm, bundle, wrench, fingerprint=old)
     assert refused.error["kind"] == "component_changed"
     after, again = site.solved(warm, bundle, wrench)
-    expected, _ = site.solved(site.engine(lives=1), bundle, wrench)
+    expected, _ = site.solved(site.engine(max_attempts=1), bundle, wrench)
     assert (after, pid) == (expected, again)
     assert after.displacement != before.displacement
 
@@ -119,7 +119,9 @@ def test_a_component_edited_between_two_attempts_is_solved_as_it_is_now(site):
 def test_two_components_in_turn_on_one_solver_each_get_their_own_rows(site):
     thick, thin = site.block(), site.block("thin", height=0.05)
     wrench, warm = wrenches(1)[0] / 10, site.engine()
-    expected = [site.solved(site.engine(lives=1), bundle, wrench)[0] for bundle in (thick, thin)]
+    expected = [
+        site.solved(site.engine(max_attempts=1), bundle, wrench)[0] for bundle in (thick, thin)
+    ]
     results = [site.solved(warm, bundle, wrench) for bundle in (thick, thin, thick, thin)]
     assert [outcome for outcome, _ in results] == expected * 2
     assert len({pid for _, pid in results}) == 1

@@ -15,7 +15,6 @@ from tests.service.ledger_rows import claim, stored
 from tests.until import until
 from wrenchbook.service import workspace
 from wrenchbook.service.ledger import (
-    STATUSES,
     InvalidTransitionError,
     Ledger,
     LedgerError,
@@ -23,7 +22,9 @@ from wrenchbook.service.ledger import (
     UnknownJobError,
     connection,
 )
+from wrenchbook.service.ledger.acknowledged import Acknowledged, Numbers
 from wrenchbook.service.ledger.jobs import BACKOFF_SECONDS, FORGOTTEN_SECONDS, TRANSITIONS
+from wrenchbook.service.ledger.records import STATUSES
 from wrenchbook.service.settings import Settings
 from wrenchbook.service.workers.builder import DAY, prune, shorten_log
 from wrenchbook.service.workspace import Watcher
@@ -559,6 +560,12 @@ def test_folders_are_removed_by_age_and_a_clock_set_back_removes_none(ledger, mo
     assert pruned(ledger, Settings()) == len(jobs)
 
 
+def test_a_folder_named_by_a_number_that_no_job_can_have_does_not_stop_the_removal(ledger):
+    end_job(ledger, 1)
+    (ledger.path.parent / "jobs" / "99999999999999999999").mkdir()
+    assert pruned(ledger, Settings(keep_count=0)) == 1
+
+
 def test_what_waits_runs_or_is_unknown_is_left_alone(ledger):
     folder = ledger.path.parent / "jobs"
     reopened = end_job(ledger, 1, good=False)
@@ -624,3 +631,23 @@ def test_a_note_that_is_damaged_missing_or_unwritable_is_no_loss(ledger):
     note.mkdir()
     with closing(Ledger(ledger.path)) as again:
         assert again.accept("rig", "f", [2.0] * 6)[1]
+
+
+def test_a_note_is_read_again_after_a_commit_over_a_longer_damaged_one(ledger):
+    ledger.accept("rig", "f", [1.0] * 6)
+    ledger.close()
+    note = ledger.path.with_name(f"{ledger.path.name}-acknowledged")
+    note.write_bytes(note.read_bytes()[:1] + b"garbage" * 4)
+    with closing(Ledger(ledger.path)) as again:
+        again.accept("rig", "f", [2.0] * 6)
+    assert Acknowledged(ledger.path).read() == Numbers(jobs=2, rows=0)
+
+
+@pytest.mark.parametrize(
+    "damage", [b"\xff\n", b'{"seen": 1e300, "jobs": [1, 2], "rows": [1, 0]}\n']
+)
+def test_a_damaged_line_of_the_losses_hides_no_other_loss(ledger, damage):
+    losses = ledger.path.with_name(f"{ledger.path.name}-lost")
+    losses.write_bytes(damage + b'{"seen": 0, "jobs": [3, 4], "rows": [1, 0]}\n')
+    (sentence,) = ledger.losses()
+    assert sentence.startswith("jobs 3 to 4 were acknowledged")

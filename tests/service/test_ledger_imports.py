@@ -97,7 +97,7 @@ def test_each_version_during_an_import_is_one_that_the_table_had(ledger, monkeyp
         with ledger.table_at("rig", version) as table:
             assert {seq for lot in table.lots for seq in lot.rows.seq} == live
         changes = ledger.row_changes("rig", after)
-        shown.difference_update(changes.gone)
+        shown.difference_update(changes.edited)
         assert shown.isdisjoint(changes.rows.seq.tolist())
         shown.update(changes.rows.seq.tolist())
         assert (shown, changes.last_seq) == (live, version)
@@ -116,13 +116,13 @@ def test_each_version_during_an_import_is_one_that_the_table_had(ledger, monkeyp
         if killed:
             raise KilledError
 
-    drop = rows.delete
+    drop = rows.delete_hidden
 
     def delete(*arguments):
         versions.append(rows.last_seq(arguments[0], "rig"))
         return drop(*arguments)
 
-    monkeypatch.setattr(rows, "delete", delete)
+    monkeypatch.setattr(rows, "delete_hidden", delete)
     look()
     if killed:
         monkeypatch.setattr(imports, "RECORDS_DELETED", 1)
@@ -176,7 +176,7 @@ def test_a_row_that_another_writer_brings_during_an_import_is_there_once(ledger,
     created = next(blocks(10)).rows
     wrench, moved = created.wrench, created.displacement
     same = NewRow(wrench[4].tolist(), moved[4].tolist(), "measured", origin="note")
-    enter = rows.enter
+    enter = rows.insert_keys
 
     def entered(db, entries):
         enter(db, entries)
@@ -191,7 +191,7 @@ def test_a_row_that_another_writer_brings_during_an_import_is_there_once(ledger,
         if when == "before its keys":
             assert insert(ledger, "rig", "", [same]) == (1, 0)
 
-    monkeypatch.setattr(rows, "enter", entered)
+    monkeypatch.setattr(rows, "insert_keys", entered)
     new, known, number = ledger.import_rows("rig", watched(), ImportOrigin())
     assert (new, known, ledger.imports("rig")[0].rows) == (9, 1, 9)
     present = stored(ledger, "rig")

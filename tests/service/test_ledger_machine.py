@@ -12,13 +12,13 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from tests.service.ledger_rows import NewRow, insert, stored
 from wrenchbook.service.ledger import (
-    STATUSES,
     InvalidTransitionError,
     Ledger,
     RowStatusError,
     StaleAttemptError,
     jobs,
 )
+from wrenchbook.service.ledger.records import STATUSES
 
 LOADS = st.sampled_from([nextafter(1.0, 2.0), -0.0, 0.0, 1.0])
 WRENCHES = st.tuples(LOADS, LOADS, *[st.just(0.0)] * 4)
@@ -250,7 +250,7 @@ class LedgerAgainstReference(RuleBasedStateMachine):
         """Read what changed in one component since the last time, in parts of any size."""
         while True:
             changes = self.ledger.row_changes("bar", self.after, most=most)
-            self.followed -= changes.gone
+            self.followed -= changes.edited
             assert self.followed.isdisjoint(changes.rows.seq.tolist())
             self.followed |= set(changes.rows.seq.tolist())
             self.after = changes.last_seq

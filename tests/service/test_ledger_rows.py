@@ -17,12 +17,12 @@ from wrenchbook.service.ledger import (
     ImportOrigin,
     Ledger,
     LedgerDamagedError,
-    LedgerFileError,
     LedgerUnavailableError,
     RowStatusError,
     UnknownRowError,
     connection,
 )
+from wrenchbook.service.ledger.records import LedgerFileError
 from wrenchbook.service.workspace import Settings
 
 ROWS = [

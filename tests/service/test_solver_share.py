@@ -14,7 +14,7 @@ from tests.service.surfaces import keep, sheet, solved, solver, wrenches, write_
 from wrenchbook.fea.accuracy.estimate import accuracy_of
 from wrenchbook.fea.solve import Solver
 from wrenchbook.service.fields.deformed import DeformedSurfaces
-from wrenchbook.service.fields.shape import LOCAL, NOT_FOLLOWED, error_parts, vertex_modes
+from wrenchbook.service.fields.shape import LOCAL, NO_MODES, error_parts, vertex_modes
 from wrenchbook.service.fields.store import FieldStore
 from wrenchbook.service.fields.surface_files import write_vtu
 from wrenchbook.surrogate.solver_error import UNKNOWN, SolverError
@@ -110,7 +110,7 @@ def test_a_mesh_that_nothing_tells_of_is_said_to_be_unknown(error, words):
 def test_a_surface_that_nothing_ties_to_its_interface_says_so():
     assert vertex_modes(rigid(POINTS), np.full((6, 6), np.nan)) is None
     result = error_parts(np.ones(3), None, told(), WRENCH)
-    assert result.largest() == {"table": 1.0, "mesh": None, "mesh_basis": NOT_FOLLOWED}
+    assert result.largest() == {"table": 1.0, "mesh": None, "mesh_basis": NO_MODES}
 
 
 def test_the_bars_of_a_bent_block_hold_what_twice_the_cells_change():
@@ -209,7 +209,7 @@ def test_a_linear_surface_has_its_meshs_and_its_linearitys_share(tmp_path):
     assert (result.parts.by_cause["linearity"] > 0).any()
     np.testing.assert_allclose(result.error, result.parts.total)
     alone = shapes.answer(own, Rows.empty(), asked[1], solver=mesh)
-    assert alone.parts.largest()["mesh_basis"] == NOT_FOLLOWED
+    assert alone.parts.largest()["mesh_basis"] == NO_MODES
     assert b'Name="error_linearity"' in write_vtu(result)
     shapes.close()
 

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +14,7 @@ import pytest
 from tests.service.attempts import asked, ended
 from tests.service.conftest import SOLVERS
 from tests.until import until
-from wrenchbook.service.jobs import solver
+from wrenchbook.service.jobs import solver, solver_pool
 from wrenchbook.service.jobs.attempt import (
     ALIVE,
     Attempt,
@@ -93,7 +94,7 @@ def test_one_process_answers_attempt_after_attempt_each_with_its_own_log_and_fol
 
 
 def test_a_solver_is_renewed_after_its_number_of_attempts(site):
-    engine = site.engine(lives=2)
+    engine = site.engine(max_attempts=2)
     assert [site.seen(engine, number)["answered"] for number in range(1, 6)] == [1, 2, 1, 2, 1]
 
 
@@ -117,12 +118,31 @@ def test_a_solver_killed_between_attempts_costs_none(site):
 
 
 def test_a_solver_stopped_between_attempts_is_replaced(site, monkeypatch):
-    monkeypatch.setattr("wrenchbook.service.jobs.solver_pool.TAKEN_SECONDS", 0.3)
+    monkeypatch.setattr(solver_pool, "CONFIRM_SECONDS", 0.3)
     engine = site.engine()
     first = site.seen(engine, 1)["pid"]
     os.kill(first, signal.SIGSTOP)
     assert site.seen(engine, 2)["pid"] != first
     until(lambda: not lives(first))
+
+
+def test_a_killed_solver_that_does_not_exit_delays_the_next_attempt_for_a_limited_time(
+    site, monkeypatch
+):
+    for name in ("CONFIRM_SECONDS", "EXIT_SECONDS"):
+        monkeypatch.setattr(solver_pool, name, 0.1)
+    monkeypatch.setattr(solver_pool, "signal_group", lambda group, number: None)
+    engine = site.engine()
+    first = site.seen(engine, 1)["pid"]
+    os.kill(first, signal.SIGSTOP)
+    try:
+        submits = threading.Thread(target=engine.submit, args=(asked(site.prepare(2)),))
+        submits.start()
+        submits.join(30)
+        assert not submits.is_alive()
+        until(lambda: outcome_in(site.folder / "2" / "1"))
+    finally:
+        os.kill(first, signal.SIGKILL)
 
 
 def test_a_solver_killed_at_work_is_lost_with_its_cause_in_the_log(site):
