@@ -61,8 +61,8 @@ class Host:
         moved, error, coverage = self.packed.batch(rows, *self.options, self.threads)
         moved[not_finite] = error[not_finite] = np.nan
         coverage[not_finite] = OUTSIDE
-        moved, error = moved.reshape(*shape, -1), error.reshape(*shape, -1)
-        return moved, error, coverage.astype(np.int32).reshape(shape)
+        block = (*shape, self.packed.outputs)  # not -1, which an empty batch leaves open
+        return moved.reshape(block), error.reshape(block), coverage.astype(np.int32).reshape(shape)
 
     def slopes(self, wrenches: Array) -> Floats:
         """Return du/dw (..., m, n), SI."""
