@@ -55,7 +55,6 @@ _WITHIN = (
     "1 if the whole error bar of every displacement is within the tolerance, the solver's own "
     "error included, 0 if not, -1 where that is not known"
 )
-_INTEGERS = ("coverage", "within_tolerance")  # variables of FMI's type Integer
 _STEPS = {"canHandleVariableCommunicationStepSize": "true"}  # attribute of co-simulation only
 _GUID_ENDS = (0, 8, 12, 16, 20, 32)  # ends of its groups among 32 hexadecimal digits
 _TOLERANCE = (
@@ -109,25 +108,29 @@ def describe(component: str, guid: str, tool: str, summary: str, space: Space = 
     for name in ("logStatusWarning", "logStatusError"):
         ElementTree.SubElement(categories, "Category", name=name)
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1")
-    _add_variables(ElementTree.SubElement(root, "ModelVariables"), space)
-    _add_structure(ElementTree.SubElement(root, "ModelStructure"), space)
+    variables = ElementTree.SubElement(root, "ModelVariables")
+    _add_variables(variables, space)
+    _add_structure(ElementTree.SubElement(root, "ModelStructure"), variables)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 
-def _add_structure(structure: ElementTree.Element, space: Space) -> None:
-    """Add the dependencies: each output depends on all inputs, without delay.
+def _add_structure(structure: ElementTree.Element, variables: ElementTree.Element) -> None:
+    """Add the dependencies of the outputs, without delay; variables are numbered from 1.
 
-    Variables are numbered from 1 in the order of `_add_variables`: two tolerances are between
-    coverage and within_tolerance.
+    Each output depends on all inputs, and an Integer on the fixed tolerances too. Only
+    InitialUnknowns name these: of the section Outputs inputs alone are knowns (FMI 2.0, 2.2.8).
     """
-    first = len(space.inputs) + 1
-    coverage = first + 2 * len(space.outputs)
-    inputs = " ".join(map(str, range(1, first)))
+    numbers: dict[str | None, list[str]] = {}
+    for number, variable in enumerate(variables, 1):
+        numbers.setdefault(variable.get("causality"), []).append(str(number))
     for part in ("Outputs", "InitialUnknowns"):
         unknowns = ElementTree.SubElement(structure, part)
-        for index in (*range(first, coverage + 1), coverage + 3):
-            ElementTree.SubElement(unknowns, "Unknown", index=str(index), dependencies=inputs)
+        for index in numbers["output"]:
+            knowns = numbers["input"]
+            if part == "InitialUnknowns" and variables[int(index) - 1].find("Integer") is not None:
+                knowns = [*knowns, *numbers["parameter"]]
+            ElementTree.SubElement(unknowns, "Unknown", index=index, dependencies=" ".join(knowns))
 
 
 def _unit(text: str) -> str:
@@ -149,11 +152,11 @@ def _add_variables(root: ElementTree.Element, space: Space) -> None:
     for prefix, text in (("", "displacement"), ("error_", "95 % error bar of the displacement")):
         for output in space.outputs:
             _add(root, prefix + output.name, "output", text, {"unit": output.unit})
-    _add(root, "coverage", "output", _COVERAGE, {}, "discrete")
+    _add(root, "coverage", "output", _COVERAGE, {}, "discrete", "Integer")
     for name, unit in (("translation", "m"), ("rotation", "rad")):
         start = {"unit": unit, "start": "0", "min": "0"}
         _add(root, f"tolerance_{name}", "parameter", _TOLERANCE, start, "fixed")
-    _add(root, "within_tolerance", "output", _WITHIN, {}, "discrete")
+    _add(root, "within_tolerance", "output", _WITHIN, {}, "discrete", "Integer")
 
 
 def _add(
@@ -163,8 +166,9 @@ def _add(
     description: str,
     attributes: dict[str, str],
     variability: str = "continuous",
+    fmi_type: str = "Real",
 ) -> None:
-    """Append a variable of modelDescription.xml; its reference is its place in the file."""
+    """Append a variable of modelDescription.xml; its reference is its index in the file, from 0."""
     variable = ElementTree.SubElement(
         root,
         "ScalarVariable",
@@ -174,7 +178,7 @@ def _add(
         variability=variability,
         description=description,
     )
-    ElementTree.SubElement(variable, "Integer" if name in _INTEGERS else "Real", attributes)
+    ElementTree.SubElement(variable, fmi_type, attributes)
 
 
 # The kernel's flags, so that an FMU's answers are the same to the last bit.

@@ -63,6 +63,20 @@ def test_the_description_of_one_interface_is_the_stored_one():
     assert describe("plate", "{0}", "wrenchbook 1", summary) == written
 
 
+def test_initial_coverage_and_judgement_depend_on_the_tolerances_too():
+    root = ElementTree.fromstring(export.describe("bar", "{}", "wrenchbook", "version 1"))
+    names = [variable.get("name") for variable in root.iter("ScalarVariable")]
+    tolerances = {"tolerance_translation", "tolerance_rotation"}
+    depends = {}
+    for unknown in root.iterfind("ModelStructure/InitialUnknowns/Unknown"):
+        knowns = {names[int(index) - 1] for index in unknown.get("dependencies", "").split()}
+        depends[names[int(unknown.get("index", "")) - 1]] = knowns - set(names[:6])
+    judged = {"coverage": tolerances, "within_tolerance": tolerances}
+    assert depends == dict.fromkeys(names[6:18], set()) | judged
+    for unknown in root.iterfind("ModelStructure/Outputs/Unknown"):
+        assert unknown.get("dependencies") == "1 2 3 4 5 6"
+
+
 def test_variables_of_several_interfaces_have_the_names_and_units_of_the_space():
     hot = Input("temperature", "degC", "scalar", zero=20.0)
     space = space_of(("left", "right"), [hot])
