@@ -288,7 +288,7 @@ def export_table(
         )
     targets = ()
     if platforms is not None:  # checked before a server is called or started
-        from wrenchbook.service.fmu.export import platforms_of
+        from wrenchbook.service.fmu.platforms import platforms_of
 
         targets = platforms_of(platforms)
 

@@ -13,16 +13,10 @@ from typer import BadParameter
 from tests.service.fmu.made import LOADS, OUTPUTS, Opened, need_compiler, packed
 from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
 from wrenchbook.service.cli.main import app
-from wrenchbook.service.fmu import export
-from wrenchbook.service.fmu.export import (
-    FLAGS,
-    Fmu,
-    NotExportableError,
-    describe,
-    identifier_of,
-    make_fmu,
-    make_library,
-)
+from wrenchbook.service.fmu import platforms
+from wrenchbook.service.fmu.description import describe, identifier_of
+from wrenchbook.service.fmu.export import Fmu, NotExportableError, make_fmu, make_library
+from wrenchbook.service.fmu.platforms import FLAGS
 from wrenchbook.surrogate.answer import UnknownMethodError
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel.build import KernelBuildError
@@ -64,7 +58,7 @@ def test_the_description_of_one_interface_is_the_stored_one():
 
 
 def test_initial_coverage_and_judgement_depend_on_the_tolerances_too():
-    root = ElementTree.fromstring(export.describe("bar", "{}", "wrenchbook", "version 1"))
+    root = ElementTree.fromstring(describe("bar", "{}", "wrenchbook", "version 1"))
     names = [variable.get("name") for variable in root.iter("ScalarVariable")]
     tolerances = {"tolerance_translation", "tolerance_rotation"}
     depends = {}
@@ -72,7 +66,7 @@ def test_initial_coverage_and_judgement_depend_on_the_tolerances_too():
         knowns = {names[int(index) - 1] for index in unknown.get("dependencies", "").split()}
         depends[names[int(unknown.get("index", "")) - 1]] = knowns - set(names[:6])
     judged = {"coverage": tolerances, "within_tolerance": tolerances}
-    assert depends == dict.fromkeys(names[6:18], set()) | judged
+    assert depends == {name: set() for name in names[6:18]} | judged
     for unknown in root.iterfind("ModelStructure/Outputs/Unknown"):
         assert unknown.get("dependencies") == "1 2 3 4 5 6"
 
@@ -121,7 +115,7 @@ def test_without_a_compiler_the_fmu_holds_sources_that_compile_elsewhere(
     with monkeypatch.context() as patch:
         patch.setenv("PATH", "")
         patch.delenv("CC", raising=False)
-        patch.setattr(export.build.importlib.util, "find_spec", lambda name: None)
+        patch.setattr(platforms.build.importlib.util, "find_spec", lambda name: None)
         created = make_fmu("plate-2", packed(table))
     assert created.platforms == ()
     result = Opened(created, tmp_path)
@@ -161,7 +155,7 @@ def test_a_compiler_that_fails_is_told_with_what_it_said(table, tmp_path, monkey
     broken.write_text("#!/bin/sh\necho 'out of registers' >&2\nexit 1\n")
     broken.chmod(0o755)
     monkeypatch.setenv("CC", str(broken))
-    export._compiled.cache_clear()
+    platforms._compiled.cache_clear()
     with pytest.raises(KernelBuildError, match="out of registers"):
         make_fmu("plate", packed(table))
 
