@@ -26,7 +26,7 @@ from wrenchbook.service.cli.connect import (
 )
 from wrenchbook.service.cli.render import matrix_table, print_json, show, stiffness_lines
 from wrenchbook.service.client.joint import LinearPart
-from wrenchbook.service.client.joint.joint import FREEDOMS
+from wrenchbook.service.client.joint.joint import DAMPING, FREEDOMS
 
 _Force = Annotated[
     Three, typer.Option(help="force about which the part is linear, N", metavar="FX FY FZ")
@@ -34,7 +34,6 @@ _Force = Annotated[
 _Moment = Annotated[
     Three, typer.Option(help="moment about which the part is linear, N·m", metavar="MX MY MZ")
 ]
-DAMPING = 0.02  # the default of `MujocoJoint`
 
 
 def joint(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..contract import COVERAGE
 from .errors import InvalidArgument, required
-from .joint.joint import Joint, shape_of
+from .joint.joint import DAMPING, Joint, shape_of
 from .joint.joints import status_of
 from .table import Table
 from .wrenches import Tolerance, floats_of
@@ -263,7 +263,7 @@ ENTERED = "memory", "poses", "velocities", "inverse_masses"
 def jax_joint(
     table: Table,
     dt: float,
-    damping: float = 0.02,
+    damping: float = DAMPING,
     *,
     axes: Array = None,
     interface: str | None = None,

@@ -26,16 +26,18 @@ from wrenchbook.surrogate.kernel.joint import FREEDOMS, MAX_INTERFACES, JointSte
 from wrenchbook.surrogate.kernel.replies import Status
 from wrenchbook.surrogate.table.rows import ROTATION_LIMIT
 
-from ...contract import COVERAGE, LOAD_UNITS
+from ...contract import COVERAGE, LOAD_UNITS, LOADS, OUTPUTS
 from ..conventions import quaternion_wxyz as quaternion
 from ..errors import InvalidArgument, JointError, JointRangeError, JointWarning, warn
 from ..rotation import checked_rotation
 from ..wrenches import Vector, floats_of
-from .report import JointReport, report_of
+from .report import JointReport, ReportedJoint, report_of
 
 if TYPE_CHECKING:
     from ..table import Table
 
+# Default damping ratio: of welded steel at working stress, 2 to 3 % (Newmark and Hall 1982).
+DAMPING = 0.02
 NOT_YET = -2  # coverage before the first step, beside the kernel's codes
 # Coverage by these codes, also from the end: -2 is NOT_YET, -1 a step without a wrench.
 COVERED_AS = np.array([*COVERAGE, None, COVERAGE[-1]], dtype=object)
@@ -99,7 +101,7 @@ class Joint:
     def __init__(
         self,
         table: Table,
-        damping: float = 0.02,
+        damping: float = DAMPING,
         *,
         interface: str | None = None,
         method: str | None = None,
@@ -213,7 +215,31 @@ class Joint:
 
     def report(self) -> JointReport:
         """Return coverage, largest error bars and stored energy of all steps since `restart`."""
-        return report_of(self)
+        return self._report()
+
+    def _report(self, began: float = 0.0, energy_drift: float = math.nan) -> JointReport:
+        """Return `report_of` this joint, with remedies by its method and its load range."""
+        packed, at, names = self._packed, self._at, (OUTPUTS, LOADS)
+        if self._several:
+            space = self._table.space
+            every = space.output_names, space.input_names
+            names = tuple(tuple(np.array(each)[at].tolist()) for each in every)
+        remedy = self._more_rows()
+        if self._method is None and packed.answers_by() == "linear":
+            remedy = "more solves do not help a linear part; use a finer mesh or nonlinear = true"
+        if self._warned_beyond:
+            remedy = f"widen the load range, which a pose of the steps exceeds; {remedy}"
+        joint = ReportedJoint(
+            self._name,
+            self.interfaces,
+            self.free,
+            *names,
+            load_scale=packed.load_scale[at],
+            tolerance=packed.arrays["space/tolerance"][at],
+            stiffness=self._stiffness,
+            remedy=remedy,
+        )
+        return report_of(joint, self._history, began, energy_drift)
 
     def _begin(self, axes: Vector | None) -> None:
         """Make the kernel's arrays, with `axes` as in `new_steps`, and delete the last step."""

@@ -16,7 +16,7 @@ from wrenchbook.surrogate.kernel.replies import Status
 
 from ..errors import InvalidArgument, JointWarning, warn
 from ..wrenches import Vector
-from .joint import COVERED_AS, LARGEST_TURN, MAX_RANGES, NOT_YET, Joint
+from .joint import COVERED_AS, DAMPING, LARGEST_TURN, MAX_RANGES, NOT_YET, Joint
 
 if TYPE_CHECKING:
     from ..table import Table
@@ -57,7 +57,7 @@ class Joints:
         self,
         table: Table,
         count: int,
-        damping: float = 0.02,
+        damping: float = DAMPING,
         *,
         interface: str | None = None,
         method: str | None = None,

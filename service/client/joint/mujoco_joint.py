@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InvalidArgument, JointError, JointWarning, warn
 from ..wrenches import Vector
-from .joint import FREEDOMS, Joint, quaternion
+from .joint import DAMPING, FREEDOMS, Joint, quaternion
 from .mujoco_scene import (
     Data,
     Model,
@@ -22,7 +22,7 @@ from .mujoco_scene import (
     refuse_rk4,
     warn_unstable,
 )
-from .report import JointReport, report_of
+from .report import JointReport
 
 if TYPE_CHECKING:
     from wrenchbook.surrogate.kernel.joint import JointSteps
@@ -98,7 +98,7 @@ class MujocoJoint(Joint):
         table: Table,
         base: str = "base",
         tip: str = "tip",
-        damping: float = 0.02,
+        damping: float = DAMPING,
         *,
         bodies: Mapping[str, str] | None = None,
         interface: str | None = None,
@@ -313,8 +313,8 @@ class MujocoJoint(Joint):
         began = self._began
         time, energy = began or (0.0, np.nan)
         if began and all(part._began == began for part in parts) and self._data.time in self._times:
-            return report_of(self, time, _energy(parts) - energy)
-        return report_of(self, time)
+            return self._report(time, _energy(parts) - energy)
+        return self._report(time)
 
     def restart(self) -> None:
         """Delete the state of the last step."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InvalidArgument
+from .joint import DAMPING
 from .joints import Joints
 from .mujoco_joint import MujocoJoint, advance, push, require_scene
 from .mujoco_scene import Data, Model, engine
@@ -35,7 +36,7 @@ class MujocoJoints(Joints):
         table: Table,
         base: str = "base",
         tip: str = "tip",
-        damping: float = 0.02,
+        damping: float = DAMPING,
         *,
         bodies: Mapping[str, str] | None = None,
         interface: str | None = None,

@@ -14,7 +14,7 @@ from wrenchbook.surrogate.kernel.binding import PackedTable
 from ...contract import OUTPUTS
 from ..errors import JointError
 from ..wrenches import Vector
-from .joint import FREEDOMS
+from .joint import DAMPING, FREEDOMS
 from .linear_part import LinearPart
 from .mujoco_scene import engine, refuse_one_locked_rotation
 
@@ -58,7 +58,7 @@ def scene_with_springs(
     tip: str,
     springs: LinearPart,
     *,
-    damping: float = 0.02,
+    damping: float = DAMPING,
     site: str | None = None,
     mass: ArrayLike | None = None,
 ) -> str:
