@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from data.paper.part import Mask, Vector
-from wrenchbook.service.client.mount.mujoco_mount import MujocoMount, engine
+from wrenchbook.service.client.mount.mujoco_mount import MujocoMount
+from wrenchbook.service.client.mujoco import engine
 
 ARM = Path(__file__).parents[1] / "scenes" / "arm.xml"
 

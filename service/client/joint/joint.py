@@ -115,15 +115,15 @@ class Joint:
         self._several, self._size = len(self.interfaces) > 1, FREEDOMS * len(self.interfaces)
         names = [f"{name} " * self._several for name in self.interfaces]
         self._symbols = np.array([name + load for name in names for load in SYMBOLS])
-        self._name = table.name
+        self.name = table.name
         self._further = further_inputs(table, inputs or {})
         self._warned_beyond = self._warned_uncovered = self._warned_unstable = False
-        self._remedy = "Check masses, units and steps (all with the joint), or widen the range"
+        self.remedy = "Check masses, units and steps (all with the joint), or widen the range"
         try:
             self._begin(None)
             self._require_stiffness()
         except UnknownMethodError as error:
-            raise InvalidArgument(f"{self._name}: {error}") from error
+            raise InvalidArgument(f"{self.name}: {error}") from error
 
     def _require_stiffness(self) -> None:
         """Refuse a table without stiffness; warn of wrenches at which it cannot be inverted."""
@@ -147,7 +147,7 @@ class Joint:
         if is_indefinite.any():
             worst = int(np.nanargmin(least))
             is_covered = answers.coverage == 0
-            self._remedy = f"The compliance is not positive definite: {self._more_rows()}"
+            self.remedy = f"The compliance is not positive definite: {self._more_rows()}"
             warn(
                 f"{self._indefinite(sample[worst][at], loads[worst])}. So it is at "
                 f"{is_indefinite.sum()} of {known} wrenches of the load range, "
@@ -230,7 +230,7 @@ class Joint:
         if self._warned_beyond:
             remedy = f"widen the load range, which a pose of the steps exceeds; {remedy}"
         joint = ReportedJoint(
-            self._name,
+            self.name,
             self.interfaces,
             self.free,
             *names,
@@ -297,7 +297,7 @@ class Joint:
         parts = zip(direction, self._symbols[self.free], strict=True)
         shown = " ".join(f"{part:+.2g} {load}" for part, load in parts if abs(part) >= SHOWN)
         return (
-            f"{self._name}, method {self._packed.answers_by(self._method)!r}: at the wrench "
+            f"{self.name}, method {self._packed.answers_by(self._method)!r}: at the wrench "
             f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m the compliance is not "
             f"positive definite, because the part moves against a load along ({shown}, in "
             f"fractions of the load range); {self._more_rows()}"
@@ -394,16 +394,16 @@ class Joint:
         if self._status[0] or ranges > 1.0:
             self._refuse(int(self._status[0]), float(ranges))
         elif self._coverage[0] > 0 or (self._several and self._coverage.max() > 0):
-            self._warn_uncovered(self._static_wrench)
+            self.warn_uncovered(self._static_wrench)
 
-    def _warn_uncovered(self, wrench: Vector) -> None:
+    def warn_uncovered(self, wrench: Vector) -> None:
         """Warn once of a wrench that the table does not cover."""
         if not self._warned_uncovered:
             self._warned_uncovered = True
             packed = self._packed
             answer = packed.answer(self._inputs(wrench).tolist(), None, self._method)
             warn(
-                f"{self._name}: the wrench of a step is {answer.coverage} by the method "
+                f"{self.name}: the wrench of a step is {answer.coverage} by the method "
                 f"{packed.answers_by(self._method)!r}, so displacement and wrench are estimates "
                 f"({answer.reason}); {self._more_rows()}. This warning appears once",
                 JointWarning,
@@ -415,14 +415,14 @@ class Joint:
         Up to MAX_RANGES a pose only causes a warning.
         """
         if status == Status.INDEFINITE:
-            least, loads = self._weakest(self._stiffness[None])
+            least, loads = self.weakest(self._stiffness[None])
             if least[0] < 0.0:
                 raise JointError(self._indefinite(np.ravel(self._static_wrench), loads[0]))
         elif status == Status.NO_MASS:
             matrix = self._steps.inverse_masses[self._entry][np.ix_(self.free, self.free)]
             smallest = float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0])
             raise InvalidArgument(
-                f"{self._name}: the inverse effective mass must be symmetric and positive "
+                f"{self.name}: the inverse effective mass must be symmetric and positive "
                 f"definite. Its smallest eigenvalue is {smallest:.3g}, and it differs from "
                 f"its transpose by {np.abs(matrix - matrix.T).max():.3g}. {self._mass_remedy}"
             )
@@ -430,26 +430,26 @@ class Joint:
             pose = self._steps.poses[self._entry]
             if np.isfinite(pose).all() and not pose[..., 3:].any(axis=-1).all():
                 raise InvalidArgument(
-                    f"{self._name}: the quaternion of the pose is zero, which is no rotation; "
+                    f"{self.name}: the quaternion of the pose is zero, which is no rotation; "
                     "write (1, 0, 0, 0) for the undeformed pose"
                 )
             wrong = "inverse mass" if np.isfinite(pose).all() else f"pose {pose.tolist()}"
             raise InvalidArgument(
-                f"{self._name}: the {wrong} is not finite, because the simulation has diverged; "
+                f"{self.name}: the {wrong} is not finite, because the simulation has diverged; "
                 "restore an earlier state and use a smaller time step"
             )
         elif status:
             moved = ", ".join(f"{number:.4g}" for number in self.displacement.ravel())
             raise JointError(
-                f"{self._name}: the compliance has no inverse at the displacement ({moved}) m, "
+                f"{self.name}: the compliance has no inverse at the displacement ({moved}) m, "
                 f"rad, so the wrench there is undefined; {self._more_rows()}, or lock the freedom "
                 "that does not move"
             )
 
         if ranges > MAX_RANGES:
-            raise JointRangeError(f"{self._name}: {self._excess(ranges)}. {self._remedy}")
+            raise JointRangeError(f"{self.name}: {self._excess(ranges)}. {self.remedy}")
         if ranges > 1.0:
-            self._warn_beyond(self._excess(ranges))
+            self.warn_beyond(self._excess(ranges))
 
     def _excess(self, ranges: float) -> str:
         """Return a text on the load or displacement that is `ranges` times the range out."""
@@ -468,18 +468,18 @@ class Joint:
             f"{LOAD_UNITS[load % FREEDOMS]}"
         )
 
-    def _warn_beyond(self, excess: str) -> None:
+    def warn_beyond(self, excess: str) -> None:
         """Warn once of a pose beyond the range."""
         if not self._warned_beyond:
             self._warned_beyond = True
             warn(
-                f"{self._name}: {excess}; the wrench is extrapolated linearly, up to "
-                f"{MAX_RANGES:g} times the range. {self._remedy}",
+                f"{self.name}: {excess}; the wrench is extrapolated linearly, up to "
+                f"{MAX_RANGES:g} times the range. {self.remedy}",
                 JointWarning,
             )
 
-    def _weakest(self, stiffness: Vector) -> tuple[Vector, Vector]:
-        """Return `PackedTable.weakest` of stiffnesses (k, 6, 6).
+    def weakest(self, stiffness: Vector) -> tuple[Vector, Vector]:
+        """Return `PackedTable.weakest` of stiffnesses (n, 6 k, 6 k).
 
         A part with a negative value gives energy.
         """

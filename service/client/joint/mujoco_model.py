@@ -13,10 +13,11 @@ from wrenchbook.surrogate.kernel.binding import PackedTable
 
 from ...contract import OUTPUTS
 from ..errors import JointError
+from ..mujoco import engine
 from ..wrenches import Vector
 from .joint import DAMPING, FREEDOMS
 from .linear_part import LinearPart
-from .mujoco_scene import engine, refuse_one_locked_rotation
+from .mujoco_scene import refuse_one_locked_rotation
 
 Spec: TypeAlias = Any  # mujoco.MjSpec, and its bodies
 

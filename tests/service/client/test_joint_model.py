@@ -54,7 +54,7 @@ def test_the_slides_are_the_axes_of_the_site(path):
     joint = MujocoJoint(model, data, linear_table())
     frame = np.zeros(9)
     mujoco.mju_quat2Mat(frame, model.site("flange").quat)
-    np.testing.assert_allclose(joint._spin_axes, frame.reshape(3, 3), atol=1e-5)
+    np.testing.assert_allclose(joint.spin_axes, frame.reshape(3, 3), atol=1e-5)
     np.testing.assert_allclose(model.jnt_pos[1:], [[0.1, 0, 0]] * 4, atol=1e-6)
 
 
