@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wrenchbook.surrogate.answer import UnknownMethodError
+from wrenchbook.surrogate.answer import COVERED, UnknownMethodError
 from wrenchbook.surrogate.kernel.joint import FREEDOMS, MAX_INTERFACES, JointSteps, shape_of
 from wrenchbook.surrogate.kernel.replies import Status
 from wrenchbook.surrogate.table.rows import ROTATION_LIMIT
@@ -146,7 +146,7 @@ class Joint:
             )
         if is_indefinite.any():
             worst = int(np.nanargmin(least))
-            is_covered = answers.coverage == 0
+            is_covered = answers.coverage == COVERED
             self.remedy = f"The compliance is not positive definite: {self._more_rows()}"
             warn(
                 f"{self._indefinite(sample[worst][at], loads[worst])}. So it is at "
@@ -393,7 +393,7 @@ class Joint:
         ranges = self._ranges[0]
         if self._status[0] or ranges > 1.0:
             self._refuse(int(self._status[0]), float(ranges))
-        elif self._coverage[0] > 0 or (self._several and self._coverage.max() > 0):
+        elif self._coverage[0] > COVERED or (self._several and self._coverage.max() > COVERED):
             self.warn_uncovered(self._static_wrench)
 
     def warn_uncovered(self, wrench: Vector) -> None:

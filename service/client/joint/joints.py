@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from wrenchbook.surrogate.answer import COVERED
 from wrenchbook.surrogate.kernel.joint import JointSteps
 from wrenchbook.surrogate.kernel.replies import Status
 
@@ -202,7 +203,7 @@ class Joints:
                 f"{beyond} of {len(self)} poses are outside the load range, or rotate by more than "
                 f"{LARGEST_TURN:g} degrees"
             )
-        thin = (replies["coverage"].reshape(len(self), -1) > 0).any(axis=1)
+        thin = (replies["coverage"].reshape(len(self), -1) > COVERED).any(axis=1)
         uncovered = np.flatnonzero(~self.failed & within & thin)
         if len(uncovered):
             self._joint.warn_uncovered(replies["still"][uncovered[0]])
