@@ -498,11 +498,14 @@ class LibraryCalls(Connection):
 
 
 def _whole(name: str, value: int) -> int:
-    """Return the number of a row or an import; raises InvalidArgument for a text."""
+    """Return the number of a row or an import; raises InvalidArgument unless it is whole."""
     try:
-        return int(value)
-    except (TypeError, ValueError):
-        raise InvalidArgument(f"{name} must be a whole number, not {value!r:.80}") from None
+        number = int(value)
+    except (TypeError, ValueError, OverflowError):
+        number = None
+    if number is None or (isinstance(value, float) and number != value):
+        raise InvalidArgument(f"{name} must be a whole number, not {value!r:.80}")
+    return number
 
 
 def _named_file(file: str | Path) -> tuple[str, bytes]:

@@ -172,7 +172,11 @@ def _body(name: str, needs: Json) -> Document:
         body = _wrench(where, needs, ("force", "moment"))
     else:
         loads = _table(f"{where}.loads", needs["loads"])
-        body["loads"] = {k: _wrench(f"{where}.loads.{k}", load, load) for k, load in loads.items()}
+        places = {interface: f"{where}.loads.{interface}" for interface in loads}
+        body["loads"] = {
+            interface: _wrench(place, table := _table(place, loads[interface]), table)
+            for interface, place in places.items()
+        }
     if needs.get("inputs") is not None:
         inputs = _table(f"{where}.inputs", needs["inputs"])
         body["inputs"] = {k: _span(f"{where}.inputs.{k}", span) for k, span in inputs.items()}

@@ -506,5 +506,5 @@ def problem(response: Response) -> ProblemError:
             )
         error = ProblemError(status, reason, text)
     seconds = response.headers.get("Retry-After", "")
-    error.retry_after = float(seconds) if seconds.isdigit() else None
+    error.retry_after = float(seconds) if seconds.isdecimal() else None
     return error
