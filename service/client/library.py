@@ -36,13 +36,13 @@ RIG_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _IMPORT_S = 300.0  # s: a million rows take a minute, and an earlier import in the queue as long
 
 
-def table_format(file: str | Path, compiled: Mapping[str, str] | None = None) -> str:
+def table_format(file: str | Path, further: Mapping[str, str] | None = None) -> str:
     """Return the format of a table file to be written; raises InvalidArgument by its ending.
 
-    `compiled`: the format of further endings.
+    `further`: formats by ending beside those of tables, such as ``.fmu``.
     """
-    more = ", or use wrenchbook export for .fmu and .zip" if compiled is None else ""
-    return format_of(file, "table", _ENDINGS | dict(compiled or {}), more)
+    more = ", or use wrenchbook export for .fmu and .zip" if further is None else ""
+    return format_of(file, "table", _ENDINGS | dict(further or {}), more)
 
 
 def format_of(file: str | Path, kind: str, formats: Mapping[str, str], more: str = "") -> str:

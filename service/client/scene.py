@@ -172,10 +172,8 @@ def _body(name: str, needs: Json) -> Document:
         body = _wrench(where, needs, ("force", "moment"))
     else:
         loads = _table(f"{where}.loads", needs["loads"])
-        places = {interface: f"{where}.loads.{interface}" for interface in loads}
         body["loads"] = {
-            interface: _wrench(place, table := _table(place, loads[interface]), table)
-            for interface, place in places.items()
+            name: _wrench(f"{where}.loads.{name}", load) for name, load in loads.items()
         }
     if needs.get("inputs") is not None:
         inputs = _table(f"{where}.inputs", needs["inputs"])
@@ -221,8 +219,13 @@ def _table(where: str, value: Json) -> Mapping[str, Json]:
     return value
 
 
-def _wrench(where: str, needs: Json, parts: Iterable[str]) -> Document:
-    """Return the spans of the three loads of each part, ``force`` or ``moment``."""
+def _wrench(where: str, needs: Json, parts: Iterable[str] | None = None) -> Document:
+    """Return the spans of the three loads of each part, ``force`` or ``moment``.
+
+    The parts are those that `needs` has if they are not given; raises SceneError.
+    """
+    needs = _table(where, needs)
+    parts = needs if parts is None else parts
     _refuse_unknown(where, parts, ("force", "moment"))
     body: Document = {}
     for part in parts:

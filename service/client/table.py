@@ -141,9 +141,9 @@ class Table:
     def plan(self) -> ComponentPlan | None:
         """The scene plan that a scene's table follows; None of a whole table."""
         scene = self.packed.meta.get("scene")
-        return (
-            None if scene is None else ComponentPlan.read({**scene["plan"], "component": self.name})
-        )
+        if scene is None:
+            return None
+        return ComponentPlan.read({**scene["plan"], "component": self.name})
 
     def answer(
         self,
