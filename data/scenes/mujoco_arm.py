@@ -17,7 +17,7 @@ import numpy as np
 
 from wrenchbook import Client, MujocoMount
 
-mujoco: Any = _mujoco  # compiled: it tells no types
+mujoco: Any = _mujoco  # compiled: it has no types
 START = np.array([0.0, 0.4, 0.8, 0.0, 0.5, 0.0])  # rad
 END = np.array([0.6, 0.7, 0.5, 0.4, 0.1, 0.5])
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from wrenchbook import Client, conventions
 
-mujoco: Any = _mujoco  # compiled: it tells no types
+mujoco: Any = _mujoco  # compiled: it has no types
 MODEL = """
 <mujoco>
   <option timestep="0.001" integrator="implicitfast"/>

@@ -257,8 +257,8 @@ class CycleWatch:
         if self._swings > MAX_CYCLES:
             raise CouplingDiverged(
                 f"the coupling does not settle: for {self._swings * CYCLE_SYNCS} syncs the answers "
-                f"have oscillated by {self._spread:.3g} tolerances. Use a shorter sync, or for parts in "
-                f"contact or motion wrenchbook.MujocoJoint. {REMEDY}"
+                f"have oscillated by {self._spread:.3g} tolerances. Use a shorter sync, or for "
+                f"parts in contact or motion wrenchbook.MujocoJoint. {REMEDY}"
             )
 
 
