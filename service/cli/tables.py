@@ -29,7 +29,7 @@ from wrenchbook.service.contract import counted
 from wrenchbook.service.files.durable import write_atomically
 
 COMPILED = (".fmu", ".zip")  # made by this command from a packed table, not by the server
-WAIT_S = 10.0  # s, the server's default
+WAIT_S = 10.0  # s, the default of service.http.imports, which would load FastAPI
 MAX_ROWS_SHOWN = 10  # rows of a finding: a line of a terminal
 _RIG_METHODS = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}
 _UNNAMED_RIG = re.compile("[0-9a-f]{8}")  # the server's name for a rig that has none: its digest
@@ -347,6 +347,7 @@ def withdraw(
             reply = client.withdraw_import(name, number, finding, restore=restore)
         show(reply, as_json, f"{counted(reply['rows'], 'row')} {reply['status']}.")
         return
+    refuse_alone("IMPORT", {"--finding": finding, "--restore": restore})
     with connected(server, data) as client:
         warnings = client.component(name)["warnings"]
     findings = [warning for warning in warnings if "import" in warning]
