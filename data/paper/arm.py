@@ -12,16 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data.paper.part import (
-    LOADS,
-    Curve,
-    Effort,
-    Mask,
-    PaperPart,
-    Plot,
-    ProgressCallback,
-    Vector,
-)
+from data.paper.part import LOADS, Curve, Effort, Mask, PaperPart, Plot, ProgressCallback, Vector
 from data.paper.scenes import LoopRun, move_arm
 from tests.validation.clamped import shipped
 from tests.validation.finding import Finding

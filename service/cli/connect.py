@@ -95,9 +95,7 @@ Name = Annotated[str, typer.Argument(help="name of the component", autocompletio
 Server = Annotated[
     str,
     typer.Option(
-        envvar="WRENCHBOOK_SERVER",
-        help="address of a running server",
-        callback=_refuse_both,
+        envvar="WRENCHBOOK_SERVER", help="address of a running server", callback=_refuse_both
     ),
 ]
 Data = Annotated[

@@ -127,10 +127,7 @@ def answer_shown(
 
 
 def print_answer(
-    answer: Displacement,
-    as_json: bool,
-    data: Path | None,
-    tolerance: Mapping[str, float] | None,
+    answer: Displacement, as_json: bool, data: Path | None, tolerance: Mapping[str, float] | None
 ) -> None:
     """Print an answer, at each interface, and the state of its open job.
 

@@ -54,7 +54,7 @@ class JointReport:
     stiff : tuple of StiffLoad
         Loads with error bars too large for a joint.
     remedy : str
-        What to do about these and about steps that are not covered; empty if there are none.
+        What to do about stiff loads and steps that are not covered; empty without any.
     covered_at : dict of float
         Of several interfaces, by name: the fraction of steps whose wrench there is covered.
     """
