@@ -185,8 +185,10 @@ def import_table(
     if as_json:
         print_json(reply)
     else:
-        if displacements is None:
-            _print_format(file, reply["format"])
+        form = reply["format"]
+        if displacements is None and form in ("csv", "json") and file.suffix.lower() in _BINARY:
+            content = f"{file.name} was read as {form.upper()}: its content is text"
+            plain(Screen(), f"{content}, whatever its ending.")
         _print_import(name, reply)
     raise typer.Exit(1 if reply["errors"] and not partial else 0)
 
@@ -435,13 +437,6 @@ def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> No
         command = f"wrenchbook withdraw {name} {number} --finding {finding['cause']}"
         rows = counted(finding["count"], "row") if finding["count"] else "all rows"
         plain(Screen(), f"  to withdraw {rows} of this import: {command}")
-
-
-def _print_format(file: Path, form: str) -> None:
-    """Print that a file with the ending of a workbook, or of another binary format, is text."""
-    if form in ("csv", "json") and file.suffix.lower() in _BINARY:
-        text = f"{file.name} was read as {form.upper()}: its content is text, whatever its ending."
-        plain(Screen(), text)
 
 
 def _print_import(name: str, reply: dict[str, Any]) -> None:

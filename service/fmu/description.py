@@ -74,9 +74,8 @@ def describe(component: str, guid: str, tool: str, summary: str, space: Space = 
             ElementTree.SubElement(files, "File", name=name)
 
     definitions = ElementTree.SubElement(root, "UnitDefinitions")
-    for name in dict.fromkeys(
-        ("N", "N.m", "m", "rad", *(_unit(load.unit) for load in space.inputs))
-    ):
+    units = ("N", "N.m", "m", "rad", *(_unit(load.unit) for load in space.inputs))
+    for name in dict.fromkeys(units):
         unit = ElementTree.SubElement(definitions, "Unit", name=name)
         ElementTree.SubElement(unit, "BaseUnit", _UNITS.get(name, {}))
 

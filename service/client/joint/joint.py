@@ -192,10 +192,6 @@ class Joint:
 
         It is in the undeformed interface frame, its moment about the displaced interface point.
         """
-        return self._last_wrench()
-
-    def _last_wrench(self) -> Vector:
-        """Return `wrench`; the joints of a scene know it by the velocity after the step."""
         return np.array(self._reply["wrench"])
 
     @property

@@ -329,8 +329,9 @@ class MujocoJoint(Joint):
         """Set the wrench of the last step to NaN."""
         self._law = self._law._replace(force=np.full(len(self.free), np.nan))
 
-    def _last_wrench(self) -> Vector:
-        """Return the wrench of the last step, by the velocity after it."""
+    @property
+    def wrench(self) -> Vector:
+        """The wrench on the part in the last step, by the velocity after it; see `Joint.wrench`."""
         force, slope, velocity = self._law
         pulled = np.zeros(self._size)
         pulled[self.free] = force + slope @ velocity
