@@ -18,7 +18,8 @@ ProgressCallback = Callable[[float, str], None]
 
 LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")  # as the paper writes them
 PAPER = "SIMULTECH 2017"
-LEVELS = ("closed form", "finite elements", "MuJoCo and service")  # of the bar and the spring
+# Of the bar and the spring.
+LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and service")
 
 
 @dataclass(frozen=True)

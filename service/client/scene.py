@@ -225,10 +225,10 @@ def _wrench(where: str, needs: Json, parts: Iterable[str] | None = None) -> Docu
     The parts are those that `needs` has if they are not given; raises SceneError.
     """
     needs = _table(where, needs)
-    parts = needs if parts is None else parts
-    _refuse_unknown(where, parts, ("force", "moment"))
+    names = list(needs) if parts is None else list(parts)
+    _refuse_unknown(where, names, ("force", "moment"))
     body: Document = {}
-    for part in parts:
+    for part in names:
         spans = needs.get(part)
         place = f"{where}.{part}"
         if spans is None:

@@ -26,10 +26,12 @@ class TolerancePair(Protocol):
     @property
     def translation(self) -> float:
         """The tolerance of translations, m."""
+        ...
 
     @property
     def rotation(self) -> float:
         """The tolerance of rotations, rad."""
+        ...
 
 
 Tolerance = Mapping[str, float] | Sequence[float] | TolerancePair

@@ -90,7 +90,7 @@ class PoseRun(NamedTuple):
 
     start: int  # index in the pose
     qpos: int  # index in MuJoCo's qpos
-    count: int
+    size: int
 
 
 class Tip(NamedTuple):
