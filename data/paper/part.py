@@ -18,7 +18,6 @@ ProgressCallback = Callable[[float, str], None]
 
 LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")  # as the paper writes them
 PAPER = "SIMULTECH 2017"
-# Of the bar and the spring.
 LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and service")
 
 

@@ -75,10 +75,7 @@ class Host:
         return slopes.reshape(*shape, *slopes.shape[1:])
 
     def inverse(self, moved: Array, start: Array) -> tuple[Floats, Floats]:
-        """Return wrenches (..., n), SI, and the stiffness there (..., n, m); NaN without one.
-
-        One row after another, on one thread.
-        """
+        """Return wrenches (..., n), SI, and stiffness (..., n, m), row by row; NaN without one."""
         shape = moved.shape[:-1]
         n, m = self.packed.inputs, self.packed.outputs
         targets = np.asarray(moved, dtype=float).reshape(-1, m)

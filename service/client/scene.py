@@ -220,10 +220,7 @@ def _table(where: str, value: Json) -> Mapping[str, Json]:
 
 
 def _wrench(where: str, needs: Json, parts: Iterable[str] | None = None) -> Document:
-    """Return the spans of the three loads of each part, ``force`` or ``moment``.
-
-    The parts are those that `needs` has if they are not given; raises SceneError.
-    """
+    """Return the spans of the loads of each part, ``force`` or ``moment``; by default of all."""
     needs = _table(where, needs)
     names = list(needs) if parts is None else list(parts)
     _refuse_unknown(where, names, ("force", "moment"))

@@ -88,8 +88,7 @@ def make_fmu(
     zeros = " ".join(f"{load.zero:.17g}" for load in space.inputs)
     method_index = -1 if method is None else METHODS.index(method)  # -1: the default of each group
 
-    # The GUID is a digest of everything on which the answers depend: the same table has the same
-    # GUID.
+    # A digest of everything on which the answers depend: the same table has the same GUID.
     header = f"{component}\0{method_index}\0".encode()
     digest = hashlib.blake2b(header + table.content, digest_size=16).hexdigest()
     guid = "{" + "-".join(digest[start:end] for start, end in pairwise(_GUID_ENDS)) + "}"
